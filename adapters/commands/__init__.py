@@ -1,0 +1,1 @@
+"""Whole-body command vectors as they stand on the bus."""

@@ -1,0 +1,1 @@
+"""Other buses and native code."""

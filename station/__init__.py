@@ -1,0 +1,1 @@
+"""Teleop Station: what every process of a station shares."""

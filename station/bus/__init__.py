@@ -1,0 +1,1 @@
+"""How anything is said: keys, contracts, stamps, and the Redis server that carries them."""

@@ -1,0 +1,197 @@
+"""One connection to the server: pre-encoded requests, hiredis for the replies, every wait bounded.
+
+A general client spends about 100 of its 120 microseconds per request on bookkeeping that a dedicated connection does
+not need (retries, pools, locks; `docs/performance.md` has the figures), and hides a dead server behind its retries.
+"""
+
+from __future__ import annotations
+
+import socket
+import ssl
+from collections.abc import Sequence
+from typing import Any
+
+import hiredis
+
+from station.bus.address import BusAddress
+from station.errors import BusError
+
+_READ_SIZE = 1 << 16
+_CONNECT_TIMEOUT_S = 0.5  # a TCP handshake may cross a lab network; a unix socket answers at once
+
+Argument = bytes | str | int
+
+
+def pack(*arguments: Argument) -> bytes:
+    """Encode one request in the server's protocol (RESP)."""
+    parts = [b"*%d\r\n" % len(arguments)]
+    for argument in arguments:
+        data = argument if isinstance(argument, bytes) else str(argument).encode()
+        parts.append(b"$%d\r\n" % len(data))
+        parts.append(data)
+        parts.append(b"\r\n")
+    return b"".join(parts)
+
+
+class ConnectionLost(BusError):
+    """The server went away, or did not answer in time."""
+
+
+class Connection:
+    """A connection that one thread at a time uses.
+
+    Args:
+        address: Where the server is.
+        timeout_s: Longest wait for connecting and for each answer [s].
+    """
+
+    def __init__(self, address: BusAddress, *, timeout_s: float = 0.05) -> None:
+        self.address = address
+        self._timeout_s = timeout_s
+        self._reader = hiredis.Reader()
+        self._socket = self._open()
+        try:
+            self._greet()
+        except BaseException:
+            self.close()
+            raise
+
+    def call(self, *arguments: Argument) -> Any:
+        """Send one request and return its answer (bytes, int, list, None).
+
+        Raises:
+            ConnectionLost: the server went away or did not answer in time; the connection is then closed.
+            BusError: the server answered with an error.
+        """
+        return _checked(self.send_packed(pack(*arguments))[0])
+
+    def pipeline(self, requests: Sequence[Sequence[Argument]]) -> list[Any]:
+        """Send several requests at once and return their answers in order."""
+        replies = self.send_packed(b"".join(pack(*request) for request in requests), len(requests))
+        return [_checked(reply) for reply in replies]
+
+    def send_packed(self, data: bytes, replies: int = 1) -> list[Any]:
+        """Send encoded requests and return that many answers; an error answer is returned, not raised."""
+        try:
+            self._socket.sendall(data)
+            return [self._next() for _ in range(replies)]
+        except OSError as error:
+            self.close()
+            raise ConnectionLost(f"bus {self.address}: {_reason(error)}") from error
+
+    def send(self, *arguments: Argument) -> None:
+        """Send a request without waiting for its answer (a subscription)."""
+        try:
+            self._socket.sendall(pack(*arguments))
+        except OSError as error:
+            self.close()
+            raise ConnectionLost(f"bus {self.address}: {_reason(error)}") from error
+
+    def receive(self, timeout_s: float | None) -> Any:
+        """Return the next message that the server pushes.
+
+        Raises:
+            TimeoutError: none came in time; the connection stays usable.
+            ConnectionLost: the server went away.
+        """
+        try:
+            self._socket.settimeout(timeout_s)
+            return self._next()
+        except TimeoutError:
+            raise
+        except OSError as error:
+            self.close()
+            raise ConnectionLost(f"bus {self.address}: {_reason(error)}") from error
+        finally:
+            self._restore_timeout()
+
+    def buffered(self) -> Any:
+        """Return the next message that is already here, or ``False`` when there is none."""
+        return self._reader.gets()
+
+    def fileno(self) -> int:
+        """Return the file descriptor, for a selector."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """Close the connection; a second call does nothing."""
+        self._socket.close()
+
+    def _next(self) -> Any:
+        while (reply := self._reader.gets()) is False:
+            data = self._socket.recv(_READ_SIZE)
+            if not data:
+                raise ConnectionResetError("the server closed the connection")
+            self._reader.feed(data)
+        return reply
+
+    def _restore_timeout(self) -> None:
+        if self._socket.fileno() >= 0:
+            self._socket.settimeout(self._timeout_s)
+
+    def _open(self) -> socket.socket:
+        address = self.address
+        try:
+            stream = self._open_socket(address.socket) if address.socket is not None else self._open_tcp()
+            stream.settimeout(self._timeout_s)
+            return stream
+        except OSError as error:
+            raise ConnectionLost(
+                f"bus {address}: {_reason(error)}; start one with `station bus start`, or name another with --bus URL"
+            ) from error
+
+    def _open_socket(self, path: str) -> socket.socket:
+        stream = socket.socket(socket.AF_UNIX)
+        try:
+            stream.settimeout(self._timeout_s)
+            stream.connect(path)
+        except OSError:
+            stream.close()
+            raise
+        return stream
+
+    def _open_tcp(self) -> socket.socket:
+        address = (self.address.host, self.address.port)
+        stream = socket.create_connection(address, timeout=max(self._timeout_s, _CONNECT_TIMEOUT_S))
+        try:
+            stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            return self._wrap(stream) if self.address.tls else stream
+        except OSError:
+            stream.close()
+            raise
+
+    def _wrap(self, plain: socket.socket) -> ssl.SSLSocket:
+        context = ssl.create_default_context(cafile=self.address.ca_file)
+        return context.wrap_socket(plain, server_hostname=self.address.host)
+
+    def _greet(self) -> None:
+        address = self.address
+        if address.password is not None:
+            login = (address.username, address.password) if address.username else (address.password,)
+            _checked_login(self.send_packed(pack("AUTH", *login))[0], address)
+        reply = self.send_packed(pack("SELECT", address.db))[0]
+        _checked_login(reply, address)
+
+
+def _checked(reply: Any) -> Any:
+    if isinstance(reply, hiredis.ReplyError):
+        raise BusError(f"the bus answered: {reply}")
+    return reply
+
+
+def _checked_login(reply: Any, address: BusAddress) -> None:
+    if not isinstance(reply, hiredis.ReplyError):
+        return
+    text = str(reply)
+    if text.startswith(("NOAUTH", "WRONGPASS", "ERR AUTH", "ERR invalid password", "NOPERM")):
+        raise BusError(
+            f"bus {address}: the server asks for a password or refused ours ({text.split(' ', 1)[0]}); "
+            "put it into $STATION_BUS_PASSWORD or the URL"
+        )
+    raise BusError(f"bus {address}: {text}")
+
+
+def _reason(error: OSError) -> str:
+    if isinstance(error, TimeoutError):
+        return "no answer in time"
+    return error.strerror or str(error)

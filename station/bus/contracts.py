@@ -1,0 +1,215 @@
+"""What each key holds: role, codec, and the name and unit of every element, in order.
+
+A contract is written beside the bytes of a recording, never into them, so a wrong contract cannot spoil one.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Literal
+
+import msgspec
+
+from station.bus import joints, keys
+
+Role = Literal["command", "state", "policy", "sensor", "network", "event", "control"]
+Codec = Literal["json-vector", "json", "f32", "f64", "jpeg", "text", "integer"]
+
+
+class Element(msgspec.Struct, frozen=True):
+    """One number of a vector: a name that is a valid field name anywhere, and its unit ("" for none)."""
+
+    name: str
+    unit: str
+
+
+class Contract(msgspec.Struct, frozen=True, kw_only=True):
+    """What a key holds.
+
+    Attributes:
+        key: The key.
+        family: ``twist``, ``twist2`` or ``station``.
+        role: What the value is to a station.
+        codec: How the bytes are read.
+        elements: Names and units of a vector's numbers in order; empty for other values.
+        rate_hz: Nominal rate of writes [Hz]; None when it is written on events only.
+        note: Frame, order and traps, in a sentence.
+    """
+
+    key: str
+    family: Literal["twist", "twist2", "station"]
+    role: Role
+    codec: Codec
+    elements: tuple[Element, ...] = ()
+    rate_hz: float | None = None
+    note: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the elements, in order."""
+        return tuple(element.name for element in self.elements)
+
+
+def contract(key: str) -> Contract | None:
+    """Return the contract of a key, or None for a key that nobody has described."""
+    return _catalogue().get(key) or _by_prefix(key)
+
+
+def contracts() -> tuple[Contract, ...]:
+    """Return every contract with a fixed key, in catalogue order."""
+    return tuple(_catalogue().values())
+
+
+def elements(*groups: tuple[tuple[str, ...], str]) -> tuple[Element, ...]:
+    """Build elements from groups of names that share a unit."""
+    return tuple(Element(name, unit) for names, unit in groups for name in names)
+
+
+def positions(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Element names of joint positions."""
+    return tuple(f"{name}_pos" for name in names)
+
+
+def velocities(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Element names of joint velocities."""
+    return tuple(f"{name}_vel" for name in names)
+
+
+BODY_COMMAND_TWIST2 = elements(
+    (("root_vel_x", "root_vel_y"), "m/s"),
+    (("root_height",), "m"),
+    (("root_roll", "root_pitch"), "rad"),
+    (("root_yaw_rate",), "rad/s"),
+    (positions(joints.G1_29), "rad"),
+)
+BODY_COMMAND_TWIST = elements(
+    (("root_height",), "m"),
+    (("root_roll", "root_pitch", "root_yaw"), "rad"),
+    (("root_vel_x", "root_vel_y", "root_vel_z"), "m/s"),
+    (("root_yaw_rate",), "rad/s"),
+    (positions(joints.G1_25), "rad"),
+)
+_GYRO = ("gyro_x", "gyro_y", "gyro_z")
+_QUAT = ("root_quat_w", "root_quat_x", "root_quat_y", "root_quat_z")
+_NECK = elements((("neck_yaw", "neck_pitch"), "rad"))
+
+
+def _hand(side: str) -> tuple[Element, ...]:
+    return elements((positions(joints.hand(side)), "rad"))
+
+
+def _twist2() -> list[Contract]:
+    def make(key: str, role: Role, codec: Codec, items: tuple[Element, ...] = (), note: str = "",
+             rate_hz: float | None = 50.0) -> Contract:  # fmt: skip
+        return Contract(key=key, family="twist2", role=role, codec=codec, elements=items, rate_hz=rate_hz, note=note)
+
+    state = elements((_GYRO, "rad/s"), (("root_roll", "root_pitch"), "rad"), (positions(joints.G1_29), "rad"))
+    return [
+        make(keys.action_body(), "command", "json-vector", BODY_COMMAND_TWIST2,
+             "root velocities in the root frame; height above ground; heading is not commanded"),
+        *(make(keys.action_hand(side), "command", "json-vector", _hand(side)) for side in ("left", "right")),
+        make(keys.action_neck(), "command", "json-vector", _NECK),
+        make(keys.T_ACTION, "command", "integer", note="wall clock of the command, milliseconds since the epoch"),
+        make(keys.state_body(keys.TWIST2_ROBOT), "state", "json-vector", state,
+             "gyro in the root frame, unscaled; stock servers write 127 zeros once at start"),
+        *(make(keys.state_hand(side), "state", "json-vector", _hand(side)) for side in ("left", "right")),
+        make(keys.state_neck(), "state", "json-vector", _NECK),
+        make(keys.T_STATE, "state", "integer", note="wall clock of the state, milliseconds since the epoch"),
+        make(keys.CONTROLLER_DATA, "sensor", "json", note="LeftController, RightController, timestamp [ns]",
+             rate_hz=100.0),
+        make(keys.MOTION_START_SIGNAL, "control", "text", note="1 while B is the only button, else 0"),
+        make(keys.MOTION_EXIT_SIGNAL, "control", "text", note="1 while Select is the only button, else 0"),
+    ]  # fmt: skip
+
+
+def _twist() -> list[Contract]:
+    robot = keys.TWIST_ROBOT
+    hands = _hand("left") + _hand("right")
+    scaled = (
+        elements((tuple(f"scaled_{name}" for name in _GYRO), "0.25 rad/s"), (("root_roll", "root_pitch"), "rad"))
+        + elements((tuple(f"{n}_pos_from_default" for n in joints.G1_23), "rad"))
+        + elements((tuple(f"scaled_{n}_vel" for n in joints.G1_23), "0.05 rad/s"))
+        + elements((tuple(f"{n}_previous_action" for n in joints.G1_23), ""))
+    )
+
+    def make(key: str, role: Role, items: tuple[Element, ...], note: str) -> Contract:
+        return Contract(
+            key=key, family="twist", role=role, codec="json-vector", elements=items, rate_hz=50.0, note=note
+        )
+
+    return [
+        make(keys.action_mimic(robot), "command", BODY_COMMAND_TWIST, "yaw is absolute, in the reference's world"),
+        make(keys.action_hands(robot), "command", hands, "left hand, then right hand"),
+        make(keys.state_body(robot), "state", scaled,
+             "scaled proprioception; ankle velocities are zero; stock servers write 105 zeros once at start"),
+        make(keys.state_hands(robot), "state", hands, "left hand, then right hand"),
+    ]  # fmt: skip
+
+
+def _ours(robot: str, command: tuple[Element, ...], names: tuple[str, ...]) -> list[Contract]:
+    """Contracts of the station's own keys for a robot whose n joints are named."""
+
+    def make(key: str, role: Role, codec: Codec, items: tuple[Element, ...] = (), note: str = "") -> Contract:
+        return Contract(key=key, family="station", role=role, codec=codec, elements=items, rate_hz=50.0, note=note)
+
+    sent = elements((positions(names), "rad"), (tuple(f"{n}_kp" for n in names), "N m/rad"),
+                    (tuple(f"{n}_kd" for n in names), "N m s/rad"))  # fmt: skip
+    state = elements((positions(names), "rad"), (velocities(names), "rad/s"), (_QUAT, ""), (_GYRO, "rad/s"))
+    qpos = elements((("root_x", "root_y", "root_z"), "m"), (_QUAT, ""), (positions(names), "rad"))
+    timing = elements((("tick", "command_seq"), ""), (TIMING_STAGES, "ns"))
+    return [
+        make(keys.robot_state(robot), "state", "f64", state, "root frame for gyro; world for the quaternion"),
+        make(keys.policy_obs(robot), "policy", "f32", note="observation of the network, in the policy's own order"),
+        make(keys.policy_action(robot), "policy", "f32", note="raw output of the network, before clipping"),
+        make(keys.policy_timing(robot), "policy", "json-vector", timing,
+             "one machine's monotonic clock; 0 where unknown, as for a foreign writer"),
+        make(keys.target(robot), "policy", "f64", sent, "as really sent, after the robot's own limits"),
+        make(keys.sim_qpos(robot), "state", "f64", qpos, "ground truth; world frame"),
+        make(keys.command_gate(robot), "policy", "json", note="state, reason and age of the command at the gate"),
+        make(keys.command_used(robot), "policy", "f64", command, "the command after the gate"),
+        make(keys.command_source(robot), "command", "json", note="file, sha256, frame and phase of the command"),
+    ]  # fmt: skip
+
+
+TIMING_STAGES = ("command_written", "command_arrived", "state_read", "observed", "inferred", "sent")
+"""Instants of one policy step, in the order of `keys.policy_timing`."""
+
+
+def _station() -> list[Contract]:
+    def make(key: str, role: Role, codec: Codec, note: str) -> Contract:
+        return Contract(key=key, family="station", role=role, codec=codec, note=note)
+
+    return [
+        make(keys.ESTOP, "control", "json", "latched emergency stop: who asked for it and why; 0 when reset"),
+        make(keys.EVENT, "event", "json", "one event: name, severity, source, numbers"),
+        make(keys.MOTION_CONTROL, "control", "json", "pause, resume, seek, start, exit for the motion server"),
+        make(keys.RECORD, "control", "json", "a request to the recorder"),
+        make(keys.RECORD_ACK, "control", "json", "the recorder's answer"),
+        make(keys.RECORDER, "control", "json", "what the recorder is doing"),
+        make(keys.TAP_PROBE, "network", "text", "written by a recorder to see that its tap delivers"),
+    ]
+
+
+_PREFIXES = {
+    keys.SERVER_PREFIX: "health of a server, twice a second",
+    keys.CONFIG_PREFIX: "what a server runs: policy, hashes, gains, rates, code revision",
+}
+
+
+def _by_prefix(key: str) -> Contract | None:
+    for prefix, note in _PREFIXES.items():
+        if key.startswith(prefix):
+            return Contract(key=key, family="station", role="control", codec="json", note=note)
+    return None
+
+
+@cache
+def _catalogue() -> dict[str, Contract]:
+    every = [
+        *_twist2(),
+        *_twist(),
+        *_ours(keys.TWIST2_ROBOT, BODY_COMMAND_TWIST2, joints.G1_29),
+        *_ours(keys.TWIST_ROBOT, BODY_COMMAND_TWIST, joints.G1_29),
+        *_station(),
+    ]
+    return {item.key: item for item in every}

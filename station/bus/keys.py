@@ -1,0 +1,143 @@
+"""Every key of the bus, spelled here and nowhere else.
+
+Three families: TWIST2 (suffix ``unitree_g1_with_hands``, fixed in the stock scripts), TWIST (suffix ``g1``) and the
+station's own. What a key holds is told by `station.bus.contracts`.
+"""
+
+from __future__ import annotations
+
+TWIST2_ROBOT = "unitree_g1_with_hands"
+TWIST_ROBOT = "g1"
+
+# -- TWIST2: one robot suffix, hard-coded upstream ---------------------------------------------------------------
+T_ACTION = "t_action"
+T_STATE = "t_state"
+CONTROLLER_DATA = "controller_data"
+MOTION_START_SIGNAL = "motion_start_signal"
+MOTION_EXIT_SIGNAL = "motion_exit_signal"
+
+
+def action_body(robot: str = TWIST2_ROBOT) -> str:
+    """TWIST2's whole-body command."""
+    return f"action_body_{robot}"
+
+
+def action_hand(side: str, robot: str = TWIST2_ROBOT) -> str:
+    """TWIST2's hand command; side is ``left`` or ``right``."""
+    return f"action_hand_{side}_{robot}"
+
+
+def action_neck(robot: str = TWIST2_ROBOT) -> str:
+    """TWIST2's neck command."""
+    return f"action_neck_{robot}"
+
+
+def state_body(robot: str) -> str:
+    """Body state: raw in TWIST2, scaled proprioception in TWIST."""
+    return f"state_body_{robot}"
+
+
+def state_hand(side: str, robot: str = TWIST2_ROBOT) -> str:
+    """TWIST2's measured hand joints; side is ``left`` or ``right``."""
+    return f"state_hand_{side}_{robot}"
+
+
+def state_neck(robot: str = TWIST2_ROBOT) -> str:
+    """TWIST2's measured neck joints."""
+    return f"state_neck_{robot}"
+
+
+# -- TWIST -------------------------------------------------------------------------------------------------------
+def action_mimic(robot: str = TWIST_ROBOT) -> str:
+    """TWIST's whole-body command."""
+    return f"action_mimic_{robot}"
+
+
+def action_hands(robot: str = TWIST_ROBOT) -> str:
+    """TWIST's command of both hands in one list."""
+    return f"action_hand_{robot}"
+
+
+def state_hands(robot: str = TWIST_ROBOT) -> str:
+    """TWIST's measured joints of both hands in one list."""
+    return f"state_hand_{robot}"
+
+
+# -- Ours, per robot ---------------------------------------------------------------------------------------------
+def robot_state(robot: str) -> str:
+    """Everything the policy may see of the robot, unscaled."""
+    return f"robot_state_{robot}"
+
+
+def policy_obs(robot: str) -> str:
+    """The observation as the network got it."""
+    return f"policy_obs_{robot}"
+
+
+def policy_action(robot: str) -> str:
+    """The raw output of the network."""
+    return f"policy_action_{robot}"
+
+
+def policy_timing(robot: str) -> str:
+    """When the command of a step was written, arrived, was used, and its targets sent."""
+    return f"policy_timing_{robot}"
+
+
+def target(robot: str) -> str:
+    """The joint targets and gains that were really sent."""
+    return f"target_{robot}"
+
+
+def sim_qpos(robot: str) -> str:
+    """MuJoCo's ground truth."""
+    return f"sim_qpos_{robot}"
+
+
+def command_gate(robot: str) -> str:
+    """What the gate did with the command, and why."""
+    return f"command_gate_{robot}"
+
+
+def command_used(robot: str) -> str:
+    """The command vector that the policy really got, after the gate."""
+    return f"command_used_{robot}"
+
+
+def command_source(robot: str) -> str:
+    """Where the command came from: file, hash, frame."""
+    return f"command_source_{robot}"
+
+
+# -- Ours, of the station ----------------------------------------------------------------------------------------
+ESTOP = "station:estop"
+EVENT = "station:event"
+MOTION_CONTROL = "station:motion"
+RECORD = "station:record"
+RECORD_ACK = "station:record:ack"
+RECORDER = "station:recorder"
+TAP_PROBE = "station:tap:probe"
+
+SERVER_PREFIX = "station:server:"
+CONFIG_PREFIX = "station:config:"
+
+
+def server(name: str) -> str:
+    """Health of a server: state, process, rate, jitter."""
+    return SERVER_PREFIX + name
+
+
+def server_config(name: str) -> str:
+    """What a server runs: policy, hashes, gains, rates, code revision."""
+    return CONFIG_PREFIX + name
+
+
+# -- Stamps ------------------------------------------------------------------------------------------------------
+def stamp(key: str) -> str:
+    """The sibling that holds the stamp of a key's newest write."""
+    return key + "@"
+
+
+def is_stamp(key: str) -> bool:
+    """Whether a key is the stamp of another."""
+    return key.endswith("@")

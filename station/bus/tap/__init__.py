@@ -1,0 +1,1 @@
+"""Every write of the bus, in order and byte for byte."""

@@ -1,0 +1,1 @@
+"""What remains: episodes on disk."""

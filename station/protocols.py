@@ -1,0 +1,260 @@
+"""What a robot, a policy and a motion are to the rest of the station.
+
+SI units. Quaternions are ``w x y z``. "Root" is the pelvis: X forward, Y left, Z up. Arrays are float64 unless a
+line says otherwise; none of them may be changed by who receives it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class RobotState:
+    """What the robot measured at one instant.
+
+    Attributes:
+        mono_ns: When it was read, on this machine's monotonic clock [ns].
+        q: Joint positions, shape (n,) [rad].
+        dq: Joint velocities, shape (n,) [rad/s].
+        quat_wxyz: Orientation of the root in the world, shape (4,).
+        gyro: Angular velocity in the root frame, shape (3,) [rad/s].
+        root_pos: Position of the root in the world, shape (3,) [m]; None where nothing measures it.
+    """
+
+    mono_ns: int
+    q: Floats
+    dq: Floats
+    quat_wxyz: Floats
+    gyro: Floats
+    root_pos: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class JointTargets:
+    """What the joints are asked to do: torque = kp (q - q_measured) - kd dq_measured.
+
+    Attributes:
+        q: Position targets, shape (n,) [rad].
+        kp: Stiffness, shape (n,) [N m/rad].
+        kd: Damping, shape (n,) [N m s/rad].
+    """
+
+    q: Floats
+    kp: Floats
+    kd: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Fall:
+    """Why the robot counts as fallen.
+
+    Attributes:
+        tilt_rad: Angle between the torso's up and the world's up [rad].
+        contacts: Bodies other than the feet that touch the ground.
+    """
+
+    tilt_rad: float
+    contacts: tuple[str, ...]
+
+
+@runtime_checkable
+class Robot(Protocol):
+    """A robot with position-controlled joints, simulated or real.
+
+    One `read` and one `write` per control period; in simulation `write` also advances the physics by that period,
+    so the same loop serves both.
+    """
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the n joints, in the order of every vector."""
+        ...
+
+    def read(self) -> RobotState:
+        """Return the newest measurement."""
+        ...
+
+    def write(self, targets: JointTargets) -> JointTargets:
+        """Send targets and return what was really sent, after the robot's own limits."""
+        ...
+
+    def fallen(self) -> Fall | None:
+        """Return why the robot counts as fallen, or None when it stands (or cannot know)."""
+        ...
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a manifest says of this robot: model file and hash, backend, time steps."""
+        ...
+
+    def close(self) -> None:
+        """Leave the robot in its safe state and release it."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class PolicySpec:
+    """The constants of a policy.
+
+    Attributes:
+        name: Registered name of its family, for example ``twist2``.
+        checkpoint: The file it was loaded from.
+        sha256: Hash of that file.
+        runtime: What runs it, with version, for example ``onnxruntime 1.31.1 CPU``.
+        rate_hz: Rate it was trained at [Hz].
+        command: Registered name of the command format that it follows.
+        joint_names: The n joints that its targets are for.
+        default_q: Joint positions at action zero, shape (n,) [rad].
+        kp, kd: Gains, shape (n,).
+        observation_size, action_size: Lengths of its input and output.
+    """
+
+    name: str
+    checkpoint: Path
+    sha256: str
+    runtime: str
+    rate_hz: float
+    command: str
+    joint_names: tuple[str, ...]
+    default_q: Floats
+    kp: Floats
+    kd: Floats
+    observation_size: int
+    action_size: int
+
+
+class Policy(Protocol):
+    """A whole-body policy: observation in, joint targets out. Keeps its own history between steps."""
+
+    @property
+    def spec(self) -> PolicySpec:
+        """The constants of this policy."""
+        ...
+
+    def reset(self) -> None:
+        """Forget all history, as at start-up."""
+        ...
+
+    def observe(self, state: RobotState, command: Floats) -> Floats32:
+        """Build the observation of this step, shape (observation_size,); call once per step, before `act`."""
+        ...
+
+    def act(self, observation: Floats32) -> Floats32:
+        """Run the network; return its raw output, shape (action_size,), and remember it for the next observation."""
+        ...
+
+    def targets(self, action: Floats32, command: Floats) -> JointTargets:
+        """Turn a raw output (and what of the command bypasses the network) into joint targets."""
+        ...
+
+    def restore(self, observation: Floats32) -> None:
+        """Take up the history that a recorded observation shows, as if that step had just been observed."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """What a motion asks of the robot at one instant.
+
+    Attributes:
+        root_pos: Position of the root in the motion's world, shape (3,) [m]; z is the height above ground.
+        root_quat_wxyz: Orientation of the root in that world, shape (4,).
+        root_lin_vel: Velocity of the root, in the root frame, shape (3,) [m/s].
+        root_ang_vel: Angular velocity of the root, in the root frame, shape (3,) [rad/s].
+        q: Joint positions, shape (n,) [rad], in the order of `Motion.joint_names`.
+    """
+
+    root_pos: Floats
+    root_quat_wxyz: Floats
+    root_lin_vel: Floats
+    root_ang_vel: Floats
+    q: Floats
+
+
+class Motion(Protocol):
+    """A recorded motion of the whole body that can be sampled at any time."""
+
+    @property
+    def name(self) -> str:
+        """Short name, usually that of the file."""
+        ...
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints, in the order of `Reference.q`."""
+        ...
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first frame to the last [s]."""
+        ...
+
+    @property
+    def fps(self) -> float:
+        """Rate of the recorded frames [Hz]; need not be whole."""
+        ...
+
+    def at(self, time_s: float) -> Reference:
+        """Return the reference at a time, clamped to 0..duration_s; positions interpolated, rotations by slerp."""
+        ...
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a manifest says of this motion: file, sha256, frames, fps, what was trimmed or bridged."""
+        ...
+
+
+class CommandFormat(Protocol):
+    """A whole-body command vector as it stands on the bus; m is its length."""
+
+    @property
+    def name(self) -> str:
+        """Registered name, for example ``twist2``."""
+        ...
+
+    @property
+    def robot(self) -> str:
+        """Robot suffix of its keys."""
+        ...
+
+    @property
+    def key(self) -> str:
+        """Bus key that carries the vector."""
+        ...
+
+    @property
+    def companions(self) -> Mapping[str, Floats]:
+        """Keys that stock readers expect beside it (hands, neck), with the value that asks for nothing."""
+        ...
+
+    @property
+    def default(self) -> Floats:
+        """The vector that asks the robot to stand, shape (m,)."""
+        ...
+
+    @property
+    def lower(self) -> Floats:
+        """Least value of each element, shape (m,); a value below it is clamped."""
+        ...
+
+    @property
+    def upper(self) -> Floats:
+        """Greatest value of each element, shape (m,)."""
+        ...
+
+    @property
+    def margin(self) -> Floats:
+        """How far outside its range an element is still clamped rather than refused, shape (m,)."""
+        ...
+
+    def encode(self, reference: Reference, joint_names: tuple[str, ...]) -> Floats:
+        """Return the vector that asks for a reference whose joints are named, shape (m,)."""
+        ...

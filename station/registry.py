@@ -1,0 +1,45 @@
+"""Servers, robots, policies, motion readers and command formats, found by name.
+
+Each kind is an entry point group, so a third-party package adds its own in its ``pyproject.toml`` and
+nothing here changes. Loading an entry imports its module; listing names imports nothing.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Literal
+
+from station.errors import UnknownName
+
+Kind = Literal["server", "robot", "policy", "motion", "command"]
+
+_GROUPS: dict[str, str] = {
+    "server": "station.servers",
+    "robot": "station.robots",
+    "policy": "station.policies",
+    "motion": "station.motions",
+    "command": "station.commands",
+}
+
+
+@cache
+def _entries(kind: Kind) -> dict[str, EntryPoint]:
+    return {entry.name: entry for entry in entry_points(group=_GROUPS[kind])}
+
+
+def names(kind: Kind) -> list[str]:
+    """Return the registered names of one kind, sorted; imports nothing."""
+    return sorted(_entries(kind))
+
+
+def find(kind: Kind, name: str) -> Any:
+    """Load what is registered under a name.
+
+    Raises:
+        UnknownName: nothing is registered under it; the message lists what is.
+    """
+    entry = _entries(kind).get(name)
+    if entry is None:
+        raise UnknownName(kind, name, _entries(kind))
+    return entry.load()

@@ -1,0 +1,1 @@
+"""How a station and an episode are looked at."""
