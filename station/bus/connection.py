@@ -109,6 +109,11 @@ class Connection:
         """Return the next message that is already here, or ``False`` when there is none."""
         return self._reader.gets()
 
+    def set_timeout(self, timeout_s: float) -> None:
+        """Set the longest wait for each answer [s]."""
+        self._timeout_s = timeout_s
+        self._restore_timeout()
+
     def fileno(self) -> int:
         """Return the file descriptor, for a selector."""
         return self._socket.fileno()

@@ -1,0 +1,204 @@
+"""A process's own line to the bus: atomic stamped writes, bounded waits, reconnection in the background."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from types import TracebackType
+from typing import Any
+
+import hiredis
+
+from station.bus import address as addresses
+from station.bus import keys, stamp
+from station.bus.address import BusAddress
+from station.bus.connection import Argument, Connection, ConnectionLost
+from station.bus.sample import Sample
+from station.bus.watch import Watch
+from station.errors import BusError
+
+log = logging.getLogger(__name__)
+
+_RETRY_S = 0.1  # a restarted local server is back within 25 ms; ten tries a second cost nothing
+
+
+class Bus:
+    """A connection under a server's name; safe to share between the threads of a process.
+
+    Args:
+        address: Where the bus is; None takes `station.bus.address.default`.
+        name: Name that stands in every stamp this object writes.
+        timeout_s: Longest wait for any answer [s].
+
+    Raises:
+        BusError: the server cannot be reached or refuses us.
+    """
+
+    def __init__(self, address: BusAddress | None = None, *, name: str, timeout_s: float = 0.05) -> None:
+        self.address = address or addresses.default()
+        self.source = stamp.new_source(name)
+        self.lost_writes = 0
+        self.last_error = ""
+        self._timeout_s = timeout_s
+        self._lock = threading.Lock()
+        self._closed = threading.Event()
+        self._sequences: dict[str, int] = {}
+        self._frames: dict[str, tuple[bytes, bytes]] = {}
+        self._connection: Connection | None = Connection(self.address, timeout_s=max(timeout_s, 1.0))
+        self._connection.set_timeout(timeout_s)
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether the last thing we know of the server is that it answered."""
+        return self._connection is not None
+
+    def publish(self, values: Mapping[str, bytes], *, capture_ns: int | None = None) -> bool:
+        """Write keys and their stamps as one atomic command.
+
+        Args:
+            values: Bytes by key.
+            capture_ns: A device's own time of capture [ns], for the stamps.
+
+        Returns:
+            Whether the server took it. When not, the writes count as lost (their sequence numbers are spent, so a
+            recording shows the hole) and the connection comes back by itself; no call waits longer than the time-out.
+        """
+        with self._lock:
+            request = self._mset(values, capture_ns)
+            if self._connection is None:
+                self.lost_writes += len(values)
+                return False
+            try:
+                reply = self._connection.send_packed(request)[0]
+            except ConnectionLost as error:
+                self._lose(error)
+                self.lost_writes += len(values)
+                return False
+        if isinstance(reply, hiredis.ReplyError):
+            self.lost_writes += len(values)
+            self._complain(str(reply))
+            return False
+        return True
+
+    def get(self, key: str) -> bytes | None:
+        """Return the value of a key, or None; says nothing of its age."""
+        value: bytes | None = self.call("GET", key)
+        return value
+
+    def read(self, wanted: Sequence[str]) -> dict[str, Sample]:
+        """Return what keys hold now, in one round trip; absent keys are left out and every age is unknown.
+
+        A stamp may be older than its value: a stock script that overwrites a key leaves the stamp as it was.
+        """
+        if not wanted:
+            return {}
+        values = self.call("MGET", *wanted, *(keys.stamp(key) for key in wanted))
+        pairs = zip(wanted, values[: len(wanted)], values[len(wanted) :], strict=True)
+        return {
+            key: Sample(key, value, stamp.decode(mark) if mark else None, None)
+            for key, value, mark in pairs
+            if value is not None
+        }
+
+    def names(self, pattern: str = "*") -> list[str]:
+        """Return the keys that match a pattern, sorted, stamps left out."""
+        found: set[str] = set()
+        cursor = b"0"
+        while True:
+            cursor, page = self.call("SCAN", cursor, "MATCH", pattern, "COUNT", 1000)
+            found.update(key.decode("utf-8", "surrogateescape") for key in page)
+            if cursor == b"0":
+                return sorted(key for key in found if not keys.is_stamp(key))
+
+    def watch(self, wanted: Sequence[str]) -> Watch:
+        """Return a watch that keeps the newest value of each key at hand; close it after use."""
+        return Watch(self.address, wanted)
+
+    def call(self, *arguments: Argument) -> Any:
+        """Send any request and return its answer.
+
+        Raises:
+            BusError: the bus is lost, or answered with an error.
+        """
+        with self._lock:
+            if self._connection is None:
+                raise BusError(f"bus {self.address}: lost; reconnecting ({self.last_error})")
+            try:
+                return self._connection.call(*arguments)
+            except ConnectionLost as error:
+                self._lose(error)
+                raise
+
+    def close(self) -> None:
+        """Close the connection and stop reconnecting."""
+        self._closed.set()
+        with self._lock:
+            if self._connection is not None:
+                self._connection.close()
+                self._connection = None
+
+    def __enter__(self) -> Bus:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _mset(self, values: Mapping[str, bytes], capture_ns: int | None) -> bytes:
+        mono_ns, wall_ns = time.monotonic_ns(), time.time_ns()
+        parts = [b"*%d\r\n$4\r\nMSET\r\n" % (1 + 4 * len(values))]
+        for key, value in values.items():
+            seq = self._sequences[key] = self._sequences.get(key, 0) + 1
+            mark = stamp.Stamp(seq, mono_ns, wall_ns, self.source, capture_ns).encode()
+            frame, stamp_frame = self._frames.get(key) or self._frame(key)
+            parts += (
+                frame,
+                b"$%d\r\n" % len(value),
+                value,
+                b"\r\n",
+                stamp_frame,
+                b"$%d\r\n" % len(mark),
+                mark,
+                b"\r\n",
+            )
+        return b"".join(parts)
+
+    def _frame(self, key: str) -> tuple[bytes, bytes]:
+        frames = (_bulk(key), _bulk(keys.stamp(key)))
+        self._frames[key] = frames
+        return frames
+
+    def _lose(self, error: BusError) -> None:
+        """Take note of a lost connection and look for it in the background; called with the lock held."""
+        self._connection = None
+        self._complain(str(error))
+        if not self._closed.is_set():
+            threading.Thread(target=self._reconnect, name="bus-reconnect", daemon=True).start()
+
+    def _reconnect(self) -> None:
+        while not self._closed.wait(_RETRY_S):
+            try:
+                fresh = Connection(self.address, timeout_s=self._timeout_s)
+            except BusError as error:
+                self._complain(str(error))
+                continue
+            with self._lock:
+                if self._closed.is_set():
+                    fresh.close()
+                else:
+                    self._connection, self.last_error = fresh, ""
+                    log.info("bus %s: back", self.address)
+            return
+
+    def _complain(self, reason: str) -> None:
+        if reason != self.last_error:
+            self.last_error = reason
+            log.warning("%s", reason)
+
+
+def _bulk(text: str) -> bytes:
+    data = text.encode("utf-8", "surrogateescape")
+    return b"$%d\r\n%s\r\n" % (len(data), data)

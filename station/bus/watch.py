@@ -1,0 +1,187 @@
+"""The newest value of each watched key, at hand without a round trip.
+
+A thread is woken by the server's keyspace notifications, reads what changed and fills one slot per key. A control
+loop that looks at a slot pays microseconds, whatever the server does meanwhile. Freshness is the time since arrival
+here, so it holds for stock writers without stamps and across machines whose clocks differ.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections import Counter
+from collections.abc import Sequence
+
+from station.bus import keys, stamp
+from station.bus.address import BusAddress
+from station.bus.connection import Connection, pack
+from station.bus.sample import Sample
+from station.errors import BusError
+
+log = logging.getLogger(__name__)
+
+_RETRY_S = 0.1
+_POLL_S = 0.002  # where a server refuses notifications: five looks within one period of a 100 Hz writer
+_TIMEOUT_S = 0.25
+_IDLE_S = 1.0  # a silent link is probed this often, so that a frozen server is noticed
+NEEDED_EVENTS = "K$gx"
+
+
+class Watch:
+    """Slots with the newest value of some keys, filled by a thread of its own that reconnects by itself."""
+
+    def __init__(self, address: BusAddress, wanted: Sequence[str]) -> None:
+        self._address = address
+        self._keys = tuple(dict.fromkeys(wanted))
+        self._slots: dict[str, Sample] = {}
+        self._newest_mark: dict[str, stamp.Stamp | None] = {}
+        self._changed = threading.Condition()
+        self._closed = threading.Event()
+        self._armed = threading.Event()
+        self.is_connected = False
+        self._thread = threading.Thread(target=self._run, name="bus-watch", daemon=True)
+        self._thread.start()
+        self._armed.wait(_TIMEOUT_S * 4)  # so that a value written after this returns counts as new
+
+    def latest(self, key: str, *, max_age_s: float = math.inf) -> Sample | None:
+        """Return the newest value of a key; None when there is none or it arrived longer ago than `max_age_s`."""
+        sample = self._slots.get(key)
+        if sample is None or (max_age_s != math.inf and sample.age_s() > max_age_s):
+            return None
+        return sample
+
+    def wait(self, key: str, *, after: Sample | None, timeout_s: float) -> Sample | None:
+        """Block until a value of a key arrives that is newer than `after`; None on time-out.
+
+        With ``after=None`` anything that arrives from now on, or has arrived since the watch began, will do.
+        """
+
+        def newer() -> bool:
+            sample = self._slots.get(key)
+            return sample is not None and sample is not after and sample.arrived_ns is not None
+
+        with self._changed:
+            self._changed.wait_for(lambda: newer() or self._closed.is_set(), timeout_s)
+            return self._slots[key] if newer() else None
+
+    def close(self) -> None:
+        """Stop watching."""
+        self._closed.set()
+        with self._changed:
+            self._changed.notify_all()
+        self._thread.join(2.0)
+
+    def __enter__(self) -> Watch:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        while not self._closed.is_set():
+            try:
+                self._follow()
+            except BusError as error:
+                if self.is_connected:
+                    log.warning("watch: %s", error)
+                self.is_connected = False
+                self._closed.wait(_RETRY_S)
+
+    def _follow(self) -> None:
+        reader = Connection(self._address, timeout_s=_TIMEOUT_S)
+        try:
+            if not enable_notifications(reader):
+                self._poll(reader)
+                return
+            events = Connection(self._address, timeout_s=_TIMEOUT_S)
+            try:
+                self._listen(events, reader)
+            finally:
+                events.close()
+        finally:
+            reader.close()
+
+    def _listen(self, events: Connection, reader: Connection) -> None:
+        prefix = f"__keyspace@{self._address.db}__:"
+        channels = [prefix + name for key in self._keys for name in (key, keys.stamp(key))]
+        events.send("SUBSCRIBE", *channels)
+        for _ in channels:
+            events.receive(_TIMEOUT_S)
+        self._fill_at_start(reader)
+        while not self._closed.is_set():
+            try:
+                message = events.receive(_IDLE_S)
+            except TimeoutError:
+                reader.call("PING")  # raises when the server is frozen or gone
+                continue
+            touched: Counter[str] = Counter()
+            while message is not False:
+                touched[message[1].decode("utf-8", "surrogateescape")[len(prefix) :]] += 1
+                message = events.buffered()
+            self._take(reader, touched)
+
+    def _poll(self, reader: Connection) -> None:
+        log.warning("bus %s: no keyspace notifications; polling every %.0f ms", self._address, _POLL_S * 1e3)
+        self._fill_at_start(reader)
+        everything = Counter(name for key in self._keys for name in (key, keys.stamp(key)))
+        while not self._closed.wait(_POLL_S):
+            self._take(reader, everything)
+
+    def _fill_at_start(self, reader: Connection) -> None:
+        """Take up what is there already, as of unknown age; after a lost connection keep what we had."""
+        values = self._fetch(reader, self._keys)
+        with self._changed:
+            for key, (value, mark) in values.items():
+                self._newest_mark[key] = mark
+                known = self._slots.get(key)
+                if value is not None and (known is None or (known.value, known.stamp) != (value, mark)):
+                    self._slots[key] = Sample(key, value, mark, None)
+        self.is_connected = True
+        self._armed.set()
+
+    def _take(self, reader: Connection, touched: Counter[str]) -> None:
+        wanted = [key for key in self._keys if touched[key] or touched[keys.stamp(key)]]
+        values = self._fetch(reader, wanted)
+        now_ns = time.monotonic_ns()
+        with self._changed:
+            for key, (value, mark) in values.items():
+                self._put(key, value, mark, now_ns, is_foreign=touched[key] > touched[keys.stamp(key)])
+            self._changed.notify_all()
+
+    def _put(self, key: str, value: bytes | None, mark: stamp.Stamp | None, now_ns: int, *, is_foreign: bool) -> None:
+        known = self._slots.get(key)
+        if value is None:
+            self._slots.pop(key, None)
+        elif known is None or mark != self._newest_mark.get(key):
+            self._slots[key] = Sample(key, value, mark, now_ns)
+        elif is_foreign or value != known.value:
+            # The stamp stands still while the value is written: a stock script overwrites a native key.
+            self._slots[key] = Sample(key, value, None, now_ns)
+        self._newest_mark[key] = mark
+
+    def _fetch(self, reader: Connection, wanted: Sequence[str]) -> dict[str, tuple[bytes | None, stamp.Stamp | None]]:
+        if not wanted:
+            return {}
+        names = [name for key in wanted for name in (key, keys.stamp(key))]
+        values = reader.send_packed(pack("MGET", *names))[0]
+        if isinstance(values, Exception):
+            raise BusError(f"bus {self._address}: {values}")
+        marks = (stamp.decode(mark) if mark else None for mark in values[1::2])
+        return dict(zip(wanted, zip(values[::2], marks, strict=True), strict=True))
+
+
+def enable_notifications(connection: Connection) -> bool:
+    """Switch on the keyspace events that a watch needs, beside those that others asked for; False when refused."""
+    try:
+        present = connection.call("CONFIG", "GET", "notify-keyspace-events")[1].decode()
+        missing = [flag for flag in NEEDED_EVENTS if flag not in present and not ("A" in present and flag != "K")]
+        if missing:
+            connection.call("CONFIG", "SET", "notify-keyspace-events", present + "".join(missing))
+    except BusError as error:
+        if connection.fileno() < 0:
+            raise
+        log.warning("bus %s refuses keyspace notifications: %s", connection.address, error)
+        return False
+    return True

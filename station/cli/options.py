@@ -1,0 +1,40 @@
+"""Options that several verbs share."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from station.bus import address as addresses
+from station.bus.address import BusAddress
+
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+
+bus_option: Decorator = click.option(
+    "--bus", metavar="URL", default=None,
+    help="redis://, rediss:// or unix:// address.  [default: $STATION_BUS, else this user's own socket]",
+)  # fmt: skip
+data_option: Decorator = click.option(
+    "--data", metavar="DIR", default=None, type=click.Path(file_okay=False, path_type=Path),
+    help="Folder of episodes.  [default: $STATION_DATA, else ./data]",
+)  # fmt: skip
+json_option: Decorator = click.option("--json", "as_json", is_flag=True, help="Print JSON for programs.")
+
+
+def set_option(form: str) -> Decorator:
+    """Return the ``--set`` option; `form` is ``key=value`` or ``server.key=value``."""
+    return click.option("--set", "sets", multiple=True, metavar=form.upper(), help="Change a setting; may repeat.")
+
+
+def address_of(bus: str | None) -> BusAddress:
+    """Return the bus that ``--bus`` names, or the default one."""
+    return addresses.parse(bus) if bus else addresses.default()
+
+
+def data_folder(data: Path | None) -> Path:
+    """Return the folder of episodes."""
+    return (data or Path(os.environ.get("STATION_DATA") or "data")).expanduser()

@@ -1,0 +1,156 @@
+"""Configuration is a type; YAML and ``--set`` only fill it in.
+
+Every problem is one line that names the file or option, the key, what was expected and what came.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import yaml
+
+from station.errors import BadFile, ConfigError, did_you_mean
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+_DURATION = re.compile(r"^\s*(\d+(?:\.\d+)?)\s*(ms|s|min|h|)\s*$")
+_SECONDS = {"ms": 1e-3, "s": 1.0, "": 1.0, "min": 60.0, "h": 3600.0}
+
+
+def build(kind: type[T], values: Mapping[str, Any], *, where: str) -> T:
+    """Make a configuration of a type from plain values.
+
+    Args:
+        kind: A `msgspec.Struct`; unknown keys are refused.
+        values: What the user wrote.
+        where: What the user calls the place, for the message: a file and step, or an option.
+
+    Raises:
+        ConfigError: an unknown key, a missing one, or a value of the wrong type.
+    """
+    known = [field.encode_name for field in msgspec.structs.fields(kind)]
+    for key in values:
+        if key not in known:
+            listed = ", ".join(sorted(known)) or "none"
+            raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(str(key), known)}; known: {listed}")
+    try:
+        return msgspec.convert(dict(values), kind, strict=True, dec_hook=_decode_path)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{where}: {_plain(error)}") from None
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Read a YAML mapping.
+
+    Raises:
+        BadFile: the file is missing or unreadable.
+        ConfigError: not YAML, or not a mapping.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        near = did_you_mean(path.name, [p.name for p in path.parent.glob("*.yaml")]) if path.parent.is_dir() else ""
+        raise BadFile(f"{path}: no such file{near}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadFile(f"{path}: cannot be read: {error}") from None
+    return parse_yaml(text, where=str(path))
+
+
+def parse_yaml(text: str, *, where: str) -> dict[str, Any]:
+    """Read a YAML mapping from text; raises `ConfigError` like `read_yaml`."""
+    try:
+        data = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        raise ConfigError(f"{where}: not YAML{place}: {getattr(error, 'problem', error)}") from None
+    if not isinstance(data, dict):
+        raise ConfigError(f"{where}: expected a mapping of keys to values, got {type(data).__name__}")
+    return data
+
+
+def overrides(options: Sequence[str], *, servers: Sequence[str] | None) -> dict[str, dict[str, Any]]:
+    """Read ``--set`` options.
+
+    Args:
+        options: ``server.key=value`` when `servers` are given, else ``key=value``; values are YAML.
+        servers: Names that may stand before the dot; None for the options of a single server.
+
+    Returns:
+        Values by key, by server (under ``""`` when `servers` is None).
+
+    Raises:
+        ConfigError: not of that form, or an unknown server.
+    """
+    result: dict[str, dict[str, Any]] = {}
+    form = "key=value" if servers is None else "server.key=value"
+    for option in options:
+        name, equals, text = option.partition("=")
+        server, dot, key = name.partition(".") if servers is not None else ("", ".", name)
+        if not equals or not dot or not key:
+            raise ConfigError(f"--set {option}: expected {form}")
+        if servers is not None and server not in servers:
+            raise ConfigError(
+                f"--set {option}: no server {server!r}{did_you_mean(server, servers)}; "
+                f"this runbook starts {', '.join(servers)}"
+            )
+        _assign(result.setdefault(server, {}), key, _value(text, option))
+    return result
+
+
+def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values with changes laid over them, mappings within mappings included."""
+    result = dict(base)
+    for key, value in changes.items():
+        below = result.get(key)
+        result[key] = merged(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
+    return result
+
+
+def seconds(value: str | float, *, where: str) -> float:
+    """Return a duration in seconds; ``20``, ``20s``, ``500ms``, ``2min``, ``1h``."""
+    match = _DURATION.match(str(value))
+    if match is None:
+        raise ConfigError(f"{where}: expected a duration such as 20s, 500ms or 2min, got {value!r}")
+    return float(match[1]) * _SECONDS[match[2]]
+
+
+def to_plain(config: msgspec.Struct) -> dict[str, Any]:
+    """Return a configuration as plain values that JSON and YAML can hold."""
+    plain: dict[str, Any] = msgspec.to_builtins(config, enc_hook=str)
+    return plain
+
+
+def _assign(target: dict[str, Any], dotted: str, value: Any) -> None:
+    *path, last = dotted.split(".")
+    for key in path:
+        target = target.setdefault(key, {})
+    target[last] = value
+
+
+def _value(text: str, option: str) -> Any:
+    # "twist2:motions/x.pkl" and friends are text to YAML already; "a: b" would not be, and nobody means a mapping here.
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"--set {option}: the value is not YAML: {error}") from None
+    return text if isinstance(value, dict) else value
+
+
+def _decode_path(kind: type, value: Any) -> Any:
+    if issubclass(kind, Path) and isinstance(value, str):
+        return Path(value)
+    raise NotImplementedError(f"{kind.__name__} from {value!r}")
+
+
+def _plain(error: msgspec.ValidationError) -> str:
+    """Turn "Expected `float`, got `str` - at `$.rate_hz`" into "rate_hz: expected float, got str"."""
+    text, _, path = str(error).partition(" - at `$")
+    text = text.replace("`", "").replace("Object missing required field", "missing key")
+    text = text[:1].lower() + text[1:]
+    place = path.rstrip("`").lstrip(".")
+    return f"{place}: {text}" if place else text

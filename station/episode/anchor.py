@@ -1,0 +1,45 @@
+"""The clock of an episode: one pair of wall and monotonic time, taken once, that every other time hangs on."""
+
+from __future__ import annotations
+
+import time
+
+import msgspec
+
+from station.bus.stamp import boot_id
+
+_UINT64 = 1 << 64
+
+
+class Anchor(msgspec.Struct, frozen=True):
+    """One instant on both clocks of this machine.
+
+    Attributes:
+        wall_ns: Wall clock, nanoseconds since the Unix epoch.
+        mono_ns: Monotonic clock of the same instant [ns].
+        boot: The boot that the monotonic clock belongs to, as in `station.bus.stamp.boot_id`.
+    """
+
+    wall_ns: int
+    mono_ns: int
+    boot: str
+
+    def at(self, mono_ns: int) -> int:
+        """Return the wall time of a monotonic instant of this boot [ns since the epoch].
+
+        A step of the wall clock during an episode (NTP) thus never bends its time line.
+        """
+        return self.wall_ns + mono_ns - self.mono_ns
+
+
+def take_anchor() -> Anchor:
+    """Read both clocks, the wall clock between two readings of the monotonic one."""
+    before = time.monotonic_ns()
+    wall = time.time_ns()
+    after = time.monotonic_ns()
+    return Anchor(wall_ns=wall, mono_ns=(before + after) // 2, boot=boot_id())
+
+
+def is_storable(time_ns: int) -> bool:
+    """Whether a time fits the unsigned 64 bits of an MCAP record; a foreign stamp may hold anything."""
+    return 0 <= time_ns < _UINT64

@@ -1,0 +1,200 @@
+"""Runbooks: what a person and the station do, in order, before a robot moves.
+
+A runbook is YAML; see `runbooks/` and `docs/runbooks.md`. Reading one validates every step and every server's
+configuration, so that a typing mistake is found before anything starts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from station import config, registry
+from station.errors import ConfigError, did_you_mean
+from station.life.server import ServerKind
+
+CheckName = Literal["bus", "assets", "disk", "clock", "ping", "interface", "key-rate"]
+CHECKS: tuple[CheckName, ...] = ("bus", "assets", "disk", "clock", "ping", "interface", "key-rate")
+_STEP_KINDS = ("check", "confirm", "start", "note")
+
+
+class CheckStep(msgspec.Struct, frozen=True, kw_only=True):
+    """An automatic check; `arguments` are what the check needs (a host, an interface, a key and a rate)."""
+
+    check: CheckName
+    arguments: dict[str, Any] = {}
+
+    def __str__(self) -> str:
+        shown = " ".join(f"{key}={value}" for key, value in self.arguments.items())
+        return f"check {self.check} {shown}".rstrip()
+
+
+class ConfirmStep(msgspec.Struct, frozen=True, kw_only=True):
+    """A sentence that a person says yes to."""
+
+    confirm: str
+
+    def __str__(self) -> str:
+        return f"confirm: {self.confirm}"
+
+
+class NoteStep(msgspec.Struct, frozen=True, kw_only=True):
+    """A sentence that is shown and recorded."""
+
+    note: str
+
+    def __str__(self) -> str:
+        return f"note: {self.note}"
+
+
+class StartStep(msgspec.Struct, frozen=True, kw_only=True):
+    """A server to start, with its validated configuration."""
+
+    start: str
+    kind: ServerKind
+    config: msgspec.Struct
+    ready_within_s: float = 20.0
+
+    def __str__(self) -> str:
+        values = config.to_plain(self.config)
+        chosen = {f.encode_name: values[f.encode_name] for f in msgspec.structs.fields(self.config)
+                  if f.required or values[f.encode_name] != _default(f)}  # fmt: skip
+        shown = " ".join(f"{key}={_short(value)}" for key, value in chosen.items())
+        return f"start {self.start} (ready within {self.ready_within_s:g} s) {shown}".rstrip()
+
+
+Step = CheckStep | ConfirmStep | NoteStep | StartStep
+
+
+class Runbook(msgspec.Struct, frozen=True, kw_only=True):
+    """A validated runbook.
+
+    Attributes:
+        name, description, robot: What it is called, is for, and which robot it drives.
+        robot_is_real: Whether people stand beside the robot: confirmations then need a person.
+        steps: What happens, in order.
+        stop_order: Names of servers in the order they are stopped after a failure.
+        text: The file as it was read, for the manifest.
+    """
+
+    name: str
+    robot: str
+    steps: tuple[Step, ...]
+    stop_order: tuple[str, ...]
+    description: str = ""
+    robot_is_real: bool = False
+    text: str = ""
+
+    @property
+    def servers(self) -> tuple[StartStep, ...]:
+        """The servers that it starts, in order."""
+        return tuple(step for step in self.steps if isinstance(step, StartStep))
+
+
+class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    runbook: str
+    robot: str
+    steps: list[dict[str, Any]]
+    description: str = ""
+    robot_is_real: bool = False
+    on_failure: list[dict[str, str]] = []
+
+
+def find(reference: str) -> Path:
+    """Return the file of a runbook: a path, or the name of one that ships with the station."""
+    path = Path(reference)
+    if path.exists() or path.suffix:
+        return path
+    import runbooks  # a data folder beside this package
+
+    return Path(next(iter(runbooks.__path__))) / f"{reference}.yaml"
+
+
+def load(path: Path, sets: Sequence[str] = ()) -> Runbook:
+    """Read and validate a runbook.
+
+    Args:
+        path: The YAML file.
+        sets: ``server.key=value`` options laid over the file.
+
+    Raises:
+        BadFile, ConfigError, UnknownName: naming the file, step and key.
+    """
+    data = config.read_yaml(path)
+    file = config.build(_File, data, where=str(path))
+    names = [str(step["start"]) for step in file.steps if isinstance(step, dict) and "start" in step]
+    changes = config.overrides(sets, servers=names)
+    steps = tuple(_step(raw, changes, f"{path} step {n}") for n, raw in enumerate(file.steps, 1))
+    return Runbook(
+        name=file.runbook,
+        robot=file.robot,
+        description=file.description,
+        robot_is_real=file.robot_is_real,
+        steps=steps,
+        stop_order=_stop_order(file, names, str(path)),
+        text=path.read_text(encoding="utf-8"),
+    )
+
+
+def _step(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], where: str) -> Step:
+    kind = next((name for name in _STEP_KINDS if name in raw), None)
+    if kind is None:
+        first = next(iter(raw), "")
+        raise ConfigError(
+            f"{where}: unknown step {first!r}{did_you_mean(str(first), _STEP_KINDS)}; known: {', '.join(_STEP_KINDS)}"
+        )
+    if kind == "start":
+        return _start(raw, changes, where)
+    if kind == "check":
+        return _check(raw, where)
+    if kind == "confirm":
+        return config.build(ConfirmStep, raw, where=where)
+    return config.build(NoteStep, raw, where=where)
+
+
+def _start(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], where: str) -> StartStep:
+    known = ("start", "with", "ready_within")
+    for key in raw:
+        if key not in known:
+            raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(key, known)}; known: {', '.join(known)}")
+    name = str(raw["start"])
+    kind: ServerKind = registry.find("server", name)
+    values = config.merged(raw.get("with") or {}, changes.get(name, {}))
+    return StartStep(
+        start=name,
+        kind=kind,
+        config=config.build(kind.config, values, where=f"{where} ({name})"),
+        ready_within_s=config.seconds(raw.get("ready_within", 20), where=f"{where}: ready_within"),
+    )
+
+
+def _check(raw: Mapping[str, Any], where: str) -> CheckStep:
+    name = str(raw["check"])
+    if name not in CHECKS:
+        raise ConfigError(f"{where}: unknown check {name!r}{did_you_mean(name, CHECKS)}; known: {', '.join(CHECKS)}")
+    arguments = {key: value for key, value in raw.items() if key != "check"}
+    return config.build(CheckStep, {"check": name, "arguments": arguments}, where=where)
+
+
+def _stop_order(file: _File, names: Sequence[str], where: str) -> tuple[str, ...]:
+    order = [step.get("stop", "") for step in file.on_failure]
+    for name in order:
+        if name not in names:
+            raise ConfigError(
+                f"{where}: on_failure stops {name!r}{did_you_mean(name, names)}; it starts {', '.join(names)}"
+            )
+    return (*order, *(name for name in reversed(names) if name not in order))
+
+
+def _default(field: msgspec.structs.FieldInfo) -> Any:
+    if field.default_factory is not msgspec.NODEFAULT:
+        return msgspec.to_builtins(field.default_factory(), enc_hook=str)
+    return msgspec.to_builtins(field.default, enc_hook=str)
+
+
+def _short(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= 60 else text[:57] + "…"

@@ -1,0 +1,251 @@
+"""A server's life: unconfigured, inactive, active, finalized.
+
+`serve` connects to the bus, claims the server's name, hands a `Life` to the server's ``main(config, life) -> int`` and
+sees to the rest: heartbeat, events, signals, the supervisor's leash, and a last word when it ends.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import signal
+import socket
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from typing import Any, Literal
+
+import msgspec
+
+from station.bus import codec, keys, stamp
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.errors import Refused, StationError
+from station.life import events, leash
+from station.life.events import Severity
+
+log = logging.getLogger(__name__)
+
+State = Literal["unconfigured", "inactive", "active", "finalized"]
+Role = Literal["command", "low-level", "recorder", "sensor"]
+
+HEARTBEAT_S = 0.5
+DEAD_AFTER_S = 2.0  # four heartbeats
+
+
+class ServerKind(msgspec.Struct, frozen=True, kw_only=True):
+    """What a module in `servers` registers.
+
+    Attributes:
+        name: Name under which it is started.
+        role: What it is to a station.
+        summary: What it does, in a line.
+        config: Type of its configuration.
+        main: Runs it until it is asked to stop; returns an exit code. Imports what is heavy only when called.
+    """
+
+    name: str
+    role: Role
+    summary: str
+    config: type[msgspec.Struct]
+    main: Callable[[Any, Life], int]
+
+
+class Health(msgspec.Struct, kw_only=True):
+    """What a server says of itself on ``station:server:<name>``, twice a second and at each change of state."""
+
+    name: str
+    role: Role
+    state: State
+    pid: int
+    host: str
+    boot: str
+    source: str
+    started_wall_ns: int
+    wall_ns: int
+    reason: str = ""
+    config_sha256: str = ""
+    rate_hz: float | None = None
+    jitter_p50_ms: float | None = None
+    jitter_p99_ms: float | None = None
+    overruns: int = 0
+    lost_writes: int = 0
+    detail: dict[str, Any] = {}
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether its last word is fresh and not a farewell; wall clocks, so only a hint across machines."""
+        return self.state != "finalized" and time.time_ns() - self.wall_ns < DEAD_AFTER_S * 1e9
+
+
+_HEALTH_FIELDS = ("rate_hz", "jitter_p50_ms", "jitter_p99_ms", "overruns")
+
+
+class Life:
+    """What a server's main needs of the station it lives in."""
+
+    def __init__(self, kind: ServerKind, name: str, bus: Bus, config_sha256: str) -> None:
+        self.name = name
+        self.bus = bus
+        self.stop_event = threading.Event()
+        self._leash = leash.from_environment(self.stop_event.set)
+        self._configuration: bytes | None = None
+        self._ended = threading.Event()
+        now_ns = time.time_ns()
+        self._health = Health(
+            name=name, role=kind.role, state="unconfigured", pid=os.getpid(), host=socket.gethostname(),
+            boot=stamp.boot_id(), source=bus.source, started_wall_ns=now_ns, wall_ns=now_ns,
+            config_sha256=config_sha256,
+        )  # fmt: skip
+        self._say()
+        self._heart = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
+        self._heart.start()
+
+    @property
+    def stopping(self) -> bool:
+        """Whether the server has been asked to finish."""
+        return self.stop_event.is_set()
+
+    def configured(self, facts: dict[str, Any]) -> None:
+        """State on the bus what this server runs; recording does not start before every low-level server has."""
+        self._configuration = codec.json_object(facts)
+        self.bus.publish({keys.server_config(self.name): self._configuration})
+
+    def ready(self) -> bool:
+        """Say that all is loaded, wait for the supervisor's "go" (at once without one), and become active.
+
+        Returns:
+            False when the server was asked to stop instead.
+        """
+        self._become("inactive")
+        if self._leash is not None:
+            while not self._leash.activated.wait(0.05) and not self.stopping:
+                pass
+        if self.stopping:
+            return False
+        self._become("active")
+        return True
+
+    def event(self, name: str, *, severity: Severity = "info", **detail: Any) -> None:
+        """Say that something happened: on the bus, so that it stands in the episode, and in the log."""
+        event = events.make(self.name, name, severity, **detail)
+        self.bus.publish({keys.EVENT: event.encode()})
+        events.write_log(log, event)
+
+    def report(self, **facts: Any) -> None:
+        """Say with the next heartbeat how the server is doing: rate_hz, jitter_p50_ms, … or anything of its own."""
+        for name, value in facts.items():
+            if name in _HEALTH_FIELDS:
+                setattr(self._health, name, value)
+            else:
+                self._health.detail[name] = value
+
+    def end(self, reason: str) -> None:
+        """Say farewell and stop the heartbeat."""
+        self._ended.set()
+        self._heart.join()
+        self._health.reason = reason
+        self._become("finalized")
+
+    def _become(self, state: State) -> None:
+        self._health.state = state
+        self._say()
+
+    def _beat(self) -> None:
+        was_connected = True
+        while not self._ended.wait(HEARTBEAT_S):
+            self._say()
+            if self.bus.is_connected and not was_connected:
+                self._come_back()
+            was_connected = self.bus.is_connected
+
+    def _come_back(self) -> None:
+        """Say again what a restarted bus has forgotten."""
+        if self._configuration is not None:
+            self.bus.publish({keys.server_config(self.name): self._configuration})
+        self.event("bus-back", severity="warning", lost_writes=self.bus.lost_writes)
+
+    def _say(self) -> None:
+        self._health.wall_ns = time.time_ns()
+        self._health.lost_writes = self.bus.lost_writes
+        self.bus.publish({keys.server(self.name): codec.json_object(self._health)})
+
+
+def serve(kind: ServerKind, config: msgspec.Struct, *, address: BusAddress | None = None, name: str = "") -> int:
+    """Run a server in this process until it ends or is asked to; return its exit code.
+
+    Raises:
+        BusError: the bus cannot be reached at the start.
+        Refused: a live server already has this name.
+    """
+    name = name or kind.name
+    with Bus(address, name=name) as bus:
+        _claim(bus, name)
+        life = Life(kind, name, bus, _config_hash(config))
+        _on_signals(life)
+        reason = "stopped"
+        try:
+            return kind.main(config, life)
+        except StationError as error:
+            reason = str(error)
+            life.event("server-failed", severity="error", reason=reason)
+            raise
+        except Exception as error:
+            reason = f"{type(error).__name__}: {error}"
+            life.event("server-crashed", severity="error", reason=reason, where=traceback.format_exc(limit=-3))
+            raise
+        finally:
+            life.end(reason)
+
+
+def read_health(bus: Bus) -> list[Health]:
+    """Return what every server that ever spoke on this bus last said, by name."""
+    names = bus.names(keys.SERVER_PREFIX + "*")
+    found = []
+    for key, sample in bus.read(names).items():
+        try:
+            found.append(msgspec.json.decode(sample.value, type=Health))
+        except msgspec.DecodeError as error:
+            log.warning("%s: not a server's health: %s", key, error)
+    return sorted(found, key=lambda health: health.name)
+
+
+def _claim(bus: Bus, name: str) -> None:
+    for health in read_health(bus):
+        if health.name == name and health.is_alive and not _is_dead_process(health):
+            raise Refused(
+                f"server {name!r} is already running on {bus.address} (pid {health.pid} on {health.host}); "
+                "stop it first, or start this one under another --name"
+            )
+
+
+def _is_dead_process(health: Health) -> bool:
+    """Whether a server of this machine was killed: its last heartbeat may still look fresh."""
+    if health.boot != stamp.boot_id():
+        return False
+    try:
+        os.kill(health.pid, 0)
+    except ProcessLookupError:
+        return True
+    except PermissionError:
+        return False
+    return False
+
+
+def _config_hash(config: msgspec.Struct) -> str:
+    return hashlib.sha256(msgspec.json.encode(config, enc_hook=str)).hexdigest()
+
+
+def _on_signals(life: Life) -> None:
+    if threading.current_thread() is not threading.main_thread():
+        return
+
+    def ask_to_stop(number: int, _frame: object) -> None:
+        if life.stopping and number == signal.SIGINT:
+            raise KeyboardInterrupt  # the second Ctrl-C does not wait for a clean end
+        life.stop_event.set()
+
+    signal.signal(signal.SIGINT, ask_to_stop)
+    signal.signal(signal.SIGTERM, ask_to_stop)

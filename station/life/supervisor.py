@@ -1,0 +1,168 @@
+"""Starts servers as child processes, activates them in order, and never leaves one behind.
+
+A child loads everything and then waits, inactive, for its leash to say "go" (`station.life.leash`); so the slow part
+of a start runs in parallel and the order of a runbook still holds. A child that dies takes nothing silently with it:
+its last words are kept. When the supervisor itself is killed, every leash breaks and the children finish by themselves.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+
+from station import config as configuration
+from station.bus import address as addresses
+from station.bus import codec, keys
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.errors import NotReady
+from station.life import leash
+from station.life.server import Health, State
+
+_STOP_S = 15.0  # a command server blends for 2 s, a recorder closes its episode; then the child is killed
+_LOOK_S = 0.01
+_LAST_WORDS = 12  # lines
+
+
+class Child(msgspec.Struct):
+    """One server process and our end of its leash."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    go: int | None
+    log: Path
+    started_s: float
+
+
+class Supervisor:
+    """The children of one station.
+
+    Args:
+        bus: Where their health is read.
+        folder: Where their logs go.
+        environment: Variables that every child gets beside our own.
+    """
+
+    def __init__(self, bus: Bus, folder: Path, environment: Mapping[str, str] | None = None) -> None:
+        self._bus = bus
+        self._folder = folder
+        self._environment = dict(environment or {})
+        self.children: dict[str, Child] = {}
+
+    def spawn(self, name: str, config: msgspec.Struct, *, server: str = "") -> None:
+        """Start the process of a server; it loads and then waits to be activated."""
+        reading, writing = os.pipe()
+        os.set_inheritable(reading, True)
+        self._folder.mkdir(parents=True, exist_ok=True)
+        log = self._folder / f"{name}.log"
+        arguments = ["serve", server or name, "--name", name, "--config-json", _json(config)]
+        with log.open("wb") as output:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "station", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                pass_fds=(reading,),
+                env=self._child_environment(reading),
+                start_new_session=True,  # Ctrl-C in the terminal is ours to hear; the children stop in our order
+            )
+        os.close(reading)
+        self.children[name] = Child(name, process, writing, log, time.monotonic())
+
+    def wait_for(self, name: str, state: State, timeout_s: float) -> Health:
+        """Wait until a child says that it is in a state.
+
+        Raises:
+            NotReady: it died, or did not get there in time; with its last words.
+        """
+        deadline = time.monotonic() + timeout_s
+        child = self.children[name]
+        while True:
+            health = self.health(name)
+            if health is not None and health.state == state:
+                return health
+            if (code := child.process.poll()) is not None:
+                raise NotReady(f"server {name!r} ended with code {code} before it was {state}: {self.last_words(name)}")
+            if time.monotonic() > deadline:
+                seen = health.state if health else "unconfigured"
+                raise NotReady(
+                    f"server {name!r} is {seen}, not {state}, after {timeout_s:g} s: {self.last_words(name)}; "
+                    "give it longer with ready_within, or see its log " + str(child.log)
+                )
+            time.sleep(_LOOK_S)
+
+    def activate(self, name: str) -> None:
+        """Let a loaded child begin its work."""
+        child = self.children[name]
+        if child.go is not None:
+            with contextlib.suppress(BrokenPipeError):  # it has just died; whoever looks next will say so
+                os.write(child.go, b"go\n")
+
+    def health(self, name: str) -> Health | None:
+        """Return what a child last said of itself; None before its first word."""
+        data = self._bus.get(keys.server(name))
+        if data is None:
+            return None
+        health = msgspec.json.decode(data, type=Health)
+        return health if health.pid == self.children[name].process.pid else None
+
+    def ended(self) -> dict[str, int]:
+        """Return the exit codes of the children that have ended."""
+        codes = {name: child.process.poll() for name, child in self.children.items()}
+        return {name: code for name, code in codes.items() if code is not None}
+
+    def stop(self, name: str, timeout_s: float = _STOP_S) -> int:
+        """Ask a child to finish, wait, kill it if it does not; return its exit code."""
+        child = self.children.pop(name)
+        if child.process.poll() is None:
+            child.process.terminate()
+        try:
+            code = child.process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            child.process.kill()
+            code = child.process.wait()
+        if child.go is not None:
+            os.close(child.go)
+        return code
+
+    def stop_all(self) -> None:
+        """Stop whatever still runs, newest first."""
+        for name in reversed(list(self.children)):
+            self.stop(name)
+
+    def last_words(self, name: str) -> str:
+        """Return the last line that a child printed, or where its log is."""
+        lines = [line for line in self.log_tail(name) if line.strip()]
+        return lines[-1].strip() if lines else "it printed nothing"
+
+    def log_tail(self, name: str) -> list[str]:
+        """Return the last lines of a child's log."""
+        log = self.children[name].log if name in self.children else self._folder / f"{name}.log"
+        return log.read_text(errors="replace").splitlines()[-_LAST_WORDS:]
+
+    def _child_environment(self, descriptor: int) -> dict[str, str]:
+        return {
+            **os.environ,
+            **self._environment,
+            # In the environment, not among the arguments: a password must not show in the process list.
+            addresses.ENVIRONMENT_VARIABLE: self._bus.address.url,
+            leash.ENVIRONMENT_VARIABLE: str(descriptor),
+            "PYTHONUNBUFFERED": "1",
+        }
+
+
+def _json(config: msgspec.Struct) -> str:
+    return codec.json_object(configuration.to_plain(config)).decode()
+
+
+def log_folder(address: BusAddress) -> Path:
+    """Return the folder for the logs of the servers on a bus."""
+    label = "".join(c if c.isalnum() else "-" for c in str(address)).strip("-")
+    return addresses.runtime_folder() / "logs" / label[-60:]

@@ -1,0 +1,90 @@
+"""Rotations as quaternions ``w x y z``, for arrays of any leading shape (..., 4).
+
+A rotation ``q`` takes vectors of the body frame into the world frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from station.protocols import Floats
+
+
+def normalized(quat_wxyz: ArrayLike) -> Floats:
+    """Return unit quaternions, shape (..., 4)."""
+    quat = np.asarray(quat_wxyz, dtype=np.float64)
+    return np.asarray(quat / np.linalg.norm(quat, axis=-1, keepdims=True))
+
+
+def multiply(left: ArrayLike, right: ArrayLike) -> Floats:
+    """Return the rotation ``right`` followed by ``left``, shape (..., 4)."""
+    w, x, y, z = np.moveaxis(np.asarray(left, dtype=np.float64), -1, 0)
+    a, b, c, d = np.moveaxis(np.asarray(right, dtype=np.float64), -1, 0)
+    return np.stack(
+        [
+            w * a - x * b - y * c - z * d,
+            w * b + x * a + y * d - z * c,
+            w * c - x * d + y * a + z * b,
+            w * d + x * c - y * b + z * a,
+        ],
+        axis=-1,
+    )
+
+
+def inverse(quat_wxyz: ArrayLike) -> Floats:
+    """Return the inverse of unit quaternions, shape (..., 4)."""
+    return np.asarray(np.asarray(quat_wxyz, dtype=np.float64) * np.array([1.0, -1.0, -1.0, -1.0]))
+
+
+def rotate(quat_wxyz: ArrayLike, vector: ArrayLike) -> Floats:
+    """Take vectors (..., 3) from the body frame into the world frame."""
+    quat, vec = np.asarray(quat_wxyz, dtype=np.float64), np.asarray(vector, dtype=np.float64)
+    w, xyz = quat[..., :1], quat[..., 1:]
+    across = 2.0 * np.cross(xyz, vec)
+    return np.asarray(vec + w * across + np.cross(xyz, across))
+
+
+def rotate_inverse(quat_wxyz: ArrayLike, vector: ArrayLike) -> Floats:
+    """Take vectors (..., 3) from the world frame into the body frame."""
+    return rotate(inverse(quat_wxyz), vector)
+
+
+def roll_pitch_yaw(quat_wxyz: ArrayLike) -> Floats:
+    """Return ZYX Euler angles roll, pitch, yaw [rad], shape (..., 3); pitch is clamped to ±pi/2."""
+    w, x, y, z = np.moveaxis(np.asarray(quat_wxyz, dtype=np.float64), -1, 0)
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def from_rotation_vector(vector: ArrayLike) -> Floats:
+    """Return the quaternion of a rotation vector (axis times angle [rad]), shape (..., 4)."""
+    vec = np.asarray(vector, dtype=np.float64)
+    angle = np.linalg.norm(vec, axis=-1, keepdims=True)
+    # np.sinc(t) = sin(pi t) / (pi t), smooth through zero
+    return np.concatenate([np.cos(angle / 2), 0.5 * np.sinc(angle / (2 * np.pi)) * vec], axis=-1)
+
+
+def rotation_vector(quat_wxyz: ArrayLike) -> Floats:
+    """Return axis times angle [rad] of the shorter way round, shape (..., 3)."""
+    quat = np.asarray(quat_wxyz, dtype=np.float64)
+    quat = np.where(quat[..., :1] < 0, -quat, quat)
+    sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, quat[..., :1])
+    scale = np.divide(angle, sine, out=np.full_like(angle, 2.0), where=sine > 1e-12)
+    return np.asarray(quat[..., 1:] * scale)
+
+
+def slerp(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> Floats:
+    """Return the rotation a fraction of the shorter way from start to end, shape (..., 4)."""
+    step = rotation_vector(multiply(inverse(start), end))
+    portion = np.asarray(fraction, dtype=np.float64)[..., None]
+    return normalized(multiply(start, from_rotation_vector(step * portion)))
+
+
+def tilt(quat_wxyz: ArrayLike) -> Floats:
+    """Return the angle between the body's z axis and the world's [rad], shape (...)."""
+    up = rotate(quat_wxyz, np.array([0.0, 0.0, 1.0]))
+    return np.asarray(np.arccos(np.clip(up[..., 2], -1.0, 1.0)))

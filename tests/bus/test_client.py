@@ -1,0 +1,112 @@
+"""A process's line to the bus, on a real server."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from station.bus import stamp
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.bus.redis_server import RedisServer, ServerOptions
+from station.errors import BusError
+from tests.waiting import wait_until
+
+
+def test_a_write_sets_the_key_and_its_stamp_together(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="motion") as bus:
+        before_ns = time.monotonic_ns()
+        assert bus.publish({"k": b"v", "other": b"w"})
+        sample = bus.read(["k"])["k"]
+    assert sample.value == b"v"
+    assert sample.stamp is not None
+    assert sample.stamp.seq == 1
+    assert sample.stamp.source == bus.source
+    assert sample.stamp.writer == "motion"
+    assert sample.stamp.is_from_this_boot
+    assert before_ns <= sample.stamp.mono_ns <= time.monotonic_ns()
+
+
+def test_sequence_numbers_count_the_writes_of_each_key(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="motion") as bus:
+        for _ in range(3):
+            bus.publish({"a": b"1"})
+        bus.publish({"a": b"1", "b": b"1"})
+        read = bus.read(["a", "b"])
+    assert [(key, sample.stamp.seq) for key, sample in read.items() if sample.stamp] == [("a", 4), ("b", 1)]
+
+
+def test_a_devices_capture_time_travels_with_the_stamp(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="pico") as bus:
+        bus.publish({"k": b"v"}, capture_ns=123)
+        mark = bus.read(["k"])["k"].stamp
+    assert mark is not None
+    assert mark.capture_ns == 123
+
+
+def test_names_lists_keys_without_their_stamps(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="motion") as bus:
+        bus.publish({f"k{n}": b"v" for n in range(50)})
+        assert bus.names("k*") == sorted(f"k{n}" for n in range(50))
+
+
+def test_a_lost_bus_is_told_at_once_counted_and_found_again(tmp_path: Path) -> None:
+    options = ServerOptions(folder=tmp_path, socket=tmp_path / "bus.sock")
+    server = RedisServer.start(options)
+    with Bus(server.address, name="motion") as bus:
+        bus.publish({"k": b"1"})
+        os.kill(server.pid, signal.SIGKILL)
+        server.stop()
+        assert not bus.publish({"k": b"2"})
+        assert not bus.publish({"k": b"3"})
+        assert bus.lost_writes == 2
+        assert not bus.is_connected
+        with pytest.raises(BusError):
+            bus.get("k")
+        with RedisServer.start(options):
+            wait_until(lambda: bus.is_connected)
+            assert bus.publish({"k": b"4"})
+            mark = bus.read(["k"])["k"].stamp
+    assert mark is not None
+    assert mark.seq == 4, "the lost writes must show as a hole"
+
+
+def test_a_frozen_server_holds_a_writer_no_longer_than_its_time_out(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="motion") as bus:
+        pid = int(bus.call("INFO", "server").split(b"process_id:")[1].split()[0])
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            assert not bus.publish({"k": b"1"})
+            start = time.monotonic()
+            for _ in range(100):
+                bus.publish({"k": b"1"})
+            assert time.monotonic() - start < 5.0, "a lost bus must not be waited for again and again"
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        wait_until(lambda: bus.is_connected)
+        assert bus.publish({"k": b"2"})
+
+
+def test_an_unreachable_bus_names_the_address_and_the_remedy(tmp_path: Path) -> None:
+    with pytest.raises(BusError, match=r"nowhere\.sock.*station bus start"):
+        Bus(BusAddress(socket=str(tmp_path / "nowhere.sock")), name="motion")
+
+
+def test_a_refused_write_counts_as_lost_and_says_why(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="motion") as bus:
+        bus.call("CONFIG", "SET", "maxmemory", "1")
+        assert not bus.publish({"k": b"v" * 1000})
+        assert "OOM" in bus.last_error
+        assert bus.lost_writes == 1
+
+
+def test_stamps_survive_the_wire_and_foreign_text_is_none() -> None:
+    mark = stamp.Stamp(7, 11, 13, stamp.new_source("a.b c"), 17)
+    assert stamp.decode(mark.encode()) == mark
+    assert mark.writer == "a-b-c"
+    for text in (b"", b"1 2 3", b"1 2 x y", b"a b c d", b"1 2 3 \xff", b"1 2 3 s 4 5"):
+        assert stamp.decode(text) is None

@@ -1,0 +1,43 @@
+"""What every test may ask for: upstream data, and a real server of its own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from station.bus.address import BusAddress
+
+
+@pytest.fixture(scope="session")
+def assets() -> Path:
+    """Folder with upstream data; a machine without it skips, CI fails."""
+    value = os.environ.get("STATION_ASSETS")
+    if value and Path(value).is_dir():
+        return Path(value)
+    message = "STATION_ASSETS does not name a folder with upstream data"
+    if os.environ.get("CI"):
+        pytest.fail(message)
+    pytest.skip(message)
+
+
+@pytest.fixture(autouse=True)
+def _own_runtime_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep every test away from a station that the user may be running."""
+    folder = tmp_path_factory.mktemp("run")
+    folder.chmod(0o700)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+    for name in ("STATION_BUS", "STATION_BUS_PASSWORD", "STATION_DATA"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.fixture
+def bus_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BusAddress]:
+    """Address of a real server in a folder of its own."""
+    from station.bus.redis_server import RedisServer, ServerOptions
+
+    folder = tmp_path_factory.mktemp("bus")
+    with RedisServer.start(ServerOptions(folder=folder, socket=folder / "bus.sock")) as server:
+        yield server.address

@@ -1,0 +1,17 @@
+"""Waiting for conditions: deadlines far above the need, never a sleep that hopes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+DEADLINE_S = 30.0
+
+
+def wait_until(condition: Callable[[], object], timeout_s: float = DEADLINE_S) -> None:
+    """Return as soon as a condition holds; fail when it does not in time."""
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > deadline:
+            raise AssertionError(f"did not hold within {timeout_s:g} s: {condition}")
+        time.sleep(0.002)
