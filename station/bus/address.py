@@ -107,7 +107,12 @@ def runtime_folder() -> Path:
     return folder
 
 
+def own() -> BusAddress:
+    """Return the address of this user's own server: a socket that only they can open."""
+    return BusAddress(socket=str(runtime_folder() / "bus.sock"))
+
+
 def default() -> BusAddress:
-    """Return the bus to use when none is named: ``$STATION_BUS``, else this user's own socket."""
+    """Return the bus to use when none is named: ``$STATION_BUS``, else this user's own."""
     url = os.environ.get(ENVIRONMENT_VARIABLE)
-    return parse(url) if url else BusAddress(socket=str(runtime_folder() / "bus.sock"))
+    return parse(url) if url else own()

@@ -118,6 +118,17 @@ class Connection:
         """Return the file descriptor, for a selector."""
         return self._socket.fileno()
 
+    def detach(self) -> socket.socket:
+        """Hand the greeted socket over to another protocol (the replication link); this object is then closed.
+
+        Every answer must have been taken: what is buffered here would be missing there.
+        """
+        if self._reader.has_data():
+            raise BusError(f"bus {self.address}: an answer was not taken")
+        stream, self._socket = self._socket, socket.socket()
+        self._socket.close()
+        return stream
+
     def close(self) -> None:
         """Close the connection; a second call does nothing."""
         self._socket.close()

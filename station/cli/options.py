@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -33,8 +32,3 @@ def set_option(form: str) -> Decorator:
 def address_of(bus: str | None) -> BusAddress:
     """Return the bus that ``--bus`` names, or the default one."""
     return addresses.parse(bus) if bus else addresses.default()
-
-
-def data_folder(data: Path | None) -> Path:
-    """Return the folder of episodes."""
-    return (data or Path(os.environ.get("STATION_DATA") or "data")).expanduser()

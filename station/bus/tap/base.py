@@ -1,0 +1,111 @@
+"""What every tap is, and what the three of them share."""
+
+from __future__ import annotations
+
+import secrets
+from typing import Literal, NamedTuple, Protocol
+
+import msgspec
+
+from station.bus import keys
+from station.bus.address import BusAddress
+from station.bus.connection import Connection
+from station.errors import BusError
+
+Backend = Literal["replication", "notifications", "poll"]
+PROBE = keys.TAP_PROBE.encode()
+CALL_TIMEOUT_S = 2.0  # answers to set-up requests; a tap is not part of a control loop
+_PROBE_LIFE_MS = 10_000
+
+
+class Write(NamedTuple):
+    """One write as the bus saw it.
+
+    Attributes:
+        key: Key that was written; bytes that are not UTF-8 appear as ``\\xNN``.
+        value: Exact bytes of the value; None when the key was deleted or expired.
+        stamp: Exact bytes of the stamp that the same command wrote beside it; None from a foreign writer.
+        mono_ns: Arrival at the tap, on this machine's monotonic clock [ns].
+    """
+
+    key: str
+    value: bytes | None
+    stamp: bytes | None
+    mono_ns: int
+
+
+class Position(msgspec.Struct, frozen=True):
+    """A place in the server's stream of writes, from which a later tap can go on.
+
+    Attributes:
+        replication_id: The server's history; a restarted server has another.
+        offset: Bytes of that history that were consumed.
+        db: Database that the stream had selected there; None takes it for the tapped one. The server does not repeat
+            its SELECT after a resumption, so the offset alone does not say whose writes follow.
+    """
+
+    replication_id: str
+    offset: int
+    db: int | None = None
+
+
+class Tap(Protocol):
+    """A line from the bus on which writes arrive. One thread reads it.
+
+    Attributes:
+        backend: How it listens.
+        is_lossless: Whether every single write arrives; else a value may be overwritten before it is read.
+        resumed: None when no resumption was asked for; True when it goes on without a hole, False when there is one.
+    """
+
+    backend: Backend
+    is_lossless: bool
+    resumed: bool | None
+
+    def read(self, timeout_s: float) -> list[Write]:
+        """Return what arrived, in the order of the bus; empty when nothing came in time.
+
+        Raises:
+            BusError: the link is lost; open another tap, with `position` where there is one.
+        """
+        ...
+
+    def position(self) -> Position | None:
+        """Return the place behind the last write that `read` returned; None where there is no such thing."""
+        ...
+
+    def close(self) -> None:
+        """Hang up; a second call does nothing."""
+        ...
+
+
+class TapRefused(BusError):
+    """The server lives but does not offer this backend to us; another may do."""
+
+
+def connect(address: BusAddress) -> Connection:
+    """Return a connection for set-up requests."""
+    return Connection(address, timeout_s=CALL_TIMEOUT_S)
+
+
+def write_probe(connection: Connection) -> bytes:
+    """Write the key that a tap must see before it may call itself armed; returns the value to look for.
+
+    Raises:
+        BusError: this user may not write the key.
+    """
+    token = secrets.token_hex(8).encode()
+    try:
+        connection.call("SET", PROBE, token, "PX", _PROBE_LIFE_MS)
+    except BusError as error:
+        if connection.fileno() < 0:
+            raise
+        raise BusError(
+            f"cannot prove that the tap works: may not write {keys.TAP_PROBE} ({error}); allow it"
+        ) from error
+    return token
+
+
+def key_name(key: bytes) -> str:
+    """Return a key as text; what is not UTF-8 is escaped, so that it can stand in any file."""
+    return key.decode("utf-8", "backslashreplace")

@@ -1,0 +1,54 @@
+"""``station audit``: the policy again, on what was recorded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import msgspec
+
+from station.cli.options import data_option, json_option
+
+
+@click.command("audit")
+@click.argument("episode")
+@data_option
+@click.option("--checkpoint", default=None, help="Where the checkpoint is, when it is not where it was.")
+@click.option("--robot", default=None, help="Suffix of the robot, when the episode has several.")
+@json_option
+def command(episode: str, data: Path | None, checkpoint: str | None, robot: str | None, as_json: bool) -> None:
+    """Run the policy again on the recorded observations of EPISODE, and derive those again from state and command.
+
+    Exit code 1 when any bit of any action or observation differs.
+    """
+    from station.episode.audit import Audit, audit
+    from station.episode.reader import open_episode
+
+    with open_episode(episode, data) as reader:
+        found = audit(reader, checkpoint=checkpoint, robot=robot)
+    if as_json:
+        click.echo(msgspec.json.encode(found))
+    else:
+        print_audit(found)
+    assert isinstance(found, Audit)
+    raise SystemExit(0 if found.is_equal else 1)
+
+
+def print_audit(found: object) -> None:
+    """Print what an audit found."""
+    from station.episode.audit import Audit
+
+    assert isinstance(found, Audit)
+    observed = found.observations
+    click.echo(f"{found.episode_id} ({found.robot}): {found.policy} {found.checkpoint} sha256 {found.sha256[:12]}…")
+    click.echo(
+        f"  actions       {found.steps} steps, {found.different} different, max |Δ| {found.max_abs_difference:.3g}"
+    )
+    click.echo(
+        f"  observations  {observed.compared} steps, {observed.different} different, "
+        f"max |Δ| {observed.max_abs_difference:.3g}"
+    )
+    click.echo(f"  recorded on   {found.recorded_runtime or 'unknown'}\n  audited on    {found.runtime}")
+    click.echo(
+        f"  {found.segments} segments, {found.incomplete} incomplete steps; {found.speed_x_realtime:.0f} x real time"
+    )

@@ -1,0 +1,71 @@
+"""``station record``: ask the recorder for something."""
+
+from __future__ import annotations
+
+import getpass
+import json
+from typing import Any
+
+import click
+
+from station.cli.options import address_of, bus_option, json_option
+
+
+@click.group("record")
+def command() -> None:
+    """Start, stop, mark or discard a recording."""
+
+
+@command.command("start")
+@click.option("--task", default="", help="Name of the task; episodes of a task share a folder.")
+@click.option("--instruction", default="", help="Language instruction.")
+@click.option("--operator", default="", help="Who operates.  [default: your login name]")
+@bus_option
+@json_option
+def start(task: str, instruction: str, operator: str, bus: str | None, as_json: bool) -> None:
+    """Begin an episode."""
+    person = {"id": operator or getpass.getuser()}
+    _ask("start", bus, as_json, task=task, instruction=instruction, operator=person)
+
+
+@command.command("stop")
+@click.option("--success/--failure", default=None, help="Whether the task was done.")
+@bus_option
+@json_option
+def stop(success: bool | None, bus: str | None, as_json: bool) -> None:
+    """End the episode and count what is in it."""
+    _ask("stop", bus, as_json, success=success)
+
+
+@command.command("mark")
+@click.argument("label", default="mark")
+@bus_option
+@json_option
+def mark(label: str, bus: str | None, as_json: bool) -> None:
+    """Put a mark into the episode, here and now."""
+    _ask("mark", bus, as_json, label=label)
+
+
+@command.command("discard")
+@click.option("--reason", "label", default="", help="Why.")
+@bus_option
+@json_option
+def discard(label: str, bus: str | None, as_json: bool) -> None:
+    """End the episode and mark it as not to be used; nothing is deleted."""
+    _ask("discard", bus, as_json, label=label)
+
+
+def _ask(action: Any, bus: str | None, as_json: bool, **fields: Any) -> None:
+    import msgspec
+
+    from station.bus.client import Bus
+    from station.episode import remote
+
+    with Bus(address_of(bus), name="record", timeout_s=1.0) as line:
+        ack = remote.ask(line, action, **fields)
+    if as_json:
+        click.echo(json.dumps(msgspec.to_builtins(ack)))
+        return
+    click.echo(f"{action}: {ack.episode_id}  {ack.path}")
+    for name, value in ack.summary.items():
+        click.echo(f"  {name}: {value}")

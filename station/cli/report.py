@@ -1,0 +1,93 @@
+"""What a check found, for a person."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.table import Table
+
+from station.episode.quality import Quality, Spread, StepQuality, StreamQuality
+
+_COLOURS = {"good": "green", "usable": "yellow", "reject": "red"}
+
+
+def print_quality(quality: Quality) -> None:
+    """Print verdict, reasons, streams and steps."""
+    console = Console(highlight=False)
+    colour = _COLOURS[quality.verdict]
+    console.print(
+        f"[bold]{quality.episode_id}[/]: [{colour}]{quality.verdict}[/]   {_headline(quality)}", soft_wrap=True
+    )
+    for reason in quality.reasons:
+        console.print(
+            f"  [{_COLOURS[reason.verdict]}]{reason.verdict}[/] {reason.rule}: {_plain(reason.text)}", soft_wrap=True
+        )
+    console.print()
+    console.print(_streams(quality.streams))
+    for steps in quality.steps:
+        console.print()
+        _print_steps(console, steps, lock_step=quality.lock_step)
+
+
+def _headline(quality: Quality) -> str:
+    lost = sum(stream.lost for stream in quality.streams)
+    tap = f"{quality.backend or 'unknown'} tap{'' if quality.is_lossless else ' (lossy)'}"
+    return (
+        f"{quality.duration_s:.1f} s, {quality.messages} messages, {lost} lost, {quality.falls} falls, "
+        f"{quality.resets} resets, {quality.recorder_restarts} recorder restarts, {tap}"
+    )
+
+
+def _streams(streams: list[StreamQuality]) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for title in ("key", "writer", "count", "lost", "rate", "nominal", "jitter p99", "longest gap"):
+        table.add_column(title, justify="left" if title in ("key", "writer") else "right", no_wrap=True)
+    for item in streams:
+        lost = f"[red]{item.lost}[/]" if item.lost else ("0" if item.is_native else "–")
+        table.add_row(
+            item.key,
+            item.writer,
+            str(item.count),
+            lost,
+            _unit(item.rate_hz, 1, "Hz"),
+            _unit(item.nominal_hz, 1, "Hz", digits=0),
+            _unit(item.jitter_p99_s, 1e3, "ms"),
+            _unit(item.longest_gap_s, 1e3, "ms", digits=0),
+        )
+    return table
+
+
+def _print_steps(console: Console, steps: StepQuality, *, lock_step: bool) -> None:
+    shares = ", ".join(f"{state} {share:.0%}" for state, share in steps.gate_shares.items())
+    console.print(f"[bold]{steps.robot}[/]: {steps.steps} policy steps, {steps.missing_steps} missing; gate: {shares}")
+    if steps.mean_joint_error_rad is not None:
+        console.print(
+            f"  mean joint error {steps.mean_joint_error_rad:.3f} rad over {steps.compared_steps} steps "
+            f"(worst {steps.worst_joint} {steps.worst_joint_error_rad:.3f} rad)"
+            + _height(steps.mean_root_height_error_m)
+        )
+    if lock_step:
+        console.print("  [dim]lock-step: commands wait for states, so latencies say nothing of the control[/]")
+        return
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for title in ("  time between", "p50", "p99", "max"):
+        table.add_column(title, justify="left" if "time" in title else "right", no_wrap=True)
+    for name, spread in {"command age at use": steps.command_age, **steps.stages}.items():
+        table.add_row("  " + name.replace("_to_", " → ").replace("_", " "), *_times(spread))
+    console.print(table)
+
+
+def _height(error_m: float | None) -> str:
+    return "" if error_m is None else f"; mean height error {error_m:.3f} m"
+
+
+def _times(spread: Spread) -> tuple[str, str, str]:
+    p50, p99, top = (_unit(value, 1e3, "ms", digits=2) for value in (spread.p50_s, spread.p99_s, spread.max_s))
+    return p50, p99, top
+
+
+def _unit(value: float | None, scale: float, unit: str, *, digits: int = 1) -> str:
+    return "–" if value is None else f"{value * scale:.{digits}f} {unit}"
+
+
+def _plain(text: str) -> str:
+    return text.replace("[", r"\[")

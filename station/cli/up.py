@@ -1,0 +1,108 @@
+"""``station up``: run a runbook."""
+
+from __future__ import annotations
+
+import getpass
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+from station import config
+from station.bus.client import Bus
+from station.cli.options import bus_option, data_option, set_option
+from station.episode.folder import data_folder
+from station.errors import ConfigError
+from station.life import runbook as runbooks
+from station.life.runbook import Runbook
+from station.life.session import Recording, Session
+
+
+@click.command("up")
+@click.argument("runbook")
+@click.option(
+    "--yes", is_flag=True, help="Answer confirmations with yes; recorded as unattended, refused for a real robot."
+)
+@click.option("--record", is_flag=True, help="Record an episode from before the robot moves until the end.")
+@click.option("--task", default="", help="Name of the task, for the episode.  [default: the runbook's name]")
+@click.option("--instruction", default="", help="Language instruction, for the episode.")
+@click.option("--operator", default="", help="Who operates, for the episode.  [default: your login name]")
+@click.option("--for", "for_", metavar="DURATION", default=None, help="Stop after this long (25s, 2min).")
+@click.option("--dry-run", is_flag=True, help="Print what would happen and exit.")
+@set_option("server.key=value")
+@data_option
+@bus_option
+def command(
+    runbook: str, yes: bool, record: bool, task: str, instruction: str, operator: str, for_: str | None,
+    dry_run: bool, sets: tuple[str, ...], data: Path | None, bus: str | None,
+) -> None:  # fmt: skip
+    """Run RUNBOOK (a file, or the name of one that ships) in order, and take it all down again at the end."""
+    book = runbooks.load(runbooks.find(runbook), sets)
+    if dry_run:
+        print_plan(book)
+        return
+    recording = None
+    if record:
+        person = {"id": operator or getpass.getuser()}
+        recording = Recording(task=task or book.name, instruction=instruction, operator=person)
+    for_s = None if for_ is None else config.seconds(for_, where="--for")
+    raise SystemExit(run(book, bus=bus, data=data_folder(data), recording=recording, unattended=yes, for_s=for_s)[0])
+
+
+def run(
+    book: Runbook, *, bus: str | None, data: Path, recording: Recording | None, unattended: bool, for_s: float | None
+) -> tuple[int, Path | None]:
+    """Run a runbook in this terminal; return the exit code and the folder of the episode, if one was recorded."""
+    from station.bus import address as addresses
+    from station.bus.discovery import found_or_started
+    from station.cli.face import TerminalFace
+    from station.life.supervisor import Supervisor, log_folder
+
+    if recording is not None and not any(step.start == "recorder" for step in book.servers):
+        raise ConfigError(
+            f"runbook {book.name} starts no recorder; add the step `- start: recorder`, or leave out --record"
+        )
+    named = addresses.parse(bus) if bus else None
+    with _stop_on_signals() as stop, TerminalFace() as face, found_or_started(named) as address:
+        with Bus(address, name="supervisor", timeout_s=1.0) as line:
+            folder = log_folder(address)
+            supervisor = Supervisor(line, folder, {"STATION_DATA": str(data.absolute())})
+            session = Session(book, line, supervisor, face, data=data, recording=recording, is_unattended=unattended)
+            try:
+                code = session.run(stop, for_s=for_s)
+            finally:
+                supervisor.stop_all()
+        episode = Path(session.episode.path) if session.episode and session.episode.path else None
+        if episode is not None:
+            face.say(f"episode {episode}; look at it with: station check {episode}")
+        return code, episode
+
+
+def print_plan(book: Runbook) -> None:
+    """Print the steps of a runbook."""
+    click.echo(f"{book.name} · {book.description}" if book.description else book.name)
+    for number, step in enumerate(book.steps, 1):
+        click.echo(f"{number:3}. {step}")
+    click.echo(f"at the end, stop: {', '.join(step.start for step in reversed(book.servers))}")
+    click.echo(f"on failure, stop: {', '.join(book.stop_order)}")
+
+
+@contextmanager
+def _stop_on_signals() -> Iterator[threading.Event]:
+    """Turn the first Ctrl-C or SIGTERM into an orderly end; the second Ctrl-C interrupts that."""
+    stop = threading.Event()
+
+    def ask(number: int, _frame: object) -> None:
+        if stop.is_set() and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        stop.set()
+
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

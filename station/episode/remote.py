@@ -1,0 +1,57 @@
+"""Asking the recorder for something, from another process, and waiting for its answer."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from typing import Any
+
+import msgspec
+
+from station.bus import codec, keys
+from station.bus.client import Bus
+from station.episode.request import Action, RecordAnswer, RecordRequest
+from station.errors import NotReady, Refused
+
+
+def ask(bus: Bus, action: Action, *, timeout_s: float = 20.0, **fields: Any) -> RecordAnswer:
+    """Send a request and wait for its answer.
+
+    Args:
+        bus: The bus that the recorder listens on.
+        action: What to do.
+        timeout_s: Longest wait [s]; a stop waits for the disk.
+        fields: The other fields of `RecordRequest`.
+
+    Raises:
+        NotReady: the bus did not take the request, or no recorder answered.
+        Refused: the recorder said no; with its reason.
+    """
+    wanted = RecordRequest(id=secrets.token_hex(6), action=action, **fields)
+    deadline = time.monotonic() + timeout_s
+    with bus.watch([keys.RECORD_ACK]) as watch:
+        if not bus.publish({keys.RECORD: codec.json_object(wanted)}):
+            raise NotReady(f"record {action}: the bus {bus.address} did not take the request: {bus.last_error}")
+        newest = None
+        while (remaining := deadline - time.monotonic()) > 0:
+            sample = watch.wait(keys.RECORD_ACK, after=newest, timeout_s=remaining)
+            answer = _decode(sample.value) if sample else None
+            if answer is not None and answer.id == wanted.id:
+                return _accepted(action, answer)
+            newest = sample or newest
+    raise NotReady(
+        f"record {action}: no recorder answered within {timeout_s:g} s; start one with `station serve recorder`"
+    )
+
+
+def _accepted(action: Action, answer: RecordAnswer) -> RecordAnswer:
+    if not answer.ok:
+        raise Refused(f"record {action}: {answer.reason}")
+    return answer
+
+
+def _decode(data: bytes) -> RecordAnswer | None:
+    try:
+        return msgspec.json.decode(data, type=RecordAnswer)
+    except msgspec.DecodeError:
+        return None

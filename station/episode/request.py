@@ -1,0 +1,112 @@
+"""What is asked of a recorder on ``station:record``, and what it answers."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+from station.episode.manifest_parts import Operator
+from station.errors import Refused
+
+Action = Literal["start", "stop", "mark", "discard"]
+
+
+class RecordRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """One request.
+
+    Attributes:
+        id: Any text that is new; the answer carries it.
+        action: ``start`` an episode, ``stop`` it, ``mark`` this instant, ``discard`` the present episode (it ends) or,
+            between episodes, the last one. Discarding sets a flag; it never deletes.
+        task, instruction: For ``start``: short name of the task, and what to do in words.
+        operator: For ``start``: ``interface``, ``id``, and anything else worth keeping.
+        runbook: For ``start``: steps and answers of the runbook.
+        label: For ``mark``: what happened; for ``discard``: why.
+        success: For ``stop`` and ``mark``: the operator's verdict, None for none.
+    """
+
+    id: str
+    action: Action
+    task: str = ""
+    instruction: str = ""
+    operator: dict[str, Any] = {}
+    runbook: dict[str, Any] = {}
+    label: str = ""
+    success: bool | None = None
+
+    def who(self) -> Operator:
+        """Return the operator as the manifest has it."""
+        details = {name: value for name, value in self.operator.items() if name not in ("interface", "id")}
+        given = self.operator
+        return Operator(interface=str(given.get("interface", "")), id=str(given.get("id", "")), details=details)
+
+
+class RecordAnswer(msgspec.Struct, frozen=True, kw_only=True):
+    """The answer to one request, on ``station:record:ack``.
+
+    Attributes:
+        id: Id of the request.
+        ok: Whether it was done.
+        episode_id, path: The episode it is about, and its folder.
+        reason: Why not, in one line; "" when `ok`.
+        summary: After ``stop`` and ``discard``: seconds, messages, bytes, lost, dropped, … as counted in the file.
+    """
+
+    id: str
+    ok: bool
+    episode_id: str | None = None
+    path: str | None = None
+    reason: str = ""
+    summary: dict[str, Any] = {}
+
+
+class RecorderState(msgspec.Struct, frozen=True, kw_only=True):
+    """What a recorder is doing, on ``station:recorder`` twice a second.
+
+    Attributes:
+        state: ``idle`` or ``recording``.
+        episode_id, path: The episode that is being recorded, and its folder.
+        messages, bytes: In its file so far.
+        dropped: Writes that arrived and could not be kept.
+        queued: Writes that wait for the disk.
+        backend: The tap in use.
+        lag_ms, lag_p99_ms: From arrival of a write to its place in the file: median and 99th percentile [ms].
+        error: Why the last episode could not be written on, "" otherwise.
+    """
+
+    state: Literal["idle", "recording"]
+    episode_id: str | None = None
+    path: str | None = None
+    messages: int = 0
+    bytes: int = 0
+    dropped: int = 0
+    queued: int = 0
+    backend: str = ""
+    lag_ms: float | None = None
+    lag_p99_ms: float | None = None
+    error: str = ""
+
+
+def parse_request(data: bytes) -> RecordRequest:
+    """Read a request.
+
+    Raises:
+        Refused: it is none; says why.
+    """
+    try:
+        return msgspec.json.decode(data, type=RecordRequest)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise Refused(f"not a record request: {error}") from error
+
+
+def request_id(data: bytes) -> str | None:
+    """Return the id of what may be no valid request otherwise, so that even a refusal finds its asker."""
+    try:
+        return msgspec.json.decode(data, type=_OnlyId).id
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return None
+
+
+class _OnlyId(msgspec.Struct):
+    id: str

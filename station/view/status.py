@@ -1,0 +1,103 @@
+"""What a station is doing now: servers, keys, writers."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import msgspec
+from rich.console import Group
+from rich.table import Table
+
+from station.bus.client import Bus
+from station.bus.contracts import contract
+from station.life.server import Health, read_health
+from station.view.rates import KeyRate, RateMeter
+from station.view.table import age_s, render_servers, state_of
+
+_LOOK_S = 1.0
+
+
+class KeyStatus(msgspec.Struct, frozen=True):
+    """A key of the bus.
+
+    Attributes:
+        key, role, writer: The key, what it is to a station, and who wrote it last (``foreign`` without a stamp).
+        rate_hz: Writes per second [Hz].
+        age_s: Time since the last write [s]; for a key that was not written while we looked, by its stamp, else None.
+    """
+
+    key: str
+    role: str
+    writer: str
+    rate_hz: float
+    age_s: float | None
+
+
+class Status(msgspec.Struct, frozen=True):
+    """A whole station."""
+
+    address: str
+    servers: list[Health]
+    keys: list[KeyStatus]
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return plain values: ``{"servers": [{"name", "state", "pid", …}], "keys": [{"key", "rate_hz", …}]}``."""
+        servers = [
+            msgspec.to_builtins(health) | {"state": state_of(health), "age_s": age_s(health)} for health in self.servers
+        ]
+        return {"address": self.address, "servers": servers, "keys": msgspec.to_builtins(self.keys)}
+
+
+def look(bus: Bus, meter: RateMeter) -> Status:
+    """Return the status of a station whose writes a meter has been counting."""
+    rates = meter.rates()
+    samples = bus.read(bus.names())
+    found = []
+    for key, sample in samples.items():
+        known, rate = contract(key), rates.get(key)
+        found.append(
+            KeyStatus(
+                key=key,
+                role=known.role if known else "unknown",
+                writer=sample.stamp.writer if sample.stamp else "foreign",
+                rate_hz=rate.rate_hz if rate else 0.0,
+                age_s=_age(rate, sample.stamp.wall_ns if sample.stamp else None),
+            )
+        )
+    return Status(str(bus.address), read_health(bus), sorted(found, key=lambda item: (item.role, item.key)))
+
+
+def look_once(bus: Bus, seconds: float = _LOOK_S) -> Status:
+    """Count for a moment and return the status."""
+    with RateMeter(bus.address) as meter:
+        time.sleep(seconds)
+        return look(bus, meter)
+
+
+def render(status: Status) -> Group:
+    """Return the status as tables."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for title, side in (("key", "left"), ("role", "left"), ("writer", "left"), ("rate", "right"), ("age", "right")):
+        table.add_column(title, justify=side, no_wrap=True)  # type: ignore[arg-type]
+    for item in status.keys:
+        table.add_row(item.key, item.role, item.writer, _hertz(item.rate_hz), _since(item.age_s))
+    return Group(f"[bold]{status.address}[/]", "", render_servers(status.servers), "", table)
+
+
+def _age(rate: KeyRate | None, written_wall_ns: int | None) -> float | None:
+    if rate is not None and rate.age_s is not None:
+        return rate.age_s
+    return None if written_wall_ns is None else (time.time_ns() - written_wall_ns) * 1e-9
+
+
+def _hertz(rate_hz: float) -> str:
+    return f"{rate_hz:.1f} Hz" if rate_hz else "·"
+
+
+def _since(seconds: float | None) -> str:
+    if seconds is None:
+        return "unknown"
+    if seconds < 1.0:
+        return f"{seconds * 1e3:.0f} ms"
+    return f"{seconds:.1f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

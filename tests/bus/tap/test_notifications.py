@@ -1,0 +1,159 @@
+"""The second-best tap: what it sees, what it says of it, and that it invents nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections import Counter
+from collections.abc import Iterator
+
+import pytest
+
+from station.bus.address import BusAddress
+from station.bus.connection import Connection
+from station.bus.redis_server import RedisServer, ServerOptions
+from station.bus.tap import Position, Write
+from station.bus.tap.base import TapRefused
+from station.bus.tap.notifications import NotificationTap
+from station.errors import BusError
+from tests.bus.tap.conftest import Collect
+from tests.waiting import wait_until
+
+
+@pytest.fixture
+def tap(bus_server: BusAddress) -> Iterator[NotificationTap]:
+    tap = NotificationTap(bus_server)
+    yield tap
+    tap.close()
+
+
+def test_every_write_that_is_read_in_time_arrives_byte_for_byte(tap: NotificationTap, writer: Connection) -> None:
+    for number in range(200):
+        value, stamp = os.urandom(60_000 if number % 20 == 0 else 100), b"%d 1 2 s" % number
+        writer.call("MSET", "a", value, "a@", stamp)
+        assert [write[:3] for write in _read(tap, 1)] == [("a", value, stamp)]
+
+
+def test_foreign_write_carries_no_stamp(tap: NotificationTap, writer: Connection) -> None:
+    writer.call("SET", "a", "1")
+    assert [write[:3] for write in _read(tap, 1)] == [("a", b"1", None)]
+
+
+def test_foreign_write_over_a_native_key_does_not_inherit_its_stamp(tap: NotificationTap, writer: Connection) -> None:
+    writer.call("MSET", "a", "1", "a@", "s")
+    assert [write[:3] for write in _read(tap, 1)] == [("a", b"1", b"s")]
+    writer.call("SET", "a", "2")
+    assert [write[:3] for write in _read(tap, 1)] == [("a", b"2", None)]
+
+
+def test_foreign_write_of_the_same_bytes_over_a_native_key_is_told_by_the_next_one(
+    tap: NotificationTap, writer: Connection
+) -> None:
+    writer.call("MSET", "a", "1", "a@", "s")
+    _read(tap, 1)
+    writer.pipeline([("SET", "a", "1")] * 2)
+    assert [write[:3] for write in _read(tap, 1)] == [("a", b"1", None)]
+
+
+def test_native_write_is_delivered_once_under_load(tap: NotificationTap, writer: Connection, collect: Collect) -> None:
+    for number in range(3000):
+        writer.call("MSET", "a", b"%d" % number, "a@", b"%d 1 2 s" % number)
+    seen = collect(tap)
+    assert [write.key for write in seen] == ["a"] * len(seen)
+    assert all(write.stamp == (write.value or b"") + b" 1 2 s" for write in seen)
+    assert max(Counter(write.stamp for write in seen).values()) == 1
+    assert [int(write.value or b"") for write in seen] == sorted(int(write.value or b"") for write in seen)
+
+
+def test_deletion_and_expiry_arrive(tap: NotificationTap, writer: Connection) -> None:
+    writer.call("MSET", "a", "1", "a@", "s", "b", "2")
+    _read(tap, 2)
+    writer.call("DEL", "a", "a@")
+    assert [write[:3] for write in _read(tap, 1)] == [("a", None, None)]
+    writer.call("PEXPIRE", "b", 1)
+    wait_until(lambda: writer.call("EXISTS", "b") == 0)
+    assert [write[:3] for write in _read(tap, 1)] == [("b", None, None)]
+
+
+def test_change_of_the_expiry_alone_is_no_write(tap: NotificationTap, writer: Connection, collect: Collect) -> None:
+    writer.call("SET", "a", "1")
+    _read(tap, 1)
+    writer.call("EXPIRE", "a", 100)
+    writer.call("PERSIST", "a")
+    assert collect(tap) == []
+
+
+def test_keys_that_are_no_strings_are_left_out(tap: NotificationTap, writer: Connection, collect: Collect) -> None:
+    writer.call("CONFIG", "SET", "notify-keyspace-events", "KA")
+    writer.call("HSET", "h", "f", "v")
+    assert collect(tap) == []
+
+
+def test_other_databases_and_the_probe_are_left_out(tap: NotificationTap, writer: Connection, collect: Collect) -> None:
+    writer.pipeline([("SELECT", 1), ("SET", "a", "1"), ("SELECT", 0)])
+    NotificationTap(tap._address).close()
+    assert collect(tap) == []
+
+
+def test_notifications_are_switched_on_beside_those_of_others(bus_server: BusAddress, writer: Connection) -> None:
+    writer.call("CONFIG", "SET", "notify-keyspace-events", "El")
+    tap = NotificationTap(bus_server)
+    assert set("ElK$gx") <= set(writer.call("CONFIG", "GET", "notify-keyspace-events")[1].decode())
+    tap.close()
+
+
+def test_user_who_may_not_configure_can_use_notifications_that_are_on(
+    bus_server: BusAddress, writer: Connection
+) -> None:
+    writer.call("ACL", "SETUSER", "default", "-config")
+    tap = NotificationTap(bus_server)
+    writer.call("SET", "a", "1")
+    assert [write[:3] for write in _read(tap, 1)] == [("a", b"1", None)]
+    tap.close()
+
+
+def test_notifications_that_are_off_and_may_not_be_switched_on_are_refused(
+    bus_server: BusAddress, writer: Connection
+) -> None:
+    writer.call("CONFIG", "SET", "notify-keyspace-events", "")
+    writer.call("ACL", "SETUSER", "default", "-config")
+    with pytest.raises(TapRefused, match="notifications"):
+        NotificationTap(bus_server)
+
+
+def test_user_who_may_not_subscribe_is_refused(bus_server: BusAddress, writer: Connection) -> None:
+    writer.call("ACL", "SETUSER", "default", "-psubscribe")
+    with pytest.raises(TapRefused, match="subscriptions"):
+        NotificationTap(bus_server)
+
+
+def test_resumption_is_answered_with_a_hole(bus_server: BusAddress) -> None:
+    tap = NotificationTap(bus_server, Position("0" * 40, 1))
+    assert (tap.resumed, tap.is_lossless, tap.position()) == (False, False, None)
+    tap.close()
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+def test_killed_or_frozen_server_is_an_error(tmp_path_factory: pytest.TempPathFactory, how: signal.Signals) -> None:
+    folder = tmp_path_factory.mktemp("gone")
+    with RedisServer.start(ServerOptions(folder=folder, socket=folder / "bus.sock")) as server:
+        tap = NotificationTap(server.address)
+        tap._values.set_timeout(0.5)
+        os.kill(server.pid, how)
+        with pytest.raises(BusError):
+            wait_until(lambda: tap.read(1.0) is None)
+        tap.close()
+        os.kill(server.pid, signal.SIGKILL)
+
+
+def test_read_waits_no_longer_than_it_was_told(tap: NotificationTap) -> None:
+    started = time.monotonic()
+    assert tap.read(0.2) == []
+    assert 0.2 <= time.monotonic() - started < 2.0
+
+
+def _read(tap: NotificationTap, count: int) -> list[Write]:
+    seen: list[Write] = []
+    wait_until(lambda: seen.extend(tap.read(0.1)) or len(seen) >= count)
+    return seen

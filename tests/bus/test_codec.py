@@ -1,0 +1,76 @@
+"""Values as bytes: TWIST's JSON to the byte, ours to the bit."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from station.bus import codec
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(st.lists(finite))
+def test_a_vector_is_written_byte_for_byte_as_python_writes_it(values: list[float]) -> None:
+    assert codec.json_vector(values) == json.dumps(values).encode()
+    assert codec.json_vector(np.array(values)) == json.dumps(values).encode()
+
+
+@given(st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False)))
+def test_float32_widened_by_stock_scripts_is_written_alike(values: list[float]) -> None:
+    widened = np.array(values, dtype=np.float32).tolist()
+    assert codec.json_vector(widened) == json.dumps(widened).encode()
+
+
+def test_nan_and_infinity_are_written_as_stock_scripts_write_them() -> None:
+    values = [math.nan, math.inf, -math.inf, 1.0]
+    assert codec.json_vector(values) == b"[NaN, Infinity, -Infinity, 1.0]"
+
+
+@given(st.lists(finite))
+def test_a_vector_comes_back_bit_for_bit(values: list[float]) -> None:
+    back = codec.parse_json_vector(codec.json_vector(values), len(values))
+    assert back.tobytes() == np.array(values, dtype=np.float64).tobytes()
+
+
+def test_whole_numbers_and_other_white_space_are_accepted() -> None:
+    assert codec.parse_json_vector(b"[1,2 , 3]\n").tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"", "not JSON"),
+        (b"[1, 2", "not JSON"),
+        (b"hello", "not JSON: 'hello'"),
+        (b"\xff\xfe", "not JSON"),
+        (b"{}", "a JSON dict, expected a list"),
+        (b"null", "a JSON NoneType, expected a list"),
+        (b"[1, NaN, 2]", "element 1 is nan, expected a finite number"),
+        (b"[Infinity]", "element 0 is inf"),
+        (b'[1, "2"]', "element 1 is '\"2\"', expected a number"),
+        (b"[[1], [2]]", "element 0 is '[1]'"),
+        (b"[true]", "element 0 is 'true'"),
+        (b"[1e999]", "element 0 is inf"),
+        (b"[1, 2, 3]", "3 values, expected 35"),
+        (b"[" * 100_000, "not JSON"),
+    ],
+)
+def test_anything_else_is_refused_with_what_came(data: bytes, reason: str) -> None:
+    with pytest.raises(codec.BadValue) as caught:
+        codec.parse_json_vector(data, 35)
+    assert reason in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_raw_vectors_come_back_and_torn_ones_are_refused() -> None:
+    values = np.random.default_rng(0).normal(size=35)
+    assert codec.parse_f64(codec.f64(values)).tobytes() == values.tobytes()
+    assert codec.parse_f32(codec.f32(values)).tobytes() == values.astype(np.float32).tobytes()
+    with pytest.raises(codec.BadValue, match="9 bytes, expected a multiple of 8"):
+        codec.parse_f64(b"123456789")

@@ -1,0 +1,108 @@
+"""The wire contract of each key, position by position, as stock TWIST and TWIST2 have it."""
+
+from __future__ import annotations
+
+import keyword
+
+import pytest
+
+from station.bus import contracts, joints, keys
+from station.bus.contracts import Contract
+
+TWIST2_LENGTHS = {
+    "action_body_unitree_g1_with_hands": 35,
+    "action_hand_left_unitree_g1_with_hands": 7,
+    "action_hand_right_unitree_g1_with_hands": 7,
+    "action_neck_unitree_g1_with_hands": 2,
+    "state_body_unitree_g1_with_hands": 34,
+    "state_hand_left_unitree_g1_with_hands": 7,
+    "state_hand_right_unitree_g1_with_hands": 7,
+    "state_neck_unitree_g1_with_hands": 2,
+}
+TWIST_LENGTHS = {"action_mimic_g1": 33, "action_hand_g1": 14, "state_body_g1": 74, "state_hand_g1": 14}
+
+
+@pytest.mark.parametrize(("key", "length"), [*TWIST2_LENGTHS.items(), *TWIST_LENGTHS.items()])
+def test_every_stock_vector_has_its_stock_length(key: str, length: int) -> None:
+    found = contracts.contract(key)
+    assert found is not None
+    assert found.codec == "json-vector"
+    assert len(found.elements) == length
+
+
+@pytest.mark.parametrize("key", ["t_action", "t_state"])
+def test_stock_times_are_whole_numbers(key: str) -> None:
+    found = contracts.contract(key)
+    assert found is not None
+    assert found.codec == "integer"
+
+
+@pytest.mark.parametrize("key", ["controller_data", "motion_start_signal", "motion_exit_signal"])
+def test_the_other_stock_keys_have_a_contract(key: str) -> None:
+    assert contracts.contract(key) is not None
+
+
+def names(key: str) -> tuple[str, ...]:
+    found = contracts.contract(key)
+    assert found is not None
+    return found.names
+
+
+def test_twist2_command_positions() -> None:
+    order = names(keys.action_body())
+    assert order[:6] == ("root_vel_x", "root_vel_y", "root_height", "root_roll", "root_pitch", "root_yaw_rate")
+    expected = {6: "left_hip_pitch", 9: "left_knee", 12: "right_hip_pitch", 18: "waist_yaw", 21: "left_shoulder_pitch",
+                24: "left_elbow", 25: "left_wrist_roll", 28: "right_shoulder_pitch", 34: "right_wrist_yaw"}  # fmt: skip
+    assert {index: order[index] for index in expected} == {i: f"{name}_pos" for i, name in expected.items()}
+
+
+def test_twist_command_positions() -> None:
+    order = names(keys.action_mimic())
+    assert order[0] == "root_height"
+    assert order[3] == "root_yaw"
+    assert order[4:7] == ("root_vel_x", "root_vel_y", "root_vel_z")
+    assert order[7] == "root_yaw_rate"
+    assert order[27] == "left_wrist_roll_pos"
+    assert order[32] == "right_wrist_roll_pos"
+    assert order[28:32] == tuple(f"right_{n}_pos" for n in ("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"))
+
+
+def test_twist2_state_positions() -> None:
+    order = names("state_body_unitree_g1_with_hands")
+    assert order[:5] == ("gyro_x", "gyro_y", "gyro_z", "root_roll", "root_pitch")
+    assert order[5:] == tuple(f"{name}_pos" for name in joints.G1_29)
+
+
+def test_twist_state_positions() -> None:
+    order = names("state_body_g1")
+    assert order[5] == "left_hip_pitch_pos_from_default"
+    assert order[28] == "scaled_left_hip_pitch_vel"
+    assert order[51] == "left_hip_pitch_previous_action"
+
+
+def test_the_fingers_of_the_two_hands_stand_in_different_order() -> None:
+    assert [n.split("_")[2] for n in names(keys.state_hand("left"))] == ["thumb"] * 3 + ["middle"] * 2 + ["index"] * 2
+    assert [n.split("_")[2] for n in names(keys.state_hand("right"))] == ["thumb"] * 3 + ["index"] * 2 + ["middle"] * 2
+
+
+@pytest.mark.parametrize("item", contracts.contracts(), ids=lambda item: item.key)
+def test_element_names_are_unique_and_valid_anywhere(item: Contract) -> None:
+    assert len(set(item.names)) == len(item.names)
+    for name in item.names:
+        assert name.isidentifier()
+        assert not keyword.iskeyword(name)
+
+
+def test_joint_orders() -> None:
+    assert len(joints.G1_29) == 29
+    assert joints.G1_29.index("left_ankle_roll") == 5
+    assert joints.G1_29.index("waist_yaw") == 12
+    assert joints.G1_29.index("left_wrist_yaw") == 21
+    assert joints.G1_25.index("left_wrist_roll") == 19
+    assert joints.G1_25.index("right_wrist_roll") == 24
+    assert len(joints.G1_23) == 23
+
+
+def test_an_unknown_key_has_no_contract() -> None:
+    assert contracts.contract("somebody_elses_key") is None
+    assert contracts.contract("station:server:anything") is not None

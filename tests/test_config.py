@@ -1,0 +1,98 @@
+"""Configuration from YAML and --set: every problem is one line that says where and what."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from station import config
+from station.errors import BadFile, ConfigError
+
+
+class Inner(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    gain: float = 1.0
+
+
+class Outer(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    name: str
+    rate_hz: float = 50.0
+    inner: Inner = Inner()
+
+
+def test_values_fill_the_type() -> None:
+    made = config.build(Outer, {"name": "a", "inner": {"gain": 2}}, where="x.yaml")
+    assert made == Outer(name="a", inner=Inner(gain=2.0))
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (
+            {"name": "a", "rate_hs": 3},
+            "x.yaml: unknown key 'rate_hs' (did you mean 'rate_hz'?); known: inner, name, rate",
+        ),
+        ({"name": "a", "rate_hz": "fast"}, "x.yaml: rate_hz: expected float, got str"),
+        ({"rate_hz": 1.0}, "x.yaml: missing key name"),
+        ({"name": "a", "inner": {"gian": 1}}, "x.yaml: inner: object contains unknown field gian"),
+    ],
+)
+def test_a_mistake_names_the_place_the_key_and_the_remedy(values: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        config.build(Outer, values, where="x.yaml")
+    assert str(caught.value).startswith(message)
+
+
+def test_set_options_reach_their_server() -> None:
+    found = config.overrides(
+        ["motion.motion=twist2:motions/a.pkl", "g1.gate.hold_after_s=0.2"], servers=["g1", "motion"]
+    )
+    assert found == {"motion": {"motion": "twist2:motions/a.pkl"}, "g1": {"gate": {"hold_after_s": 0.2}}}
+    assert config.overrides(["loop=true"], servers=None) == {"": {"loop": True}}
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("motion", "expected server.key=value"),
+        ("loop=true", "expected server.key=value"),
+        ("moton.loop=true", "no server 'moton' (did you mean 'motion'?)"),
+        ("motion.loop=[1", "not YAML"),
+    ],
+)
+def test_a_bad_set_option_is_refused(option: str, message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        config.overrides([option], servers=["g1", "motion"])
+    assert message in str(caught.value)
+    assert option in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"), [("20s", 20.0), ("500ms", 0.5), ("2min", 120.0), (7, 7.0), ("1.5 s", 1.5)]
+)
+def test_durations(text: str | float, expected: float) -> None:
+    assert config.seconds(text, where="--for") == expected
+
+
+def test_a_bad_duration_says_what_one_looks_like() -> None:
+    with pytest.raises(ConfigError, match="--for: expected a duration such as 20s"):
+        config.seconds("soon", where="--for")
+
+
+def test_a_file_that_is_no_yaml_says_where(tmp_path: Path) -> None:
+    path = tmp_path / "book.yaml"
+    path.write_text("a: [1\nb: 2")
+    with pytest.raises(ConfigError, match=r"book\.yaml: not YAML at line \d"):
+        config.read_yaml(path)
+    path.write_text("- a")
+    with pytest.raises(ConfigError, match="expected a mapping"):
+        config.read_yaml(path)
+    with pytest.raises(BadFile, match=r"no such file \(did you mean 'book\.yaml'\?\)"):
+        config.read_yaml(tmp_path / "boook.yaml")
+
+
+def test_merging_reaches_into_mappings_and_leaves_the_base_alone() -> None:
+    base = {"a": {"x": 1, "y": 2}, "b": 1}
+    assert config.merged(base, {"a": {"y": 3}, "c": 4}) == {"a": {"x": 1, "y": 3}, "b": 1, "c": 4}
+    assert base == {"a": {"x": 1, "y": 2}, "b": 1}
