@@ -41,7 +41,7 @@ def _version() -> str:
 
 
 def _revision(folder: Path) -> tuple[str, bool]:
-    """Return revision and dirtiness of the checkout that *is* this folder; an installed copy inside another has none."""
+    """Return revision and dirtiness of the checkout that is this folder; a copy inside somebody's checkout has none."""
     if not (folder / ".git").exists():
         return "", False
     revision = _git(folder, "rev-parse", "HEAD")

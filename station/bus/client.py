@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any
@@ -21,6 +22,7 @@ from station.errors import BusError
 
 log = logging.getLogger(__name__)
 
+_STALL_S = 1.0  # a busy machine may hold a server up for a moment; a server silent for longer is taken for frozen
 _RETRY_S = 0.1  # a restarted local server is back within 25 ms; ten tries a second cost nothing
 
 
@@ -46,6 +48,8 @@ class Bus:
         self._closed = threading.Event()
         self._sequences: dict[str, int] = {}
         self._frames: dict[str, tuple[bytes, bytes]] = {}
+        self._unanswered: deque[int] = deque()  # keys per write whose answer is owed
+        self._late_since_s: float | None = None
         self._connection: Connection | None = Connection(self.address, timeout_s=max(timeout_s, 1.0))
         self._connection.set_timeout(timeout_s)
 
@@ -53,6 +57,11 @@ class Bus:
     def is_connected(self) -> bool:
         """Whether the last thing we know of the server is that it answered."""
         return self._connection is not None
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the server owes the answer to a write."""
+        return bool(self._unanswered)
 
     def publish(self, values: Mapping[str, bytes], *, capture_ns: int | None = None) -> bool:
         """Write keys and their stamps as one atomic command.
@@ -62,25 +71,23 @@ class Bus:
             capture_ns: A device's own time of capture [ns], for the stamps.
 
         Returns:
-            Whether the server took it. When not, the writes count as lost (their sequence numbers are spent, so a
-            recording shows the hole) and the connection comes back by itself; no call waits longer than the time-out.
+            Whether it is on its way: taken by the server, or handed to one that answers late. When not, the writes
+            count as lost (their sequence numbers are spent, so a recording shows the hole) and the connection comes
+            back by itself. No call waits longer than the time-out, and one that follows a late answer does not wait.
         """
         with self._lock:
             request = self._mset(values, capture_ns)
             if self._connection is None:
                 self.lost_writes += len(values)
                 return False
+            self._unanswered.append(len(values))
             try:
-                reply = self._connection.send_packed(request)[0]
+                refused = self._account(self._connection.post(request))
+                self._give_up_on_a_stall(self._connection)
             except ConnectionLost as error:
                 self._lose(error)
-                self.lost_writes += len(values)
                 return False
-        if isinstance(reply, hiredis.ReplyError):
-            self.lost_writes += len(values)
-            self._complain(str(reply))
-            return False
-        return True
+        return not refused
 
     def get(self, key: str) -> bytes | None:
         """Return the value of a key, or None; says nothing of its age."""
@@ -126,6 +133,10 @@ class Bus:
             if self._connection is None:
                 raise BusError(f"bus {self.address}: lost; reconnecting ({self.last_error})")
             try:
+                if self._connection.owed:
+                    self._account(self._connection.collect(self._timeout_s))
+                if self._connection.owed:
+                    raise BusError(f"bus {self.address}: no answer in time")
                 return self._connection.call(*arguments)
             except ConnectionLost as error:
                 self._lose(error)
@@ -171,9 +182,33 @@ class Bus:
         self._frames[key] = frames
         return frames
 
+    def _account(self, answers: list[Any]) -> bool:
+        """Take note of the answers to writes; return whether one was refused."""
+        errors = [answer for answer in answers if isinstance(answer, hiredis.ReplyError)]
+        for answer in answers:
+            count = self._unanswered.popleft()
+            if isinstance(answer, hiredis.ReplyError):
+                self.lost_writes += count
+        if errors:
+            self._complain(str(errors[-1]))
+        return bool(errors)
+
+    def _give_up_on_a_stall(self, connection: Connection) -> None:
+        if not connection.owed:
+            self._late_since_s = None
+            return
+        now_s = time.monotonic()
+        if self._late_since_s is None:
+            self._late_since_s = now_s
+        elif now_s - self._late_since_s > _STALL_S:
+            connection.close()
+            raise ConnectionLost(f"bus {self.address}: no answer for {_STALL_S:g} s")
+
     def _lose(self, error: BusError) -> None:
         """Take note of a lost connection and look for it in the background; called with the lock held."""
-        self._connection = None
+        self._connection, self._late_since_s = None, None
+        self.lost_writes += sum(self._unanswered)  # the server may have taken some: counted as lost, to be honest
+        self._unanswered.clear()
         self._complain(str(error))
         if not self._closed.is_set():
             threading.Thread(target=self._reconnect, name="bus-reconnect", daemon=True).start()

@@ -47,6 +47,7 @@ class Connection:
 
     def __init__(self, address: BusAddress, *, timeout_s: float = 0.05) -> None:
         self.address = address
+        self.owed = 0  # answers of posted requests that have not come yet
         self._timeout_s = timeout_s
         self._reader = hiredis.Reader()
         self._socket = self._open()
@@ -78,6 +79,44 @@ class Connection:
         except OSError as error:
             self.close()
             raise ConnectionLost(f"bus {self.address}: {_reason(error)}") from error
+
+    def post(self, data: bytes) -> list[Any]:
+        """Send an encoded request and wait for its answer no longer than the time-out.
+
+        While the answer to an earlier one is still owed there is no wait at all: a server that stalls for a moment
+        costs its writer one time-out, and loses nothing.
+
+        Returns:
+            The answers that have come, oldest first; `owed` tells how many have not.
+
+        Raises:
+            ConnectionLost: the server went away, or its stall has filled the line.
+        """
+        is_behind = self.owed > 0
+        try:
+            self._socket.sendall(data)
+        except OSError as error:
+            self.close()
+            raise ConnectionLost(f"bus {self.address}: {_reason(error)}") from error
+        self.owed += 1
+        return self.collect(0.0 if is_behind else self._timeout_s)
+
+    def collect(self, timeout_s: float) -> list[Any]:
+        """Return the owed answers that come within a time, oldest first; 0 takes what is here."""
+        answers = []
+        try:
+            self._socket.settimeout(timeout_s)
+            while self.owed:
+                answers.append(self._next())
+                self.owed -= 1
+        except (TimeoutError, BlockingIOError):
+            pass  # the rest is late; the caller sees it in `owed`
+        except OSError as error:
+            self.close()
+            raise ConnectionLost(f"bus {self.address}: {_reason(error)}") from error
+        finally:
+            self._restore_timeout()
+        return answers
 
     def send(self, *arguments: Argument) -> None:
         """Send a request without waiting for its answer (a subscription)."""

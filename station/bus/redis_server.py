@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import fcntl
 import importlib.util
 import os
@@ -75,13 +76,12 @@ class RedisServer:
             BusError: no server on this machine, socket or port in use, or it died; with its last words.
         """
         address = _address(options)
-        binary = find_binary()
         with _one_start_at_a_time(options.folder):
             if options.socket is not None:
                 _clear_socket(options.socket)
             name = options.socket.stem if options.socket is not None else f"bus-{options.tcp_port}"
             log_path = options.folder / f"{name}.log"
-            process = _spawn(binary, options, log_path)
+            process = _spawn(find_binary(), options, log_path)
             try:
                 _wait_until_it_answers(process, address, options, log_path)
                 return cls(process, address)
@@ -103,6 +103,12 @@ class RedisServer:
     def stop(self) -> None:
         """Stop the server and remove its socket; a second call does nothing."""
         if self._process.poll() is None:
+            # The request acts at once and hands the taps their last bytes; a signal acts at the next tenth of a second.
+            with (
+                contextlib.suppress(BusError),
+                contextlib.closing(Connection(self.address, timeout_s=0.5)) as connection,
+            ):
+                connection.call("SHUTDOWN", "NOSAVE")
             self._process.terminate()
             try:
                 self._process.wait(_STOP_TIMEOUT_S)
@@ -174,7 +180,6 @@ def _arguments(options: ServerOptions) -> list[str]:
         listen += ["--unixsocket", str(options.socket), "--unixsocketperm", "700"]
     return [
         *listen,
-        *("--daemonize", "no"),
         *("--dir", str(options.folder)),
         *("--save", ""),
         *("--appendonly", "no"),
@@ -251,15 +256,12 @@ def _clear_socket(path: Path) -> None:
         return
     with socket.socket(socket.AF_UNIX) as probe:
         probe.settimeout(1.0)
-        try:
-            probe.connect(str(path))
-        except ConnectionRefusedError:
-            path.unlink()
-            return
-        except (TimeoutError, BlockingIOError):  # its queue of connections is full: alive, and frozen
-            pass
-        except OSError as error:
-            raise BusError(f"socket {path}: {error.strerror}") from error
+        status = probe.connect_ex(str(path))
+    if status == errno.ECONNREFUSED:
+        path.unlink()
+        return
+    if status not in (0, errno.EAGAIN):  # EAGAIN: its queue of connections is full, so it is alive and frozen
+        raise BusError(f"socket {path}: {os.strerror(status)}")
     raise BusError(f"socket {path}: a bus server is already running there; use it (--bus unix://{path}) or stop it")
 
 
@@ -282,8 +284,7 @@ def _wait_until_it_answers(
 
 
 def _dead(status: int, options: ServerOptions, log_path: Path) -> BusError:
-    text = log_path.read_text(errors="replace")
-    if options.tcp_port is not None and "in use" in text:
+    if options.tcp_port is not None and "in use" in log_path.read_text(errors="replace"):
         return BusError(
             f"TCP port {options.tcp_port} of this machine is in use (another Redis?); stop that one, "
             f"choose another port, or use it with --bus redis://localhost:{options.tcp_port}"

@@ -24,8 +24,7 @@ def command(episode: str, data: Path | None, checkpoint: str | None, robot: str 
     from station.episode.audit import Audit, audit
     from station.episode.reader import open_episode
 
-    with open_episode(episode, data) as reader:
-        found = audit(reader, checkpoint=checkpoint, robot=robot)
+    found = audit(open_episode(episode, data), checkpoint=checkpoint, robot=robot)
     if as_json:
         click.echo(msgspec.json.encode(found))
     else:

@@ -21,11 +21,10 @@ def command(episode: str, data: Path | None, no_write: bool, as_json: bool) -> N
     from station.episode.check import check, write_measured
     from station.episode.reader import open_episode
 
-    with open_episode(episode, data) as reader:
-        quality = check(reader)
-        folder = reader.folder
-    if quality.is_finished and folder.is_dir() and not no_write:
-        write_measured(folder, quality)
+    reader = open_episode(episode, data)
+    quality = check(reader)
+    if quality.is_finished and not no_write:
+        write_measured(reader.folder, quality)
     if as_json:
         click.echo(msgspec.json.encode(quality))
     else:

@@ -52,14 +52,14 @@ def _report(episode: Path, *, is_whole: bool) -> int:
     from station.episode.reader import open_episode
 
     click.echo()
-    with open_episode(episode) as reader:
-        quality = check(reader)
-        write_measured(episode, quality)
-        print_quality(quality)
-        if not is_whole:
-            return 0 if sum(stream.lost for stream in quality.streams) == 0 else 1
-        click.echo()
-        found = audit(reader)
-        print_audit(found)
+    reader = open_episode(episode)
+    quality = check(reader)
+    write_measured(episode, quality)
+    print_quality(quality)
+    if not is_whole:
+        return 0 if sum(stream.lost for stream in quality.streams) == 0 else 1
+    click.echo()
+    found = audit(reader)
+    print_audit(found)
     click.echo(f"\nnext: station replay {episode} --to rerun     station episodes show {episode}")
     return 0 if found.is_equal and quality.verdict != "reject" else 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import json
 from collections.abc import Sequence
 
@@ -52,8 +53,10 @@ def command(
 
 
 def _expand(motion: str) -> list[str]:
-    base = assets.root()
-    found = assets.expand(motion)
+    """Return the references that a pattern names; anything that is no pattern is left for the loader."""
+    if not glob.has_magic(motion):
+        return [motion]
+    found, base = assets.expand(motion), assets.root()
     if base is None or ":" not in motion:
         return [str(path) for path in found]
     return [f"{(rel := path.relative_to(base)).parts[0]}:{'/'.join(rel.parts[1:])}" for path in found]

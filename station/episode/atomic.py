@@ -7,8 +7,10 @@ import tempfile
 from pathlib import Path
 
 
-def write_atomic(path: Path, data: bytes) -> None:
+def write_atomic(path: Path, data: bytes, *, sync: bool = True) -> None:
     """Replace a file: temporary file beside it, fsync, rename, fsync of the folder.
+
+    Without `sync` the file survives the death of the process, not that of the machine.
 
     Raises:
         OSError: the disk refused it; the old file is then untouched.
@@ -18,14 +20,16 @@ def write_atomic(path: Path, data: bytes) -> None:
         try:
             write_all(descriptor, data)
             os.fchmod(descriptor, 0o644)  # mkstemp closes it to others; an episode is read by anyone who may enter
-            os.fsync(descriptor)
+            if sync:
+                os.fsync(descriptor)
         finally:
             os.close(descriptor)
         os.replace(temporary, path)
     except OSError:
         Path(temporary).unlink(missing_ok=True)
         raise
-    sync_folder(path.parent)
+    if sync:
+        sync_folder(path.parent)
 
 
 def write_all(descriptor: int, data: bytes) -> None:

@@ -1,23 +1,55 @@
 """The manifest of an episode: what was recorded, by whom, with what; typed here, YAML on disk.
 
 The blueprint's names are kept: ``episode_id task operator robot policy streams timing quality_flags``. Reading
-tolerates keys that we do not know, at any depth of the known structure, and writing gives them back, so a field
-that another tool added survives us. What we write ourselves is typed: a misspelt field cannot be constructed.
+tolerates keys that we do not know, in any mapping outside lists, and writing gives them back, so a field that another
+tool added survives us. What we write ourselves is typed: a misspelt field cannot be constructed.
 """
 
 from __future__ import annotations
 
-import copy
 from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
 import yaml
 
-from station.episode.anchor import Anchor
 from station.episode.atomic import write_atomic
 from station.episode.layout import MANIFEST
+from station.episode.manifest_parts import (
+    Event,
+    Hole,
+    Mark,
+    Operator,
+    Policy,
+    QualityFlags,
+    Recorder,
+    Robot,
+    Stream,
+    Task,
+    Timing,
+)
 from station.errors import EpisodeError
+
+__all__ = [
+    "Event",
+    "Hole",
+    "Manifest",
+    "Mark",
+    "Operator",
+    "Policy",
+    "QualityFlags",
+    "Recorder",
+    "Robot",
+    "State",
+    "Stream",
+    "Task",
+    "Timing",
+    "dump_manifest",
+    "load_manifest",
+    "parse_manifest",
+    "save_manifest",
+    "snapshot",
+]
 
 VERSION = 1
 MAX_EVENTS = 500
@@ -27,180 +59,6 @@ State = Literal["recording", "finished", "failed"]
 
 _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-
-
-class Task(msgspec.Struct, kw_only=True):
-    """What was to be done: short name as given, and the instruction in words."""
-
-    name: str = "untitled"
-    instruction: str = ""
-
-
-class Operator(msgspec.Struct, kw_only=True):
-    """Who commanded the robot, and through what.
-
-    Attributes:
-        interface: Command source, for example ``motion`` or ``pico``.
-        id: Name or number of the person.
-        details: Anything else that the request said of them.
-    """
-
-    interface: str = ""
-    id: str = ""
-    details: dict[str, Any] = {}
-
-
-class Robot(msgspec.Struct, kw_only=True):
-    """The robot: suffix of its keys, and what its server said of it (model, hash, hands, network, mode)."""
-
-    suffix: str = ""
-    facts: dict[str, Any] = {}
-
-
-class Policy(msgspec.Struct, kw_only=True):
-    """The policy, as its server stated it before the first message.
-
-    Attributes:
-        server: The low-level server that ran it.
-        name, checkpoint, sha256, runtime, command: As in `station.protocols.PolicySpec`.
-        rate_hz: Rate of its loop [Hz].
-        facts: Everything that the server said of it, gains and joint names included.
-    """
-
-    server: str = ""
-    name: str = ""
-    checkpoint: str = ""
-    sha256: str = ""
-    runtime: str = ""
-    command: str = ""
-    rate_hz: float | None = None
-    facts: dict[str, Any] = {}
-
-
-class Stream(msgspec.Struct, kw_only=True):
-    """One channel of the recording: one key as one source wrote it.
-
-    Attributes:
-        key: Key on the bus.
-        source: Source of a native writer (``name.pid.boot.token``), "" for a foreign one.
-        writer: Server name, or ``foreign``.
-        role: Role by contract, or ``unknown``.
-        contract: Whether the key has one; its text is in the MCAP channel.
-        encoding: ``json``, ``application/octet-stream``, or ``application/x-deleted``.
-        count: Messages in the file.
-        lost: Sequence numbers of this source that are not in the file, between its first and its last.
-        repeated: Messages whose sequence number did not grow.
-        rate_hz: Mean rate between the first and the last message; None for fewer than two.
-        longest_gap_s: Longest time between two messages [s]; None for fewer than two.
-        first_s, last_s: Arrival of the first and last message, relative to the start of the episode [s].
-    """
-
-    key: str
-    source: str = ""
-    writer: str = "foreign"
-    role: str = "unknown"
-    contract: bool = False
-    encoding: str = ""
-    count: int = 0
-    lost: int = 0
-    repeated: int = 0
-    rate_hz: float | None = None
-    longest_gap_s: float | None = None
-    first_s: float | None = None
-    last_s: float | None = None
-
-
-class Timing(msgspec.Struct, kw_only=True):
-    """When, and on which clocks.
-
-    Attributes:
-        started: ISO 8601 with offset, of the start request.
-        ended: The same of the end, "" while recording.
-        anchor: The clock of every log time in the file; None only in a manifest that is not ours.
-        preroll_s: How long before the start request the first message came [s].
-        duration_s: From the start request to the end [s]; None while recording.
-        clock_offsets: Offsets to other hosts' clocks, where somebody measured them [s].
-    """
-
-    started: str = ""
-    ended: str = ""
-    anchor: Anchor | None = None
-    preroll_s: float = 0.0
-    duration_s: float | None = None
-    clock_offsets: dict[str, float] = {}
-
-
-class Event(msgspec.Struct, kw_only=True):
-    """One event of the bus: when it arrived [s from the start], its name, severity, source, and its numbers."""
-
-    at_s: float
-    name: str
-    severity: str = "info"
-    source: str = ""
-    numbers: dict[str, Any] = {}
-
-
-class Mark(msgspec.Struct, kw_only=True):
-    """Something that the operator marked: when [s from the start], and the label."""
-
-    at_s: float
-    label: str = ""
-
-
-class Hole(msgspec.Struct, kw_only=True):
-    """A span of which writes are missing, or may be: seconds from the start, and why."""
-
-    from_s: float
-    to_s: float | None = None
-    reason: str = ""
-
-
-class QualityFlags(msgspec.Struct, kw_only=True):
-    """Verdicts of people and of events.
-
-    Attributes:
-        success: What the operator said; None when nobody did.
-        falls: Number of ``fall`` events.
-        operator_reset: Whether the operator reset the robot or an e-stop during the episode.
-        estop: Whether an e-stop was pressed.
-        discarded: Marked as not to be used. Discarding never deletes.
-    """
-
-    success: bool | None = None
-    falls: int = 0
-    operator_reset: bool = False
-    estop: bool = False
-    discarded: bool = False
-
-
-class Recorder(msgspec.Struct, kw_only=True):
-    """How it was recorded.
-
-    Attributes:
-        backend: Tap that was used: ``replication``, ``notifications`` or ``poll``.
-        is_lossless: Whether that tap can promise every write.
-        bus: Address of the bus, without credentials.
-        restarts: How often a recorder took this episode up again.
-        messages, bytes: Messages in the file, and its size on disk.
-        dropped: Writes that arrived and could not be kept (full queue, failed disk).
-        lag_p50_ms, lag_p99_ms: From arrival of a write to its place in the file [ms].
-        software: Version and revision of the recorder's code.
-        config: Its configuration.
-        ended_by: Why the episode ended: ``stop``, ``discard``, ``shutdown``, ``bus-lost`` or a disk error.
-    """
-
-    backend: str = ""
-    is_lossless: bool = False
-    bus: str = ""
-    restarts: int = 0
-    messages: int = 0
-    bytes: int = 0
-    dropped: int = 0
-    lag_p50_ms: float | None = None
-    lag_p99_ms: float | None = None
-    software: dict[str, Any] = {}
-    config: dict[str, Any] = {}
-    ended_by: str = ""
 
 
 class Manifest(msgspec.Struct, kw_only=True):
@@ -251,7 +109,9 @@ def load_manifest(path: Path) -> Manifest:
     try:
         data = file.read_bytes()
     except OSError as error:
-        raise EpisodeError(f"{file}: cannot read the manifest: {error.strerror}; is this the folder of an episode?") from error
+        raise EpisodeError(
+            f"{file}: cannot read the manifest: {error.strerror}; is this the folder of an episode?"
+        ) from error
     return parse_manifest(data, str(file))
 
 
@@ -262,7 +122,7 @@ def parse_manifest(data: bytes, name: str) -> Manifest:
         EpisodeError: not YAML, or a field of the wrong type.
     """
     try:
-        document = yaml.load(data, Loader=_Loader)  # noqa: S506  (a safe loader in C)
+        document = yaml.load(data, Loader=_Loader)
     except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
         raise EpisodeError(f"{name}: not YAML: {' '.join(str(error).split())[:200]}") from error
     if not isinstance(document, dict):
@@ -302,7 +162,7 @@ def dump_manifest(manifest: Manifest) -> bytes:
 
 def snapshot(manifest: Manifest) -> Manifest:
     """Return a copy that later changes of the original do not reach."""
-    return copy.deepcopy(manifest)
+    return msgspec.convert(msgspec.to_builtins(manifest), Manifest)
 
 
 def _foreign_keys(document: dict[Any, Any], kind: type[msgspec.Struct]) -> dict[str, Any]:

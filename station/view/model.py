@@ -23,6 +23,11 @@ class RobotModel:
     Args:
         path: MJCF file.
 
+    Attributes:
+        bodies: Names of the bodies, the world left out.
+        shapes: What is to be seen of them.
+        visible: Bodies that have a shape.
+
     Raises:
         BadFile: MuJoCo cannot read it, or its first joint is not a free one.
     """
@@ -40,6 +45,7 @@ class RobotModel:
         self._address = {self._model.joint(i).name: int(self._model.jnt_qposadr[i]) for i in range(self._model.njnt)}
         self.bodies: tuple[str, ...] = tuple(self._model.body(i).name for i in range(1, self._model.nbody))
         self.shapes: list[Shape] = shapes(self._model)
+        self.visible: frozenset[str] = frozenset(shape.body for shape in self.shapes)
 
     def knows(self, joint: str) -> bool:
         """Whether the model has a joint of this name (the wire leaves out MJCF's ``_joint``)."""

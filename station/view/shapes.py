@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import mujoco
 import numpy as np
@@ -70,7 +70,7 @@ def _shape(model: Any, geom: int) -> Shape:
     size = np.array(model.geom_size[geom], dtype=np.float64)
     if int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_SPHERE):
         size = np.full(3, size[0])
-    vertices, faces = _mesh(model, int(model.geom_dataid[geom])) if kind == "mesh" else (np.empty((0, 3)), _NO_FACES)
+    mesh = _mesh(model, int(model.geom_dataid[geom])) if kind == "mesh" else _NO_MESH
     material = int(model.geom_matid[geom])
     rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
     return Shape(
@@ -80,43 +80,48 @@ def _shape(model: Any, geom: int) -> Shape:
         quat_wxyz=np.array(model.geom_quat[geom]),
         size=size,
         rgba=np.asarray(np.clip(rgba, 0, 1) * 255).astype(np.uint8),
-        vertices=vertices,
-        normals=_normals(vertices, faces),
-        faces=faces,
+        vertices=mesh.vertices,
+        normals=mesh.normals,
+        faces=mesh.faces,
     )
 
 
-_NO_FACES: NDArray[np.int64] = np.empty((0, 3), dtype=np.int64)
+class Mesh(NamedTuple):
+    """Corners, shape (v, 3) [m], outward normals at them, and triangles as indices of corners, shape (f, 3)."""
+
+    vertices: Floats
+    normals: Floats
+    faces: NDArray[np.int64]
 
 
-def _mesh(model: Any, mesh: int) -> tuple[Floats, NDArray[np.int64]]:
+_NO_MESH = Mesh(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3), dtype=np.int64))
+
+
+def _mesh(model: Any, mesh: int) -> Mesh:
     start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     first, number = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     vertices = np.array(model.mesh_vert[start : start + count], dtype=np.float64)
     faces = np.array(model.mesh_face[first : first + number], dtype=np.int64)
-    return clustered(vertices, faces, _CELL_M)
+    return clustered(Mesh(vertices, _normals(vertices, faces), faces), _CELL_M)
 
 
-def clustered(vertices: Floats, faces: NDArray[np.int64], cell_m: float) -> tuple[Floats, NDArray[np.int64]]:
-    """Merge the vertices of a mesh that share a cell of a grid, and drop the triangles that vanish with that.
+def clustered(mesh: Mesh, cell_m: float) -> Mesh:
+    """Merge the vertices that share a cell of a grid, edge [m], and drop the triangles that vanish with that.
 
-    Args:
-        vertices: Shape (v, 3) [m].
-        faces: Shape (f, 3).
-        cell_m: Edge of a cell [m].
-
-    Returns:
-        Vertices, each the mean of its cell, and faces.
+    A vertex becomes the mean of its cell, and so does its normal: light falls as on the mesh it came from.
     """
-    cells = np.floor(vertices / cell_m).astype(np.int64)
+    cells = np.floor(mesh.vertices / cell_m).astype(np.int64)
     _, owner = np.unique(cells, axis=0, return_inverse=True)
     owner = owner.reshape(-1)
-    counts = np.bincount(owner)
-    merged = np.stack([np.bincount(owner, weights=vertices[:, axis]) / counts for axis in range(3)], axis=1)
-    kept = owner[faces]
+    counts = np.bincount(owner)[:, None]
+    vertices, normals = (
+        np.stack([np.bincount(owner, weights=values[:, axis]) for axis in range(3)], axis=1) / counts
+        for values in (mesh.vertices, mesh.normals)
+    )
+    kept = owner[mesh.faces]
     a, b, c = kept.T
     kept = kept[(a != b) & (b != c) & (a != c)]
-    return merged, np.unique(kept, axis=0) if len(kept) else kept
+    return Mesh(vertices, _unit(normals), np.unique(kept, axis=0) if len(kept) else kept)
 
 
 def _normals(vertices: Floats, faces: NDArray[np.int64]) -> Floats:
@@ -126,5 +131,9 @@ def _normals(vertices: Floats, faces: NDArray[np.int64]) -> Floats:
     across = np.cross(b - a, c - a)
     for corner in range(3):
         np.add.at(total, faces[:, corner], across)
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.asarray(np.divide(total, length, out=np.zeros_like(total), where=length > 0))
+    return _unit(total)
+
+
+def _unit(vectors: Floats) -> Floats:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0))

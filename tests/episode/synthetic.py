@@ -66,10 +66,19 @@ class EpisodeBuilder:
         """A plain `SET` by a stock script."""
         self._add(self._channel(key, "", "foreign", value), value, at_s, at_s, self.skip(key, writer="foreign"))
 
+    def delete(self, key: str, *, at_s: float) -> None:
+        """A key that somebody deleted."""
+        channel = self._channels.get((key, "", "deleted"))
+        if channel is None:
+            metadata = {"source": "", "writer": "foreign", "contract": "none"}
+            channel = int(self._writer.register_channel(key, "application/x-deleted", 0, metadata))
+            self._channels[key, "", "deleted"] = channel
+        self._add(channel, b"", at_s, at_s, self.skip(key, writer="deleted"))
+
     def event(self, name: str, *, at_s: float, severity: str = "info", source: str = "g1", **numbers: Any) -> None:
         """One event on the bus."""
         wall = WALL_START_NS + round(at_s * 1e9)
-        value = {"name": name, "severity": severity, "source": source, "wall_ns": wall, **numbers}
+        value = {"name": name, "severity": severity, "source": source, "wall_ns": wall, "detail": numbers}
         self.write({keys.EVENT: json.dumps(value).encode()}, at_s=at_s, writer=source)
 
     def finish(self, manifest: Mapping[str, Any] | None = None, *, torn: bool = False) -> Path:
@@ -86,7 +95,13 @@ class EpisodeBuilder:
         return self.folder
 
     def _manifest(self, extra: Mapping[str, Any]) -> dict[str, Any]:
-        return {"episode_id": self.episode_id, "task": {"name": self._task, "instruction": "walk"}, **extra}
+        return {
+            "episode_id": self.episode_id,
+            "state": "finished",
+            "task": {"name": self._task, "instruction": "walk"},
+            "recorder": {"backend": "replication", "is_lossless": True},
+            **extra,
+        }
 
     def _channel(self, key: str, source: str, writer: str, value: bytes) -> int:
         found = self._channels.get((key, source, writer))

@@ -13,7 +13,7 @@ from station.bus.tap.base import PROBE, Backend, Position, Write, connect, key_n
 from station.errors import BusError
 
 RATE_HZ = 200.0
-_SCAN_PERIOD_S = 0.5  # how long a new key can stay unseen
+_SCAN_PERIOD_S = 0.1  # how long a new key can stay unseen
 _SCAN_COUNT = 1000
 _ARM_TIMEOUT_S = 5.0
 

@@ -13,7 +13,7 @@ import pytest
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
 from station.bus.redis_server import RedisServer, ServerOptions
-from station.bus.tap import Position, Write
+from station.bus.tap import Position, Write, notifications
 from station.bus.tap.base import TapRefused
 from station.bus.tap.notifications import NotificationTap
 from station.errors import BusError
@@ -114,8 +114,9 @@ def test_user_who_may_not_configure_can_use_notifications_that_are_on(
 
 
 def test_notifications_that_are_off_and_may_not_be_switched_on_are_refused(
-    bus_server: BusAddress, writer: Connection
+    bus_server: BusAddress, writer: Connection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(notifications, "_ARM_TIMEOUT_S", 0.3)
     writer.call("CONFIG", "SET", "notify-keyspace-events", "")
     writer.call("ACL", "SETUSER", "default", "-config")
     with pytest.raises(TapRefused, match="notifications"):
@@ -135,7 +136,10 @@ def test_resumption_is_answered_with_a_hole(bus_server: BusAddress) -> None:
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
-def test_killed_or_frozen_server_is_an_error(tmp_path_factory: pytest.TempPathFactory, how: signal.Signals) -> None:
+def test_killed_or_frozen_server_is_an_error(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch, how: signal.Signals
+) -> None:
+    monkeypatch.setattr(notifications, "_IDLE_CHECK_S", 0.3)
     folder = tmp_path_factory.mktemp("gone")
     with RedisServer.start(ServerOptions(folder=folder, socket=folder / "bus.sock")) as server:
         tap = NotificationTap(server.address)

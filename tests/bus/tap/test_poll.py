@@ -89,6 +89,7 @@ def test_killed_or_frozen_server_is_an_error(tmp_path_factory: pytest.TempPathFa
     folder = tmp_path_factory.mktemp("gone")
     with RedisServer.start(ServerOptions(folder=folder, socket=folder / "bus.sock")) as server:
         tap = PollTap(server.address)
+        tap._connection.set_timeout(0.5)
         os.kill(server.pid, how)
         with pytest.raises(BusError):
             wait_until(lambda: tap.read(0.1) is None)

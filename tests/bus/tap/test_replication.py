@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import random
 import signal
+import socket
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import msgspec
@@ -224,11 +226,10 @@ def test_hole_after_the_backlog_overran_is_told(bus_server: BusAddress, writer: 
 
 def test_restart_of_the_server_is_a_hole(tmp_path_factory: pytest.TempPathFactory) -> None:
     folder = tmp_path_factory.mktemp("again")
-    options = ServerOptions(folder=folder, socket=folder / "bus.sock")
-    with RedisServer.start(options) as server:
+    with _server(folder) as server:
         tap = ReplicationTap(server.address)
         tap.close()
-    with RedisServer.start(options) as server:
+    with _server(folder) as server:
         tap = ReplicationTap(server.address, tap.position())
         assert tap.resumed is False
         tap.close()
@@ -240,10 +241,33 @@ def test_position_of_a_stranger_is_a_hole(bus_server: BusAddress) -> None:
     tap.close()
 
 
+def test_server_that_took_over_continues_the_history_under_a_new_id(tmp_path_factory: pytest.TempPathFactory) -> None:
+    port = _free_port()
+    first_folder, second_folder = tmp_path_factory.mktemp("first"), tmp_path_factory.mktemp("second")
+    options = ServerOptions(folder=first_folder, socket=first_folder / "bus.sock", tcp_port=port)
+    with RedisServer.start(options) as first, _server(second_folder) as second:
+        tap = ReplicationTap(first.address)
+        with closing(Connection(second.address, timeout_s=5.0)) as heir:
+            heir.call("REPLICAOF", "127.0.0.1", port)
+            wait_until(lambda: _info(heir).get("master_link_status") == "up")
+            tap.read(0.0)
+            tap.close()
+            position = tap.position()
+            wait_until(lambda: int(_info(heir)["slave_repl_offset"]) >= position.offset)
+            heir.call("REPLICAOF", "NO", "ONE")
+            heir.call("SET", "a", "heir")
+            tap = ReplicationTap(second.address, position)
+            assert tap.resumed is True
+            assert tap.position().replication_id == _info(heir)["master_replid"] != position.replication_id
+            assert _content(_read(tap, 1)) == [("a", b"heir", None)]
+            tap.close()
+
+
 def test_link_lives_on_while_nobody_writes_and_nobody_reads(
     tap: ReplicationTap, writer: Connection, collect: Collect
 ) -> None:
     writer.call("CONFIG", "SET", "repl-timeout", 2)
+    tap._link.silence_limit_s = 2.5  # a reader that was held up must not take its own absence for the server's
     time.sleep(5.0)  # two and a half times as long as a link without acknowledgements may live
     writer.call("SET", "a", "1")
     assert _content(collect(tap)) == [("a", b"1", None)]
@@ -302,7 +326,7 @@ def test_frozen_server_is_an_error(tmp_path_factory: pytest.TempPathFactory) -> 
 
 def test_quiet_bus_is_not_taken_for_a_frozen_one(tap: ReplicationTap) -> None:
     tap._link.silence_limit_s = 2.5  # the server's keep-alive comes every second
-    until = time.monotonic() + 3.5
+    until = time.monotonic() + 3.0
     while time.monotonic() < until:
         assert tap.read(0.2) == []
 
@@ -321,12 +345,8 @@ def test_read_waits_no_longer_than_it_was_told(tap: ReplicationTap) -> None:
 
 
 def test_tap_over_tcp_sees_the_same(tmp_path_factory: pytest.TempPathFactory) -> None:
-    import socket
-
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        port = probe.getsockname()[1]
     folder = tmp_path_factory.mktemp("tcp")
-    with RedisServer.start(ServerOptions(folder=folder, socket=None, tcp_port=port)) as server:
+    with RedisServer.start(ServerOptions(folder=folder, socket=None, tcp_port=_free_port())) as server:
         tap = ReplicationTap(server.address)
         writer = Connection(server.address, timeout_s=5.0)
         written = _random_writes(500)
@@ -389,6 +409,11 @@ def _read_until_lost(tap: ReplicationTap) -> None:
 def _info(connection: Connection) -> dict[str, str]:
     lines = connection.call("INFO", "replication").decode() + connection.call("INFO", "stats").decode()
     return dict(line.split(":", 1) for line in lines.splitlines() if ":" in line)
+
+
+def _free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        return int(probe.getsockname()[1])
 
 
 def _server(folder: Path) -> RedisServer:

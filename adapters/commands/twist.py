@@ -1,0 +1,49 @@
+"""TWIST's whole-body command: 33 numbers on ``action_mimic_g1``.
+
+| index | element |
+|---|---|
+| 0 | root height above ground [m] |
+| 1, 2, 3 | roll, pitch, yaw [rad]; yaw is absolute, in the motion's world |
+| 4, 5, 6 | root velocity x, y, z in the root frame [m/s] |
+| 7 | yaw rate about the root's z [rad/s] |
+| 8-32 | 25 joint positions in the order of `station.bus.joints.G1_25` [rad]; the wrist rolls bypass the policy |
+
+Source: YanjieZe/TWIST, motion server and low-level servers.
+"""
+
+from __future__ import annotations
+
+import math
+
+from adapters.commands.body import Bound, body_command, standing
+from adapters.commands.twist2 import TILT, VELOCITY, YAW_RATE
+from station.bus import joints, keys
+from station.protocols import Reference
+from station.rotations import roll_pitch_yaw
+
+
+def _head(reference: Reference) -> list[float]:
+    rotation = roll_pitch_yaw(reference.root_quat_wxyz).tolist()
+    velocity = reference.root_lin_vel.tolist()
+    return [float(reference.root_pos[2]), *rotation, *velocity, float(reference.root_ang_vel[2])]
+
+
+FORMAT = body_command(
+    name="twist",
+    robot=keys.TWIST_ROBOT,
+    key=keys.action_mimic(),
+    companions={keys.action_hands(): 14},
+    bounds=(
+        Bound(0.793, 0.2, 1.2, 0.1),
+        TILT,
+        TILT,
+        Bound(0.0, -math.pi, math.pi, 0.1),
+        VELOCITY,
+        VELOCITY,
+        VELOCITY,
+        YAW_RATE,
+    ),
+    joint_names=joints.G1_25,
+    default_pose=standing(shoulder_roll=0.2),
+    head=_head,
+)

@@ -1,0 +1,41 @@
+"""TWIST2's whole-body command: 35 numbers on ``action_body_unitree_g1_with_hands``.
+
+| index | element |
+|---|---|
+| 0, 1 | root velocity x, y in the root frame [m/s] |
+| 2 | root height above ground [m] |
+| 3, 4 | roll, pitch [rad] |
+| 5 | yaw rate about the root's z [rad/s] |
+| 6-34 | 29 joint positions in the order of `station.bus.joints.G1_29` [rad] |
+
+Heading and place are not commanded: they drift freely. Source: amazon-far/TWIST2, motion and teleoperation servers.
+"""
+
+from __future__ import annotations
+
+from adapters.commands.body import Bound, body_command, standing
+from station.bus import joints, keys
+from station.protocols import Reference
+from station.rotations import roll_pitch_yaw
+
+
+def _head(reference: Reference) -> list[float]:
+    roll, pitch, _ = roll_pitch_yaw(reference.root_quat_wxyz).tolist()
+    velocity_x, velocity_y, _ = reference.root_lin_vel.tolist()
+    return [velocity_x, velocity_y, float(reference.root_pos[2]), roll, pitch, float(reference.root_ang_vel[2])]
+
+
+VELOCITY = Bound(default=0.0, lower=-3.0, upper=3.0, margin=1.0)
+TILT = Bound(default=0.0, lower=-1.3, upper=1.3, margin=0.2)
+YAW_RATE = Bound(default=0.0, lower=-6.0, upper=6.0, margin=3.0)
+
+FORMAT = body_command(
+    name="twist2",
+    robot=keys.TWIST2_ROBOT,
+    key=keys.action_body(),
+    companions={keys.action_hand("left"): 7, keys.action_hand("right"): 7, keys.action_neck(): 2},
+    bounds=(VELOCITY, VELOCITY, Bound(0.8, 0.2, 1.2, 0.1), TILT, TILT, YAW_RATE),
+    joint_names=joints.G1_29,
+    default_pose=standing(shoulder_roll=0.4),
+    head=_head,
+)

@@ -1,0 +1,95 @@
+"""Our own motion file: a numpy ``.npz`` archive (compressed, no pickle inside) with five members.
+
+| member | shape, type | content |
+|---|---|---|
+| ``fps`` | (), float64 | frames per second; need not be whole |
+| ``root_pos`` | (n, 3) float64 | position of the pelvis in the motion's world, z up from the ground [m] |
+| ``root_quat_wxyz`` | (n, 4) float64 | orientation of the pelvis in that world |
+| ``joint_pos`` | (n, k) float64 | joint positions [rad] |
+| ``joint_names`` | (k,) text | names of the columns, as in `station.bus.joints.G1_29`; wrists may be absent |
+
+Members beyond these are ignored, so a writer may add what it likes.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adapters.motions import raw
+from station.errors import BadFile
+from station.protocols import Floats
+
+_MEMBERS = ("fps", "root_pos", "root_quat_wxyz", "joint_pos", "joint_names")
+
+
+def load(path: Path, *, fps: float | None = None) -> raw.RawMotion:
+    """Read a motion.
+
+    Args:
+        path: The file.
+        fps: Takes the place of the rate in the file.
+
+    Raises:
+        BadFile: missing, torn, too large, or without these members.
+    """
+    members = _members(path, raw.read_bytes(path))
+    names = members["joint_names"]
+    if names.ndim != 1 or names.dtype.kind != "U":
+        raise BadFile(f"{path}: joint_names is {names.dtype} of shape {names.shape}; expected a list of text")
+    if members["fps"].size != 1:
+        raise BadFile(f"{path}: fps has shape {members['fps'].shape}; expected one number")
+    return raw.build(
+        path,
+        format="npz",
+        fps=members["fps"].reshape(-1)[0] if fps is None else fps,
+        root_pos=members["root_pos"],
+        root_quat_wxyz=members["root_quat_wxyz"],
+        q=members["joint_pos"],
+        joint_names=tuple(names.tolist()),
+    )
+
+
+def save(
+    path: Path, *, fps: float, root_pos: Floats, root_quat_wxyz: Floats, joint_pos: Floats, joint_names: Sequence[str]
+) -> None:
+    """Write a motion; shapes and units as in the table above.
+
+    Raises:
+        BadFile: what would be written could not be read back.
+    """
+    raw.build(
+        path, format="npz", fps=fps, root_pos=root_pos, root_quat_wxyz=root_quat_wxyz, q=joint_pos,
+        joint_names=tuple(joint_names),
+    )  # fmt: skip
+    with path.open("wb") as stream:  # a stream, because numpy would add a suffix to a path without one
+        np.savez_compressed(
+            stream,
+            fps=np.float64(fps),
+            root_pos=root_pos,
+            root_quat_wxyz=root_quat_wxyz,
+            joint_pos=joint_pos,
+            joint_names=np.array(joint_names, dtype=np.str_),
+        )
+
+
+def _members(path: Path, data: bytes) -> dict[str, np.ndarray[Any, Any]]:
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+        if unpacked > raw.MAX_BYTES:
+            raise BadFile(f"{path}: {unpacked / 1e6:.0f} MB unpacked, at most {raw.MAX_BYTES / 1e6:.0f} MB are read")
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            missing = [name for name in _MEMBERS if name not in archive.files]
+            if missing:
+                raise BadFile(f"{path}: has no member {missing[0]!r}; expected {', '.join(_MEMBERS)}")
+            return {name: archive[name] for name in _MEMBERS}
+    except (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, KeyError, NotImplementedError) as error:
+        reason = " ".join(str(error).split())[:100]
+        raise BadFile(f"{path}: not a readable .npz motion ({reason}); fetch or export it again") from error

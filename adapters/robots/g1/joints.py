@@ -1,0 +1,98 @@
+"""The 29 joints of the Unitree G1: axis, range, effort, speed and armature, in Unitree's motor order 0-28.
+
+Source: ``g1_29dof_rev_1_0`` of unitree_rl_gym (ranges, efforts, speeds; the same ranges stand in TWIST2's
+``g1_sim2sim_29dof.xml``); armatures are the rotor inertias of the four motor types, as in mjlab's constants.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from station.protocols import Floats
+
+# Rotor inertia seen at the joint [kg m^2]; ankles, waist roll and waist pitch are driven by two 5020 each.
+_MOTOR_5020 = 0.003609725
+_MOTOR_7520_14 = 0.01017752
+_MOTOR_7520_22 = 0.025101925
+_MOTOR_4010 = 0.00425
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """One joint.
+
+    Attributes:
+        name: Name on the wire, as in `station.bus.joints`.
+        axis: Axis in the frame of its own link.
+        lower, upper: Range [rad].
+        effort_nm: Greatest torque [N m].
+        velocity_rad_s: Greatest speed [rad/s].
+        armature: Rotor inertia seen at the joint [kg m^2].
+    """
+
+    name: str
+    axis: Literal["x", "y", "z"]
+    lower: float
+    upper: float
+    effort_nm: float
+    velocity_rad_s: float
+    armature: float
+
+    @property
+    def mjcf_name(self) -> str:
+        """Name in Unitree's MJCF and URDF files."""
+        return f"{self.name}_joint"
+
+
+JOINTS: tuple[Joint, ...] = (
+    Joint("left_hip_pitch", "y", -2.5307, 2.8798, 88.0, 32.0, _MOTOR_7520_14),
+    Joint("left_hip_roll", "x", -0.5236, 2.9671, 139.0, 20.0, _MOTOR_7520_22),
+    Joint("left_hip_yaw", "z", -2.7576, 2.7576, 88.0, 32.0, _MOTOR_7520_14),
+    Joint("left_knee", "y", -0.087267, 2.8798, 139.0, 20.0, _MOTOR_7520_22),
+    Joint("left_ankle_pitch", "y", -0.87267, 0.5236, 50.0, 37.0, 2 * _MOTOR_5020),
+    Joint("left_ankle_roll", "x", -0.2618, 0.2618, 50.0, 37.0, 2 * _MOTOR_5020),
+    Joint("right_hip_pitch", "y", -2.5307, 2.8798, 88.0, 32.0, _MOTOR_7520_14),
+    Joint("right_hip_roll", "x", -2.9671, 0.5236, 139.0, 20.0, _MOTOR_7520_22),
+    Joint("right_hip_yaw", "z", -2.7576, 2.7576, 88.0, 32.0, _MOTOR_7520_14),
+    Joint("right_knee", "y", -0.087267, 2.8798, 139.0, 20.0, _MOTOR_7520_22),
+    Joint("right_ankle_pitch", "y", -0.87267, 0.5236, 50.0, 37.0, 2 * _MOTOR_5020),
+    Joint("right_ankle_roll", "x", -0.2618, 0.2618, 50.0, 37.0, 2 * _MOTOR_5020),
+    Joint("waist_yaw", "z", -2.618, 2.618, 88.0, 32.0, _MOTOR_7520_14),
+    Joint("waist_roll", "x", -0.52, 0.52, 50.0, 37.0, 2 * _MOTOR_5020),
+    Joint("waist_pitch", "y", -0.52, 0.52, 50.0, 37.0, 2 * _MOTOR_5020),
+    Joint("left_shoulder_pitch", "y", -3.0892, 2.6704, 25.0, 37.0, _MOTOR_5020),
+    Joint("left_shoulder_roll", "x", -1.5882, 2.2515, 25.0, 37.0, _MOTOR_5020),
+    Joint("left_shoulder_yaw", "z", -2.618, 2.618, 25.0, 37.0, _MOTOR_5020),
+    Joint("left_elbow", "y", -1.0472, 2.0944, 25.0, 37.0, _MOTOR_5020),
+    Joint("left_wrist_roll", "x", -1.97222, 1.97222, 25.0, 37.0, _MOTOR_5020),
+    Joint("left_wrist_pitch", "y", -1.61443, 1.61443, 5.0, 22.0, _MOTOR_4010),
+    Joint("left_wrist_yaw", "z", -1.61443, 1.61443, 5.0, 22.0, _MOTOR_4010),
+    Joint("right_shoulder_pitch", "y", -3.0892, 2.6704, 25.0, 37.0, _MOTOR_5020),
+    Joint("right_shoulder_roll", "x", -2.2515, 1.5882, 25.0, 37.0, _MOTOR_5020),
+    Joint("right_shoulder_yaw", "z", -2.618, 2.618, 25.0, 37.0, _MOTOR_5020),
+    Joint("right_elbow", "y", -1.0472, 2.0944, 25.0, 37.0, _MOTOR_5020),
+    Joint("right_wrist_roll", "x", -1.97222, 1.97222, 25.0, 37.0, _MOTOR_5020),
+    Joint("right_wrist_pitch", "y", -1.61443, 1.61443, 5.0, 22.0, _MOTOR_4010),
+    Joint("right_wrist_yaw", "z", -1.61443, 1.61443, 5.0, 22.0, _MOTOR_4010),
+)
+"""Every joint, in the order of `station.bus.joints.G1_29`."""
+
+_BY_NAME = {joint.name: joint for joint in JOINTS}
+
+
+def select(names: tuple[str, ...]) -> tuple[Joint, ...]:
+    """Return the joints of these names, in their order."""
+    return tuple(_BY_NAME[name] for name in names)
+
+
+def lower(names: tuple[str, ...]) -> Floats:
+    """Return the lower ends of the ranges of these joints [rad]."""
+    return np.array([joint.lower for joint in select(names)])
+
+
+def upper(names: tuple[str, ...]) -> Floats:
+    """Return the upper ends of the ranges of these joints [rad]."""
+    return np.array([joint.upper for joint in select(names)])

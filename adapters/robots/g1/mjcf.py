@@ -1,0 +1,92 @@
+"""A G1 model file made ready for the station: every joint a position servo, explicit integration, a floor.
+
+The engine's servo computes ``kp ctrl - kp q - kd dq`` from the state at the top of each physics step and clips it, as
+the loops of TWIST and TWIST2 do in Python. With the Euler integrator that torque is explicit, so both give the same
+motion (`tests/adapters/robots/test_mujoco_g1.py` shows it), and the engine can take many steps in one call.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+
+from adapters.robots.g1.joints import select
+from station.bus.joints import G1_29
+
+# Clip of the stock TWIST2 simulation [N m], by the end of the joint's name; the model's own `actuatorfrcrange` clips
+# again after it. Source: facts of amazon-far/TWIST2, `server_low_level_g1_sim.py`.
+_TORQUE_CLIP_NM = {
+    "hip_pitch": 100.0,
+    "hip_roll": 100.0,
+    "hip_yaw": 100.0,
+    "knee": 150.0,
+    "ankle_pitch": 40.0,
+    "ankle_roll": 40.0,
+    "waist_yaw": 150.0,
+    "waist_roll": 150.0,
+    "waist_pitch": 150.0,
+    "shoulder_pitch": 40.0,
+    "shoulder_roll": 40.0,
+    "shoulder_yaw": 40.0,
+    "elbow": 40.0,
+    "wrist_roll": 4.0,
+    "wrist_pitch": 4.0,
+    "wrist_yaw": 4.0,
+}
+
+TORQUE_CLIP_NM = tuple(_TORQUE_CLIP_NM[name.removeprefix("left_").removeprefix("right_")] for name in G1_29)
+"""Greatest torque of each servo [N m], in the order of `G1_29`."""
+
+ROOT_BODY, FOOT_SUFFIX = "pelvis", "ankle_roll_link"
+
+
+def salt() -> bytes:
+    """What the outcome of `prepare` depends on beside the model file: this very code."""
+    return Path(__file__).read_bytes()
+
+
+def prepare(spec: mujoco.MjSpec) -> None:
+    """Change a parsed G1 model in place; gains start at zero and are set at run time.
+
+    Raises:
+        ValueError: a joint or the free joint of the pelvis is missing.
+    """
+    _check(spec)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    actuators = {actuator.target: actuator for actuator in spec.actuators}
+    for joint, limit in zip(select(G1_29), TORQUE_CLIP_NM, strict=True):
+        actuator = actuators.get(joint.mjcf_name) or spec.add_actuator(name=joint.mjcf_name, target=joint.mjcf_name)
+        _make_servo(actuator, limit)
+    if not _has_ground(spec):
+        spec.worldbody.add_geom(name="station_floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05])
+
+
+def _check(spec: mujoco.MjSpec) -> None:
+    named = {joint.name for joint in spec.joints}
+    missing = [joint.mjcf_name for joint in select(G1_29) if joint.mjcf_name not in named]
+    if missing:
+        raise ValueError(f"expected the 29 joints of a G1, {len(missing)} are missing: {', '.join(missing[:3])} …")
+    free = [joint for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+    if [joint.parent.name for joint in free] != [ROOT_BODY]:
+        raise ValueError(f"expected one free joint, that of the {ROOT_BODY}; came {len(free)}")
+
+
+def _make_servo(actuator: mujoco.MjsActuator, limit_nm: float) -> None:
+    actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+    actuator.gear = [1, 0, 0, 0, 0, 0]
+    actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
+    actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+    actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.gainprm[:] = 0
+    actuator.biasprm[:] = 0
+    actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    own = actuator.forcerange[1] if actuator.forcelimited == mujoco.mjtLimited.mjLIMITED_TRUE else limit_nm
+    actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    actuator.forcerange = [-min(own, limit_nm), min(own, limit_nm)]
+    actuator.inheritrange = 0
+
+
+def _has_ground(spec: mujoco.MjSpec) -> bool:
+    grounds = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
+    return any(geom.type in grounds and (geom.contype or geom.conaffinity) for geom in spec.worldbody.geoms)

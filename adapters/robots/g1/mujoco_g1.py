@@ -1,0 +1,230 @@
+"""A simulated Unitree G1: any MuJoCo model that has its 29 joints on a free pelvis."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from adapters.robots import model_cache
+from adapters.robots.g1 import mjcf
+from adapters.robots.g1.joints import select
+from adapters.robots.picture import Camera, Picture
+from station.assets import sha256
+from station.bus.joints import G1_29
+from station.errors import ConfigError, StationError
+from station.protocols import Fall, Floats, JointTargets, RobotState
+from station.rotations import tilt
+
+log = logging.getLogger(__name__)
+
+FALL_TILT_RAD = math.radians(60.0)
+"""A pelvis that leans more than this has fallen: what the pelvis IMU of the real robot sees, and recordings hold.
+
+Not the torso link: one of TWIST2's own clips bows it to 59.5° on purpose, with the pelvis at 30°.
+"""
+
+START_ROOT_POS = (0.0, 0.0, 0.793)
+_LEG = (-0.2, 0.0, 0.0, 0.4, -0.2, 0.0)
+START_Q = (*_LEG, *_LEG, 0, 0, 0, 0, 0.2, 0, 1.2, 0, 0, 0, 0, -0.2, 0, 1.2, 0, 0, 0)
+"""Joints at the start [rad], as in the stock simulation: the arms a little closer than in the policy's default."""
+
+_BAD_STATE = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+
+
+class MujocoG1:
+    """A G1 in MuJoCo; `write` applies targets for one control period and advances the physics by it.
+
+    Implements `station.protocols.Robot`. Torques follow ``kp (q_target - q) - kd dq`` in every physics step, clipped
+    as in the stock simulation. Not thread safe.
+
+    Args:
+        model: MJCF file with the joints of `station.bus.joints.G1_29` and a free joint.
+        physics_dt_s: Physics step [s]; the stock simulations use 0.001, training 0.002.
+        control_dt_s: Control period [s]; a whole number of physics steps.
+        viewer: Whether to open MuJoCo's window; needs a display.
+
+    Raises:
+        BadFile: no such file, or no such model.
+        ConfigError: the period is not a whole number of steps.
+        StationError: a viewer was asked for and there is no display.
+    """
+
+    def __init__(
+        self, model: Path, *, physics_dt_s: float = 0.001, control_dt_s: float = 0.02, viewer: bool = False
+    ) -> None:
+        self._steps = _whole_steps(control_dt_s, physics_dt_s)
+        self._path = Path(model)
+        mujoco.set_mju_user_warning(_log_warning)  # else MuJoCo prints and writes MUJOCO_LOG.TXT where we stand
+        self._model = model_cache.load(self._path, mjcf.prepare, salt=mjcf.salt())
+        self._model.opt.timestep = physics_dt_s
+        self._data = mujoco.MjData(self._model)
+        self._find_addresses()
+        self._kp, self._kd = np.zeros(len(G1_29)), np.zeros(len(G1_29))
+        self._camera: Camera | None = None
+        self.reset()
+        self._viewer = _open_viewer(self._model, self._data) if viewer else None
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The 29 joints in Unitree's motor order."""
+        return G1_29
+
+    @property
+    def qpos(self) -> Floats:
+        """Ground truth: root position [m], root quaternion wxyz, 29 joints [rad]; shape (36,)."""
+        return np.concatenate([self._data.qpos[self._root_q], self._data.qpos[self._q]])
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time since the last `reset` [s]."""
+        return float(self._data.time)
+
+    def reset(self) -> None:
+        """Put the robot back on its feet, at rest, in the start pose."""
+        mujoco.mj_resetData(self._model, self._data)
+        self._data.qpos[self._root_q] = (*START_ROOT_POS, 1.0, 0.0, 0.0, 0.0)
+        self._data.qpos[self._q] = START_Q
+        self._data.ctrl[self._u] = START_Q
+        mujoco.mj_forward(self._model, self._data)
+
+    def read(self) -> RobotState:
+        """Return the state of the simulation; the gyro is free of noise and filters."""
+        qpos, qvel = self._data.qpos, self._data.qvel
+        root = qpos[self._root_q]
+        return RobotState(
+            mono_ns=time.monotonic_ns(),
+            q=qpos[self._q],
+            dq=qvel[self._v],
+            quat_wxyz=root[3:].copy(),
+            gyro=qvel[self._gyro],  # MuJoCo keeps the angular velocity of a free joint in the body's own frame
+            root_pos=root[:3].copy(),
+        )
+
+    def write(self, targets: JointTargets) -> JointTargets:
+        """Hold targets for one control period; return them as applied.
+
+        Raises:
+            ValueError: a target or a gain is not finite.
+        """
+        if not (np.isfinite(targets.q).all() and np.isfinite(targets.kp).all() and np.isfinite(targets.kd).all()):
+            raise ValueError("joint targets must be finite")
+        self._set_gains(targets.kp, targets.kd)
+        self._data.ctrl[self._u] = targets.q
+        mujoco.mj_step(self._model, self._data, self._steps)
+        if self._viewer is not None:
+            self._viewer.sync()
+        return targets
+
+    def fallen(self) -> Fall | None:
+        """Return why the robot counts as fallen: a pelvis beyond 60°, or ground under anything but the feet.
+
+        Seen at the end of a control period: a touch that begins and ends within one is not.
+        """
+        tilt_rad = float(tilt(self._data.qpos[self._root_q][3:]))
+        touching = self._touching()
+        if any(self._data.warning[kind].number for kind in _BAD_STATE):  # MuJoCo has then put the model back to zero
+            return Fall(tilt_rad=math.pi, contacts=("unstable simulation",))
+        return Fall(tilt_rad, touching) if touching or tilt_rad > FALL_TILT_RAD else None
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a manifest says of this robot."""
+        return {
+            "backend": "mujoco",
+            "mujoco": mujoco.__version__,
+            "model": str(self._path),
+            "model_sha256": sha256(self._path),
+            "mass_kg": round(float(self._model.body_subtreemass[0]), 4),
+            "physics_dt_s": float(self._model.opt.timestep),
+            "control_dt_s": float(self._model.opt.timestep) * self._steps,
+            "torque_clip_nm": list(mjcf.TORQUE_CLIP_NM),
+            "pd": "engine servo, explicit (Euler)",
+            "has_hands": False,
+        }
+
+    def render(self, width: int = 640, height: int = 480, camera: str | None = None) -> Picture:
+        """Return a picture, shape (height, width, 3), RGB.
+
+        Args:
+            width, height: Size [px].
+            camera: Name of a camera of the model; None follows the robot.
+
+        Raises:
+            StationError: this machine cannot render, or there is no such camera.
+        """
+        if self._camera is None or (self._camera.width, self._camera.height) != (width, height):
+            if self._camera is not None:
+                self._camera.close()
+            self._camera = Camera(self._model, width, height)
+        return self._camera.take(self._data, camera)
+
+    def close(self) -> None:
+        """Close the window and the camera; a second call does nothing."""
+        if self._viewer is not None:
+            self._viewer.close()
+            self._viewer = None
+        if self._camera is not None:
+            self._camera.close()
+            self._camera = None
+
+    def _find_addresses(self) -> None:
+        model = self._model
+        joints = [model.joint(joint.mjcf_name) for joint in select(G1_29)]
+        self._q = np.array([joint.qposadr[0] for joint in joints])
+        self._v = np.array([joint.dofadr[0] for joint in joints])
+        servo_of = {int(model.actuator_trnid[u, 0]): u for u in range(model.nu)}
+        self._u = np.array([servo_of[joint.id] for joint in joints])
+        free = model.body(mjcf.ROOT_BODY).jntadr[0]
+        self._root_q = np.arange(7) + model.jnt_qposadr[free]
+        self._gyro = np.arange(3, 6) + model.jnt_dofadr[free]
+        feet = {body for body in range(model.nbody) if model.body(body).name.endswith(mjcf.FOOT_SUFFIX)}
+        self._may_touch = np.array([_is_part_of(model, body, feet) for body in range(model.nbody)])
+
+    def _set_gains(self, kp: Floats, kd: Floats) -> None:
+        if np.array_equal(kp, self._kp) and np.array_equal(kd, self._kd):
+            return
+        self._model.actuator_gainprm[self._u, 0] = kp
+        self._model.actuator_biasprm[self._u, 1] = -np.asarray(kp)
+        self._model.actuator_biasprm[self._u, 2] = -np.asarray(kd)
+        self._kp, self._kd = np.array(kp), np.array(kd)
+
+    def _touching(self) -> tuple[str, ...]:
+        """Names of the bodies other than the feet that touch the ground (the geoms of the world)."""
+        contacts = self._data.contact
+        bodies = self._model.geom_bodyid[contacts.geom[contacts.dist <= 0]]
+        bodies = bodies[(bodies == 0).sum(axis=1) == 1].max(axis=1, initial=0)
+        return tuple(sorted({self._model.body(body).name for body in bodies if not self._may_touch[body]}))
+
+
+def _log_warning(text: str) -> None:
+    log.warning("MuJoCo: %s", text)
+
+
+def _whole_steps(control_dt_s: float, physics_dt_s: float) -> int:
+    steps = round(control_dt_s / physics_dt_s) if physics_dt_s > 0 else 0
+    if steps < 1 or abs(steps * physics_dt_s - control_dt_s) > 1e-9:
+        raise ConfigError(
+            f"physics_dt_s {physics_dt_s}: expected a step that fits the control period of {control_dt_s} s "
+            "a whole number of times, for example 0.001 or 0.002"
+        )
+    return steps
+
+
+def _is_part_of(model: mujoco.MjModel, body: int, roots: set[int]) -> bool:
+    while body and body not in roots:
+        body = int(model.body_parentid[body])
+    return body in roots
+
+
+def _open_viewer(model: mujoco.MjModel, data: mujoco.MjData) -> Any:
+    import mujoco.viewer  # opens the window system's libraries
+
+    try:
+        return mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
+    except (RuntimeError, OSError) as error:
+        raise StationError(f"no viewer window ({error}); run without `viewer`, or watch with `station view`") from error

@@ -1,0 +1,55 @@
+"""``python -m benchmarks [NAME…] [--quick] [--write]``: measure, and print a table."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from benchmarks import report
+from benchmarks.harness import Benchmark, Settings
+from station.errors import did_you_mean
+
+MODULES = ("bus", "wake", "loop", "recorder", "effect", "sim", "reading")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run benchmarks; return 0 when each could be measured, whether or not a target was met."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    for name in options.names:
+        if name not in MODULES:
+            parser.error(f"no benchmark {name!r}{did_you_mean(name, MODULES)}; there are {', '.join(MODULES)}")
+    settings = Settings(quick=options.quick)
+    console, sections = Console(width=options.width), {}
+    command = " ".join(["python -m benchmarks", *options.names, *(["--quick"] if options.quick else [])])
+    for name in options.names or MODULES:
+        benchmark: Benchmark = importlib.import_module(f"benchmarks.{name}").BENCHMARK
+        if benchmark.needs_assets and settings.assets is None:
+            console.print(f"{benchmark.title}: left out, needs upstream data; set STATION_ASSETS")
+            continue
+        rows = benchmark.run(settings)
+        report.show(benchmark, rows, console)
+        sections[name] = report.section(benchmark, rows, command)
+        if options.write:  # after each one, so that a run that is cut short keeps what it has
+            report.write(options.page, sections, MODULES)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME",
+                        help=f"what to measure: {', '.join(MODULES)}; all by default")  # fmt: skip
+    parser.add_argument("--quick", action="store_true", help="show that everything works; the figures mean little")
+    parser.add_argument("--write", action="store_true", help="write the tables into docs/performance.md")
+    parser.add_argument("--page", type=Path, default=report.PAGE, help=argparse.SUPPRESS)
+    parser.add_argument("--width", type=int, default=None, help=argparse.SUPPRESS)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

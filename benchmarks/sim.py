@@ -1,0 +1,99 @@
+"""Benchmark: how fast the simulation runs when nothing holds it back."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from benchmarks import processes, stock
+from benchmarks.harness import Benchmark, Row, Settings, Target, alternate, compare
+from station import assets, registry
+from station.life.playback import Playback
+from station.life.rig import DEFAULT_CHECKPOINTS, DEFAULT_ROBOT_MODEL, RigConfig, build
+from station.protocols import Motion
+from station.rehearse import rehearse
+
+_MOTION = "twist2:motions/0807_yanjie_walk_001.pkl"
+_TORQUE_LIMIT_NM = [88.0, 139.0, 88.0, 139.0, 50.0, 50.0] * 2 + [88.0, 50.0, 50.0] + [25.0] * 14
+_PERIOD_S = 0.02
+
+METHOD = """\
+One TWIST2 motion through playback, command text, gate, policy and the meshed G1, free-running, loading left out: the
+`rehearse` of the command line, one process. Baseline: stock's loop as it steps 1 ms of physics at a time with PD in
+numpy before each, and its network with the runtime's default threads; its pacing sleep, viewer and bus are left out,
+to its advantage."""
+
+
+def run(settings: Settings) -> list[Row]:
+    """Measure."""
+    baseline = "stock loop, 1 ms"
+    with contextlib.ExitStack() as stack:
+        start = stack.enter_context
+        contenders = {
+            "1 ms": start(processes.Worker(ours, 0.001)),
+            "2 ms": start(processes.Worker(ours, 0.002)),
+            baseline: start(processes.Worker(theirs)),
+        }
+        taken = alternate({name: _turn(worker) for name, worker in contenders.items()}, settings.rounds)
+    at_1_ms, at_2_ms = taken["1 ms"], taken["2 ms"]
+    return [
+        compare("closed loop, physics at 1 ms", "x real time", at_1_ms, taken[baseline], baseline=baseline,
+                target=Target(limit=6.0, sense=">=")),
+        compare("closed loop, physics at 2 ms", "x real time", at_2_ms, taken[baseline], baseline=baseline,
+                target=Target(limit=6.0, sense=">=")),
+    ]  # fmt: skip
+
+
+@contextlib.contextmanager
+def ours(physics_dt_s: float) -> Iterator[Callable[[], float]]:
+    """Load our rig in this process; yields what rehearses and returns the speed."""
+    rig = build(RigConfig(physics_dt_s=physics_dt_s))
+    motion = _motion()
+
+    def act() -> float:
+        result = rehearse(motion, rig.policy, rig.robot, rig.form, period_s=rig.period_s)
+        return result.speed_x_realtime
+
+    yield act
+    rig.robot.close()
+
+
+@contextlib.contextmanager
+def theirs() -> Iterator[Callable[[], float]]:
+    """Load stock's loop in this process; yields what runs it on the same commands and returns the speed."""
+    policy = registry.find("policy", "twist2")(assets.resolve(DEFAULT_CHECKPOINTS["twist2"]))
+    spec = policy.spec
+    commands = _commands(_motion())
+
+    def act() -> float:
+        loop = stock.Simulation(
+            assets.resolve(DEFAULT_ROBOT_MODEL), spec.checkpoint, spec.default_q, spec.kp, spec.kd,
+            np.array(_TORQUE_LIMIT_NM),
+        )  # fmt: skip
+        return loop.run(commands)
+
+    yield act
+
+
+def _motion() -> Motion:
+    logging.getLogger("adapters").setLevel(logging.ERROR)  # what was trimmed is for the users of a motion
+    motion: Motion = registry.find("loader", "motion")(_MOTION)
+    return motion
+
+
+def _commands(motion: Motion) -> list[np.ndarray]:
+    form = registry.find("command", "twist2")
+    playback, found = Playback(motion, form), []
+    while not playback.is_done:
+        found.append(np.array(playback.step(_PERIOD_S).command))
+    return found
+
+
+def _turn(worker: processes.Worker) -> Callable[[], list[float]]:
+    return lambda: [worker.ask()]
+
+
+BENCHMARK = Benchmark(name="sim", title="Simulation speed", method=METHOD, run=run, needs_assets=True)

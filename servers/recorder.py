@@ -1,0 +1,220 @@
+"""The recorder: taps the bus, keeps every write, and turns requests into episodes on disk."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from station.bus import codec, keys
+from station.bus.tap import Tap, open_tap
+from station.config import to_plain
+from station.episode.claim import Claim
+from station.episode.folder import data_folder
+from station.episode.options import RecordingOptions
+from station.episode.progress import WriterOptions
+from station.episode.recording import Recording
+from station.errors import BusError
+from station.life.server import Life, ServerKind
+from station.software import software
+
+_READ_S = 0.02  # how long a due answer may wait for a write that does not come
+_STATE_PERIOD_S = 0.5
+_ANSWER_SPACING_S = 0.02  # two answers at once would overwrite each other before the first asker has read
+_RETRY_S = 0.2
+_CLOSE_S = 8.0  # a supervisor kills after 15 s, its own death after 10
+_SWITCH_S = 0.001  # Python's 5 ms between threads would stand in the arrival times
+
+
+class RecorderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Configuration of the recorder.
+
+    Attributes:
+        data: Folder of episodes; None: ``$STATION_DATA``, else ``./data``.
+        task: Name of the task where a request gives none.
+        preroll_s: How much of what came before the start belongs to an episode [s]; 0 for nothing.
+        preroll_mb: Bound of the memory for that [MB].
+        backend: Tap to use; None probes for the best.
+        flush_s: Time between two flushes to the disk [s]: what a killed recorder loses.
+        flush_kb: Size that makes a flush come sooner [kB].
+        queue_mb: What may wait for a slow disk [MB]; beyond it writes are dropped and counted.
+        min_free_mb: Free disk space below which no episode starts [MB].
+        resume_s: How long an episode stays open while the bus is gone [s].
+    """
+
+    data: Path | None = None
+    task: str = "untitled"
+    preroll_s: float = 2.0
+    preroll_mb: float = 256.0
+    backend: Literal["replication", "notifications", "poll"] | None = None
+    flush_s: float = 0.5
+    flush_kb: float = 256.0
+    queue_mb: float = 128.0
+    min_free_mb: float = 500.0
+    resume_s: float = 5.0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot work."""
+        for name in ("preroll_s", "preroll_mb", "min_free_mb", "resume_s"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
+        for name in ("flush_s", "flush_kb", "queue_mb"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected more than 0")
+
+    @property
+    def options(self) -> RecordingOptions:
+        """The same for the recording itself."""
+        return RecordingOptions(
+            data=data_folder(self.data).absolute(),
+            preroll_s=self.preroll_s,
+            preroll_bytes=int(self.preroll_mb * 1e6),
+            min_free_mb=self.min_free_mb,
+            task=self.task,
+            writer=WriterOptions(
+                flush_s=self.flush_s, flush_bytes=int(self.flush_kb * 1e3), queue_bytes=int(self.queue_mb * 1e6)
+            ),
+            config=to_plain(self),
+        )
+
+
+def main(config: RecorderConfig, life: Life) -> int:
+    """Run until asked to stop; an open episode is then closed."""
+    options = config.options
+    sys.setswitchinterval(_SWITCH_S)
+    with Claim(options.data, life.bus):
+        recorder = _Recorder(config, options, life)
+        try:
+            life.configured(recorder.facts())
+            if not life.ready():
+                return 0
+            while not life.stopping:
+                recorder.step()
+            return recorder.close()
+        finally:
+            recorder.hang_up()
+
+
+class _Recorder:
+    """A recording, the tap that feeds it, and the bus that it answers on."""
+
+    def __init__(self, config: RecorderConfig, options: RecordingOptions, life: Life) -> None:
+        self._config = config
+        self._life = life
+        self._tap: Tap = open_tap(life.bus.address, backend=config.backend)
+        self._heard_ns = time.monotonic_ns()
+        self.recording = Recording(
+            options, backend=self._tap.backend, is_lossless=self._tap.is_lossless, bus=str(life.bus.address)
+        )
+        self._state_due = self._answer_due = 0.0
+        self._seed()
+
+    def facts(self) -> dict[str, Any]:
+        """What this server states that it runs."""
+        return {
+            "server": self._life.name,
+            "role": KIND.role,
+            "backend": self._tap.backend,
+            "is_lossless": self._tap.is_lossless,
+            "data": str(self.recording.options.data),
+            "software": msgspec.to_builtins(software()),
+            "config": to_plain(self._config),
+        }
+
+    def step(self) -> None:
+        """Take in what arrived, and say what is due."""
+        try:
+            writes = self._tap.read(_READ_S)
+        except BusError as error:
+            self._tap_again(error)
+            return
+        self._heard_ns = time.monotonic_ns()
+        if writes:
+            self.recording.feed(writes, self._tap.position())
+        self.recording.not_mirrored(getattr(self._tap, "not_mirrored", 0))
+        self.recording.poll()
+        self._speak()
+
+    def close(self) -> int:
+        """Close the open episode and give the last answers; returns the exit code."""
+        is_closed = self.recording.close(_CLOSE_S)
+        if not is_closed:
+            self._life.event("recorder-not-closed", severity="error", waited_s=_CLOSE_S)
+        self._say_notices()
+        for answer in self.recording.answers.take():
+            self._life.bus.publish({keys.RECORD_ACK: codec.json_object(answer)})
+        return 0 if is_closed else 1
+
+    def hang_up(self) -> None:
+        """Leave the bus as if no recorder had been there, so that the next one need not wonder."""
+        self._tap.close()
+        with contextlib.suppress(BusError):  # a bus that is gone has forgotten us already
+            self._life.bus.call("DEL", keys.RECORDER, keys.stamp(keys.RECORDER))
+
+    def _seed(self) -> None:
+        """Learn from the bus what was said before the tap was open."""
+        bus = self._life.bus
+        names = [name for prefix in (keys.SERVER_PREFIX, keys.CONFIG_PREFIX) for name in bus.names(prefix + "*")]
+        for key, sample in bus.read([*names, keys.RECORD]).items():
+            self.recording.seed(key, sample.value, sample.stamp.encode() if sample.stamp else None)
+
+    def _speak(self) -> None:
+        now = time.monotonic()
+        self._say_notices()
+        if now >= self._answer_due and (answer := self.recording.answers.next()) is not None:
+            self._answer_due = now + _ANSWER_SPACING_S
+            self._life.bus.publish({keys.RECORD_ACK: codec.json_object(answer)})
+            self._state_due = now
+        if now >= self._state_due:
+            self._state_due = now + _STATE_PERIOD_S
+            state = self.recording.state()
+            self._life.bus.publish({keys.RECORDER: codec.json_object(state)})
+            self._life.report(
+                recording=state.episode_id, backend=state.backend, lag_ms=state.lag_ms, lag_p99_ms=state.lag_p99_ms,
+                dropped=state.dropped,
+            )  # fmt: skip
+
+    def _say_notices(self) -> None:
+        while self.recording.notices:
+            notice = self.recording.notices.popleft()
+            self._life.event(notice.name, severity=notice.severity, **notice.numbers)
+
+    def _tap_again(self, error: BusError) -> None:
+        """Open another tap where the lost one was; an episode waits for it, though not for ever."""
+        position = self._tap.position()
+        self._tap.close()
+        self._life.event("tap-lost", severity="warning", reason=str(error))
+        deadline = time.monotonic() + self._config.resume_s
+        while not self._life.stopping:
+            try:
+                self._tap = open_tap(self._life.bus.address, resume=position, backend=self._config.backend)
+                break
+            except BusError:  # still gone; the loss was said above, its end is said below
+                if time.monotonic() > deadline:
+                    self.recording.finish("bus-lost")
+                self.recording.poll()
+                self._life.stop_event.wait(_RETRY_S)
+        else:
+            return
+        now_ns = time.monotonic_ns()
+        seconds = round((now_ns - self._heard_ns) * 1e-9, 3)
+        self.recording.retapped(self._tap.backend, self._tap.is_lossless)
+        if self._tap.resumed:
+            self._life.event("tap-resumed", seconds=seconds)
+        else:
+            self.recording.hole(self._heard_ns, now_ns, f"the tap was lost ({error}) and could not go on where it was")
+            self._life.event("tap-hole", severity="warning", seconds=seconds)
+        self._seed()
+
+
+KIND = ServerKind(
+    name="recorder",
+    role="recorder",
+    summary="Records every write of the bus, byte for byte, into episodes.",
+    config=RecorderConfig,
+    main=main,
+)

@@ -1,0 +1,116 @@
+"""From a write on the bus to a channel of the file: who wrote it, in what encoding, how many were lost before."""
+
+from __future__ import annotations
+
+import json
+
+import msgspec
+
+from station.bus import stamp as stamps
+from station.bus.contracts import Contract, contract
+from station.episode import layout
+from station.episode.manifest import Stream
+
+MAX_CHANNELS = 60_000
+"""The number of a channel has 16 bits; a client that invents keys must not break the file."""
+
+_NANOSECONDS = 1e-9
+
+
+class Channel:
+    """One key as one source writes it, with the counters of this file.
+
+    Attributes:
+        id: Number in the file.
+        key, source, encoding: As in `station.episode.manifest.Stream`.
+        shares_clock: Whether the source's monotonic clock is ours, so that its stamps fall on our time line.
+        count, lost, repeated: Messages; sequence numbers missing between them; messages that did not advance.
+        last_sequence: Newest sequence number; of a foreign writer our own count.
+        first_ns, last_ns: First and newest log time [ns].
+        longest_gap_ns: Longest time between two log times [ns].
+    """
+
+    __slots__ = (
+        "contract", "count", "encoding", "first_ns", "id", "key", "last_ns", "last_sequence", "longest_gap_ns",
+        "lost", "repeated", "shares_clock", "source",
+    )  # fmt: skip
+
+    def __init__(self, number: int, key: str, source: str, encoding: str) -> None:
+        self.id = number
+        self.key = key
+        self.source = source
+        self.encoding = encoding
+        self.contract: Contract | None = contract(key)
+        self.shares_clock = bool(source) and source.split(".")[2:3] == [stamps.boot_id()]
+        self.count = self.lost = self.repeated = self.last_sequence = 0
+        self.first_ns = self.last_ns = self.longest_gap_ns = 0
+
+    def note(self, sequence: int, log_ns: int) -> None:
+        """Count one message."""
+        if self.count:
+            step = sequence - self.last_sequence
+            if step > 1:
+                self.lost += step - 1
+            elif step < 1:
+                self.repeated += 1
+            self.longest_gap_ns = max(self.longest_gap_ns, log_ns - self.last_ns)
+        else:
+            self.first_ns = log_ns
+        self.count += 1
+        self.last_ns = log_ns
+        self.last_sequence = max(self.last_sequence, sequence) if self.count > 1 else sequence
+
+    def metadata(self) -> dict[str, str]:
+        """Return what stands in the MCAP channel record."""
+        text = msgspec.json.encode(self.contract).decode() if self.contract else layout.NO_CONTRACT
+        found = {"source": self.source, "writer": self.writer, "contract": text}
+        if self.topic != self.key:
+            found["key_hex"] = self.key.encode("utf-8", "surrogateescape").hex()
+        return found
+
+    @property
+    def topic(self) -> str:
+        """The key as valid text; bytes of it that are no UTF-8 are written as escapes."""
+        return self.key.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+
+    @property
+    def writer(self) -> str:
+        """Name of the server that writes it, or ``foreign``."""
+        return self.source.split(".", 1)[0] if self.source else layout.FOREIGN
+
+    def stream(self, start_ns: int) -> Stream:
+        """Return the manifest's entry, times relative to `start_ns`."""
+        span = (self.last_ns - self.first_ns) * _NANOSECONDS
+        several = self.count > 1
+        return Stream(
+            key=self.topic,
+            source=self.source,
+            writer=self.writer,
+            role=self.contract.role if self.contract else "unknown",
+            contract=self.contract is not None,
+            encoding=self.encoding,
+            count=self.count,
+            lost=self.lost,
+            repeated=self.repeated,
+            rate_hz=round((self.count - 1) / span, 3) if several and span > 0 else None,
+            longest_gap_s=round(self.longest_gap_ns * _NANOSECONDS, 6) if several else None,
+            first_s=round((self.first_ns - start_ns) * _NANOSECONDS, 6) if self.count else None,
+            last_s=round((self.last_ns - start_ns) * _NANOSECONDS, 6) if self.count else None,
+        )
+
+
+def encoding_of(value: bytes) -> str:
+    """Return the encoding of a channel whose first value this is."""
+    try:
+        json.loads(value)
+    except (ValueError, RecursionError):
+        return layout.BYTES
+    return layout.JSON
+
+
+def source_of(stamp: bytes | None) -> str | None:
+    """Return the source that a stamp names, or None when it is no stamp of ours or would break the list of stamps."""
+    if stamp is None or b"\n" in stamp:
+        return None
+    decoded = stamps.decode(stamp)
+    return decoded.source if decoded is not None and decoded.source else None

@@ -1,0 +1,208 @@
+"""What a check finds of an episode, and what it is judged by; every number comes from the file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import msgspec
+
+Verdict = Literal["good", "usable", "reject"]
+
+
+class Spread(msgspec.Struct, frozen=True):
+    """Median, 99th percentile and greatest of a quantity over `count` values [s]; None when there are none."""
+
+    count: int
+    p50_s: float | None = None
+    p99_s: float | None = None
+    max_s: float | None = None
+
+
+class StreamQuality(msgspec.Struct, frozen=True, kw_only=True):
+    """One key as one source wrote it, measured on the writer's own times where it stamps them.
+
+    Attributes:
+        key: Key on the bus.
+        source: Full source of a native writer, "" for a foreign one.
+        writer: Server name, or ``foreign``.
+        role: Role by the recorded contract, or ``unknown``.
+        is_native: Whether its writes are numbered, so that a loss would show.
+        count: Messages in the file.
+        lost: Sequence numbers missing between the least and the greatest; always 0 for a foreign writer.
+        repeated: Messages whose number was there already.
+        out_of_order: Messages whose number is smaller than that of the message before.
+        rate_hz: Mean rate [Hz]; None for fewer than two messages.
+        nominal_hz: Rate by contract [Hz]; None for keys written on events only.
+        jitter_p50_s, jitter_p99_s: How far intervals differ from the median interval [s].
+        longest_gap_s: Longest interval [s].
+        first_s, last_s: First and last message, from the start of the episode [s].
+    """
+
+    key: str
+    source: str
+    writer: str
+    role: str
+    is_native: bool
+    count: int
+    lost: int
+    repeated: int
+    out_of_order: int
+    rate_hz: float | None
+    nominal_hz: float | None
+    jitter_p50_s: float | None
+    jitter_p99_s: float | None
+    longest_gap_s: float | None
+    first_s: float
+    last_s: float
+
+
+class RivalWriters(msgspec.Struct, frozen=True):
+    """Writers that wrote one command key at the same time, and for how long [s]."""
+
+    key: str
+    writers: list[str]
+    overlap_s: float
+
+
+class FallSeen(msgspec.Struct, frozen=True, kw_only=True):
+    """One fall.
+
+    Attributes:
+        at_s: When it was first seen, from the start of the episode [s].
+        robot: Suffix of the robot, "" when only an event tells of it.
+        tilt_rad: Tilt of the torso then [rad].
+        seen_by: ``event`` (the robot's server said so) or ``pose`` (derived from the recorded pose).
+        contacts: Bodies that touched the ground, as the event named them.
+    """
+
+    at_s: float
+    robot: str
+    tilt_rad: float | None
+    seen_by: Literal["event", "pose"]
+    contacts: list[str] = []
+
+
+class StepQuality(msgspec.Struct, frozen=True, kw_only=True):
+    """The policy steps of one robot.
+
+    Attributes:
+        robot: Suffix of its keys.
+        steps: Steps in the file.
+        missing_steps: Steps whose number is missing between the first and the last of a source.
+        command_age: Age of the command at the instant the policy used it: since it was written, or, for a writer
+            without stamps, since it arrived.
+        stages: Time between consecutive instants of a step, named ``command_written_to_command_arrived`` … and
+            ``command_written_to_sent``. Negative in lock-step, where the command answers the state.
+        gate_shares: Share of time in each state of the gate, 0..1.
+        interrupted_share: Share of the time between the first and the last tracking step that was not tracking.
+        clamped, refused: Greatest counts that the gate reported; None where it reported none.
+        compared_steps: Steps in which the gate was tracking and the motion playing.
+        mean_joint_error_rad: Over those steps, as `station.life.tracking` defines it, so that it compares with a
+            rehearsal [rad].
+        worst_joint, worst_joint_error_rad: The joint with the greatest mean error.
+        mean_root_height_error_m: Likewise for the height of the root [m]; simulation only.
+    """
+
+    robot: str
+    steps: int
+    missing_steps: int
+    command_age: Spread
+    stages: dict[str, Spread]
+    gate_shares: dict[str, float]
+    interrupted_share: float
+    clamped: int | None
+    refused: int | None
+    compared_steps: int
+    mean_joint_error_rad: float | None
+    worst_joint: str
+    worst_joint_error_rad: float | None
+    mean_root_height_error_m: float | None
+
+
+class Reason(msgspec.Struct, frozen=True):
+    """Why an episode is not good: name of the rule, what it makes of the episode, and the fact in a sentence."""
+
+    rule: str
+    verdict: Verdict
+    text: str
+
+
+class Quality(msgspec.Struct, kw_only=True):
+    """Everything that a check finds.
+
+    Attributes:
+        episode_id: The episode.
+        verdict: ``good``, ``usable`` (whole enough, with the reasons to think twice) or ``reject``: whether it may
+            go into a training set as a demonstration.
+        reasons: Why it is not good; empty for a good one.
+        duration_s: From the first message to the last [s].
+        messages: Messages in the file.
+        streams: By key and source.
+        steps: By robot.
+        rivals: Command keys with several writers at once.
+        falls: Number of falls, by event or by pose.
+        falls_seen: Each of them.
+        resets, estops, bus_lost: Number of such events.
+        events: Number of events by name.
+        recorder_restarts: How often a recorder took the episode up again.
+        dropped: Writes that the recorder saw and could not keep.
+        holes: Spans of which writes are missing, as the recorder stated them.
+        backend, is_lossless: The tap that was used, and whether it can promise every write.
+        lock_step: Whether commands waited for states, so that times say nothing of the control.
+        is_finished: Whether the recorder closed the file.
+        torn: What was cut off, in a line; None for a whole file.
+        success: What the operator said; None when nobody did.
+        discarded: Whether it was marked as not to be used.
+    """
+
+    episode_id: str
+    verdict: Verdict = "good"
+    reasons: list[Reason] = []
+    duration_s: float = 0.0
+    messages: int = 0
+    streams: list[StreamQuality] = []
+    steps: list[StepQuality] = []
+    rivals: list[RivalWriters] = []
+    falls: int = 0
+    falls_seen: list[FallSeen] = []
+    resets: int = 0
+    estops: int = 0
+    bus_lost: int = 0
+    events: dict[str, int] = {}
+    recorder_restarts: int = 0
+    dropped: int = 0
+    holes: int = 0
+    backend: str = ""
+    is_lossless: bool = False
+    lock_step: bool = False
+    is_finished: bool = True
+    torn: str | None = None
+    success: bool | None = None
+    discarded: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """Where a rule begins to speak; the defaults suit a 50 Hz whole-body policy.
+
+    Attributes:
+        lost_share_reject: Share of lost writes above which a stream is useless; any loss costs the "good".
+        gap_usable_s, gap_reject_s: Longest silence of a command, state or policy stream [s].
+        rate_share: Least share of the nominal rate.
+        command_age_p99_s: Age of the command at use [s]; at 0.1 the gate begins to hold.
+        interrupted_usable, interrupted_reject: Share of time without tracking between first and last tracking.
+        joint_error_usable_rad, joint_error_reject_rad: Mean tracking error [rad]; TWIST2 stays below 0.11.
+        height_error_usable_m: Mean error of the root height [m].
+    """
+
+    lost_share_reject: float = 0.01
+    gap_usable_s: float = 0.25
+    gap_reject_s: float = 1.0
+    rate_share: float = 0.9
+    command_age_p99_s: float = 0.1
+    interrupted_usable: float = 0.02
+    interrupted_reject: float = 0.2
+    joint_error_usable_rad: float = 0.15
+    joint_error_reject_rad: float = 0.3
+    height_error_usable_m: float = 0.08

@@ -1,0 +1,81 @@
+"""The policy that an episode was recorded with: what the episode says of it, and the thing itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from station import assets, registry
+from station.bus import keys
+from station.episode import steps
+from station.episode.reader import EpisodeReader
+from station.errors import EpisodeError
+from station.protocols import Policy
+
+
+class Suspect(msgspec.Struct, frozen=True, kw_only=True):
+    """The policy that an episode says it was recorded with; "" for what it does not say."""
+
+    robot: str
+    name: str
+    checkpoint: str
+    sha256: str
+    runtime: str
+
+
+def recorded_policy(reader: EpisodeReader, robot: str | None = None) -> Suspect:
+    """Return the policy that an episode says it was recorded with.
+
+    Raises:
+        EpisodeError: it has no policy steps, or those of several robots and none is named.
+    """
+    present = steps.robots(reader.topics())
+    if not present:
+        raise EpisodeError(
+            f"episode {reader.episode_id}: no policy steps ({keys.policy_obs('*')}) to audit; "
+            "was it recorded with a low-level server of this station?"
+        )
+    if robot is None and len(present) > 1:
+        raise EpisodeError(f"episode {reader.episode_id}: several robots ({', '.join(present)}); name one")
+    if robot is not None and robot not in present:
+        raise EpisodeError(f"episode {reader.episode_id}: no steps of {robot!r}; it has {', '.join(present)}")
+    chosen = robot or present[0]
+    stated = _stated_policy(reader, chosen)
+    manifest = reader.manifest.policy
+    text = {
+        name: str(stated.get(name) or getattr(manifest, name)) for name in ("name", "checkpoint", "sha256", "runtime")
+    }
+    return Suspect(robot=chosen, **text)
+
+
+def load_policy(reader: EpisodeReader, suspect: Suspect, checkpoint: str | Path | None = None) -> Policy:
+    """Load the policy of an episode and see that its checkpoint is the one that ran.
+
+    Raises:
+        EpisodeError: the episode does not name it, or the file is another one.
+        AssetMissing, BadFile: the checkpoint is not on this machine.
+    """
+    wanted = str(checkpoint or suspect.checkpoint)
+    if not suspect.name or not wanted:
+        raise EpisodeError(
+            f"episode {reader.episode_id}: does not name the policy it ran "
+            f"(name {suspect.name!r}, checkpoint {suspect.checkpoint!r}); it cannot be audited"
+        )
+    path = assets.resolve(wanted)
+    came = assets.sha256(path)
+    if suspect.sha256 and came != suspect.sha256:
+        raise EpisodeError(
+            f"episode {reader.episode_id}: ran checkpoint sha256 {suspect.sha256[:12]}…, {path} is {came[:12]}…; "
+            "name the file that ran with --checkpoint"
+        )
+    policy: Policy = registry.find("policy", suspect.name)(path)
+    return policy
+
+
+def _stated_policy(reader: EpisodeReader, robot: str) -> dict[str, Any]:
+    for facts in reader.manifest.servers.values():
+        if facts.get("robot") == robot and isinstance(facts.get("policy"), dict):
+            return dict(facts["policy"])
+    return {}

@@ -1,0 +1,51 @@
+"""The newest writes of the bus, kept so that an episode can begin before its button was pressed."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from station.bus.tap import Write
+
+
+class Ring:
+    """Writes of the last seconds, bounded by time and by bytes; what falls out at the old end is meant to.
+
+    Args:
+        seconds: How far back it reaches [s]; 0 keeps nothing.
+        max_bytes: Bound of the values' size; with fast cameras on the bus it reaches less far back.
+    """
+
+    def __init__(self, seconds: float, max_bytes: int = 256 * 1024 * 1024) -> None:
+        self._span_ns = int(seconds * 1e9)
+        self._max_bytes = max_bytes
+        self._batches: deque[tuple[Sequence[Write], int]] = deque()
+        self._bytes = 0
+
+    @property
+    def size(self) -> int:
+        """Bytes of the values that are kept."""
+        return self._bytes
+
+    def add(self, writes: Sequence[Write]) -> None:
+        """Keep writes, in the order of their arrival; the sequence must not change afterwards."""
+        if not writes or not self._span_ns:
+            return
+        size = sum(len(write.value) if write.value is not None else 0 for write in writes)
+        self._batches.append((writes, size))
+        self._bytes += size
+        oldest_ns = writes[-1].mono_ns - self._span_ns
+        while self._batches and (self._bytes > self._max_bytes or self._batches[0][0][-1].mono_ns < oldest_ns):
+            self._bytes -= self._batches.popleft()[1]
+
+    def since(self, mono_ns: int) -> list[Write]:
+        """Return what is kept of the span that ends at a monotonic instant [ns], oldest first."""
+        oldest_ns = mono_ns - self._span_ns
+        return [write for writes, _ in self._batches for write in writes if write.mono_ns >= oldest_ns]
+
+    def clear(self) -> None:
+        """Forget everything: after a hole, what came before it must not pass for what came just before."""
+        self._batches.clear()
+        self._bytes = 0

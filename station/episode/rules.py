@@ -1,0 +1,205 @@
+"""From what was found to a verdict: one small function per rule, each silent where it has nothing to say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from station.episode.quality import Limits, Quality, Reason, StepQuality, StreamQuality, Verdict
+
+Rule = Callable[[Quality, Limits], Iterator[tuple[Verdict, str]]]
+
+_JUDGED_ROLES = ("command", "state", "policy")
+
+
+def judge(quality: Quality, limits: Limits) -> tuple[Verdict, list[Reason]]:
+    """Return the verdict of an episode and every reason against a better one."""
+    reasons = [Reason(name, verdict, text) for name, rule in RULES.items() for verdict, text in rule(quality, limits)]
+    found = {reason.verdict for reason in reasons}
+    return ("reject" if "reject" in found else "usable" if "usable" in found else "good"), reasons
+
+
+def _empty(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if not quality.messages:
+        yield "reject", "no message in the file"
+
+
+def _torn(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.torn is not None:
+        yield "reject", f"the file is torn ({quality.torn}); `station episodes repair` saves what is whole"
+
+
+def _unfinished(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if not quality.is_finished and quality.torn is None:
+        yield "reject", "the recorder has not closed the file"
+
+
+def _discarded(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.discarded:
+        yield "reject", "marked as discarded"
+
+
+def _failed_task(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.success is False:
+        yield "reject", "the operator said that the task failed"
+
+
+def _fell(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.falls_seen:
+        first = quality.falls_seen[0]
+        yield "reject", f"{quality.falls} fall(s), the first at {first.at_s:.2f} s (seen by {first.seen_by})"
+
+
+def _lost(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for stream in quality.streams:
+        if stream.lost:
+            share = stream.lost / (stream.lost + stream.count)
+            verdict: Verdict = "reject" if share > limits.lost_share_reject else "usable"
+            yield verdict, f"{_named(stream)}: {stream.lost} of {stream.lost + stream.count} writes are missing"
+
+
+def _dropped(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.dropped:
+        share = quality.dropped / (quality.dropped + quality.messages)
+        verdict: Verdict = "reject" if share > limits.lost_share_reject else "usable"
+        yield verdict, f"the recorder dropped {quality.dropped} writes"
+
+
+def _disordered(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    for stream in quality.streams:
+        if stream.repeated or stream.out_of_order:
+            yield "usable", f"{_named(stream)}: {stream.repeated} repeated, {stream.out_of_order} out of order"
+
+
+def _lossy_tap(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if not quality.is_lossless:
+        yield "usable", f"recorded by {quality.backend or 'an unnamed tap'}, which cannot promise every foreign write"
+
+
+def _holes(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.holes:
+        yield "usable", f"{quality.holes} hole(s) after {quality.recorder_restarts} restart(s) of the recorder"
+
+
+def _gap(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for stream in _timed(quality):
+        gap_s = stream.longest_gap_s or 0.0
+        if gap_s > limits.gap_usable_s:
+            verdict: Verdict = "reject" if gap_s > limits.gap_reject_s else "usable"
+            yield verdict, f"{_named(stream)}: silent for {gap_s:.3f} s (limit {limits.gap_usable_s} s)"
+
+
+def _slow(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for stream in _timed(quality):
+        rate_hz = _steady_rate_hz(stream)
+        if rate_hz is not None and rate_hz < limits.rate_share * (stream.nominal_hz or 0.0):
+            yield "usable", f"{_named(stream)}: {rate_hz:.1f} Hz, nominal {stream.nominal_hz:g} Hz"
+
+
+def _rivals(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    for rival in quality.rivals:
+        yield "reject", f"{rival.key}: written by {' and '.join(rival.writers)} at once for {rival.overlap_s:.2f} s"
+
+
+def _bus_lost(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.bus_lost:
+        yield "usable", f"the bus was lost {quality.bus_lost} time(s)"
+
+
+def _reset(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.resets:
+        yield "usable", f"the operator reset the robot {quality.resets} time(s)"
+
+
+def _estop(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.estops:
+        yield "reject", f"{quality.estops} emergency stop(s)"
+
+
+def _no_steps(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if not any(robot.steps for robot in quality.steps):
+        yield "usable", "no policy step in the file: nothing to train on or to audit"
+
+
+def _never_tracked(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    for robot in quality.steps:
+        if robot.steps and not robot.gate_shares.get("tracking"):
+            yield "reject", f"{robot.robot}: the gate never let a command through ({_shares(robot)})"
+
+
+def _interrupted(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for robot in quality.steps:
+        if robot.interrupted_share > limits.interrupted_usable:
+            verdict: Verdict = "reject" if robot.interrupted_share > limits.interrupted_reject else "usable"
+            yield verdict, f"{robot.robot}: {robot.interrupted_share:.1%} of the run without command ({_shares(robot)})"
+
+
+def _old_command(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for robot in quality.steps:
+        age_s = robot.command_age.p99_s
+        if not quality.lock_step and age_s is not None and age_s > limits.command_age_p99_s:
+            yield "usable", f"{robot.robot}: commands {age_s * 1e3:.0f} ms old at use (p99)"
+
+
+def _poor_tracking(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for robot in quality.steps:
+        error = robot.mean_joint_error_rad
+        if error is not None and error > limits.joint_error_usable_rad:
+            verdict: Verdict = "reject" if error > limits.joint_error_reject_rad else "usable"
+            yield verdict, f"{robot.robot}: mean joint error {error:.3f} rad, worst {robot.worst_joint}"
+
+
+def _wrong_height(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for robot in quality.steps:
+        error = robot.mean_root_height_error_m
+        if error is not None and error > limits.height_error_usable_m:
+            yield "usable", f"{robot.robot}: mean root height error {error:.3f} m"
+
+
+RULES: dict[str, Rule] = {
+    "empty": _empty,
+    "torn": _torn,
+    "unfinished": _unfinished,
+    "discarded": _discarded,
+    "failed-task": _failed_task,
+    "fell": _fell,
+    "lost": _lost,
+    "dropped": _dropped,
+    "disordered": _disordered,
+    "lossy-tap": _lossy_tap,
+    "holes": _holes,
+    "gap": _gap,
+    "slow": _slow,
+    "rival-writers": _rivals,
+    "bus-lost": _bus_lost,
+    "operator-reset": _reset,
+    "estop": _estop,
+    "no-steps": _no_steps,
+    "never-tracked": _never_tracked,
+    "interrupted": _interrupted,
+    "old-command": _old_command,
+    "poor-tracking": _poor_tracking,
+    "wrong-height": _wrong_height,
+}
+"""Every rule by the name that a reason carries."""
+
+
+def _timed(quality: Quality) -> Iterator[StreamQuality]:
+    """Streams whose timing matters; in lock-step commands wait for states, and time says nothing."""
+    if not quality.lock_step:
+        for stream in quality.streams:
+            if stream.role in _JUDGED_ROLES and stream.nominal_hz is not None:
+                yield stream
+
+
+def _steady_rate_hz(stream: StreamQuality) -> float | None:
+    """Rate without the longest silence, which has a rule of its own."""
+    steady_s = stream.last_s - stream.first_s - (stream.longest_gap_s or 0.0)
+    return (stream.count - 2) / steady_s if stream.count > 2 and steady_s > 0 else None
+
+
+def _named(stream: StreamQuality) -> str:
+    return f"{stream.key} by {stream.writer}"
+
+
+def _shares(robot: StepQuality) -> str:
+    return ", ".join(f"{state} {share:.0%}" for state, share in sorted(robot.gate_shares.items()))

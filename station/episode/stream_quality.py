@@ -1,0 +1,100 @@
+"""Counts, rates and losses of every stream, in one pass over the messages."""
+
+from __future__ import annotations
+
+from array import array
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from station.episode.quality import RivalWriters, StreamQuality
+from station.episode.reader import Channel, Message
+
+Ints = NDArray[np.int64]
+_WRAP = 1 << 32  # an MCAP sequence number has 32 bits; a stamp's own has no end
+
+
+class StreamCounter:
+    """Takes every message of an episode and tells at the end what each stream was like."""
+
+    def __init__(self) -> None:
+        self._channels: dict[int, Channel] = {}
+        self._times: dict[int, array[int]] = {}
+        self._numbers: dict[int, array[int]] = {}
+
+    def feed(self, message: Message) -> None:
+        """Count a message."""
+        channel = message.channel
+        if channel.id not in self._channels:
+            self._channels[channel.id] = channel
+            self._times[channel.id], self._numbers[channel.id] = array("q"), array("q")
+        self._times[channel.id].append(message.publish_ns)
+        self._numbers[channel.id].append(message.sequence)
+
+    def streams(self, start_ns: int) -> list[StreamQuality]:
+        """Return every stream, by key and writer; times are told from `start_ns`."""
+        found = [
+            _measure(channel, _ints(self._times[number]), _ints(self._numbers[number]), start_ns)
+            for number, channel in self._channels.items()
+        ]
+        return sorted(found, key=lambda stream: (stream.key, stream.writer, stream.first_s))
+
+    @property
+    def messages(self) -> int:
+        """Messages counted."""
+        return sum(len(times) for times in self._times.values())
+
+
+def rivals(streams: list[StreamQuality]) -> list[RivalWriters]:
+    """Return the command keys that several sources wrote during the same time; one after the other is fine."""
+    by_key: dict[str, list[StreamQuality]] = {}
+    for stream in streams:
+        if stream.role == "command":
+            by_key.setdefault(stream.key, []).append(stream)
+    return [
+        RivalWriters(key, sorted({one.writer, other.writer}), overlap)
+        for key, group in by_key.items()
+        for one, other in combinations(group, 2)
+        if (overlap := min(one.last_s, other.last_s) - max(one.first_s, other.first_s)) > 0
+    ]
+
+
+def _ints(values: array[int]) -> Ints:
+    return np.frombuffer(values, dtype=np.int64)
+
+
+def _measure(channel: Channel, times: Ints, numbers: Ints, start_ns: int) -> StreamQuality:
+    lost, repeated, out_of_order = _by_number(numbers) if channel.is_native else (0, 0, 0)
+    ordered = np.sort(times)
+    intervals = np.diff(ordered) * 1e-9
+    span_s = float(ordered[-1] - ordered[0]) * 1e-9
+    jitter = np.abs(intervals - np.median(intervals)) if len(intervals) else intervals
+    contract = channel.contract
+    return StreamQuality(
+        key=channel.topic,
+        source=channel.source,
+        writer=channel.writer,
+        role=contract.role if contract else "unknown",
+        is_native=channel.is_native,
+        count=len(times),
+        lost=lost,
+        repeated=repeated,
+        out_of_order=out_of_order,
+        rate_hz=len(intervals) / span_s if span_s > 0 else None,
+        nominal_hz=contract.rate_hz if contract and not channel.is_deletion else None,
+        jitter_p50_s=float(np.percentile(jitter, 50)) if len(jitter) else None,
+        jitter_p99_s=float(np.percentile(jitter, 99)) if len(jitter) else None,
+        longest_gap_s=float(intervals.max()) if len(intervals) else None,
+        first_s=float(ordered[0] - start_ns) * 1e-9,
+        last_s=float(ordered[-1] - start_ns) * 1e-9,
+    )
+
+
+def _by_number(numbers: Ints) -> tuple[int, int, int]:
+    """Return how many sequence numbers are missing, repeated, and smaller than the one before."""
+    steps = (np.diff(numbers) + _WRAP // 2) % _WRAP - _WRAP // 2
+    unwrapped = np.concatenate([[0], np.cumsum(steps)])
+    different = len(np.unique(unwrapped))
+    lost = int(unwrapped.max() - unwrapped.min()) + 1 - different
+    return lost, len(numbers) - different, int(np.count_nonzero(steps < 0))

@@ -1,0 +1,250 @@
+"""One tick of a low-level loop: state, command, gate, policy, targets, robot. Protocols only: no bus, no clock.
+
+The same step drives the station's servers and the offline rehearsal, so both give the same motion.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from station.errors import ConfigError
+from station.life.arming import Arming
+from station.life.events import Severity
+from station.life.gate import Decision, Gate, GateConfig
+from station.life.inlet import CommandSample, Inlet
+from station.protocols import (
+    CommandFormat,
+    Fall,
+    Floats,
+    Floats32,
+    JointTargets,
+    Policy,
+    Robot,
+    RobotState,
+)
+
+_UPRIGHT_AGAIN_S = 1.0  # a fallen robot bounces; a fall is over when it has stood this long
+
+
+@runtime_checkable
+class Resettable(Protocol):
+    """A robot that can be put back on its feet by software: a simulation."""
+
+    def reset(self) -> None:
+        """Return to the start pose, at rest."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Happening:
+    """Something that happened within a step, for an event on the bus."""
+
+    name: str
+    severity: Severity
+    detail: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class StepRecord:
+    """Everything that a step did.
+
+    Attributes:
+        tick: Number of the step, from 1.
+        state: What the robot measured.
+        decision: What the gate let through; `decision.vector` is the command that the policy got.
+        observation, action: Input and raw output of the network, shapes (observation_size,), (action_size,).
+        sent: Targets as really sent, after arming, stop and the robot's own limits; zero gains when disarmed.
+        fall: Why the robot counts as fallen after this step, or None.
+        command_seq: Sequence number of the command that was used; 0 when foreign or none.
+        timing_ns: The six instants of `station.bus.contracts.TIMING_STAGES`; 0 where unknown.
+        happenings: What happened, in order.
+    """
+
+    tick: int
+    state: RobotState
+    decision: Decision
+    observation: Floats32
+    action: Floats32
+    sent: JointTargets
+    fall: Fall | None
+    command_seq: int
+    timing_ns: tuple[int, int, int, int, int, int]
+    happenings: tuple[Happening, ...]
+
+
+class ControlStep:
+    """A robot, a policy and the gate between them and the command.
+
+    Args:
+        robot: With the joints of the policy.
+        policy: Follows commands of the format.
+        form: Format of the command.
+        gate: Times of the gate.
+        is_armed: Whether targets are sent from the start; False for real robots.
+
+    Raises:
+        ConfigError: the policy's joints are not the robot's, or it follows another format.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        policy: Policy,
+        form: CommandFormat,
+        *,
+        gate: GateConfig | None = None,
+        is_armed: bool = True,
+    ) -> None:
+        _check_fit(robot, policy, form)
+        self.robot, self.policy = robot, policy
+        self.gate = Gate(form.default, gate)
+        self.inlet = Inlet(form)
+        self.arming = Arming(is_armed=is_armed)
+        self._tick = 0
+        self._is_down = False
+        self._stood_since_s = 0.0
+        self._refusing: str | None = None
+        self._action_is_bad = False
+        self._happenings: list[Happening] = []
+
+    def sense(self) -> RobotState:
+        """Return the state that the next `step` acts on."""
+        return self.robot.read()
+
+    def step(self, state: RobotState, sample: CommandSample | None, now_s: float) -> StepRecord:
+        """Act on a state and the newest command sample.
+
+        Args:
+            state: From `sense`.
+            sample: The newest write of the command key, good or bad; the same object as long as nothing new came.
+            now_s: The instant, on the clock of `CommandSample.arrived_s` [s].
+        """
+        self._tick += 1
+        decision = self._decide(sample, now_s)
+        observation = self.policy.observe(state, decision.vector)
+        observed_ns = time.monotonic_ns()
+        action = self.policy.act(observation)
+        inferred_ns = time.monotonic_ns()
+        targets = self._targets(action, state, decision)
+        allowed = self.arming.apply(targets, now_s)
+        sent_ns = time.monotonic_ns()  # before `write`, which in a simulation also runs the physics
+        sent = _nothing(targets) if allowed is None else self.robot.write(allowed)
+        good = self.inlet.good
+        stages = (good.written_ns if good else 0, good.arrived_ns if good else 0)
+        return StepRecord(
+            tick=self._tick,
+            state=state,
+            decision=decision,
+            observation=observation,
+            action=action,
+            sent=sent,
+            fall=self._note_fall(now_s),
+            command_seq=good.seq if good else 0,
+            timing_ns=(*stages, state.mono_ns, observed_ns, inferred_ns, sent_ns),
+            happenings=self._taken(),
+        )
+
+    def stop(self, reason: str) -> None:
+        """Latch the emergency stop: from the next step on the joints are only damped."""
+        if self.gate.state != "stopped":
+            self.gate.stop(reason)
+            self._note("estop", "error", reason=reason)
+
+    def reset(self, reason: str) -> None:
+        """Leave the emergency stop; a simulated robot is put back on its feet, a real one needs arming again."""
+        if self.gate.state == "stopped":
+            self.gate.reset(reason)
+            self._note("operator-reset", "warning", reason=reason)
+            self._start_over()
+
+    def restart(self, reason: str) -> None:
+        """Put a simulated robot back on its feet and wait for commands anew."""
+        if self.gate.state != "stopped":
+            self.gate.reset(reason)
+        self._note("robot-reset", "warning", reason=reason)
+        self._start_over()
+
+    def _start_over(self) -> None:
+        self.policy.reset()
+        self.arming.restart()
+        self._is_down = False
+        if isinstance(self.robot, Resettable):
+            self.robot.reset()
+
+    def _decide(self, sample: CommandSample | None, now_s: float) -> Decision:
+        inlet = self.inlet
+        if inlet.take(sample):
+            self._note_refusal()
+        refusal = "" if inlet.refusal is None else f"{inlet.refusal.kind}: {inlet.refusal.text}"
+        decision = self.gate.step(now_s, inlet.vector, inlet.age_s(now_s), refusal=refusal)
+        for change in decision.transitions:
+            severity: Severity = "warning" if change.after in ("holding", "returning") else "info"
+            self._note("gate", severity, **{"from": change.before, "to": change.after, "reason": change.reason})
+        return decision
+
+    def _targets(self, action: Floats32, state: RobotState, decision: Decision) -> JointTargets:
+        """Return the policy's targets, or damping alone when stopped or when the network gave no number."""
+        targets = self.policy.targets(action, decision.vector)
+        is_bad = not (np.isfinite(action).all() and np.isfinite(targets.q).all())
+        if is_bad:
+            self.policy.reset()  # what is not a number would stay in the history for ever
+        if is_bad and not self._action_is_bad:
+            self._note("bad-action", "error", reason="the policy's output is not finite; joints are damped")
+        self._action_is_bad = is_bad
+        if is_bad or decision.state == "stopped":
+            q = np.where(np.isfinite(state.q), state.q, self.policy.spec.default_q)
+            return JointTargets(q, np.zeros_like(targets.kp), targets.kd)
+        return targets
+
+    def _note_refusal(self) -> None:
+        """Say once that commands are refused, again when the reason changes, and once that they are good again."""
+        refusal, inlet = self.inlet.refusal, self.inlet
+        kind = refusal.kind if refusal is not None else None
+        if kind == self._refusing:
+            return
+        total = inlet.refused.total()
+        if refusal is not None:
+            self._note("refused-command", "warning", reason=f"{refusal.kind}: {refusal.text}", count=total)
+        else:
+            self._note("command-good-again", "info", count=total)
+        self._refusing = kind
+
+    def _note_fall(self, now_s: float) -> Fall | None:
+        fall = self.robot.fallen()
+        if fall is not None:
+            if not self._is_down:
+                self._note("fall", "error", tilt_rad=fall.tilt_rad, contacts=list(fall.contacts))
+            self._is_down, self._stood_since_s = True, math.inf
+        elif self._is_down:
+            self._stood_since_s = min(self._stood_since_s, now_s)
+            self._is_down = now_s - self._stood_since_s < _UPRIGHT_AGAIN_S
+        return fall
+
+    def _note(self, name: str, severity: Severity, **detail: Any) -> None:
+        self._happenings.append(Happening(name, severity, detail))
+
+    def _taken(self) -> tuple[Happening, ...]:
+        happenings, self._happenings = tuple(self._happenings), []
+        return happenings
+
+
+def _nothing(targets: JointTargets) -> JointTargets:
+    zeros: Floats = np.zeros_like(targets.kp)
+    return JointTargets(targets.q, zeros, zeros)
+
+
+def _check_fit(robot: Robot, policy: Policy, form: CommandFormat) -> None:
+    spec = policy.spec
+    if spec.command != form.name:
+        raise ConfigError(f"policy {spec.name!r} follows {spec.command!r} commands, not {form.name!r}")
+    if spec.joint_names != robot.joint_names:
+        odd = sorted(set(spec.joint_names) ^ set(robot.joint_names))
+        raise ConfigError(
+            f"policy {spec.name!r} drives {len(spec.joint_names)} joints, the robot has {len(robot.joint_names)}; "
+            + (f"not in both: {', '.join(odd[:4])}" if odd else "their order differs")
+        )

@@ -1,0 +1,148 @@
+"""What is a good command: parsed, of the right length, finite, within range; the rest is refused and counted."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from station.bus import codec, contracts
+from station.protocols import CommandFormat, Floats
+
+RefusalKind = Literal["not-json", "wrong-length", "not-finite", "out-of-range"]
+
+_LONGEST_BYTES = 16384  # 35 numbers take 1 kB; parsing a megabyte would cost the loop its deadline
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why a command is not applied."""
+
+    kind: RefusalKind
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """A command that may be applied.
+
+    Attributes:
+        vector: Its numbers within their ranges, shape (m,).
+        clamped: How many of them had to be moved to the end of their range.
+    """
+
+    vector: Floats
+    clamped: int
+
+
+def check_command(data: bytes, form: CommandFormat) -> Checked | Refusal:
+    """Read a command as it stands on the bus and judge it."""
+    size = len(form.default)
+    if len(data) > _LONGEST_BYTES:
+        return Refusal("wrong-length", f"{len(data)} bytes, expected a JSON list of {size} numbers")
+    try:
+        vector = codec.parse_json_vector(data)
+    except codec.BadValue as error:
+        return Refusal(_kind_of_unreadable(data), str(error))
+    if len(vector) != size:
+        return Refusal("wrong-length", f"{len(vector)} values, expected {size}")
+    if not np.isfinite(vector).all():
+        return Refusal("not-finite", f"{_name(form, int(np.argmin(np.isfinite(vector))))} is not finite")
+    beyond = (vector < form.lower - form.margin) | (vector > form.upper + form.margin)
+    if beyond.any():
+        return Refusal("out-of-range", _describe(vector, int(np.argmax(beyond)), form))
+    clamped = np.clip(vector, form.lower, form.upper)
+    return Checked(clamped, int((clamped != vector).sum()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommandSample:
+    """A command as it was found, good or bad; each write is a new object.
+
+    Attributes:
+        value: Its bytes.
+        arrived_s: When it reached us, on the gate's clock [s]; None when it was there before we looked.
+        written_ns, arrived_ns: When it was written and when it arrived, on this machine's monotonic clock; 0 when
+            unknown, as `written_ns` for a foreign writer.
+        seq: Sequence number of its write; 0 for a foreign writer.
+    """
+
+    value: bytes
+    arrived_s: float | None
+    written_ns: int = 0
+    arrived_ns: int = 0
+    seq: int = 0
+
+
+@dataclass
+class Inlet:
+    """Remembers the newest good command and counts what was refused.
+
+    Attributes:
+        form: The command's format.
+        sample: The newest sample, good or bad.
+        good: The sample that `vector` was read from.
+        vector: The newest good command, shape (m,), or None.
+        refusal: Why the newest sample was refused, or None when it was good.
+        refused: Refused samples by kind.
+        clamped: Elements that were clamped in the newest good command.
+        clamped_samples: Samples with a clamped element since the start.
+    """
+
+    form: CommandFormat
+    sample: CommandSample | None = None
+    good: CommandSample | None = None
+    vector: Floats | None = None
+    refusal: Refusal | None = None
+    refused: Counter[str] = field(default_factory=Counter)
+    clamped: int = 0
+    clamped_samples: int = 0
+
+    def take(self, sample: CommandSample | None) -> bool:
+        """Take up the newest sample; return whether it is one that was not seen before."""
+        if sample is None or sample is self.sample:
+            return False
+        self.sample = sample
+        checked = check_command(sample.value, self.form)
+        if isinstance(checked, Refusal):
+            self.refusal = checked
+            self.refused[checked.kind] += 1
+            return True
+        self.refusal, self.good, self.vector = None, sample, checked.vector
+        self.clamped = checked.clamped
+        self.clamped_samples += bool(checked.clamped)
+        return True
+
+    def forget(self) -> None:
+        """Let no earlier command be followed any more; the counters stay."""
+        self.good = self.vector = None
+
+    def age_s(self, now_s: float) -> float:
+        """Return the age of the newest good command [s]; infinite when there is none or it is unknown."""
+        if self.good is None or self.good.arrived_s is None:
+            return math.inf
+        return now_s - self.good.arrived_s
+
+
+def _kind_of_unreadable(data: bytes) -> RefusalKind:
+    """Tell a list with NaN or Infinity, which Python writes and JSON does not know, from other text."""
+    try:
+        value = codec.parse_json(data)
+    except codec.BadValue:
+        return "not-json"
+    is_numbers = isinstance(value, list) and all(type(item) in (int, float) for item in value)
+    return "not-finite" if is_numbers else "not-json"
+
+
+def _name(form: CommandFormat, index: int) -> str:
+    contract = contracts.contract(form.key)
+    names = contract.names if contract is not None else ()
+    return names[index] if len(names) == len(form.default) else f"element {index}"
+
+
+def _describe(vector: Floats, index: int, form: CommandFormat) -> str:
+    low, high = form.lower[index] - form.margin[index], form.upper[index] + form.margin[index]
+    return f"{_name(form, index)} is {vector[index]:.4g}, allowed {low:.4g} to {high:.4g}"

@@ -1,0 +1,254 @@
+"""The loop of a low-level server: `station.life.control` between the bus's commands and the bus's recordings.
+
+Knows no robot. Two paces: the wall clock at a fixed rate, or lock-step, where a tick waits for a command that is newer
+than the last and the gate's clock is that of the ticks.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from station.bus import codec, keys
+from station.bus.sample import Sample
+from station.bus.watch import Watch
+from station.life import estop
+from station.life.control import ControlStep, Happening, StepRecord
+from station.life.inlet import CommandSample
+from station.life.loop import Rate
+from station.life.rivals import FOREIGN, Rivals
+from station.life.server import Life
+from station.protocols import RobotState
+
+log = logging.getLogger(__name__)
+
+_REPORT_S = 0.5
+
+StateValues = Callable[[RobotState], Mapping[str, bytes]]
+
+
+class Inbox:
+    """The newest command of a watch, as the control step wants it, and who writes it.
+
+    Args:
+        watch: Watches the key.
+        key: The command's key.
+    """
+
+    def __init__(self, watch: Watch, key: str) -> None:
+        self._watch, self._key = watch, key
+        self._rivals = Rivals()
+        self.seen: Sample | None = None
+        self._command: CommandSample | None = None
+        self.rivals: tuple[str, ...] = ()
+
+    def newest(self, now_s: float | None = None) -> CommandSample | None:
+        """Return the newest command, the same object as long as nothing new came.
+
+        Args:
+            now_s: When a command that is new counts as arrived, on the gate's clock [s]; None for its real arrival
+                on the monotonic clock.
+        """
+        sample = self._watch.latest(self._key)
+        if sample is not None and sample is not self.seen:
+            self.seen = sample
+            self._command = _command(sample, now_s)
+            writer = sample.stamp.source if sample.stamp is not None else FOREIGN
+            if sample.arrived_ns is not None:
+                self.rivals = self._rivals.see(writer, sample.arrived_ns * 1e-9) or self.rivals
+        return self._command
+
+    def take_rivals(self) -> tuple[str, ...]:
+        """Return writers newly found to compete for the key, once."""
+        rivals, self.rivals = self.rivals, ()
+        return rivals
+
+
+class LowLevelLoop:
+    """Ticks of a low-level server; a context manager, since it watches the bus.
+
+    Args:
+        life: The server's.
+        control: The step.
+        state_values: Makes the values that are published at the start of a tick.
+        period_s: Control period [s].
+        reset_after_s: A simulated robot is put back on its feet this long after a fall [s]; None: never.
+    """
+
+    def __init__(
+        self,
+        life: Life,
+        control: ControlStep,
+        *,
+        state_values: StateValues,
+        period_s: float,
+        reset_after_s: float | None = None,
+    ) -> None:
+        self._life, self._control, self._state_values = life, control, state_values
+        self._period_s, self._reset_after_s = period_s, reset_after_s
+        self._suffix, self._key = control.inlet.form.robot, control.inlet.form.key
+        self._watch = life.bus.watch([self._key, keys.ESTOP])
+        self._inbox = Inbox(self._watch, self._key)
+        self._estop_seen: Sample | None = None
+        self._fell_at_s: float | None = None
+        self._falls = 0
+        self._said_s = -math.inf
+        self._bus_is_lost = False
+
+    def __enter__(self) -> LowLevelLoop:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._watch.close()
+
+    def run_at(self, rate: Rate) -> None:
+        """Tick at a fixed rate until the server is asked to stop."""
+        while not self._life.stopping:
+            rate.wait()
+            state = self._sense()
+            now_s = time.monotonic()
+            self._obey(now_s)
+            self._act(state, self._inbox.newest(), now_s)
+            if self._is_time_to_report():
+                stats = rate.stats()
+                self._report(
+                    rate_hz=stats.rate_hz, jitter_p50_ms=stats.jitter_p50_ms, jitter_p99_ms=stats.jitter_p99_ms,
+                    overruns=stats.overruns,
+                )  # fmt: skip
+
+    def run_in_lock_step(self, timeout_s: float) -> None:
+        """Tick with the commander until the server is asked to stop.
+
+        Nothing moves before the first command. When none comes in time, ticks go on at the control period (so that
+        the gate holds and returns) until the next one.
+        """
+        tick, patience_s, started = 0, timeout_s, False
+        began_s = time.monotonic()
+        while not self._life.stopping:
+            now_s = tick * self._period_s
+            state = self._sense()
+            has_come = self._await_command(patience_s)
+            started = started or has_come
+            patience_s = timeout_s if has_come or not started else self._period_s
+            was_told = self._obey(now_s)
+            if started or was_told:
+                self._act(state, self._inbox.newest(now_s) if started else None, now_s)
+                tick += 1
+            if self._is_time_to_report():
+                elapsed_s = time.monotonic() - began_s
+                self._report(rate_hz=tick / elapsed_s)
+
+    def _await_command(self, patience_s: float) -> bool:
+        """Wait for a command newer than the last; return early, False, when asked to stop in either sense."""
+        end_s = time.monotonic() + patience_s
+        while not self._life.stopping and self._watch.latest(keys.ESTOP) is self._estop_seen:
+            left_s = end_s - time.monotonic()
+            if self._watch.wait(self._key, after=self._inbox.seen, timeout_s=max(0.0, min(left_s, self._period_s))):
+                return True
+            if left_s <= 0:
+                return False
+        return False
+
+    def _sense(self) -> RobotState:
+        state = self._control.sense()
+        self._publish(self._state_values(state))
+        return state
+
+    def _obey(self, now_s: float) -> bool:
+        """Do what the emergency stop's key asks for; return whether it says something new."""
+        sample = self._watch.latest(keys.ESTOP)
+        if sample is self._estop_seen:
+            return False
+        self._estop_seen = sample
+        if sample is None:  # the key was deleted: a stop stays latched
+            return False
+        request = estop.read(sample.value)
+        if request.stop:
+            self._control.stop(request.reason)
+            return True
+        if sample.arrived_ns is not None:  # a reset from before our time is none
+            self._control.reset(request.reason)
+            if request.arm:
+                self._control.arming.arm(now_s)
+        return True
+
+    def _act(self, state: RobotState, command: CommandSample | None, now_s: float) -> None:
+        record = self._control.step(state, command, now_s)
+        self._publish(result_values(self._suffix, record, self._control))
+        for happening in record.happenings:
+            self._say(happening)
+        rivals = self._inbox.take_rivals()
+        if rivals:
+            self._life.event("second-writer", severity="warning", key=self._key, writers=list(rivals))
+        self._see_to_fall(record, now_s)
+
+    def _see_to_fall(self, record: StepRecord, now_s: float) -> None:
+        if any(happening.name == "fall" for happening in record.happenings):
+            self._falls += 1
+            self._fell_at_s = now_s
+        due = self._reset_after_s is not None and self._fell_at_s is not None
+        if due and now_s - (self._fell_at_s or 0.0) >= (self._reset_after_s or 0.0):
+            self._fell_at_s = None
+            self._control.restart("fell")
+
+    def _publish(self, values: Mapping[str, bytes]) -> None:
+        is_lost = not self._life.bus.publish(values)
+        if is_lost and not self._bus_is_lost:
+            # Only the log can hear this one; `bus-back` follows on the bus with the count.
+            log.warning("bus lost: the loop goes on, commands are held and then left")
+        self._bus_is_lost = is_lost
+
+    def _say(self, happening: Happening) -> None:
+        self._life.event(happening.name, severity=happening.severity, **happening.detail)
+
+    def _is_time_to_report(self) -> bool:
+        now_s = time.monotonic()
+        if now_s - self._said_s < _REPORT_S:
+            return False
+        self._said_s = now_s
+        return True
+
+    def _report(self, **loop: float) -> None:
+        control, inlet = self._control, self._control.inlet
+        self._life.report(
+            gate=control.gate.state, gate_reason=control.gate.reason, arming=control.arming.state,
+            refused=dict(inlet.refused), clamped=inlet.clamped_samples, falls=self._falls, **loop,
+        )  # fmt: skip
+
+
+def result_values(suffix: str, record: StepRecord, control: ControlStep) -> dict[str, bytes]:
+    """Return what a step publishes after its targets were sent, by key."""
+    decision, sent = record.decision, record.sent
+    gate = {
+        "state": decision.state,
+        "reason": decision.reason,
+        "age_s": decision.age_s if math.isfinite(decision.age_s) else None,
+        "clamped": control.inlet.clamped,
+        "refused": control.inlet.refused.total(),
+        "arming": control.arming.state,
+    }
+    return {
+        keys.policy_obs(suffix): codec.f32(record.observation),
+        keys.policy_action(suffix): codec.f32(record.action),
+        keys.target(suffix): codec.f64(np.concatenate([sent.q, sent.kp, sent.kd])),
+        keys.command_gate(suffix): codec.json_object(gate),
+        keys.command_used(suffix): codec.f64(decision.vector),
+        keys.policy_timing(suffix): codec.json_vector((record.tick, record.command_seq, *record.timing_ns)),
+    }
+
+
+def _command(sample: Sample, now_s: float | None) -> CommandSample:
+    arrived_ns, mark = sample.arrived_ns, sample.stamp
+    at_s = None if arrived_ns is None else arrived_ns * 1e-9 if now_s is None else now_s
+    is_ours = mark is not None and mark.is_from_this_boot
+    return CommandSample(
+        value=sample.value,
+        arrived_s=at_s,
+        written_ns=mark.mono_ns if mark is not None and is_ours else 0,
+        arrived_ns=arrived_ns or 0,
+        seq=mark.seq if mark is not None else 0,
+    )

@@ -1,0 +1,58 @@
+"""How well a robot follows: one definition for the offline rehearsal and for the check of a recorded episode.
+
+A tick counts while the motion plays (not while it blends in, pauses or leaves) and the gate tracks. Its joint error is
+the mean over the commanded joints of |q - commanded q|, where q was measured at the start of the tick and the command
+is the one that the policy got in that tick. The error of a run is the mean over its ticks. Height: |z - commanded z|
+of the root, where the robot knows its z.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from station.bus import contracts
+from station.protocols import Floats
+
+
+class TrackingError:
+    """Accumulates the errors of a run.
+
+    Args:
+        command_key: Key of the command; its contract names the elements.
+        joint_names: Joints of the robot, in the order of `q`.
+    """
+
+    def __init__(self, command_key: str, joint_names: tuple[str, ...]) -> None:
+        contract = contracts.contract(command_key)
+        names = contract.names if contract is not None else ()
+        pairs = [
+            (joint, names.index(f"{name}_pos"))
+            for joint, name in enumerate(joint_names)
+            if f"{name}_pos" in names
+        ]  # fmt: skip
+        self._joints = np.array([joint for joint, _ in pairs], dtype=np.intp)
+        self._elements = np.array([element for _, element in pairs], dtype=np.intp)
+        self._height = names.index("root_height") if "root_height" in names else None
+        self._joint_sum, self._height_sum = 0.0, 0.0
+        self.ticks = 0
+        self.height_ticks = 0
+
+    def add(self, q: Floats, command: Floats, root_height_m: float | None = None) -> None:
+        """Take a tick that counts: joints [rad], command vector, height of the root [m] where known."""
+        self._joint_sum += float(np.abs(q[self._joints] - command[self._elements]).mean())
+        self.ticks += 1
+        if root_height_m is not None and self._height is not None:
+            self._height_sum += abs(root_height_m - float(command[self._height]))
+            self.height_ticks += 1
+
+    @property
+    def mean_joint_error_rad(self) -> float:
+        """Mean joint error [rad]; not a number when no tick counted."""
+        return self._joint_sum / self.ticks if self.ticks else math.nan
+
+    @property
+    def mean_root_height_error_m(self) -> float:
+        """Mean height error [m]; not a number when no tick counted."""
+        return self._height_sum / self.height_ticks if self.height_ticks else math.nan

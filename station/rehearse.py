@@ -1,0 +1,195 @@
+"""Offline rehearsal: a motion through playback, gate, policy and robot, as fast as the machine allows.
+
+It is the live station without its processes: the commands go through their JSON text, the gate runs on the time of
+the ticks, and control is the very step that the low-level server runs. A lock-step station gives the same figures.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from functools import lru_cache
+
+import msgspec
+
+from station import registry
+from station.bus import codec
+from station.errors import StationError, UsageError
+from station.life.control import ControlStep, Resettable, StepRecord
+from station.life.gate import GateConfig
+from station.life.inlet import CommandSample
+from station.life.playback import Frame, Playback
+from station.life.rig import Rig, RigConfig, build
+from station.life.tracking import TrackingError
+from station.protocols import CommandFormat, Motion, Policy, Robot
+
+
+class Rehearsal(msgspec.Struct, frozen=True, kw_only=True):
+    """How a motion went.
+
+    Attributes:
+        motion: What was rehearsed, as the user named it.
+        fell: Whether the robot fell; the run ends there.
+        fell_at_s: Motion time of the fall [s], or None.
+        mean_joint_error_rad: As in `station.life.tracking`; None when it fell before the motion played.
+        mean_root_height_error_m: Likewise [m].
+        seconds: Simulated time, blends included [s].
+        speed_x_realtime: Simulated time over wall time, loading left out.
+    """
+
+    motion: str
+    fell: bool
+    fell_at_s: float | None
+    mean_joint_error_rad: float | None
+    mean_root_height_error_m: float | None
+    seconds: float
+    speed_x_realtime: float
+
+
+OnStep = Callable[[Frame, StepRecord], None]
+
+
+def rehearse(
+    motion: Motion,
+    policy: Policy,
+    robot: Robot,
+    form: CommandFormat,
+    *,
+    name: str = "",
+    period_s: float = 0.02,
+    lead_s: float = 0.02,
+    gate: GateConfig | None = None,
+    on_step: OnStep | None = None,
+) -> Rehearsal:
+    """Run a motion to its end, or to a fall.
+
+    Args:
+        motion: What the robot shall do.
+        policy, robot: Fresh, or used before: both are reset.
+        form: The policy's command format.
+        name: What the result calls the motion; its own name when "".
+        period_s: Control period, that of the robot's `write` [s].
+        lead_s: How far ahead the motion is sampled [s]; as the motion server does by itself.
+        gate: Times of the gate.
+        on_step: Sees every step.
+    """
+    policy.reset()
+    if isinstance(robot, Resettable):
+        robot.reset()
+    control = ControlStep(robot, policy, form, gate=gate)
+    playback = Playback(motion, form, lead_s=lead_s)
+    error = TrackingError(form.key, robot.joint_names)
+    started_s = time.perf_counter()
+    tick, fell_at_s = 0, None
+    while not playback.is_done and fell_at_s is None:
+        # As the motion server in lock-step: its first command is due before time has passed.
+        frame, record = _step(control, playback, tick * period_s, period_s if tick else 0.0)
+        tick += 1
+        if frame.phase == "playing" and record.decision.state == "tracking":
+            root = record.state.root_pos
+            error.add(record.state.q, record.decision.vector, None if root is None else float(root[2]))
+        if record.fall is not None:
+            fell_at_s = frame.time_s
+        if on_step is not None:
+            on_step(frame, record)
+    return Rehearsal(
+        motion=name or motion.name,
+        fell=fell_at_s is not None,
+        fell_at_s=fell_at_s,
+        mean_joint_error_rad=error.mean_joint_error_rad if error.ticks else None,
+        mean_root_height_error_m=error.mean_root_height_error_m if error.height_ticks else None,
+        seconds=tick * period_s,
+        speed_x_realtime=tick * period_s / (time.perf_counter() - started_s),
+    )
+
+
+def rehearse_all(
+    motions: Sequence[str],
+    config: RigConfig,
+    *,
+    holes: str = "refuse",
+    jobs: int = 0,
+    on_done: Callable[[Rehearsal], None] | None = None,
+) -> list[Rehearsal]:
+    """Rehearse several motions, side by side in processes of their own.
+
+    Args:
+        motions: Paths or ``collection:path``.
+        config: What drives what.
+        holes: What is done with bad frames inside a motion: ``refuse`` or ``bridge``.
+        jobs: Processes; 0 for one per core, 1 for this process alone.
+        on_done: Called with each result as it comes, in any order.
+
+    Returns:
+        The results, in the order of `motions`.
+
+    Raises:
+        StationError: a motion, the policy or the robot model cannot be loaded; the first problem ends the rest.
+    """
+    jobs = min(len(motions), jobs or os.cpu_count() or 1)
+    if jobs <= 1:
+        return [_told(_rehearse_named(motion, config, holes), on_done) for motion in motions]
+    # Processes are spawned: a forked copy of a process with threads (a runtime's, a bus client's) may hang.
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        futures = [pool.submit(_rehearse_in_child, motion, config, holes) for motion in motions]
+        for future in futures:
+            future.add_done_callback(lambda done: _tell_if_good(done, on_done))
+        try:
+            return [_good(future.result()) for future in futures]
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+class _Failed(msgspec.Struct, frozen=True):
+    """An error of a child: exceptions do not always survive the way back, one line and its exit code do."""
+
+    text: str
+    is_usage: bool
+
+
+def _step(control: ControlStep, playback: Playback, now_s: float, dt_s: float) -> tuple[Frame, StepRecord]:
+    state = control.sense()
+    frame = playback.step(dt_s)
+    sample = CommandSample(codec.json_vector(frame.command), arrived_s=now_s)
+    return frame, control.step(state, sample, now_s)
+
+
+def _rehearse_named(motion: str, config: RigConfig, holes: str) -> Rehearsal:
+    clip = registry.find("loader", "motion")(motion, holes=holes)
+    rig = _rig(msgspec.json.encode(config))
+    return rehearse(clip, rig.policy, rig.robot, rig.form, name=motion, period_s=rig.period_s)
+
+
+@lru_cache(maxsize=1)
+def _rig(config: bytes) -> Rig:
+    """Load once per process; both ends of a rig are reset before each run."""
+    return build(msgspec.json.decode(config, type=RigConfig))
+
+
+def _rehearse_in_child(motion: str, config: RigConfig, holes: str) -> Rehearsal | _Failed:
+    try:
+        return _rehearse_named(motion, config, holes)
+    except StationError as error:
+        return _Failed(str(error), isinstance(error, UsageError))
+
+
+def _good(result: Rehearsal | _Failed) -> Rehearsal:
+    if isinstance(result, _Failed):
+        raise (UsageError if result.is_usage else StationError)(result.text)
+    return result
+
+
+def _told(result: Rehearsal, on_done: Callable[[Rehearsal], None] | None) -> Rehearsal:
+    if on_done is not None:
+        on_done(result)
+    return result
+
+
+def _tell_if_good(future: Future[Rehearsal | _Failed], on_done: Callable[[Rehearsal], None] | None) -> None:
+    if not future.cancelled() and future.exception() is None:
+        result = future.result()
+        if isinstance(result, Rehearsal):
+            _told(result, on_done)

@@ -1,0 +1,145 @@
+"""An episode in Rerun: robot and reference, named curves, gate and motion, events, on one time line."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import msgspec
+import rerun as rr
+
+from station.bus import keys
+from station.episode import steps
+from station.episode.reader import EpisodeReader
+from station.errors import StationError
+from station.view import layout, poses, scene
+from station.view.episode_curves import Source, draw_curves
+from station.view.episode_story import draw_events, draw_states
+from station.view.find_model import find_model
+from station.view.model import RobotModel
+from station.view.poses import Posture
+
+APPLICATION = "teleop-station"
+
+
+class View(msgspec.Struct, kw_only=True):
+    """What was drawn.
+
+    Attributes:
+        episode_id: The episode.
+        path: The file, or None when a viewer shows it.
+        robot: Suffix of the robot, "" when the episode has none.
+        poses: Instants at which the robot is posed; 0 when it is not drawn.
+        curves: Entities with curves.
+        events: Lines in the log.
+        warnings: What is missing and why, a line each.
+        seconds: Time that it took [s].
+    """
+
+    episode_id: str
+    path: str | None = None
+    robot: str = ""
+    poses: int = 0
+    curves: list[str] = []
+    events: int = 0
+    warnings: list[str] = []
+    seconds: float = 0.0
+
+
+def save(reader: EpisodeReader, path: Path, *, robot_model: str | Path | None = None) -> View:
+    """Write an episode as a Rerun file; needs no display.
+
+    Args:
+        reader: The episode.
+        path: The ``.rrd`` file; replaced as a whole, or not at all.
+        robot_model: MJCF of the robot, path or ``collection:path``; None for the one that the episode names.
+
+    Raises:
+        StationError: the file cannot be written.
+        AssetMissing, BadFile: `robot_model` is not there, or is none.
+    """
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    recording = _recording(reader)
+    try:
+        recording.save(part)
+        view = draw(reader, recording, robot_model=robot_model)
+        recording.flush()
+        recording.disconnect()
+        os.replace(part, path)
+    except (RuntimeError, OSError) as error:
+        raise StationError(f"{path}: cannot be written ({error}); name a file in a folder of yours") from error
+    finally:
+        part.unlink(missing_ok=True)
+    view.path = str(path)
+    return view
+
+
+def show(reader: EpisodeReader, *, robot_model: str | Path | None = None) -> View:
+    """Open Rerun's viewer on an episode; needs a display.
+
+    Raises:
+        StationError: the viewer does not start.
+    """
+    recording = _recording(reader)
+    try:
+        recording.spawn()
+    except (RuntimeError, OSError) as error:
+        raise StationError(f"Rerun's viewer does not start ({error}); save a file instead and open it there") from error
+    view = draw(reader, recording, robot_model=robot_model)
+    recording.flush()
+    return view
+
+
+def draw(reader: EpisodeReader, recording: rr.RecordingStream, *, robot_model: str | Path | None = None) -> View:
+    """Send an episode to any Rerun recording."""
+    began = time.perf_counter()
+    source = Source(reader)
+    view = View(episode_id=reader.episode_id, robot=_robot(reader.topics()))
+    drawn = draw_curves(recording, source, view.robot)
+    view.curves = drawn.entities
+    view.warnings += drawn.warnings
+    view.warnings += _draw_robot(recording, source, view, robot_model)
+    draw_states(recording, source, view.robot)
+    view.events = draw_events(recording, source)
+    arranged = layout.layout(drawn.contracts, has_robot=view.poses > 0, has_joints=drawn.has_joints)
+    recording.send_blueprint(arranged)
+    view.seconds = time.perf_counter() - began
+    return view
+
+
+def _recording(reader: EpisodeReader) -> rr.RecordingStream:
+    recording = rr.RecordingStream(APPLICATION, recording_id=reader.episode_id)
+    recording.send_recording_name(reader.episode_id)
+    return recording
+
+
+def _robot(topics: list[str]) -> str:
+    """Return the suffix of the robot to draw; a stock low-level server makes no policy steps, but writes its state."""
+    stock = [robot for robot in (keys.TWIST2_ROBOT, keys.TWIST_ROBOT) if keys.state_body(robot) in topics]
+    return next(iter([*steps.robots(topics), *stock]), "")
+
+
+def _draw_robot(recording: rr.RecordingStream, source: Source, view: View, robot_model: str | Path | None) -> list[str]:
+    where = poses.measured(source.vectors, view.robot)
+    if where is None:
+        return ["the robot is not drawn: the episode holds no pose of it"] if view.robot else []
+    servers = source.reader.manifest.servers.values()
+    model, warnings = find_model(servers, view.robot, robot_model)
+    if model is None:
+        return warnings
+    view.poses = len(where.times_ns)
+    scene.log_shapes(recording, scene.ROBOT, model)
+    _send(recording, scene.ROBOT, model, where, source)
+    ghost = poses.asked(source.vectors, view.robot, where)
+    if ghost is not None:
+        scene.log_shapes(recording, scene.GHOST, model, is_ghost=True)
+        ghost.root[:, :3] += scene.GHOST_OFFSET_M
+        _send(recording, scene.GHOST, model, ghost, source)
+    unknown = [joint for joint in where.joints if not model.knows(joint)]
+    return [*warnings, *([f"the model lacks the joints {', '.join(unknown)}"] if unknown else [])]
+
+
+def _send(recording: rr.RecordingStream, root: str, model: RobotModel, posture: Posture, source: Source) -> None:
+    positions, quats = model.poses(posture.root, posture.joints, posture.q)
+    scene.send_poses(recording, root, model, source.index(posture.times_ns), positions, quats)

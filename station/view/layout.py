@@ -1,0 +1,95 @@
+"""How a viewer arranges an episode or a live station: robot and reference, states and events, tabs of curves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from station.bus import joints
+from station.bus.contracts import Contract
+from station.view import scene
+from station.view.curves import CURVES, groups
+
+TIMELINE = "episode_time"
+STATES = "states"
+EVENTS = "events"
+JOINTS = "joints"
+"""Below it one entity per joint with the curves ``commanded`` and ``measured``."""
+
+GATE_COLOURS = {
+    "waiting": 0x9E9E9EFF,
+    "entering": 0x42A5F5FF,
+    "tracking": 0x66BB6AFF,
+    "holding": 0xFFA726FF,
+    "returning": 0xAB47BCFF,
+    "stopped": 0xEF5350FF,
+}
+_LONGEST_LEGEND = 8
+LIMBS: dict[str, tuple[str, ...]] = {
+    "left leg": joints.LEGS[:6],
+    "right leg": joints.LEGS[6:],
+    "waist": joints.G1_29[12:15],
+    "left arm": joints.G1_29[15:22],
+    "right arm": joints.G1_29[22:],
+}
+
+
+def layout(contracts: Iterable[Contract], *, has_robot: bool, has_joints: bool, timeline: str = TIMELINE) -> Any:
+    """Return the blueprint.
+
+    Args:
+        contracts: Keys that have curves.
+        has_robot: Whether there is a robot to look at.
+        has_joints: Whether commanded and measured joints are there to be compared.
+        timeline: The timeline that is shown.
+    """
+    story: list[Any] = [
+        rrb.StateTimelineView(origin=f"/{STATES}", name="Gate and motion"),
+        rrb.TextLogView(origin=f"/{EVENTS}", name="Events"),
+    ]
+    shares = [2.0, 1.5]
+    if has_robot:
+        eye = rrb.EyeControls3D(tracking_entity=f"/{scene.ROBOT}")
+        story.insert(0, rrb.Spatial3DView(origin=f"/{scene.WORLD}", name="Robot and reference", eye_controls=eye))
+        shares.insert(0, 6.0)
+    tabs = _tabs(list(contracts), has_joints=has_joints)
+    left = rrb.Vertical(*story, row_shares=shares)
+    body = rrb.Horizontal(left, rrb.Tabs(*tabs), column_shares=[1, 1]) if tabs else left
+    return rrb.Blueprint(body, rrb.TimePanel(timeline=timeline), collapse_panels=True)
+
+
+def log_state_colours(recording: rr.RecordingStream, entity: str) -> None:
+    """Give the states of a gate their colours."""
+    names = list(GATE_COLOURS)
+    configuration = rr.StateConfiguration(values=names, labels=names, colors=list(GATE_COLOURS.values()))
+    recording.log(entity, configuration, static=True)
+
+
+def _tabs(contracts: list[Contract], *, has_joints: bool) -> list[Any]:
+    tabs = []
+    if has_joints:
+        plots = [
+            _plot("/", name, contents=[f"/{JOINTS}/{joint}/**" for joint in limb], lines=2 * len(limb))
+            for name, limb in LIMBS.items()
+        ]
+        tabs.append(rrb.Grid(*plots, name="Commanded and measured"))
+    for role in ("command", "state", "policy", "sensor"):
+        plots = [
+            _plot(f"/{CURVES}/{role}/{item.key}/{quantity}", f"{item.key}: {quantity}", lines=len(indices))
+            for item in contracts
+            if item.role == role
+            for quantity, indices in groups(item.elements).items()
+        ]
+        if plots:
+            tabs.append(rrb.Grid(*plots, name=role.capitalize()))
+    tabs.append(_plot(f"/{CURVES}/latency", "Latency", lines=0))
+    return tabs
+
+
+def _plot(origin: str, name: str, *, lines: int, contents: Any = "$origin/**") -> Any:
+    # A legend of thirty names covers the curves; the name of a curve also shows under the pointer.
+    legend = rrb.PlotLegend(visible=lines <= _LONGEST_LEGEND)
+    return rrb.TimeSeriesView(origin=origin, contents=contents, name=name, plot_legend=legend)

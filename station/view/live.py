@@ -1,0 +1,183 @@
+"""A live station in Rerun: the newest of every key, some twenty-five times a second. Looks on; never writes the bus."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import rerun as rr
+
+from station.bus import codec, contracts, keys
+from station.bus.client import Bus
+from station.bus.contracts import Contract
+from station.bus.sample import Sample
+from station.errors import NotReady
+from station.life.loop import Rate
+from station.protocols import Floats
+from station.view import curves, layout, poses, scene
+from station.view.episode_story import level, line
+from station.view.find_model import find_model
+from station.view.poses import Numbers, Posture
+
+RATE_HZ = 25.0
+_DECODERS = {
+    "json-vector": codec.parse_json_vector,
+    "f64": codec.parse_f64,
+    "f32": codec.parse_f32,
+}
+
+
+class LiveView:
+    """Draws what a bus says now; call `look` at any rate.
+
+    Args:
+        bus: The station's.
+        recording: Where to draw: a viewer, a file, memory.
+        robot: Suffix of the robot; "" takes the one that writes a state.
+        robot_model: MJCF of the robot, path or ``collection:path``; None for the one that its server names.
+
+    Raises:
+        NotReady: no robot writes a state on this bus.
+        AssetMissing, BadFile: `robot_model` is not there, or is none.
+    """
+
+    def __init__(
+        self, bus: Bus, recording: rr.RecordingStream, *, robot: str = "", robot_model: str | Path | None = None
+    ) -> None:
+        self.robot = robot or _present_robot(bus)
+        self._recording = recording
+        self._contracts = _of_robot(self.robot)
+        others = [keys.command_gate(self.robot), keys.command_source(self.robot), keys.EVENT]
+        self._watch = bus.watch([*self._contracts, *others])
+        self._model, self.warnings = find_model(_stated(bus), self.robot, robot_model)
+        self._seen: dict[str, Sample] = {}
+        self._states: dict[str, str] = {}
+        self._began_s = time.monotonic()
+        self._prepare()
+
+    def look(self) -> int:
+        """Draw what is new since the last look; return how many keys that were."""
+        self._recording.set_time(layout.TIMELINE, duration=time.monotonic() - self._began_s)
+        fresh = {key: sample for key in (*self._contracts, *self._told) if (sample := self._fresh(key)) is not None}
+        numbers = {key: found for key in self._contracts if key in fresh and (found := self._numbers(fresh[key]))}
+        for found in numbers.values():
+            curves.log_values(self._recording, found.contract, found.values[0])
+        if numbers:
+            self._pose()
+        self._tell(fresh)
+        return len(fresh)
+
+    def close(self) -> None:
+        """Stop watching the bus."""
+        self._watch.close()
+
+    def __enter__(self) -> LiveView:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def _told(self) -> dict[str, tuple[str, str]]:
+        """Keys whose changes are shown as states: entity, and field of the value."""
+        return {
+            keys.command_gate(self.robot): (f"{layout.STATES}/gate", "state"),
+            keys.command_source(self.robot): (f"{layout.STATES}/motion", "phase"),
+            keys.EVENT: (layout.EVENTS, ""),
+        }
+
+    def _prepare(self) -> None:
+        for contract in self._contracts.values():
+            curves.log_names(self._recording, contract)
+        layout.log_state_colours(self._recording, f"{layout.STATES}/gate")
+        if self._model is not None:
+            scene.log_shapes(self._recording, scene.ROBOT, self._model)
+            scene.log_shapes(self._recording, scene.GHOST, self._model, is_ghost=True)
+        arranged = layout.layout(self._contracts.values(), has_robot=self._model is not None, has_joints=False)
+        self._recording.send_blueprint(arranged)
+
+    def _fresh(self, key: str) -> Sample | None:
+        sample = self._watch.latest(key)
+        if sample is None or sample is self._seen.get(key):
+            return None
+        self._seen[key] = sample
+        return sample
+
+    def _numbers(self, sample: Sample) -> Numbers | None:
+        contract = self._contracts[sample.key]
+        try:
+            values: Floats = np.asarray(_DECODERS[contract.codec](sample.value), dtype=np.float64)
+        except codec.BadValue:
+            return None
+        if len(values) != len(contract.elements):
+            return None
+        return Numbers(np.array([sample.arrived_ns or 0]), values[None], contract)
+
+    def _find(self, key: str) -> Numbers | None:
+        sample = self._seen.get(key) if key in self._contracts else None
+        return None if sample is None else self._numbers(sample)
+
+    def _pose(self) -> None:
+        where = poses.measured(self._find, self.robot)
+        if self._model is None or where is None:
+            return
+        self._place(scene.ROBOT, where)
+        ghost = poses.asked(self._find, self.robot, where)
+        if ghost is not None:
+            ghost.root[:, :3] += scene.GHOST_OFFSET_M
+            self._place(scene.GHOST, ghost)
+
+    def _place(self, root: str, posture: Posture) -> None:
+        assert self._model is not None
+        positions, quats = self._model.poses(posture.root, posture.joints, posture.q)
+        scene.log_pose(self._recording, root, self._model, positions[0], quats[0])
+
+    def _tell(self, fresh: dict[str, Sample]) -> None:
+        for key, (entity, name) in self._told.items():
+            value = _json(fresh[key].value) if key in fresh else {}
+            if value and key == keys.EVENT:
+                self._recording.log(entity, rr.TextLog(line(value), level=level(value)))
+            elif value and value.get(name) != self._states.get(entity):
+                self._states[entity] = str(value.get(name))
+                self._recording.log(entity, rr.StateChange(state=self._states[entity]))
+
+
+def run(view: LiveView, stop: threading.Event, *, rate_hz: float = RATE_HZ) -> None:
+    """Look at a fixed rate until asked to stop."""
+    rate = Rate(rate_hz)
+    while not stop.is_set():
+        rate.wait()
+        view.look()
+
+
+def _of_robot(robot: str) -> dict[str, Contract]:
+    """Return the contracts of a robot's keys, and of shared ones, that have curves."""
+    every = [item for item in contracts.contracts() if item.codec in _DECODERS]
+    return {item.key: item for item in curves.drawable(every) if item.key.endswith(f"_{robot}")}
+
+
+def _present_robot(bus: Bus) -> str:
+    for robot in (keys.TWIST2_ROBOT, keys.TWIST_ROBOT):
+        if bus.get(keys.robot_state(robot)) is not None or bus.get(keys.state_body(robot)) is not None:
+            return robot
+    raise NotReady(
+        f"bus {bus.address}: no robot writes its state ({keys.robot_state('*')} or {keys.state_body('*')}); "
+        "start a low-level server first"
+    )
+
+
+def _stated(bus: Bus) -> list[dict[str, Any]]:
+    names = bus.names(f"{keys.CONFIG_PREFIX}*")
+    return [_json(sample.value) for sample in bus.read(names).values()]
+
+
+def _json(data: bytes) -> dict[str, Any]:
+    try:
+        value = msgspec.json.decode(data)
+    except msgspec.DecodeError:
+        return {}
+    return value if isinstance(value, dict) else {}

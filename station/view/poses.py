@@ -1,0 +1,125 @@
+"""Where the robot was and where it was asked to be, as root poses and joints over time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from station import rotations
+from station.bus import keys
+from station.bus.contracts import Contract
+from station.protocols import Floats
+
+Ints = NDArray[np.int64]
+STANDING_M = 0.79
+"""Height at which a robot is drawn whose height nothing measures and no command says."""
+
+
+class Posture(NamedTuple):
+    """Root pose and joints at n instants.
+
+    Attributes:
+        times_ns: Shape (n,).
+        root: Position [m] and quaternion wxyz, shape (n, 7).
+        joints: Names of m joints.
+        q: Their positions, shape (n, m) [rad].
+    """
+
+    times_ns: Ints
+    root: Floats
+    joints: tuple[str, ...]
+    q: Floats
+
+
+class Numbers(NamedTuple):
+    """The values of a key, shape (n, m), when they arrived, shape (n,) [ns], and what they are."""
+
+    times_ns: Ints
+    values: Floats
+    contract: Contract
+
+
+Find = Callable[[str], Numbers | None]
+
+
+def measured(find: Find, robot: str) -> Posture | None:
+    """Return where a robot was, from the best that is there: ground truth, else what it measured of itself.
+
+    A robot that does not know where it stands is drawn in place. `find` gives the numbers of a key, or None.
+    """
+    for key in (keys.sim_qpos(robot), keys.robot_state(robot), keys.state_body(robot)):
+        numbers = find(key)
+        if numbers is None:
+            continue
+        names, values = numbers.contract.names, numbers.values
+        joints, q = _joints(names, values)
+        root = _root(names, values)
+        if joints and root is not None:
+            return Posture(numbers.times_ns, root, joints, q)
+    return None
+
+
+def asked(find: Find, robot: str, where: Posture) -> Posture | None:
+    """Return what a robot was asked to be: the command that its policy got, else the one on the bus."""
+    for key in (keys.command_used(robot), keys.action_body(robot), keys.action_mimic(robot)):
+        numbers = find(key)
+        if numbers is not None and "root_height" in numbers.contract.names:
+            return reference(numbers.times_ns, numbers.contract.names, numbers.values, where)
+    return None
+
+
+def reference(times_ns: Ints, names: tuple[str, ...], values: Floats, measured: Posture) -> Posture:
+    """Return the posture that commands ask for.
+
+    A command says height, roll and pitch; place and heading are those that the robot had at that time.
+
+    Args:
+        times_ns: Instants of n commands.
+        names: Elements of the command.
+        values: Commands, shape (n, elements).
+        measured: Where the robot was.
+    """
+    joints, q = _joints(names, values)
+    nearest = np.clip(np.searchsorted(measured.times_ns, times_ns, side="right") - 1, 0, len(measured.times_ns) - 1)
+    root = measured.root[nearest].copy()
+    root[:, 2:3] = _columns(names, values, ("root_height",))
+    roll_pitch = _columns(names, values, ("root_roll", "root_pitch"))
+    yaw = rotations.roll_pitch_yaw(root[:, 3:])[:, 2]
+    root[:, 3:] = from_roll_pitch_yaw(roll_pitch[:, 0], roll_pitch[:, 1], yaw)
+    return Posture(times_ns, root, joints, q)
+
+
+def from_roll_pitch_yaw(roll: Floats, pitch: Floats, yaw: Floats) -> Floats:
+    """Return quaternions wxyz of ZYX Euler angles, shapes (n,) [rad]."""
+    turns = []
+    for angle, axis in ((yaw, (0.0, 0.0, 1.0)), (pitch, (0.0, 1.0, 0.0)), (roll, (1.0, 0.0, 0.0))):
+        turns.append(rotations.from_rotation_vector(np.asarray(angle)[:, None] * np.array(axis)))
+    return rotations.multiply(rotations.multiply(turns[0], turns[1]), turns[2])
+
+
+_ROOT = ("root_x", "root_y", "root_z", "root_quat_w", "root_quat_x", "root_quat_y", "root_quat_z")
+
+
+def _root(names: tuple[str, ...], values: Floats) -> Floats | None:
+    """Return root poses, shape (n, 7), or None where nothing tells the orientation."""
+    place = np.tile([0.0, 0.0, STANDING_M], (len(values), 1))
+    if set(_ROOT) <= set(names):
+        return _columns(names, values, _ROOT)
+    if set(_ROOT[3:]) <= set(names):
+        return np.hstack([place, _columns(names, values, _ROOT[3:])])
+    if {"root_roll", "root_pitch"} <= set(names):
+        roll, pitch = _columns(names, values, ("root_roll", "root_pitch")).T
+        return np.hstack([place, from_roll_pitch_yaw(roll, pitch, np.zeros_like(roll))])
+    return None
+
+
+def _columns(names: tuple[str, ...], values: Floats, wanted: tuple[str, ...]) -> Floats:
+    return values[:, [names.index(name) for name in wanted]]
+
+
+def _joints(names: tuple[str, ...], values: Floats) -> tuple[tuple[str, ...], Floats]:
+    indices = [index for index, name in enumerate(names) if name.endswith("_pos")]
+    return tuple(names[index].removesuffix("_pos") for index in indices), values[:, indices]

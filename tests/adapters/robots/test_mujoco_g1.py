@@ -1,0 +1,232 @@
+"""The simulated G1: its torques, its start, its falls, its bad input."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from adapters.policies.twist2 import DEFAULT_Q, gains
+from adapters.robots.g1 import mjcf
+from adapters.robots.g1.joints import select
+from adapters.robots.g1.mujoco_g1 import START_Q, MujocoG1
+from station.bus.joints import G1_29
+from station.errors import BadFile, ConfigError, StationError
+from station.protocols import Floats, JointTargets, Robot
+from station.rotations import from_rotation_vector, multiply, rotation_vector
+
+pytestmark = pytest.mark.assets
+
+_KP, _KD = gains(4.0, 0.2)
+_MESHED = "twist2/g1/g1_sim2sim_29dof.xml"
+_MOTORS = "zoo/models/g1_29dof.xml"
+_POSITION_ACTUATORS = "zoo/models/g1_playground.xml"
+
+
+@pytest.fixture
+def robot(assets: Path) -> MujocoG1:
+    return MujocoG1(assets / _MESHED)
+
+
+def _explicit(path: Path, physics_dt_s: float) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The model as upstream scripts use it: torque motors, driven from outside."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    mjcf.prepare(spec)
+    for actuator in spec.actuators:
+        actuator.gainprm[0] = 1.0
+        actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
+        actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    spec.option.timestep = physics_dt_s
+    model = spec.compile()
+    return model, mujoco.MjData(model)
+
+
+class _StockLoop:
+    """The PD law as the stock scripts run it, one torque per physics step."""
+
+    def __init__(self, path: Path, robot: MujocoG1, physics_dt_s: float) -> None:
+        self.model, self.data = _explicit(path, physics_dt_s)
+        joints = [self.model.joint(joint.mjcf_name) for joint in select(G1_29)]
+        self.q_at, self.v_at = [j.qposadr[0] for j in joints], [j.dofadr[0] for j in joints]
+        motor_of = {int(self.model.actuator_trnid[u, 0]): u for u in range(self.model.nu)}
+        self.motors = [motor_of[j.id] for j in joints]
+        self.steps = round(0.02 / physics_dt_s)
+        self.clipped = 0
+        self.follow(robot)
+
+    def follow(self, robot: MujocoG1) -> None:
+        """Take up the other's state, the solver's starting guess included."""
+        self.data.qpos[:], self.data.qvel[:] = robot._data.qpos, robot._data.qvel
+        self.data.qacc_warmstart[:] = robot._data.qacc_warmstart
+
+    def write(self, targets: JointTargets) -> None:
+        limit = np.array(mjcf.TORQUE_CLIP_NM)
+        for _ in range(self.steps):
+            torque = targets.kp * (targets.q - self.data.qpos[self.q_at]) - targets.kd * self.data.qvel[self.v_at]
+            self.clipped += int((np.abs(torque) > limit).sum())
+            self.data.ctrl[self.motors] = np.clip(torque, -limit, limit)
+            mujoco.mj_step(self.model, self.data)
+
+    def assert_equals(self, robot: MujocoG1) -> None:
+        state = robot.read()
+        np.testing.assert_allclose(state.q, self.data.qpos[self.q_at], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(state.dq, self.data.qvel[self.v_at], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("model", [_MESHED, _MOTORS, _POSITION_ACTUATORS])
+@pytest.mark.parametrize("physics_dt_s", [0.001, 0.002])
+def test_the_engine_servo_equals_the_stock_loop_over_ten_periods(assets: Path, model: str, physics_dt_s: float) -> None:
+    robot = MujocoG1(assets / model, physics_dt_s=physics_dt_s)
+    stock = _StockLoop(assets / model, robot, physics_dt_s)
+    random = np.random.default_rng(3)
+    for _ in range(10):
+        targets = JointTargets(np.array(START_Q) + random.normal(size=29) * 0.1, _KP, _KD)
+        robot.write(targets)
+        stock.write(targets)
+        stock.assert_equals(robot)
+
+
+@pytest.mark.parametrize("physics_dt_s", [0.001, 0.002])
+def test_the_engine_servo_clips_and_changes_gains_as_the_stock_loop(assets: Path, physics_dt_s: float) -> None:
+    robot = MujocoG1(assets / _MESHED, physics_dt_s=physics_dt_s)
+    stock = _StockLoop(assets / _MESHED, robot, physics_dt_s)
+    random = np.random.default_rng(4)
+    for period in range(10):
+        # Hard kicks make contacts in which rounding grows without bound: each period starts from one state.
+        stock.follow(robot)
+        targets = JointTargets(np.array(START_Q) + random.normal(size=29) * 0.5, _KP / (1 + period % 2), _KD)
+        robot.write(targets)
+        stock.write(targets)
+        stock.assert_equals(robot)
+    assert stock.clipped > 10
+
+
+def test_it_is_a_robot_and_starts_at_rest_in_the_start_pose(robot: MujocoG1) -> None:
+    assert isinstance(robot, Robot)
+    assert robot.joint_names == G1_29
+    state = robot.read()
+    np.testing.assert_array_equal(state.q, START_Q)
+    np.testing.assert_array_equal(state.root_pos, (0, 0, 0.793))
+    np.testing.assert_array_equal(state.quat_wxyz, (1, 0, 0, 0))
+    assert not state.dq.any()
+    assert robot.fallen() is None
+
+
+def test_a_state_does_not_change_after_it_was_read(robot: MujocoG1) -> None:
+    state = robot.read()
+    before = [state.q.copy(), state.dq.copy(), state.quat_wxyz.copy(), state.gyro.copy()]
+    robot.write(JointTargets(DEFAULT_Q, _KP, _KD))
+    for then, now in zip(before, [state.q, state.dq, state.quat_wxyz, state.gyro], strict=True):
+        np.testing.assert_array_equal(then, now)
+
+
+def test_one_write_advances_one_control_period(assets: Path) -> None:
+    robot = MujocoG1(assets / _MOTORS, physics_dt_s=0.002, control_dt_s=0.01)
+    robot.write(JointTargets(DEFAULT_Q, _KP, _KD))
+    assert robot.time_s == pytest.approx(0.01)
+
+
+def test_the_gyro_is_the_angular_velocity_in_the_pelvis_frame(assets: Path) -> None:
+    robot = MujocoG1(assets / _MOTORS, physics_dt_s=0.001, control_dt_s=0.001)
+    limp = JointTargets(DEFAULT_Q, np.zeros(29), np.zeros(29))
+    for _ in range(150):
+        robot.write(limp)
+    before = robot.read()
+    robot.write(limp)
+    after = robot.read()
+    turned = rotation_vector(multiply(before.quat_wxyz * [1, -1, -1, -1], after.quat_wxyz)) / 0.001
+    assert np.linalg.norm(after.gyro) > 0.1
+    np.testing.assert_allclose(after.gyro, turned, atol=1e-6)
+
+
+def test_a_limp_robot_falls_and_the_fall_names_what_touches_the_ground(robot: MujocoG1) -> None:
+    fall = _let_go(robot)
+    assert fall is not None
+    assert fall.contacts
+    assert not any(name.endswith("ankle_roll_link") for name in fall.contacts)
+
+
+def test_a_leaning_pelvis_is_a_fall_beyond_60_degrees_only(robot: MujocoG1) -> None:
+    for degrees, is_fall in ((59.0, False), (61.0, True)):
+        robot._data.qpos[2] = 3.0  # high above the ground, so that only the tilt counts
+        robot._data.qpos[3:7] = from_rotation_vector(np.radians([0.0, degrees, 0.0]))
+        mujoco.mj_forward(robot._model, robot._data)
+        fall = robot.fallen()
+        assert (fall is not None) == is_fall
+    assert fall is not None
+    assert fall.tilt_rad == pytest.approx(np.radians(61.0))
+
+
+def test_reset_puts_a_fallen_robot_back_on_its_feet(robot: MujocoG1) -> None:
+    assert _let_go(robot) is not None
+    robot.reset()
+    assert robot.fallen() is None
+    np.testing.assert_array_equal(robot.read().q, START_Q)
+    assert robot.time_s == 0.0
+
+
+def test_two_runs_from_the_start_are_the_same_bit_for_bit(robot: MujocoG1) -> None:
+    runs: list[Floats] = []
+    for _ in range(2):
+        robot.reset()
+        for step in range(20):
+            robot.write(JointTargets(DEFAULT_Q + 0.1 * np.sin(step), _KP, _KD))
+        runs.append(robot.qpos)
+    np.testing.assert_array_equal(*runs)
+
+
+def test_a_model_without_a_floor_gets_one(assets: Path, tmp_path: Path) -> None:
+    text = (assets / _MOTORS).read_text()
+    path = tmp_path / "floorless.xml"
+    path.write_text("\n".join(line for line in text.splitlines() if 'type="plane"' not in line))
+    robot = MujocoG1(path)
+    for _ in range(25):
+        robot.write(JointTargets(DEFAULT_Q, _KP, _KD))
+    assert robot.qpos[2] > 0.7
+
+
+def test_targets_that_are_not_finite_are_refused_and_nothing_moves(robot: MujocoG1) -> None:
+    with pytest.raises(ValueError, match="finite"):
+        robot.write(JointTargets(np.full(29, np.nan), _KP, _KD))
+    assert robot.time_s == 0.0
+
+
+def test_the_facts_name_the_model_its_hash_and_the_time_steps(robot: MujocoG1) -> None:
+    facts = robot.facts()
+    assert facts["model"].endswith("g1_sim2sim_29dof.xml")
+    assert len(facts["model_sha256"]) == 64
+    assert (facts["physics_dt_s"], facts["control_dt_s"]) == (0.001, 0.02)
+    assert facts["mass_kg"] == pytest.approx(33.34, abs=0.01)
+
+
+@pytest.mark.parametrize("physics_dt_s", [0.0, -0.001, 0.003, 0.05, float("nan")])
+def test_a_physics_step_that_does_not_fit_the_control_period_is_refused(assets: Path, physics_dt_s: float) -> None:
+    with pytest.raises(ConfigError, match="whole number of times"):
+        MujocoG1(assets / _MOTORS, physics_dt_s=physics_dt_s)
+
+
+def test_a_model_of_another_robot_is_refused_in_one_line(assets: Path) -> None:
+    with pytest.raises(BadFile, match="expected the 29 joints of a G1") as caught:
+        MujocoG1(assets / "zoo/models/g1_12dof.xml")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_picture_shows_the_robot_and_not_one_colour(robot: MujocoG1) -> None:
+    try:
+        picture = robot.render(160, 120)
+    except StationError as error:
+        pytest.skip(str(error))
+    robot.close()
+    assert picture.shape == (120, 160, 3)
+    assert picture.std() > 5
+
+
+def _let_go(robot: MujocoG1) -> object:
+    limp = JointTargets(DEFAULT_Q, np.zeros(29), np.full(29, 0.2))
+    for _ in range(150):
+        robot.write(limp)
+        if robot.fallen() is not None:
+            break
+    return robot.fallen()

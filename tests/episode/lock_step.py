@@ -1,0 +1,86 @@
+"""Records a lock-step run of the real policy on the real simulation, without processes: same steps, same bytes."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from adapters.robots.g1 import wire
+from servers.g1 import G1Config
+from station import registry
+from station.bus import codec, keys
+from station.life.control import ControlStep
+from station.life.inlet import CommandSample
+from station.life.low_level import result_values
+from station.life.playback import Playback
+from station.life.rig import Rig, build
+from tests.episode.synthetic import EpisodeBuilder
+
+MOTION = "twist2:motions/0807_yanjie_walk_003.pkl"
+
+
+def record(builder: EpisodeBuilder, *, seconds: float, skip: int = 0, config: G1Config | None = None) -> Path:
+    """Run a motion for some seconds, write what the servers would write, and return the episode's folder.
+
+    Args:
+        builder: Where it goes.
+        seconds: Simulated time [s].
+        skip: First steps that are run but not recorded, as when the recording starts late.
+        config: Of the G1 server.
+    """
+    config = config or G1Config(pace="command")
+    rig = build(config.rig)
+    control = rig.control(gate=config.gate)
+    motion = registry.find("loader", "motion")(MOTION)
+    playback = Playback(motion, rig.form, enter_s=0.2)
+    for tick in range(round(seconds / rig.period_s)):
+        frame = playback.step(rig.period_s)
+        values = _tick(control, rig, codec.json_vector(frame.command), tick)
+        source = json.dumps({"file": "walk.pkl", "frame": frame.frame_index, "phase": frame.phase}).encode()
+        at_s = 0.1 + tick * rig.period_s
+        if tick < skip:
+            for writer, keys_of_writer in values:
+                for key in keys_of_writer:
+                    builder.skip(key, writer=writer)
+            continue
+        builder.write(values[0][1], at_s=at_s)
+        builder.write({rig.form.key: values[1][1][rig.form.key], keys.command_source(rig.form.robot): source},
+                      at_s=at_s + 0.001, writer="motion")  # fmt: skip
+        builder.write(values[2][1], at_s=at_s + 0.004)
+    rig.robot.close()
+    return builder.finish(manifest(config, rig))
+
+
+def manifest(config: G1Config, rig: Rig) -> dict[str, Any]:
+    """What the G1 server states of itself."""
+    spec = rig.policy.spec
+    facts = {
+        "server": "g1",
+        "role": "low-level",
+        "robot": rig.form.robot,
+        "robot_facts": rig.robot.facts(),
+        "policy": {
+            "name": spec.name,
+            "checkpoint": str(spec.checkpoint),
+            "sha256": spec.sha256,
+            "runtime": spec.runtime,
+        },
+        "rates": {"control_hz": 1.0 / rig.period_s, "pace": config.pace},
+        "config": msgspec.to_builtins(config),
+    }
+    return {"servers": {"g1": facts}}
+
+
+def _tick(control: ControlStep, rig: Rig, command: bytes, tick: int) -> list[tuple[str, dict[str, bytes]]]:
+    now_s = tick * rig.period_s
+    state = control.sense()
+    suffix = rig.form.robot
+    before = dict(wire.state_values(suffix, state, policy=rig.policy, robot=rig.robot))
+    arrived_ns = time.monotonic_ns()
+    sample = CommandSample(command, now_s, written_ns=arrived_ns - 1000, arrived_ns=arrived_ns, seq=tick + 1)
+    done = result_values(suffix, control.step(state, sample, now_s), control)
+    return [("g1", before), ("motion", {rig.form.key: command}), ("g1", done)]

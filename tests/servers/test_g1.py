@@ -1,0 +1,346 @@
+"""The G1 server as others meet it: a process, its keys, what it does with good, bad, late and rival commands."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from station import registry
+from station.bus import codec, contracts, keys
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.bus.redis_server import RedisServer, ServerOptions
+from station.life.rig import RigConfig
+from station.life.tracking import TrackingError
+from station.rehearse import rehearse_all
+from tests.servers.g1_station import (
+    FORM,
+    LIGHT,
+    ROBOT,
+    G1Process,
+    Log,
+    StockCommander,
+    leaning,
+    logged,
+    motion_process,
+    publish,
+)
+from tests.waiting import wait_until
+
+pytestmark = pytest.mark.assets
+
+WALK = "twist2:motions/0807_yanjie_walk_002.pkl"
+
+_STATE_KEYS = [
+    keys.state_body(ROBOT), keys.state_hand("left"), keys.state_hand("right"), keys.state_neck(), keys.T_STATE,
+    keys.robot_state(ROBOT), keys.sim_qpos(ROBOT),
+]  # fmt: skip
+_RESULT_KEYS = [
+    keys.policy_obs(ROBOT), keys.policy_action(ROBOT), keys.target(ROBOT), keys.command_gate(ROBOT),
+    keys.command_used(ROBOT), keys.policy_timing(ROBOT),
+]  # fmt: skip
+
+
+def _ticks(log: Log) -> int:
+    return len(log.of(keys.policy_timing(ROBOT)))
+
+
+def test_it_states_its_configuration_and_writes_every_key_as_its_contract_says(
+    assets: Path, bus_server: BusAddress
+) -> None:
+    with logged(bus_server) as log, G1Process(bus_server) as server:
+        wait_until(lambda: _ticks(log) > 20)
+        code, out, err = server.finish()
+    assert code == 0, err
+    assert out == ""
+    config = codec.parse_json(log.last(keys.server_config("g1")))
+    assert config["policy"]["sha256"].startswith("2d1fb3a3")
+    assert len(config["policy"]["kp"]) == len(config["policy"]["joint_names"]) == 29
+    assert config["robot_facts"]["physics_dt_s"] == 0.001
+    assert config["config"]["pace"] == "wall"
+    order = [write.key for write in log.writes]
+    assert order.index(keys.server_config("g1")) < order.index(keys.robot_state(ROBOT))
+    for key in _STATE_KEYS + _RESULT_KEYS:
+        _assert_fits(key, log.values(key))
+    first = codec.parse_json_vector(log.values(keys.state_body(ROBOT))[0])
+    assert first[5:].any(), "stock servers begin with zeros; ours with the first real state"
+    assert codec.parse_json_vector(log.values(keys.policy_timing(ROBOT))[0])[0] == 1
+    state, now_ms = int(log.last(keys.T_STATE)), time.time_ns() // 1_000_000
+    assert 0 <= now_ms - state < 60_000
+
+
+def _assert_fits(key: str, values: list[bytes]) -> None:
+    contract = contracts.contract(key)
+    assert contract is not None
+    assert values
+    sizes = {keys.policy_obs(ROBOT): 1432, keys.policy_action(ROBOT): 29}
+    for value in values:
+        match contract.codec:
+            case "json-vector":
+                numbers = json.loads(value)
+                assert json.dumps(numbers).encode() == value, "byte for byte what Python's encoder writes"
+                assert len(numbers) == len(contract.elements)
+            case "f64":
+                assert len(value) == 8 * len(contract.elements)
+            case "f32":
+                assert len(value) == 4 * sizes[key]
+            case "integer":
+                assert value.isdigit()
+            case _:
+                assert isinstance(json.loads(value), dict)
+
+
+def test_the_keys_of_a_tick_are_written_together_and_in_turn(assets: Path, bus_server: BusAddress) -> None:
+    with logged(bus_server) as log, G1Process(bus_server, *LIGHT):
+        wait_until(lambda: _ticks(log) > 20)
+    wanted = set(_STATE_KEYS + _RESULT_KEYS)
+    order = [write.key for write in log.writes if write.key in wanted]
+    tick = _STATE_KEYS + _RESULT_KEYS
+    first = [set(order[i * len(tick) : i * len(tick) + len(_STATE_KEYS)]) for i in range(15)]
+    assert all(keys_of_state == set(_STATE_KEYS) for keys_of_state in first)
+    mono = [write.stamp.split(b" ")[1] for write in log.writes if write.key in _RESULT_KEYS and write.stamp][:6]
+    assert len(set(mono)) == 1
+
+
+def test_a_stock_commander_is_followed_and_when_it_falls_silent_the_robot_stands_again(
+    assets: Path, bus_server: BusAddress
+) -> None:
+    with logged(bus_server) as log, G1Process(bus_server, *LIGHT):
+        wait_until(lambda: _ticks(log) > 5)
+        assert log.gate()["state"] == "waiting"
+        with StockCommander(bus_server):
+            wait_until(lambda: log.gate()["state"] == "tracking")
+        wait_until(lambda: log.gate()["state"] == "waiting")
+    changes = [(event.detail["from"], event.detail["to"]) for event in log.events("gate")]
+    assert changes[:2] == [("waiting", "entering"), ("entering", "tracking")]
+    assert changes[-3:] == [("tracking", "holding"), ("holding", "returning"), ("returning", "waiting")]
+    used = codec.parse_f64(log.last(keys.command_used(ROBOT)))
+    np.testing.assert_array_equal(used, FORM.default)
+    timing = codec.parse_json_vector(log.last(keys.policy_timing(ROBOT)))
+    assert timing[1] == timing[2] == 0, "a foreign writer has no sequence and no time of writing"
+    assert timing[3] > 0
+    assert (np.diff(timing[4:]) >= 0).all()
+    assert not log.events("fall")
+
+
+def test_malformed_commands_of_every_kind_are_refused_told_once_per_kind_and_survived(
+    assets: Path, bus_server: BusAddress
+) -> None:
+    bad = [b"", b"hello", b"[1, 2]", json.dumps([float("nan")] * 35).encode(), b"[" * 100_000, b"\xff" * 10,
+           json.dumps([9.0] * 35).encode(), b'{"a": 1}', b"null"]  # fmt: skip
+    with logged(bus_server) as log, G1Process(bus_server, *LIGHT) as server, Bus(bus_server, name="bad") as bus:
+        wait_until(lambda: _ticks(log) > 5)
+        for value in bad:
+            before = log.gate()["refused"]
+            bus.publish({keys.action_body(): value, keys.action_neck(): value, keys.action_hand("left"): value})
+            wait_until(lambda before=before: log.gate()["refused"] > before)  # type: ignore[misc]
+        bus.call("DEL", keys.action_body())
+        bus.call("RPUSH", keys.action_body(), "a list of another type")
+        before = _ticks(log)
+        wait_until(lambda: _ticks(log) > before + 10)
+        bus.call("DEL", keys.action_body())
+        publish(bus, FORM.default)
+        wait_until(lambda: log.events("command-good-again"))
+        assert server.process.poll() is None
+    assert log.gate()["refused"] == len(bad)
+    kinds = [event.detail["reason"].split(":")[0] for event in log.events("refused-command")]
+    assert set(kinds) == {"not-json", "wrong-length", "not-finite", "out-of-range"}
+    assert len(kinds) <= len(bad)
+
+
+@pytest.mark.parametrize("stop", [b"1", b'{"stop": true, "who": "anna", "reason": "smoke"}'])
+def test_the_emergency_stop_damps_within_one_step_and_is_left_only_by_a_reset(
+    assets: Path, bus_server: BusAddress, stop: bytes
+) -> None:
+    with logged(bus_server) as log, G1Process(bus_server, *LIGHT), Bus(bus_server, name="anna") as bus:
+        with StockCommander(bus_server):
+            wait_until(lambda: log.gate()["state"] == "tracking")
+            bus.publish({keys.ESTOP: stop})
+            wait_until(lambda: log.gate()["state"] == "stopped")
+            before = _ticks(log)
+            wait_until(lambda: _ticks(log) > before + 20)
+            assert log.gate()["state"] == "stopped"
+            bus.publish({keys.ESTOP: b"0"})
+            wait_until(lambda: log.gate()["state"] == "tracking")
+        writes = list(log.writes)
+    asked = next(i for i, write in enumerate(writes) if write.key == keys.ESTOP)
+    after = [write for write in writes[asked:] if write.key == keys.target(ROBOT)]
+    stiff = [codec.parse_f64(write.value or b"")[29:58].any() for write in after]
+    assert not stiff[1], "the step that was under way may still be stiff, the next one is not"
+    assert [event.name for event in log.events("estop") + log.events("operator-reset")] == ["estop", "operator-reset"]
+
+
+def test_a_stop_that_stood_before_the_server_started_holds(assets: Path, bus_server: BusAddress) -> None:
+    with logged(bus_server) as log, Bus(bus_server, name="anna") as bus:
+        bus.publish({keys.ESTOP: b"1"})
+        with G1Process(bus_server, *LIGHT):
+            wait_until(lambda: _ticks(log) > 10)
+            assert set(log.states()) == {"stopped"}
+
+
+def test_a_command_left_over_from_another_time_moves_nothing(assets: Path, bus_server: BusAddress) -> None:
+    with logged(bus_server) as log, Bus(bus_server, name="ghost") as bus:
+        publish(bus, leaning(0.0))
+        with G1Process(bus_server, *LIGHT):
+            wait_until(lambda: _ticks(log) > 20)
+            assert set(log.states()) == {"waiting"}
+
+
+def test_two_writers_of_the_command_are_an_event_that_names_both(assets: Path, bus_server: BusAddress) -> None:
+    with logged(bus_server) as log, G1Process(bus_server, *LIGHT), Bus(bus_server, name="native") as bus:
+        wait_until(lambda: _ticks(log) > 5)
+        with StockCommander(bus_server):
+
+            def alternates() -> bool:
+                publish(bus, FORM.default)
+                return bool(log.events("second-writer"))
+
+            wait_until(alternates)
+    detail = log.events("second-writer")[0].detail
+    assert detail["key"] == keys.action_body()
+    assert any(writer.startswith("native.") for writer in detail["writers"])
+    assert "foreign" in detail["writers"]
+
+
+def test_a_fall_is_one_event_and_the_robot_is_put_back_on_its_feet_when_asked(
+    assets: Path, bus_server: BusAddress
+) -> None:
+    with logged(bus_server) as log, G1Process(bus_server, *LIGHT, "on_fall=reset"):
+        wait_until(lambda: _ticks(log) > 5)
+        with StockCommander(bus_server, leaning):
+            wait_until(lambda: log.events("robot-reset"))
+    falls = log.events("fall")
+    assert len(falls) == 1
+    assert falls[0].severity == "error"
+    assert falls[0].detail["contacts"] or falls[0].detail["tilt_rad"] > 1.0
+    heights = [codec.parse_f64(value)[2] for value in log.values(keys.sim_qpos(ROBOT))]
+    assert min(heights) < 0.6
+    assert heights[-1] > 0.7
+
+
+def test_a_disarmed_robot_is_not_moved_until_it_is_armed(assets: Path, bus_server: BusAddress) -> None:
+    with (
+        logged(bus_server) as log,
+        G1Process(bus_server, *LIGHT, "start_armed=false"),
+        Bus(bus_server, name="anna") as bus,
+    ):
+        wait_until(lambda: _ticks(log) > 10)
+        assert not any(codec.parse_f64(value)[29:].any() for value in log.values(keys.target(ROBOT)))
+        assert len(set(log.values(keys.sim_qpos(ROBOT)))) == 1
+        bus.publish({keys.ESTOP: b'{"stop": false, "arm": true}'})
+        wait_until(lambda: log.gate()["arming"] == "armed")
+        stiffness = [codec.parse_f64(value)[29] for value in log.values(keys.target(ROBOT))]
+    assert np.diff(stiffness).max() < 100.0 * 0.1
+    assert stiffness[-1] == 100.0
+
+
+def test_without_a_bus_the_loop_keeps_its_time_and_says_so_when_the_bus_is_back(assets: Path, tmp_path: Path) -> None:
+    options = ServerOptions(folder=tmp_path, socket=tmp_path / "bus.sock")
+    first = RedisServer.start(options)
+    try:
+        with G1Process(first.address, *LIGHT) as server:
+            with logged(first.address) as log:
+                with StockCommander(first.address):
+                    wait_until(lambda: log.gate()["state"] == "tracking")
+                tick, at_s = codec.parse_json_vector(log.last(keys.policy_timing(ROBOT)))[0], time.monotonic()
+                first.stop()
+            time.sleep(1.0)  # the length of the outage
+            with RedisServer.start(options) as second, logged(second.address) as log:
+                wait_until(lambda: log.events("bus-back"))
+                later = codec.parse_json_vector(log.last(keys.policy_timing(ROBOT)))[0]
+                expected = (time.monotonic() - at_s) * 50
+                assert 0.7 * expected < later - tick < 1.1 * expected + 5
+                wait_until(lambda: log.gate()["state"] == "waiting")
+                assert log.values(keys.server_config("g1")), "a restarted bus is told again what runs"
+                code, _, err = server.finish()
+                assert code == 0, err
+    finally:
+        first.stop()
+
+
+def test_in_lock_step_nothing_moves_before_the_first_command_and_then_once_per_command(
+    assets: Path, bus_server: BusAddress
+) -> None:
+    with (
+        logged(bus_server) as log,
+        G1Process(bus_server, *LIGHT, "pace=command", "command_timeout_s=0.2"),
+        Bus(bus_server, name="slow") as bus,
+    ):
+        wait_until(lambda: len(log.of(keys.robot_state(ROBOT))) > 2)
+        assert _ticks(log) == 0
+        assert len(set(log.values(keys.sim_qpos(ROBOT)))) == 1
+        for number in range(1, 60):
+            publish(bus, FORM.default)
+            wait_until(lambda number=number: _ticks(log) >= number)  # type: ignore[misc]
+        assert log.states()[50] == "tracking", "one second is fifty ticks, however long they take"
+        wait_until(lambda: log.gate()["state"] == "waiting")  # and without commands time goes on by itself
+
+
+def test_the_emergency_stop_is_heard_in_lock_step_while_no_command_comes(assets: Path, bus_server: BusAddress) -> None:
+    with (
+        logged(bus_server) as log,
+        G1Process(bus_server, *LIGHT, "pace=command", "command_timeout_s=30"),
+        Bus(bus_server, name="anna") as bus,
+    ):
+        wait_until(lambda: log.of(keys.robot_state(ROBOT)))
+        publish(bus, FORM.default)
+        wait_until(lambda: _ticks(log) == 1)
+        bus.publish({keys.ESTOP: b"1"})
+        wait_until(lambda: log.gate()["state"] == "stopped", timeout_s=10.0)
+
+
+def test_a_motion_through_the_lock_step_station_gives_the_figures_of_its_rehearsal(
+    assets: Path, bus_server: BusAddress
+) -> None:
+    (expected,) = rehearse_all([WALK], RigConfig(), jobs=1)
+    with logged(bus_server) as log, G1Process(bus_server, "pace=command", "command_timeout_s=5"):
+        wait_until(lambda: log.of(keys.robot_state(ROBOT)))
+        with motion_process(bus_server, f"motion={WALK}", "pace=state") as motion:
+            _, err = motion.communicate(timeout=100)
+            assert motion.returncode == 0, err
+    error = TrackingError(FORM.key, registry.find("command", "twist2").joint_names)
+    for state, used, qpos, source in _steps(log):
+        if codec.parse_json(source)["phase"] == "playing":
+            error.add(codec.parse_f64(state)[:29], codec.parse_f64(used), codec.parse_f64(qpos)[2])
+    assert not log.events("fall")
+    assert error.mean_joint_error_rad == pytest.approx(expected.mean_joint_error_rad, rel=1e-9)
+    assert error.mean_root_height_error_m == pytest.approx(expected.mean_root_height_error_m, rel=1e-9)
+
+
+def _steps(log: Log) -> list[tuple[bytes, bytes, bytes, bytes]]:
+    """State, command used, ground truth and source of the command, of each policy step that tracked."""
+    newest: dict[str, bytes] = {}
+    steps = []
+    for write in log.writes:
+        if write.value is not None:
+            newest[write.key] = write.value
+        if write.key != keys.policy_timing(ROBOT):
+            continue
+        if codec.parse_json(newest[keys.command_gate(ROBOT)])["state"] == "tracking":
+            steps.append((newest[keys.robot_state(ROBOT)], newest[keys.command_used(ROBOT)],
+                          newest[keys.sim_qpos(ROBOT)], newest[keys.command_source(ROBOT)]))  # fmt: skip
+    return steps
+
+
+@pytest.mark.parametrize(
+    ("setting", "expected"),
+    [
+        ("polciy=twist2", "unknown key 'polciy' (did you mean 'policy'?)"),
+        ("backend=real", "unknown robot 'g1-real'"),
+        ("gate.hold_after_s=-1", "hold_after_s must be a positive time"),
+        ("pace=fast", "pace"),
+        ("checkpoint=zoo:policies/holosoma_ppo_g1_29dof.onnx", "expected one float input [batch, 1432]"),
+    ],
+)
+def test_a_wrong_setting_ends_it_with_one_line_and_exit_code_two(
+    assets: Path, bus_server: BusAddress, setting: str, expected: str
+) -> None:
+    with G1Process(bus_server, *LIGHT, setting) as server:
+        code, out, err = server.result()
+    assert code == 2, err
+    assert out == ""
+    assert expected in err.strip().splitlines()[-1]
