@@ -14,7 +14,7 @@ from benchmarks import report
 from benchmarks.harness import Benchmark, Settings
 from station.errors import did_you_mean
 
-MODULES = ("bus", "wake", "loop", "recorder", "effect", "sim", "reading")
+MODULES = ("bus", "wake", "loop", "recorder", "effect", "sim", "reading", "startup")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

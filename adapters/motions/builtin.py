@@ -70,7 +70,7 @@ def _squat() -> tuple[Floats, Floats]:
         _add(q, f"{side}_hip_pitch", -0.5 * bend)
         _add(q, f"{side}_knee", bend)
         _add(q, f"{side}_ankle_pitch", -0.5 * bend)
-    # Thigh and shank are about 0.3 m each, so a knee bent from 0.4 by b lowers the hip by 0.6 (cos 0.2 - cos(0.2 + b/2)).
+    # Thigh and shank are about 0.3 m each: bending the knee from 0.4 to 0.4 + b lowers the hip by this much.
     return _STANDING_HEIGHT_M - 0.6 * (np.cos(0.2) - np.cos(0.2 + bend / 2)), q
 
 

@@ -8,6 +8,7 @@ joints are held at zero. Wire facts: YanjieZe/TWIST, `server_low_level_g1_sim.py
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -148,7 +149,9 @@ def _load(torch: Any, path: Path) -> Any:
         raise BadFile(f"{path}: no such file; expected a TorchScript checkpoint")
     torch.set_num_threads(1)
     try:
-        module = torch.jit.load(str(path), map_location="cpu").eval()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # TorchScript is what upstream ships
+            module = torch.jit.load(str(path), map_location="cpu").eval()
     except (RuntimeError, ValueError) as error:
         raise BadFile(f"{path}: not a TorchScript checkpoint: {str(error).strip().splitlines()[0][:160]}") from error
     try:

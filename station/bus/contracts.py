@@ -182,7 +182,9 @@ def _station() -> list[Contract]:
     return [
         make(keys.ESTOP, "control", "json", "latched emergency stop: who asked for it and why; 0 when reset"),
         make(keys.EVENT, "event", "json", "one event: name, severity, source, numbers"),
-        make(keys.MOTION_CONTROL, "control", "json", "start, pause, resume, seek, loop or leave, for the motion server"),
+        make(
+            keys.MOTION_CONTROL, "control", "json", "start, pause, resume, seek, loop or leave, for the motion server"
+        ),
         make(keys.RECORD, "control", "json", "a request to the recorder"),
         make(keys.RECORD_ACK, "control", "json", "the recorder's answer"),
         make(keys.RECORDER, "control", "json", "what the recorder is doing"),

@@ -5,12 +5,17 @@ from __future__ import annotations
 import glob
 import json
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import click
 import msgspec
 
 from station import assets
 from station.cli.options import json_option
+from station.cli.tables import Column, print_table
+
+if TYPE_CHECKING:
+    from station.rehearse import Rehearsal
 
 
 @click.command("rehearse")
@@ -32,7 +37,7 @@ def command(
     Exit code 1 when the robot fell in any of them.
     """
     from station.life.rig import DEFAULT_ROBOT_MODEL, RigConfig
-    from station.rehearse import Rehearsal, rehearse_all
+    from station.rehearse import rehearse_all
 
     named = [reference for motion in motions for reference in _expand(motion)]
     config = RigConfig(
@@ -62,18 +67,10 @@ def _expand(motion: str) -> list[str]:
     return [f"{(rel := path.relative_to(base)).parts[0]}:{'/'.join(rel.parts[1:])}" for path in found]
 
 
-def _print(results: Sequence[object]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    from station.rehearse import Rehearsal
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for title in ("motion", "fell", "joint error", "height error", "simulated", "speed"):
-        table.add_column(title, justify="left" if title == "motion" else "right", no_wrap=True)
-    for result in results:
-        assert isinstance(result, Rehearsal)
-        table.add_row(
+def _print(results: Sequence[Rehearsal]) -> None:
+    columns = [Column("motion", "left"), *map(Column, ("fell", "joint error", "height error", "simulated", "speed"))]
+    rows = [
+        (
             result.motion,
             f"[red]at {result.fell_at_s:.1f} s[/]" if result.fell_at_s is not None else "[green]no[/]",
             _number(result.mean_joint_error_rad, "rad"),
@@ -81,7 +78,9 @@ def _print(results: Sequence[object]) -> None:
             f"{result.seconds:.1f} s",
             f"{result.speed_x_realtime:.1f} x",
         )
-    Console(highlight=False).print(table)
+        for result in results
+    ]
+    print_table(columns, rows)
 
 
 def _number(value: float | None, unit: str) -> str:

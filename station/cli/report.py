@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from rich.console import Console
-from rich.table import Table
 
+from station.cli.tables import Column, print_table
 from station.episode.quality import Quality, Spread, StepQuality, StreamQuality
 
 _COLOURS = {"good": "green", "usable": "yellow", "reject": "red"}
@@ -22,7 +22,7 @@ def print_quality(quality: Quality) -> None:
             f"  [{_COLOURS[reason.verdict]}]{reason.verdict}[/] {reason.rule}: {_plain(reason.text)}", soft_wrap=True
         )
     console.print()
-    console.print(_streams(quality.streams))
+    _print_streams(quality.streams)
     for steps in quality.steps:
         console.print()
         _print_steps(console, steps, lock_step=quality.lock_step)
@@ -37,43 +37,45 @@ def _headline(quality: Quality) -> str:
     )
 
 
-def _streams(streams: list[StreamQuality]) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for title in ("key", "writer", "count", "lost", "rate", "nominal", "jitter p99", "longest gap"):
-        table.add_column(title, justify="left" if title in ("key", "writer") else "right", no_wrap=True)
-    for item in streams:
-        lost = f"[red]{item.lost}[/]" if item.lost else ("0" if item.is_native else "–")
-        table.add_row(
+def _print_streams(streams: list[StreamQuality]) -> None:
+    columns = [
+        Column("key", "left"),
+        Column("writer", "left"),
+        *map(Column, ("count", "lost", "rate", "jitter p99", "gap")),
+    ]
+    rows = [
+        (
             item.key,
             item.writer,
             str(item.count),
-            lost,
+            f"[red]{item.lost}[/]" if item.lost else ("0" if item.is_native else "–"),
             _unit(item.rate_hz, 1, "Hz"),
-            _unit(item.nominal_hz, 1, "Hz", digits=0),
             _unit(item.jitter_p99_s, 1e3, "ms"),
             _unit(item.longest_gap_s, 1e3, "ms", digits=0),
         )
-    return table
+        for item in streams
+    ]
+    print_table(columns, rows)
 
 
 def _print_steps(console: Console, steps: StepQuality, *, lock_step: bool) -> None:
     shares = ", ".join(f"{state} {share:.0%}" for state, share in steps.gate_shares.items())
-    console.print(f"[bold]{steps.robot}[/]: {steps.steps} policy steps, {steps.missing_steps} missing; gate: {shares}")
+    text = f"[bold]{steps.robot}[/]: {steps.steps} policy steps, {steps.missing_steps} missing; gate: {shares}"
+    console.print(text, soft_wrap=True)
     if steps.mean_joint_error_rad is not None:
         console.print(
             f"  mean joint error {steps.mean_joint_error_rad:.3f} rad over {steps.compared_steps} steps "
             f"(worst {steps.worst_joint} {steps.worst_joint_error_rad:.3f} rad)"
-            + _height(steps.mean_root_height_error_m)
+            + _height(steps.mean_root_height_error_m),
+            soft_wrap=True,
         )
     if lock_step:
         console.print("  [dim]lock-step: commands wait for states, so latencies say nothing of the control[/]")
         return
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for title in ("  time between", "p50", "p99", "max"):
-        table.add_column(title, justify="left" if "time" in title else "right", no_wrap=True)
-    for name, spread in {"command age at use": steps.command_age, **steps.stages}.items():
-        table.add_row("  " + name.replace("_to_", " → ").replace("_", " "), *_times(spread))
-    console.print(table)
+    columns = [Column("time between", "left"), *map(Column, ("p50", "p99", "max"))]
+    spreads = {"command age at use": steps.command_age, **steps.stages}
+    rows = [(name.replace("_to_", " → ").replace("_", " "), *_times(spread)) for name, spread in spreads.items()]
+    print_table(columns, rows, indent=2)
 
 
 def _height(error_m: float | None) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from station.bus import keys
 from station.episode import layout
+from station.episode.records import metadata_at_head
 from station.errors import EpisodeError, did_you_mean
 
 DATA_VARIABLE = "STATION_DATA"
@@ -65,7 +66,7 @@ def find_episodes(data: Path | None = None) -> list[Path]:
     """Return the folders of all episodes of a data folder, oldest first."""
     base = data_folder(data)
     found = [folder for folder in base.glob("*/*/") if _is_episode(folder)]
-    return sorted(found, key=lambda folder: (folder.name[:10], _written(folder), folder.name))
+    return sorted(found, key=lambda folder: (_started(folder), folder.name))
 
 
 def resolve(episode: str | Path, data: Path | None = None) -> Path:
@@ -120,9 +121,11 @@ def _number(name: str) -> int:
     return int(match.group(1)) if match else 0
 
 
-def _written(folder: Path) -> int:
-    """Return when the signals were last written [ns]; orders the episodes of one day across tasks."""
+def _started(folder: Path) -> int:
+    """Return when an episode was started [ns since the epoch]: by its own clock, else by the age of its file."""
     for name in (layout.SIGNALS, layout.ACTIVE, layout.MANIFEST):
-        if (folder / name).is_file():
-            return (folder / name).stat().st_mtime_ns
+        file = folder / name
+        if file.is_file():
+            wall_ns = metadata_at_head(file, layout.ANCHOR_RECORD).get("wall_ns", "")
+            return int(wall_ns) if wall_ns.isdecimal() else file.stat().st_mtime_ns
     return 0

@@ -26,6 +26,7 @@ _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQIL")  # start, end, uncompressed size, CRC, length of the compression's name
 _MESSAGE_OP, _CHANNEL_OP = int(Opcode.MESSAGE), int(Opcode.CHANNEL)
+_HEAD_SIZE = 4096  # holds the header and the records of the clock and the episode many times over
 _LARGEST_CHUNK = 1 << 31  # a damaged header must not make us ask for all the memory there is
 
 
@@ -141,6 +142,24 @@ def _take(file: BinaryIO, opcode: int, length: int, position: int, found: Conten
             attachment = Attachment.read(stream)
             found.attachments[attachment.name] = attachment.data
     return None
+
+
+def metadata_at_head(path: Path, name: str) -> dict[str, str]:
+    """Return a metadata record that stands before the first chunk, without reading further; empty when there is none."""
+    with path.open("rb") as file:
+        head = file.read(_HEAD_SIZE)
+    position = len(MAGIC)
+    while head.startswith(MAGIC) and position + _HEAD.size <= len(head):
+        opcode, length = _HEAD.unpack_from(head, position)
+        position += _HEAD.size
+        if opcode == Opcode.METADATA and position + length <= len(head):
+            record = Metadata.read(ReadDataStream(BytesIO(head[position : position + length])))
+            if record.name == name:
+                return dict(record.metadata)
+        elif opcode != Opcode.HEADER:
+            break
+        position += length
+    return {}
 
 
 def read_chunk(file: BinaryIO, place: ChunkPlace) -> bytes:

@@ -1,12 +1,12 @@
 from __future__ import annotations
 
-import os
 import re
 import threading
 import time
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 
 from station.bus import keys
 from station.episode.folder import data_folder, find_episodes, new_folder, resolve, signals_file, slug
@@ -16,8 +16,11 @@ from station.errors import EpisodeError
 def make(data: Path, task: str, episode_id: str, *, age_s: float = 0.0) -> Path:
     folder = data / task / episode_id
     folder.mkdir(parents=True)
-    (folder / "signals.mcap").write_bytes(b"")
-    os.utime(folder / "signals.mcap", (time.time() - age_s,) * 2)
+    with (folder / "signals.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("teleop-station")
+        writer.add_metadata("station.anchor", {"wall_ns": str(time.time_ns() - int(age_s * 1e9))})
+        writer.finish()
     return folder
 
 
@@ -54,7 +57,7 @@ def test_a_data_folder_that_is_a_file_is_refused_in_one_line(tmp_path: Path) -> 
 
 
 def test_episodes_are_found_by_path_id_beginning_and_latest(tmp_path: Path) -> None:
-    old = make(tmp_path, "walk", "2026-11-20-g1-walk-0001")
+    old = make(tmp_path, "walk", "2026-11-20-g1-walk-0001", age_s=90_000)
     newer = make(tmp_path, "squat", "2026-11-21-g1-squat-0001", age_s=10)
     newest = make(tmp_path, "walk", "2026-11-21-g1-walk-0002", age_s=5)
     (tmp_path / "walk" / "empty").mkdir()

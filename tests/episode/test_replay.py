@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import msgspec
@@ -21,6 +22,7 @@ from station.episode.replay import Replay, moments, to_bus
 from station.errors import BusError, Refused, UnknownName, UsageError
 from station.life.server import Health
 from tests.episode.synthetic import ROBOT, EpisodeBuilder, command, tick, walk
+from tests.waiting import wait_until
 
 FAST = math.inf
 
@@ -103,8 +105,10 @@ def test_time_line_is_the_recorded_one_at_any_speed(
     instants = [0.0, 0.3, 0.4, 1.6, 1.7]
     for number, at_s in enumerate(instants):
         builder.foreign("key", b"%d" % number, at_s=at_s)
-    report = to_bus(episode(builder), bus_server, speed=speed)
-    arrived = np.array([write.mono_ns for write in seen(tap, 5)]) * 1e-9
+    with ThreadPoolExecutor(1) as pool:  # a write's arrival is when the tap is read
+        listening = pool.submit(seen, tap, 5)
+        report = to_bus(episode(builder), bus_server, speed=speed)
+        arrived = np.array([write.mono_ns for write in listening.result()]) * 1e-9
     expected = np.array(instants) / speed
     # A loaded machine may be late by a while, but never early, and lateness must not add up.
     assert np.all(arrived - arrived[0] - expected > -0.05)
@@ -116,8 +120,11 @@ def test_replay_ends_when_asked_to(builder: EpisodeBuilder, bus_server: BusAddre
     builder.foreign("key", b"1", at_s=0.0)
     builder.foreign("key", b"2", at_s=3600.0)
     stop = threading.Event()
-    threading.Timer(0.5, stop.set).start()
-    report = to_bus(episode(builder), bus_server, stop=stop)
+    with Bus(bus_server, name="probe") as bus, ThreadPoolExecutor(1) as pool:
+        running = pool.submit(to_bus, episode(builder), bus_server, stop=stop)
+        wait_until(lambda: bus.get("key") == b"1")
+        stop.set()
+        report = running.result(timeout=30.0)
     assert (report.messages, report.is_complete) == (1, False)
 
 

@@ -326,6 +326,27 @@ def _steps(log: Log) -> list[tuple[bytes, bytes, bytes, bytes]]:
     return steps
 
 
+@pytest.mark.torch
+@pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")
+def test_with_a_twist_policy_it_writes_the_keys_of_twist(assets: Path, bus_server: BusAddress, tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch")
+    checkpoint = tmp_path / "twist.pt"
+    torch.jit.save(torch.jit.script(torch.nn.Linear(1155, 23)), str(checkpoint))
+    twist = keys.TWIST_ROBOT
+    settings = ("policy=twist", f"checkpoint={checkpoint}", "rate_hz=25")
+    with logged(bus_server) as log, G1Process(bus_server, *LIGHT, *settings):
+        wait_until(lambda: len(log.of(keys.policy_obs(twist))) > 15)
+    for state, observation in zip(
+        log.values(keys.state_body(twist)), log.values(keys.policy_obs(twist))[:12], strict=False
+    ):
+        scaled = np.array(json.loads(state), dtype=np.float32)
+        np.testing.assert_array_equal(scaled, codec.parse_f32(observation)[31:105])
+    assert json.loads(log.last(keys.state_hands(twist))) == [0.0] * 14
+    assert len(codec.parse_f64(log.last(keys.command_used(twist)))) == 33
+    assert not log.of(keys.state_body(ROBOT))
+    assert log.events("rate-differs")[0].detail == {"rate_hz": 25.0, "trained_hz": 50.0}
+
+
 @pytest.mark.parametrize(
     ("setting", "expected"),
     [

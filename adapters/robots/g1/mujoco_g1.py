@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import time
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -222,9 +223,12 @@ def _is_part_of(model: mujoco.MjModel, body: int, roots: set[int]) -> bool:
 
 
 def _open_viewer(model: mujoco.MjModel, data: mujoco.MjData) -> Any:
+    import glfw
     import mujoco.viewer  # opens the window system's libraries
 
-    try:
-        return mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
-    except (RuntimeError, OSError) as error:
-        raise StationError(f"no viewer window ({error}); run without `viewer`, or watch with `station view`") from error
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # GLFW says in a warning what we say in the error
+        has_display = glfw.init()
+    if not has_display:  # asked first, since the viewer would end the whole process
+        raise StationError("no viewer window: no display can be opened; run without `viewer`, or use `station view`")
+    return mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)

@@ -213,6 +213,15 @@ def test_a_model_of_another_robot_is_refused_in_one_line(assets: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_a_viewer_without_a_display_is_refused_and_the_process_lives(
+    assets: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(StationError, match="no display can be opened"):
+        MujocoG1(assets / _MOTORS, viewer=True)
+
+
 def test_a_picture_shows_the_robot_and_not_one_colour(robot: MujocoG1) -> None:
     try:
         picture = robot.render(160, 120)

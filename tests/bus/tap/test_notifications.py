@@ -13,11 +13,12 @@ import pytest
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
 from station.bus.redis_server import RedisServer, ServerOptions
-from station.bus.tap import Position, Write, notifications
+from station.bus.tap import Position, notifications
 from station.bus.tap.base import TapRefused
 from station.bus.tap.notifications import NotificationTap
 from station.errors import BusError
 from tests.bus.tap.conftest import Collect
+from tests.bus.tap.traffic import read, read_until_lost
 from tests.waiting import wait_until
 
 
@@ -32,28 +33,28 @@ def test_every_write_that_is_read_in_time_arrives_byte_for_byte(tap: Notificatio
     for number in range(200):
         value, stamp = os.urandom(60_000 if number % 20 == 0 else 100), b"%d 1 2 s" % number
         writer.call("MSET", "a", value, "a@", stamp)
-        assert [write[:3] for write in _read(tap, 1)] == [("a", value, stamp)]
+        assert [write[:3] for write in read(tap, 1)] == [("a", value, stamp)]
 
 
 def test_foreign_write_carries_no_stamp(tap: NotificationTap, writer: Connection) -> None:
     writer.call("SET", "a", "1")
-    assert [write[:3] for write in _read(tap, 1)] == [("a", b"1", None)]
+    assert [write[:3] for write in read(tap, 1)] == [("a", b"1", None)]
 
 
 def test_foreign_write_over_a_native_key_does_not_inherit_its_stamp(tap: NotificationTap, writer: Connection) -> None:
     writer.call("MSET", "a", "1", "a@", "s")
-    assert [write[:3] for write in _read(tap, 1)] == [("a", b"1", b"s")]
+    assert [write[:3] for write in read(tap, 1)] == [("a", b"1", b"s")]
     writer.call("SET", "a", "2")
-    assert [write[:3] for write in _read(tap, 1)] == [("a", b"2", None)]
+    assert [write[:3] for write in read(tap, 1)] == [("a", b"2", None)]
 
 
 def test_foreign_write_of_the_same_bytes_over_a_native_key_is_told_by_the_next_one(
     tap: NotificationTap, writer: Connection
 ) -> None:
     writer.call("MSET", "a", "1", "a@", "s")
-    _read(tap, 1)
+    read(tap, 1)
     writer.pipeline([("SET", "a", "1")] * 2)
-    assert [write[:3] for write in _read(tap, 1)] == [("a", b"1", None)]
+    assert [write[:3] for write in read(tap, 1)] == [("a", b"1", None)]
 
 
 def test_native_write_is_delivered_once_under_load(tap: NotificationTap, writer: Connection, collect: Collect) -> None:
@@ -68,17 +69,17 @@ def test_native_write_is_delivered_once_under_load(tap: NotificationTap, writer:
 
 def test_deletion_and_expiry_arrive(tap: NotificationTap, writer: Connection) -> None:
     writer.call("MSET", "a", "1", "a@", "s", "b", "2")
-    _read(tap, 2)
+    read(tap, 2)
     writer.call("DEL", "a", "a@")
-    assert [write[:3] for write in _read(tap, 1)] == [("a", None, None)]
+    assert [write[:3] for write in read(tap, 1)] == [("a", None, None)]
     writer.call("PEXPIRE", "b", 1)
     wait_until(lambda: writer.call("EXISTS", "b") == 0)
-    assert [write[:3] for write in _read(tap, 1)] == [("b", None, None)]
+    assert [write[:3] for write in read(tap, 1)] == [("b", None, None)]
 
 
 def test_change_of_the_expiry_alone_is_no_write(tap: NotificationTap, writer: Connection, collect: Collect) -> None:
     writer.call("SET", "a", "1")
-    _read(tap, 1)
+    read(tap, 1)
     writer.call("EXPIRE", "a", 100)
     writer.call("PERSIST", "a")
     assert collect(tap) == []
@@ -109,7 +110,7 @@ def test_user_who_may_not_configure_can_use_notifications_that_are_on(
     writer.call("ACL", "SETUSER", "default", "-config")
     tap = NotificationTap(bus_server)
     writer.call("SET", "a", "1")
-    assert [write[:3] for write in _read(tap, 1)] == [("a", b"1", None)]
+    assert [write[:3] for write in read(tap, 1)] == [("a", b"1", None)]
     tap.close()
 
 
@@ -146,7 +147,7 @@ def test_killed_or_frozen_server_is_an_error(
         tap._values.set_timeout(0.5)
         os.kill(server.pid, how)
         with pytest.raises(BusError):
-            wait_until(lambda: tap.read(1.0) is None)
+            read_until_lost(tap)
         tap.close()
         os.kill(server.pid, signal.SIGKILL)
 
@@ -155,9 +156,3 @@ def test_read_waits_no_longer_than_it_was_told(tap: NotificationTap) -> None:
     started = time.monotonic()
     assert tap.read(0.2) == []
     assert 0.2 <= time.monotonic() - started < 2.0
-
-
-def _read(tap: NotificationTap, count: int) -> list[Write]:
-    seen: list[Write] = []
-    wait_until(lambda: seen.extend(tap.read(0.1)) or len(seen) >= count)
-    return seen

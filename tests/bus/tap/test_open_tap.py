@@ -17,9 +17,9 @@ import pytest
 
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
-from station.bus.tap import BACKENDS, Position, Tap, TapRefused, Write, open_tap
+from station.bus.tap import BACKENDS, Position, TapRefused, open_tap
 from station.errors import BusError, UnknownName
-from tests.waiting import wait_until
+from tests.bus.tap.traffic import read
 
 RECORDER_RIGHTS = ("on", ">secret", "~*", "&*", "+@all")
 
@@ -37,7 +37,7 @@ def test_tap_is_armed_when_it_is_handed_out(bus_server: BusAddress, writer: Conn
         tap = open_tap(bus_server, backend=backend)
         assert tap.backend == backend
         writer.call("MSET", "a", number, "a@", number)
-        assert [write[:3] for write in _read(tap, 1)] == [("a", b"%d" % number, b"%d" % number)]
+        assert [write[:3] for write in read(tap, 1)] == [("a", b"%d" % number, b"%d" % number)]
         tap.close()
 
 
@@ -50,7 +50,7 @@ def test_user_without_the_right_to_replicate_gets_notifications_and_one_warning(
     assert "notifications" in caplog.text
     assert "NOPERM" in caplog.text or "permission" in caplog.text
     writer.call("SET", "a", "1")
-    assert [write[:3] for write in _read(tap, 1)] == [("a", b"1", None)]
+    assert [write[:3] for write in read(tap, 1)] == [("a", b"1", None)]
     tap.close()
 
 
@@ -61,7 +61,7 @@ def test_user_without_notifications_either_gets_polling(
     tap = open_tap(_user(bus_server, writer, *rights))
     assert tap.backend == "poll"
     writer.call("SET", "a", "1")
-    assert [write[:3] for write in _read(tap, 1)] == [("a", b"1", None)]
+    assert [write[:3] for write in read(tap, 1)] == [("a", b"1", None)]
     tap.close()
 
 
@@ -100,7 +100,7 @@ def test_password_opens_every_backend_and_its_lack_is_told(
             open_tap(msgspec.structs.replace(bus_server, password=password), backend=backend)
     tap = open_tap(msgspec.structs.replace(bus_server, password="open sesame"), backend=backend)
     writer.call("SET", "a", "1")
-    assert [write[:3] for write in _read(tap, 1)] == [("a", b"1", None)]
+    assert [write[:3] for write in read(tap, 1)] == [("a", b"1", None)]
     tap.close()
 
 
@@ -110,7 +110,7 @@ def test_database_of_the_address_is_the_one_that_is_tapped(
 ) -> None:
     tap = open_tap(msgspec.structs.replace(bus_server, db=5), backend=backend)
     writer.pipeline([("SET", "a", "0"), ("SELECT", 5), ("SET", "a", "5")])
-    assert [write[:3] for write in _read(tap, 1)] == [("a", b"5", None)]
+    assert [write[:3] for write in read(tap, 1)] == [("a", b"5", None)]
     assert tap.read(0.1) == []
     tap.close()
 
@@ -121,7 +121,7 @@ def test_tls_carries_every_backend(tls_address: BusAddress, writer: Connection, 
     value = bytes(range(256)) * 1000
     for _ in range(20 if backend == "replication" else 1):
         writer.call("MSET", "a", value, "a@", "s")
-        assert [write[:3] for write in _read(tap, 1)] == [("a", value, b"s")]
+        assert [write[:3] for write in read(tap, 1)] == [("a", value, b"s")]
     tap.close()
 
 
@@ -187,9 +187,3 @@ def _user(address: BusAddress, writer: Connection, *rights: str) -> BusAddress:
     """Make a user with all rights but some, and return the bus as that user sees it."""
     writer.call("ACL", "SETUSER", "recorder", *RECORDER_RIGHTS, *rights)
     return msgspec.structs.replace(address, username="recorder", password="secret")
-
-
-def _read(tap: Tap, count: int) -> list[Write]:
-    seen: list[Write] = []
-    wait_until(lambda: seen.extend(tap.read(0.1)) or len(seen) >= count)
-    return seen

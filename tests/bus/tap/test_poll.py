@@ -12,11 +12,11 @@ import pytest
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
 from station.bus.redis_server import RedisServer, ServerOptions
-from station.bus.tap import Position, Write
+from station.bus.tap import Position
 from station.bus.tap.poll import PollTap
 from station.errors import BusError
 from tests.bus.tap.conftest import Collect
-from tests.waiting import wait_until
+from tests.bus.tap.traffic import read, read_until_lost
 
 
 @pytest.fixture
@@ -29,7 +29,7 @@ def tap(bus_server: BusAddress) -> Iterator[PollTap]:
 def test_change_and_a_new_key_arrive_byte_for_byte(tap: PollTap, writer: Connection) -> None:
     for value in (os.urandom(100), os.urandom(60_000)):
         writer.call("MSET", "a", value, "a@", value[:9])
-        assert [write[:3] for write in _read(tap, 1)] == [("a", value, value[:9])]
+        assert [write[:3] for write in read(tap, 1)] == [("a", value, value[:9])]
 
 
 def test_what_was_there_before_is_not_a_write(bus_server: BusAddress, writer: Connection, collect: Collect) -> None:
@@ -37,30 +37,30 @@ def test_what_was_there_before_is_not_a_write(bus_server: BusAddress, writer: Co
     tap = PollTap(bus_server)
     assert collect(tap) == []
     writer.call("SET", "a", "3")
-    assert [write[:3] for write in _read(tap, 1)] == [("a", b"3", None)]
+    assert [write[:3] for write in read(tap, 1)] == [("a", b"3", None)]
     tap.close()
 
 
 def test_same_bytes_under_a_new_stamp_are_a_write(tap: PollTap, writer: Connection) -> None:
     for stamp in (b"1", b"2", b"3"):
         writer.call("MSET", "a", "same", "a@", stamp)
-        assert [write[:3] for write in _read(tap, 1)] == [("a", b"same", stamp)]
+        assert [write[:3] for write in read(tap, 1)] == [("a", b"same", stamp)]
 
 
 def test_foreign_write_over_a_native_key_does_not_inherit_its_stamp(tap: PollTap, writer: Connection) -> None:
     writer.call("MSET", "a", "1", "a@", "s")
-    _read(tap, 1)
+    read(tap, 1)
     writer.call("SET", "a", "2")
-    assert [write[:3] for write in _read(tap, 1)] == [("a", b"2", None)]
+    assert [write[:3] for write in read(tap, 1)] == [("a", b"2", None)]
 
 
 def test_deletion_and_expiry_arrive(tap: PollTap, writer: Connection) -> None:
     writer.call("MSET", "a", "1", "a@", "s", "b", "2")
-    _read(tap, 2)
+    read(tap, 2)
     writer.call("DEL", "a", "a@")
-    assert [write[:3] for write in _read(tap, 1)] == [("a", None, None)]
+    assert [write[:3] for write in read(tap, 1)] == [("a", None, None)]
     writer.call("PEXPIRE", "b", 1)
-    assert [write[:3] for write in _read(tap, 1)] == [("b", None, None)]
+    assert [write[:3] for write in read(tap, 1)] == [("b", None, None)]
 
 
 def test_keys_that_are_no_strings_the_probe_and_other_databases_are_left_out(
@@ -75,7 +75,7 @@ def test_keys_that_are_no_strings_the_probe_and_other_databases_are_left_out(
 def test_many_keys_are_all_looked_at(tap: PollTap, writer: Connection) -> None:
     names = [f"key_{number}" for number in range(3000)]
     writer.call("MSET", *(part for name in names for part in (name, "1")))
-    assert sorted(write.key for write in _read(tap, 3000)) == sorted(names)
+    assert sorted(write.key for write in read(tap, 3000)) == sorted(names)
 
 
 def test_resumption_is_answered_with_a_hole(bus_server: BusAddress) -> None:
@@ -92,7 +92,7 @@ def test_killed_or_frozen_server_is_an_error(tmp_path_factory: pytest.TempPathFa
         tap._connection.set_timeout(0.5)
         os.kill(server.pid, how)
         with pytest.raises(BusError):
-            wait_until(lambda: tap.read(0.1) is None)
+            read_until_lost(tap)
         tap.close()
         os.kill(server.pid, signal.SIGKILL)
 
@@ -101,9 +101,3 @@ def test_read_waits_no_longer_than_it_was_told(tap: PollTap) -> None:
     started = time.monotonic()
     assert tap.read(0.2) == []
     assert 0.2 <= time.monotonic() - started < 2.0
-
-
-def _read(tap: PollTap, count: int) -> list[Write]:
-    seen: list[Write] = []
-    wait_until(lambda: seen.extend(tap.read(0.1)) or len(seen) >= count)
-    return seen
