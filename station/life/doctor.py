@@ -16,6 +16,7 @@ from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.watch import Watch
 from station.errors import BusError, StationError
+from station.life import estop
 from station.life.server import Health, read_health
 from station.protocols import CommandFormat
 
@@ -140,21 +141,10 @@ def _servers(servers: list[Health]) -> Iterator[Finding]:
 
 def _estop(bus: Bus) -> Iterator[Finding]:
     data = bus.get(keys.ESTOP)
-    if data is None or is_released(data):
+    if data is None or not estop.read(data).stop:
         yield Finding("ok", "e-stop", "released")
         return
     yield Finding("broken", "e-stop", f"latched: {data[:120].decode(errors='replace')}", "station estop --reset")
-
-
-def is_released(data: bytes) -> bool:
-    """Whether a value of the e-stop key means that robots may move."""
-    if data.strip() in (b"", b"0"):
-        return True
-    try:
-        value = codec.parse_json(data)
-    except codec.BadValue:
-        return False
-    return isinstance(value, dict) and value.get("stop") is False
 
 
 def _low_level(bus: Bus, health: Health) -> Iterator[Finding]:
