@@ -8,6 +8,7 @@ from collections.abc import Callable
 from benchmarks import commands, processes, stock
 from benchmarks.harness import Benchmark, Row, Settings, Target, alternate, compare, p50, p99
 from station.bus import codec
+from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.life.loop import sleep_until
 
@@ -30,7 +31,7 @@ def run(settings: Settings) -> list[Row]:
     return rows
 
 
-def _write(settings: Settings, address: object, port: int) -> list[Row]:
+def _write(settings: Settings, address: BusAddress, port: int) -> list[Row]:
     vectors = commands.vectors()
     client = stock.Client(port)
     with Bus(address, name="bench") as line:
@@ -46,7 +47,7 @@ def _write(settings: Settings, address: object, port: int) -> list[Row]:
     return rows
 
 
-def _read(settings: Settings, address: object, port: int) -> list[Row]:
+def _read(settings: Settings, address: BusAddress, port: int) -> list[Row]:
     client = stock.Client(port)
     with Bus(address, name="bench") as line, line.watch(stock.COMMAND_KEYS) as watch:
         for key in stock.COMMAND_KEYS:

@@ -52,12 +52,12 @@ def _rows(settings: Settings, priority: int, image_mb_per_s: float) -> list[Row]
     seconds = settings.pick(8.0, 2.0)
     with _station(priority, image_mb_per_s) as (address, folder):
         taken = alternate(
-            {"on": lambda: [_with_recorder(address, folder, seconds)], "off": lambda: [_watch(address, seconds)]},
+            {"on": lambda: _with_recorder(address, folder, seconds), "off": lambda: _watch(address, seconds)},
             settings.rounds,
         )
 
     def of(name: str, field: str) -> Rounds:
-        return [getattr(seen, field) for (seen,) in taken[name]]
+        return [getattr(seen, field) for seen in taken[name]]
 
     label = ("FIFO" if priority else "normal") + (", pictures" if image_mb_per_s else "")
     wake_limit = (1.2 if image_mb_per_s else 1.1) if priority else 1.5

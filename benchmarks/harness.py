@@ -6,17 +6,17 @@ measured seconds apart. So each figure is the median over rounds, and each ratio
 
 from __future__ import annotations
 
-import operator
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
 Statistic = Callable[[Sequence[float]], float]
-Rounds = list[Sequence[float]]
+Rounds = Sequence[Sequence[float]]
+Taken = TypeVar("Taken")
 
 
 def p50(samples: Sequence[float]) -> float:
@@ -73,7 +73,7 @@ class Target:
         value = figure if self.of == "figure" else ratio
         if value is None:
             return False
-        return (operator.le if self.sense == "<=" else operator.ge)(value, self.limit)
+        return value <= self.limit if self.sense == "<=" else value >= self.limit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,9 +125,9 @@ class Benchmark:
     needs_assets: bool = False
 
 
-def alternate(contenders: Mapping[str, Callable[[], Sequence[float]]], rounds: int) -> dict[str, Rounds]:
-    """Let the contenders take turns, every other round in reverse order; return each one's samples by round."""
-    taken: dict[str, Rounds] = {name: [] for name in contenders}
+def alternate(contenders: Mapping[str, Callable[[], Taken]], rounds: int) -> dict[str, list[Taken]]:
+    """Let the contenders take turns, every other round in reverse order; return what each one gave by round."""
+    taken: dict[str, list[Taken]] = {name: [] for name in contenders}
     for number in range(rounds):
         order: Iterable[str] = contenders if number % 2 == 0 else reversed(list(contenders))
         for name in order:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -73,7 +73,7 @@ def _turn(worker: processes.Worker, seconds: float) -> Callable[[], list[float]]
     return take
 
 
-def _rows(condition: str, wakes: dict[str, Rounds]) -> list[Row]:
+def _rows(condition: str, wakes: Mapping[str, Rounds]) -> list[Row]:
     jitter = {name: [_jitter_ms(w) for w in rounds] for name, rounds in wakes.items()}
     slow = {name: [[_slowness_percent(w)] for w in rounds] for name, rounds in wakes.items()}
     rows = []

@@ -46,16 +46,16 @@ def run(settings: Settings) -> list[Row]:
     """Measure."""
     seconds = settings.pick(10.0, 1.5)
     rounds = min(settings.rounds, 3)
-    taken = alternate({"o": lambda: [_ours(seconds)], "t": lambda: [_theirs(seconds)]}, rounds)
+    taken = alternate({"o": lambda: _ours(seconds), "t": lambda: _theirs(seconds)}, rounds)
 
     def of(name: str, field: str) -> Rounds:
-        values = [getattr(take, field) for (take,) in taken[name]]
+        values = [getattr(take, field) for take in taken[name]]
         return [value if isinstance(value, list) else [value] for value in values]
 
-    lost = [[float(take.written - take.kept)] for (take,) in taken["o"]]
-    lost_by_stock = [[float(take.written - take.kept)] for (take,) in taken["t"]]
-    seen = [[100.0 * take.kept / take.written] for (take,) in taken["o"]]
-    seen_by_stock = [[100.0 * take.kept / take.written] for (take,) in taken["t"]]
+    lost = [[float(take.written - take.kept)] for take in taken["o"]]
+    lost_by_stock = [[float(take.written - take.kept)] for take in taken["t"]]
+    seen = [[100.0 * take.kept / take.written] for take in taken["o"]]
+    seen_by_stock = [[100.0 * take.kept / take.written] for take in taken["t"]]
     poll = "stock poll at 30 Hz"
     return [
         compare("load that the writers reached", "msg/s", of("o", "written_per_s"), of("t", "written_per_s"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from benchmarks.processes import Stop
 from station.bus.address import BusAddress
@@ -30,13 +30,15 @@ def write_images(stop: Stop, address: BusAddress, mb_per_s: float) -> dict[str, 
     return _write(stop, address, IMAGE_KEYS, hz, lambda count: count.to_bytes(8, "little") + noise)
 
 
-def _write(stop: Stop, address: BusAddress, names: Sequence[str], hz: float, value: object) -> dict[str, int]:
+def _write(
+    stop: Stop, address: BusAddress, names: Sequence[str], hz: float, value: Callable[[int], bytes]
+) -> dict[str, int]:
     rate, count = Rate(hz), 0
     with Bus(address, name="bench-load", timeout_s=1.0) as line:
         while not stop():
             rate.wait()
             count += 1
-            line.publish(dict.fromkeys(names, value(count)))  # type: ignore[operator]
+            line.publish(dict.fromkeys(names, value(count)))
         if line.lost_writes:
             raise RuntimeError(f"the bus refused {line.lost_writes} writes")
     return dict.fromkeys(names, count)

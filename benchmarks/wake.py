@@ -135,13 +135,13 @@ def _share(began_s: float, began_cpu_s: float) -> float:
     return 100.0 * (time.process_time() - began_cpu_s) / (time.monotonic() - began_s)
 
 
-def _turn(worker: processes.Worker, seconds: float) -> Callable[[], list[Seen]]:
-    return lambda: [worker.ask(seconds)]
+def _turn(worker: processes.Worker, seconds: float) -> Callable[[], Seen]:
+    return lambda: worker.ask(seconds)
 
 
-def _rows(condition: str, taken: dict[str, list[list[Seen]]]) -> list[Row]:
+def _rows(condition: str, taken: dict[str, list[Seen]]) -> list[Row]:
     def of(name: str, field: str) -> Rounds:
-        return [getattr(seen, field) for (seen,) in taken[name]]
+        return [getattr(seen, field) for seen in taken[name]]
 
     rows = []
     for name in [name for name in taken if name != STOCK]:
@@ -157,7 +157,7 @@ def _rows(condition: str, taken: dict[str, list[list[Seen]]]) -> list[Row]:
             what = {"arrival_ms": "arrival", "age_ms": "age at use", "cost_ms": "cost in the cycle"}[field]
             rows.append(compare(f"{label}: {what} {by.__name__}", "ms", of(name, field), of(STOCK, field),
                                 baseline=STOCK, by=by, target=target))  # fmt: skip
-        shares = {n: [[seen.cpu_percent] for (seen,) in taken[n]] for n in (name, STOCK)}
+        shares = {n: [[seen.cpu_percent] for seen in taken[n]] for n in (name, STOCK)}
         rows.append(compare(f"{label}: CPU", "%", shares[name], shares[STOCK], baseline=STOCK, by=mean))
     return rows
 

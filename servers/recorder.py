@@ -11,7 +11,7 @@ from typing import Any, Literal
 import msgspec
 
 from station.bus import codec, keys
-from station.bus.tap import Tap, open_tap
+from station.bus.tap import Tap, Write, open_tap
 from station.config import to_plain
 from station.episode.claim import Claim
 from station.episode.folder import data_folder
@@ -112,6 +112,9 @@ class _Recorder:
         )
         self._state_due = self._answer_due = 0.0
         self._seed()
+        old_request = life.bus.get(keys.RECORD)
+        if old_request is not None:  # of before our time
+            self.recording.seed(keys.RECORD, old_request, None)
 
     def facts(self) -> dict[str, Any]:
         """What this server states that it runs."""
@@ -159,8 +162,16 @@ class _Recorder:
         """Learn from the bus what was said before the tap was open."""
         bus = self._life.bus
         names = [name for prefix in (keys.SERVER_PREFIX, keys.CONFIG_PREFIX) for name in bus.names(prefix + "*")]
-        for key, sample in bus.read([*names, keys.RECORD]).items():
+        for key, sample in bus.read(names).items():
             self.recording.seed(key, sample.value, sample.stamp.encode() if sample.stamp else None)
+
+    def _catch_up(self) -> None:
+        """Learn after a hole what was said in it: servers that came up, and a request that waits for its answer."""
+        with contextlib.suppress(BusError):  # gone again; the next hole brings us back here
+            self._seed()
+            value = self._life.bus.get(keys.RECORD)
+            if value is not None:
+                self.recording.missed(Write(keys.RECORD, value, None, time.monotonic_ns()))
 
     def _speak(self) -> None:
         now = time.monotonic()
@@ -208,7 +219,7 @@ class _Recorder:
         else:
             self.recording.hole(self._heard_ns, now_ns, f"the tap was lost ({error}) and could not go on where it was")
             self._life.event("tap-hole", severity="warning", seconds=seconds)
-        self._seed()
+            self._catch_up()
 
 
 KIND = ServerKind(

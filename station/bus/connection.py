@@ -6,6 +6,7 @@ not need (retries, pools, locks; `docs/performance.md` has the figures), and hid
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import ssl
 from collections.abc import Sequence
@@ -167,6 +168,16 @@ class Connection:
         stream, self._socket = self._socket, socket.socket()
         self._socket.close()
         return stream
+
+    def hang_up(self) -> None:
+        """End the conversation, from any thread: one that waits in `receive` finds the connection lost at once."""
+        with contextlib.suppress(OSError):  # it is gone already
+            self._socket.shutdown(socket.SHUT_RDWR)
+
+    def wake(self) -> None:
+        """End a wait that another thread is in, as if the server had closed the connection."""
+        with contextlib.suppress(OSError):  # closed already
+            self._socket.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
         """Close the connection; a second call does nothing."""

@@ -41,6 +41,7 @@ class Watch:
         self._closed = threading.Event()
         self._armed = threading.Event()
         self.is_connected = False
+        self._events: Connection | None = None
         self._thread = threading.Thread(target=self._run, name="bus-watch", daemon=True)
         self._thread.start()
         self._armed.wait(_TIMEOUT_S * 4)  # so that a value written after this returns counts as new
@@ -71,6 +72,8 @@ class Watch:
         self._closed.set()
         with self._changed:
             self._changed.notify_all()
+        if (events := self._events) is not None:
+            events.hang_up()
         self._thread.join(2.0)
 
     def __enter__(self) -> Watch:
@@ -84,7 +87,7 @@ class Watch:
             try:
                 self._follow()
             except BusError as error:
-                if self.is_connected:
+                if self.is_connected and not self._closed.is_set():
                     log.warning("watch: %s", error)
                 self.is_connected = False
                 self._closed.wait(_RETRY_S)
@@ -95,10 +98,11 @@ class Watch:
             if not enable_notifications(reader):
                 self._poll(reader)
                 return
-            events = Connection(self._address, timeout_s=_TIMEOUT_S)
+            self._events = events = Connection(self._address, timeout_s=_TIMEOUT_S)
             try:
                 self._listen(events, reader)
             finally:
+                self._events = None
                 events.close()
         finally:
             reader.close()

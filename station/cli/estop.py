@@ -13,7 +13,11 @@ from station.errors import BusError
 
 
 @click.command("estop")
-@click.option("--reset", is_flag=True, help="Release the latch; the robot returns to its default pose by itself.")
+@click.option(
+    "--reset",
+    is_flag=True,
+    help="Release the latch: a simulated robot is put back on its feet, a real one is disarmed.",
+)
 @click.option("--reason", default="asked for on the command line", help="Why, for the recording.")
 @bus_option
 def command(reset: bool, reason: str, bus: str | None) -> None:

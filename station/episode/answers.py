@@ -28,6 +28,10 @@ class Answers:
             self._due.append(answer)
         return False
 
+    def knows(self, asker: str | None) -> bool:
+        """Whether a request was seen before."""
+        return asker in self._known
+
     def give(self, answer: RecordAnswer) -> None:
         """Have an answer published."""
         self._remember(answer.id, answer)

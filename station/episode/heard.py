@@ -83,7 +83,7 @@ class Heard:
         return min(self._robots_seen, key=_ROBOTS.index, default="")
 
     def fill(self, manifest: Manifest) -> None:
-        """Write what is known into a manifest; what it says already of robot and policy stays."""
+        """Write what is known into a manifest; what it says already of robot, policy and operator stays."""
         manifest.servers = {name: stated.facts for name, stated in sorted(self._configurations.items())}
         for name, facts in self._low_level().items():
             if not manifest.robot.facts:
@@ -91,11 +91,16 @@ class Heard:
             if not manifest.policy.server:
                 manifest.policy = _policy(name, _mapping(facts.get("policy")))
         manifest.robot.suffix = manifest.robot.suffix or self.robot
+        manifest.operator.interface = manifest.operator.interface or self._commanders()
 
     def _low_level(self) -> dict[str, dict[str, Any]]:
         """Return what low-level servers stated, those first that are alive."""
         found = {n: c.facts for n, c in self._configurations.items() if c.facts.get("role") == "low-level"}
         return dict(sorted(found.items(), key=lambda item: (not self._is_current(item[0]), item[0])))
+
+    def _commanders(self) -> str:
+        """Return the names of the command servers that were heard, joined by ``+``; "" when only scripts command."""
+        return "+".join(sorted(name for name, server in self._servers.items() if server.role == "command"))
 
     def _is_current(self, name: str) -> bool:
         server = self._servers.get(name)

@@ -65,6 +65,11 @@ class Recording:
         elif self._heard.is_of_interest(key):
             self._heard.hear(key, value, stamp, time.monotonic_ns())
 
+    def missed(self, request: Write) -> None:
+        """Do a request that was written while no tap was open, unless it was seen; the file does not hold it."""
+        if request.value is not None and not self.answers.knows(request_id(request.value)):
+            self._request(request)
+
     def feed(self, writes: Sequence[Write], position: Position | None = None) -> None:
         """Take in what the tap returned; `position` is the tap's place after the last of it."""
         done = 0
@@ -124,22 +129,12 @@ class Recording:
         self.poll()
         return not self._closing
 
-    @property
-    def is_recording(self) -> bool:
-        """Whether an episode is open."""
-        return self._take is not None
-
     def state(self) -> RecorderState:
         """Return what the recorder is doing now."""
         take = self._take
         if take is None:
             return RecorderState(state="idle", backend=self.tap.backend, error=self._last_error)
-        writer = take.writer
-        return RecorderState(
-            state="recording", episode_id=take.episode_id, path=str(take.folder), messages=writer.messages,
-            bytes=writer.size, dropped=writer.dropped, queued=writer.queued, backend=self.tap.backend,
-            lag_ms=writer.lag.percentile_ms(50), lag_p99_ms=writer.lag.percentile_ms(99), error=writer.error,
-        )  # fmt: skip
+        return take.state(self.tap.backend)
 
     def _handler(self, key: str) -> Callable[[Write], None] | None:
         try:

@@ -145,15 +145,18 @@ def _take(file: BinaryIO, opcode: int, length: int, position: int, found: Conten
 
 
 def metadata_at_head(path: Path, name: str) -> dict[str, str]:
-    """Return a metadata record that stands before the first chunk, without reading further; empty when there is none."""
+    """Return a metadata record from before the first chunk, reading no further; empty when there is none."""
     with path.open("rb") as file:
         head = file.read(_HEAD_SIZE)
     position = len(MAGIC)
     while head.startswith(MAGIC) and position + _HEAD.size <= len(head):
         opcode, length = _HEAD.unpack_from(head, position)
         position += _HEAD.size
-        if opcode == Opcode.METADATA and position + length <= len(head):
-            record = Metadata.read(ReadDataStream(BytesIO(head[position : position + length])))
+        if opcode == Opcode.METADATA:
+            try:
+                record = Metadata.read(ReadDataStream(BytesIO(head[position : position + length])))
+            except (EndOfFile, struct.error, ValueError):
+                break
             if record.name == name:
                 return dict(record.metadata)
         elif opcode != Opcode.HEADER:

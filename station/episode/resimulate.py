@@ -1,7 +1,7 @@
 """Replaying an episode to a simulation: recorded commands, fresh robot, fresh policy, fresh gate, step by step.
 
-A lock-step episode comes out the same to the last bit, wherever it is run with the same versions. One recorded by the
-wall clock differs from the step on which the gate's blends meet another instant; the report says from which.
+A lock-step episode comes out the same to the last bit with the same versions. So does, as a rule, one recorded by the
+wall clock: the instants of the gate are found again from the ages it reported, to the rounding of a difference.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Resimulation(msgspec.Struct, kw_only=True):
 
     Attributes:
         episode_id, robot: What was replayed.
-        lock_step: Whether it was recorded in lock-step; only then equality is to be expected.
+        lock_step: Whether it was recorded in lock-step; only then equality is promised.
         warm_up_steps: Steps that were run without commands because the recording begins after them.
         steps: Steps that were compared.
         different: Steps whose measured joint positions differ in any bit.
@@ -213,14 +213,20 @@ class _Run:
             return
         if self._count == 0:
             self._warm_up(timing[_TICK] - 1)
-        now_s = self._now_s(timing)
+        now_s = self._now_s(timing, _gate(step.values.get(keys.command_gate(self.report.robot))))
         state = self.control.sense()
         record = self.control.step(state, self._heard(timing, now_s), now_s)
         self._note(step, record)
         self._count += 1
 
-    def _now_s(self, timing: list[int]) -> float:
-        return (timing[_TICK] - 1) * self.period_s if self.report.lock_step else timing[_READ] * 1e-9
+    def _now_s(self, timing: list[int], gate: Mapping[str, Any]) -> float:
+        """Return the instant that the gate was told: of the tick, or found again from the age that it reported."""
+        if self.report.lock_step:
+            return (timing[_TICK] - 1) * self.period_s
+        age_s = gate.get("age_s")
+        if timing[_ARRIVED] and isinstance(age_s, (int, float)):
+            return timing[_ARRIVED] * 1e-9 + age_s
+        return timing[_READ] * 1e-9
 
     def _warm_up(self, steps: int) -> None:
         for tick in range(steps):
@@ -244,7 +250,8 @@ class _Run:
     def _note(self, step: Step, record: StepRecord) -> None:
         report, robot = self.report, self.report.robot
         report.fell = report.fell or record.fall is not None
-        report.gates_different += _gate(step.values.get(keys.command_gate(robot))) != record.decision.state
+        gate = _gate(step.values.get(keys.command_gate(robot)))
+        report.gates_different += gate.get("state") != record.decision.state
         recorded = step.values.get(keys.robot_state(robot))
         if recorded is None:
             return
@@ -270,8 +277,9 @@ def _integers(data: bytes | None) -> list[int] | None:
     return numbers if len(numbers) > _READ else None
 
 
-def _gate(data: bytes | None) -> str:
+def _gate(data: bytes | None) -> dict[str, Any]:
     try:
-        return str(codec.parse_json(data or b"{}").get("state", ""))
-    except (codec.BadValue, AttributeError):
-        return ""
+        value = codec.parse_json(data or b"{}")
+    except codec.BadValue:
+        return {}
+    return value if isinstance(value, dict) else {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections import Counter, defaultdict
+from collections import defaultdict
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -38,7 +38,7 @@ class StepMeter:
     _pose_times: dict[str, array[int]] = field(default_factory=lambda: defaultdict(lambda: array("q")))
     _tracking: TrackingError | None = None
     _joints: tuple[str, ...] = ()
-    _joint_sums: Counter[str] = field(default_factory=Counter)
+    _joint_sums: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     _counts: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

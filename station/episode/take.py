@@ -14,7 +14,7 @@ from station.episode.anchor import Anchor
 from station.episode.heard import is_motion, json_object, note_motion
 from station.episode.manifest import Event, Hole, Manifest, Mark
 from station.episode.progress import Totals, WriterOptions
-from station.episode.request import RecordAnswer
+from station.episode.request import RecordAnswer, RecorderState
 from station.episode.writer import EpisodeWriter
 
 if TYPE_CHECKING:
@@ -118,6 +118,15 @@ class Take:
     def is_over(self) -> bool:
         """Whether the file is closed, or given up."""
         return self.writer.wait(0.0)
+
+    def state(self, backend: str) -> RecorderState:
+        """Return what a recorder with this take is doing."""
+        writer = self.writer
+        return RecorderState(
+            state="recording", episode_id=self.episode_id, path=str(self.folder), messages=writer.messages,
+            bytes=writer.size, dropped=writer.dropped, queued=writer.queued, backend=backend,
+            lag_ms=writer.lag.percentile_ms(50), lag_p99_ms=writer.lag.percentile_ms(99), error=writer.error,
+        )  # fmt: skip
 
     def summary(self) -> dict[str, Any]:
         """Return what an operator wants to hear at the end, from the counters of the file."""

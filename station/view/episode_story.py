@@ -16,9 +16,8 @@ _LEVELS = {"info": rr.TextLogLevel.INFO, "warning": rr.TextLogLevel.WARN, "error
 
 def draw_states(recording: rr.RecordingStream, source: Source, robot: str) -> None:
     """Send each change of the gate's state and of the motion's phase."""
-    gate = f"{layout.STATES}/gate"
-    layout.log_state_colours(recording, gate)
-    _send_changes(recording, source, gate, keys.command_gate(robot), "state")
+    layout.log_state_colours(recording)
+    _send_changes(recording, source, f"{layout.STATES}/gate", keys.command_gate(robot), "state")
     _send_changes(recording, source, f"{layout.STATES}/motion", keys.command_source(robot), "phase")
 
 

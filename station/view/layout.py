@@ -27,6 +27,14 @@ GATE_COLOURS = {
     "returning": 0xAB47BCFF,
     "stopped": 0xEF5350FF,
 }
+MOTION_COLOURS = {
+    "waiting": 0x9E9E9EFF,
+    "entering": 0x42A5F5FF,
+    "playing": 0x26A69AFF,
+    "paused": 0xFFCA28FF,
+    "leaving": 0xAB47BCFF,
+    "done": 0x616161FF,
+}
 _LONGEST_LEGEND = 8
 LIMBS: dict[str, tuple[str, ...]] = {
     "left leg": joints.LEGS[:6],
@@ -61,11 +69,12 @@ def layout(contracts: Iterable[Contract], *, has_robot: bool, has_joints: bool, 
     return rrb.Blueprint(body, rrb.TimePanel(timeline=timeline), collapse_panels=True)
 
 
-def log_state_colours(recording: rr.RecordingStream, entity: str) -> None:
-    """Give the states of a gate their colours."""
-    names = list(GATE_COLOURS)
-    configuration = rr.StateConfiguration(values=names, labels=names, colors=list(GATE_COLOURS.values()))
-    recording.log(entity, configuration, static=True)
+def log_state_colours(recording: rr.RecordingStream) -> None:
+    """Give the states of the gate and the phases of the motion their colours."""
+    for name, colours in (("gate", GATE_COLOURS), ("motion", MOTION_COLOURS)):
+        states = list(colours)
+        configuration = rr.StateConfiguration(values=states, labels=states, colors=list(colours.values()))
+        recording.log(f"{STATES}/{name}", configuration, static=True)
 
 
 def _tabs(contracts: list[Contract], *, has_joints: bool) -> list[Any]:

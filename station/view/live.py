@@ -93,7 +93,7 @@ class LiveView:
     def _prepare(self) -> None:
         for contract in self._contracts.values():
             curves.log_names(self._recording, contract)
-        layout.log_state_colours(self._recording, f"{layout.STATES}/gate")
+        layout.log_state_colours(self._recording)
         if self._model is not None:
             scene.log_shapes(self._recording, scene.ROBOT, self._model)
             scene.log_shapes(self._recording, scene.GHOST, self._model, is_ghost=True)

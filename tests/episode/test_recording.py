@@ -187,6 +187,19 @@ def test_a_request_that_is_sent_twice_is_done_once_and_answered_twice(make: Make
     assert len(list_episodes(tmp_path)) == 1
 
 
+def test_a_request_that_came_while_no_tap_was_open_is_done_once(make: Make) -> None:
+    recording, cli = make(), Native("record")
+    recording.feed([cli.request("start")])
+    answer(recording)
+    stop = cli.request("stop")
+    recording.missed(stop)
+    recording.missed(stop)
+    found = answer(recording)
+    assert (found.id, found.ok) == ("stop", True)
+    recording.poll()
+    assert recording.answers.next() is None
+
+
 def test_discard_ends_the_episode_marks_it_and_deletes_nothing(make: Make, tmp_path: Path) -> None:
     recording, cli, g1 = make(), Native("record"), Native()
     recording.feed([cli.request("start"), g1.write(BODY, b"[1]"), cli.request("discard", label="dropped it")])
@@ -287,7 +300,7 @@ def test_a_disk_that_goes_away_is_an_event_and_a_state_and_the_next_episode_work
     def failed() -> bool:
         recording.feed([g1.write(BODY, b"[1]")])
         recording.poll()
-        return not recording.is_recording
+        return recording.state().state == "idle"
 
     wait_until(failed)
     assert "No such file" in recording.state().error

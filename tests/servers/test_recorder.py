@@ -136,7 +136,7 @@ def test_a_recorder_killed_in_mid_episode_leaves_all_but_the_last_half_second(re
 
     thread = threading.Thread(target=write)
     thread.start()
-    wait_until(lambda: len(published) > 500)
+    wait_until(lambda: len(published) > 1200)  # at least 2.4 s, of which a file cut by size would hold nothing
     process.kill()
     killed_at = time.monotonic()
     process.wait()
@@ -148,7 +148,7 @@ def test_a_recorder_killed_in_mid_episode_leaves_all_but_the_last_half_second(re
     found = numbers(folder)
     assert found == list(range(1, len(found) + 1))
     last_written_s = published[len(found) - 1][0]
-    assert killed_at - last_written_s < 0.5 + 0.5  # flush period, and half a second for a busy machine's disk
+    assert killed_at - last_written_s < 0.5 + 1.0  # flush period, and a second for a busy machine's disk
     assert [row.state for row in list_episodes(folder.parent.parent)] == ["unfinished"]
     point = load_resume_point(folder)
     assert point is not None

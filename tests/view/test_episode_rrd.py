@@ -1,0 +1,146 @@
+"""An episode as a Rerun file, read back: robot, reference, named curves, states and events on one time line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from station.bus import codec, joints, keys
+from station.episode.reader import open_episode
+from station.errors import BadFile, StationError
+from station.view.episode_rrd import save
+from station.view.layout import TIMELINE
+from tests.episode import lock_step
+from tests.episode.synthetic import ROBOT, STANDING, EpisodeBuilder, command, tick, walk
+from tests.view.robots import tiny
+from tests.view.rrd import Recorded, verify
+
+
+@pytest.fixture
+def builder(tmp_path: Path) -> EpisodeBuilder:
+    return EpisodeBuilder(tmp_path / "data")
+
+
+def test_file_is_sound_and_holds_the_robot_and_its_reference(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    walk(builder, seconds=0.5)
+    path = tmp_path / "ep.rrd"
+    view = save(open_episode(builder.finish()), path, robot_model=tiny(tmp_path))
+    verify(path)
+    recorded = Recorded(path)
+    assert view.poses == 25
+    assert {"world/robot/pelvis", "world/robot/left_knee", "world/reference/pelvis"} <= recorded.entities
+    assert recorded.rows("world/robot/pelvis") == 25
+    assert [path.name for path in tmp_path.iterdir() if "part" in path.name] == []
+
+
+def test_poses_are_those_of_the_episode_beside_each_other(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    for number in range(5):
+        tick(builder, number, at_s=0.1 * number, asked=command(height=0.6), height=0.75)
+    path = tmp_path / "ep.rrd"
+    save(open_episode(builder.finish()), path, robot_model=tiny(tmp_path))
+    recorded = Recorded(path)
+    robot = np.array(recorded.column("world/robot/pelvis", ":translation")).reshape(-1, 3)
+    ghost = np.array(recorded.column("world/reference/pelvis", ":translation")).reshape(-1, 3)
+    assert robot[:, 0] == pytest.approx(0.02 * np.arange(5))
+    assert robot[:, 2] == pytest.approx(np.full(5, 0.75))
+    assert ghost - robot == pytest.approx(np.tile([0.0, 0.9, -0.15], (5, 1)), abs=1e-6)
+
+
+def test_time_line_is_seconds_since_the_start_of_the_episode(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    for number in range(5):
+        tick(builder, number, at_s=0.1 * number)
+    path = tmp_path / "ep.rrd"
+    save(open_episode(builder.finish()), path)
+    seconds = Recorded(path).seconds(f"curves/state/{keys.robot_state(ROBOT)}/angle", TIMELINE)
+    assert seconds == pytest.approx(0.1 * np.arange(5) + 0.0002, abs=1e-6)
+
+
+def test_curves_have_the_names_and_units_of_the_contract(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    walk(builder, seconds=0.2)
+    path = tmp_path / "ep.rrd"
+    view = save(open_episode(builder.finish()), path)
+    recorded = Recorded(path)
+    entity = f"curves/command/{keys.action_body()}"
+    assert recorded.column(f"{entity}/position", "SeriesLines:names") == [["root_height [m]"]]
+    angles = recorded.column(f"{entity}/angle", "SeriesLines:names")[0]
+    assert angles[:3] == ["root_roll [rad]", "root_pitch [rad]", "left_hip_pitch_pos [rad]"]
+    values = recorded.column(f"{entity}/angle", "Scalars:scalars")
+    assert len(values) == 10
+    assert values[0][2:] == pytest.approx(STANDING)
+    assert set(view.curves) <= recorded.entities
+
+
+def test_each_joint_is_shown_as_commanded_and_as_measured(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    walk(builder, seconds=0.2, asked=command(STANDING + 0.1))
+    path = tmp_path / "ep.rrd"
+    save(open_episode(builder.finish()), path)
+    recorded = Recorded(path)
+    for joint in joints.G1_29:
+        commanded = np.array(recorded.column(f"joints/{joint}/commanded", "Scalars:scalars"))
+        measured = np.array(recorded.column(f"joints/{joint}/measured", "Scalars:scalars"))
+        assert commanded - measured == pytest.approx(np.full((10, 1), 0.1))
+
+
+def test_gate_motion_and_events_are_told(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    for number in range(20):
+        tick(builder, number, at_s=0.02 * number, gate="entering" if number < 10 else "tracking")
+    builder.event("fall", at_s=0.3, severity="error", tilt_rad=1.23456, contacts=["torso_link"])
+    path = tmp_path / "ep.rrd"
+    view = save(open_episode(builder.finish()), path)
+    recorded = Recorded(path)
+    assert recorded.column("states/gate", "StateChange:state") == [["entering"], ["tracking"]]
+    assert recorded.column("states/motion", "StateChange:state") == [["playing"]]
+    assert recorded.column("events", "TextLog:text") == [["g1: fall tilt_rad=1.235 contacts=['torso_link']"]]
+    assert recorded.column("events", "TextLog:level") == [["ERROR"]]
+    assert view.events == 1
+
+
+def test_without_the_robot_model_curves_remain_and_a_warning_names_what_is_missing(
+    builder: EpisodeBuilder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("STATION_ASSETS", raising=False)
+    walk(builder, seconds=0.2)
+    view = save(open_episode(builder.finish()), tmp_path / "ep.rrd")
+    assert view.poses == 0
+    assert view.curves
+    (warning,) = view.warnings
+    assert "the robot is not drawn" in warning
+    assert "g1_sim2sim_29dof.xml" in warning
+    assert "STATION_ASSETS" in warning
+
+
+def test_episode_of_stock_scripts_has_curves_and_a_robot(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    for number in range(10):
+        state = np.concatenate([np.zeros(5), STANDING])
+        builder.foreign(keys.action_body(), codec.json_vector(command()), at_s=0.02 * number)
+        builder.foreign(keys.state_body(ROBOT), codec.json_vector(state), at_s=0.02 * number + 0.01)
+    view = save(open_episode(builder.finish()), tmp_path / "ep.rrd", robot_model=tiny(tmp_path))
+    assert view.poses == 10
+    assert "world/reference/pelvis" in Recorded(tmp_path / "ep.rrd").entities
+
+
+def test_model_that_the_user_names_must_be_there(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    walk(builder, seconds=0.2)
+    reader = open_episode(builder.finish())
+    with pytest.raises(BadFile, match=r"none\.xml"):
+        save(reader, tmp_path / "ep.rrd", robot_model=tmp_path / "none.xml")
+    assert not (tmp_path / "ep.rrd").exists()
+
+
+def test_folder_that_is_not_there_is_one_line(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    walk(builder, seconds=0.2)
+    reader = open_episode(builder.finish())
+    with pytest.raises(StationError, match="cannot be written") as caught:
+        save(reader, tmp_path / "nowhere" / "ep.rrd")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.assets
+@pytest.mark.usefixtures("assets")
+def test_real_run_is_drawn_with_the_model_that_it_names(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    view = save(open_episode(lock_step.record(builder, seconds=1.0)), tmp_path / "ep.rrd")
+    assert (view.poses, view.warnings) == (50, [])
+    recorded = Recorded(tmp_path / "ep.rrd")
+    assert {"world/robot/torso_link/shape1", "world/reference/left_knee_link"} <= recorded.entities

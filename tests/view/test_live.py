@@ -1,0 +1,90 @@
+"""A live station in Rerun, from a real bus."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+
+from station.bus import codec, keys
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.errors import NotReady
+from station.life import events
+from station.view.live import LiveView
+from tests.episode.synthetic import ROBOT, STANDING, command
+from tests.view.robots import tiny
+from tests.view.rrd import Recorded
+from tests.waiting import wait_until
+
+
+@pytest.fixture
+def bus(bus_server: BusAddress) -> Iterator[Bus]:
+    with Bus(bus_server, name="g1") as bus:
+        yield bus
+
+
+def publish(bus: Bus, *, height: float, gate: str = "tracking") -> None:
+    state = np.concatenate([STANDING, np.zeros(29), [1.0, 0, 0, 0], np.zeros(3)])
+    bus.publish(
+        {
+            keys.robot_state(ROBOT): codec.f64(state),
+            keys.sim_qpos(ROBOT): codec.f64(np.concatenate([[0, 0, height, 1, 0, 0, 0], STANDING])),
+            keys.command_used(ROBOT): codec.f64(command(height=0.7)),
+            keys.command_gate(ROBOT): json.dumps({"state": gate}).encode(),
+        }
+    )
+
+
+def test_newest_values_are_drawn_once_each(bus: Bus, tmp_path: Path) -> None:
+    recording = rr.RecordingStream("test")
+    recording.save(tmp_path / "live.rrd")
+    publish(bus, height=0.8, gate="entering")
+    with LiveView(bus, recording, robot_model=tiny(tmp_path)) as view:
+        assert view.robot == ROBOT
+        assert view.look() == 4
+        assert view.look() == 0
+        publish(bus, height=0.75)
+        bus.publish({keys.EVENT: events.make("g1", "mark", label="here").encode()})
+        drawn = 0
+
+        def everything_was_drawn() -> bool:
+            nonlocal drawn
+            drawn += view.look()
+            return drawn == 5
+
+        wait_until(everything_was_drawn)
+    recording.flush()
+    recording.disconnect()
+    recorded = Recorded(tmp_path / "live.rrd")
+    heights = np.array(recorded.column("world/robot/pelvis", ":translation")).reshape(-1, 3)[:, 2]
+    assert heights[0] == pytest.approx(0.8)
+    assert heights[-1] == pytest.approx(0.75)
+    ghost = np.array(recorded.column("world/reference/pelvis", ":translation")).reshape(-1, 3)
+    assert ghost[-1] == pytest.approx([0.0, 0.9, 0.7], abs=1e-6)
+    assert recorded.column("states/gate", "StateChange:state") == [["entering"], ["tracking"]]
+    assert recorded.column("events", "TextLog:text") == [["g1: mark label=here"]]
+    assert recorded.rows(f"curves/state/{keys.sim_qpos(ROBOT)}/position") == 2
+
+
+def test_value_that_does_not_fit_its_contract_is_passed_over(bus: Bus, tmp_path: Path) -> None:
+    recording = rr.RecordingStream("test")
+    recording.save(tmp_path / "live.rrd")
+    publish(bus, height=0.8)
+    bus.publish({keys.action_body(): b"[1, 2", keys.state_body(ROBOT): codec.json_vector([0.0] * 127)})
+    with LiveView(bus, recording, robot_model=tiny(tmp_path)) as view:
+        view.look()
+    recording.flush()
+    recording.disconnect()
+    recorded = Recorded(tmp_path / "live.rrd")
+    assert recorded.rows(f"curves/command/{keys.action_body()}/angle") == 0
+    assert recorded.rows("world/robot/pelvis") == 1
+
+
+def test_bus_without_a_robot_is_one_line(bus: Bus) -> None:
+    with pytest.raises(NotReady, match="no robot writes its state"):
+        LiveView(bus, rr.RecordingStream("test"))

@@ -1,0 +1,82 @@
+"""Where the robot was and where it was asked to be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from station import rotations
+from station.bus import contracts, keys
+from station.protocols import Floats
+from station.view import poses
+from station.view.poses import Numbers, Posture
+from tests.episode.synthetic import ROBOT, STANDING, command
+
+YAW = 0.7
+
+
+def numbers(key: str, values: Floats, times: tuple[int, ...] = (0,)) -> Numbers:
+    contract = contracts.contract(key)
+    assert contract is not None
+    return Numbers(np.array(times), np.atleast_2d(values), contract)
+
+
+def qpos(x: float) -> Floats:
+    turned = rotations.from_rotation_vector([0.0, 0.0, YAW])
+    return np.concatenate([[x, 2.0, 0.75], turned, STANDING])
+
+
+def found(*items: Numbers) -> poses.Find:
+    return {item.contract.key: item for item in items}.get
+
+
+def test_ground_truth_is_preferred() -> None:
+    state = np.concatenate([STANDING + 1, np.zeros(29), [1.0, 0, 0, 0], np.zeros(3)])
+    find = found(numbers(keys.sim_qpos(ROBOT), qpos(1.0)), numbers(keys.robot_state(ROBOT), state))
+    where = poses.measured(find, ROBOT)
+    assert where is not None
+    assert where.root[0, :3] == pytest.approx([1.0, 2.0, 0.75])
+    assert where.q[0] == pytest.approx(STANDING)
+    assert where.joints[0] == "left_hip_pitch"
+
+
+def test_robot_that_does_not_know_its_place_stays_in_it() -> None:
+    state = np.concatenate([STANDING, np.zeros(29), [1.0, 0, 0, 0], np.zeros(3)])
+    where = poses.measured(found(numbers(keys.robot_state(ROBOT), state)), ROBOT)
+    assert where is not None
+    assert where.root[0] == pytest.approx([0, 0, poses.STANDING_M, 1, 0, 0, 0])
+    assert where.q.shape == (1, 29)
+
+
+def test_state_of_a_stock_server_poses_the_robot_too() -> None:
+    values = np.concatenate([np.zeros(3), [0.1, 0.2], STANDING])
+    where = poses.measured(found(numbers(keys.state_body(ROBOT), values)), ROBOT)
+    assert where is not None
+    assert rotations.roll_pitch_yaw(where.root[0, 3:]) == pytest.approx([0.1, 0.2, 0.0])
+
+
+def test_robot_of_which_nothing_is_known_is_not_posed() -> None:
+    assert poses.measured(found(), ROBOT) is None
+
+
+def test_reference_has_height_roll_and_pitch_of_the_command_and_place_and_heading_of_the_robot() -> None:
+    values = command(STANDING + 0.1, height=0.6)
+    values[3:5] = (0.1, -0.2)
+    measured = numbers(keys.sim_qpos(ROBOT), np.stack([qpos(1.0), qpos(3.0)]), times=(0, 100))
+    find = found(measured, numbers(keys.command_used(ROBOT), np.stack([values, values]), times=(50, 150)))
+    where = poses.measured(find, ROBOT)
+    assert where is not None
+    ghost = poses.asked(find, ROBOT, where)
+    assert isinstance(ghost, Posture)
+    assert ghost.root[:, :3] == pytest.approx(np.array([[1.0, 2.0, 0.6], [3.0, 2.0, 0.6]]))
+    assert rotations.roll_pitch_yaw(ghost.root[0, 3:]) == pytest.approx([0.1, -0.2, YAW])
+    assert ghost.q[0] == pytest.approx(STANDING + 0.1)
+
+
+def test_without_a_gate_the_command_on_the_bus_is_the_reference() -> None:
+    find = found(numbers(keys.sim_qpos(ROBOT), qpos(0.0)), numbers(keys.action_body(), command(height=0.5)))
+    where = poses.measured(find, ROBOT)
+    assert where is not None
+    ghost = poses.asked(find, ROBOT, where)
+    assert ghost is not None
+    assert ghost.root[0, 2] == 0.5
