@@ -6,6 +6,7 @@ line says otherwise; none of them may be changed by who receives it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,12 +55,17 @@ class JointTargets:
     kd: Floats
 
 
+FALL_TILT_RAD = math.radians(60.0)
+"""A root that leans more than this has fallen. The root, not the link above the waist: people bow, and a motion that
+bows by 60° is no fall; and the root is where a robot's IMU is, so the same rule holds for real ones."""
+
+
 @dataclass(frozen=True, slots=True)
 class Fall:
     """Why the robot counts as fallen.
 
     Attributes:
-        tilt_rad: Angle between the torso's up and the world's up [rad].
+        tilt_rad: Angle between the root's up and the world's up [rad].
         contacts: Bodies other than the feet that touch the ground.
     """
 

@@ -89,7 +89,7 @@ def _to_sim(reader: EpisodeReader, as_json: bool) -> None:
             + ("" if report.max_root_difference_m is None else f", root {report.max_root_difference_m:.3g} m")
             + f"; fell: {'yes' if report.fell else 'no'} (recorded: {report.recorded_falls})"
         )
-        if not report.lock_step:
+        if report.different and not report.lock_step:
             click.echo(
                 "recorded against the clock: which command met which physics step was chance, so some drift is natural"
             )

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from station import rotations
 from station.bus import codec, contracts, keys
 from station.episode import falls
 from station.episode.quality import FallSeen, Spread, StepQuality
@@ -99,7 +100,7 @@ class StepMeter:
                 names = self._layouts[key]
                 values = np.frombuffer(self._poses[key], dtype="<f8").reshape(-1, len(names))
                 first = names.index("root_quat_w")
-                tilt = falls.torso_tilt(values[:, first : first + 4], names, values)
+                tilt = rotations.tilt(rotations.normalized(values[:, first : first + 4]))
                 times_s = (np.array(self._pose_times[key]) - self.start_ns) * 1e-9
                 return falls.from_pose(self.robot, times_s, tilt)
         return []

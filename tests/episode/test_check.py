@@ -145,11 +145,11 @@ def test_a_fall_is_seen_in_the_pose_alone(builder: EpisodeBuilder) -> None:
     assert fall.tilt_rad == pytest.approx(np.radians(120), abs=0.01)
 
 
-def test_a_bent_waist_is_no_upright_torso(builder: EpisodeBuilder) -> None:
-    bent = STANDING.copy()
-    bent[14] = 1.2  # waist pitch; the pelvis itself stays level
-    walk(builder, q=bent, **FAST)
-    assert checked(builder).falls == 1
+def test_a_bow_from_the_waist_is_no_fall(builder: EpisodeBuilder) -> None:
+    bowed = STANDING.copy()
+    bowed[14] = 1.2  # waist pitch; the pelvis itself stays level
+    walk(builder, q=bowed, **FAST)
+    assert checked(builder).falls == 0
 
 
 def test_a_fall_that_was_reported_is_counted_once(builder: EpisodeBuilder) -> None:

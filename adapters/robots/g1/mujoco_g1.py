@@ -19,16 +19,11 @@ from adapters.robots.picture import Camera, Picture
 from station.assets import sha256
 from station.bus.joints import G1_29
 from station.errors import ConfigError, StationError
-from station.protocols import Fall, Floats, JointTargets, RobotState
+from station.protocols import FALL_TILT_RAD, Fall, Floats, JointTargets, RobotState
 from station.rotations import tilt
 
 log = logging.getLogger(__name__)
 
-FALL_TILT_RAD = math.radians(60.0)
-"""A pelvis that leans more than this has fallen: what the pelvis IMU of the real robot sees, and recordings hold.
-
-Not the torso link: one of TWIST2's own clips bows it to 59.5° on purpose, with the pelvis at 30°.
-"""
 
 START_ROOT_POS = (0.0, 0.0, 0.793)
 _LEG = (-0.2, 0.0, 0.0, 0.4, -0.2, 0.0)
@@ -123,7 +118,7 @@ class MujocoG1:
         return targets
 
     def fallen(self) -> Fall | None:
-        """Return why the robot counts as fallen: a pelvis beyond 60°, or ground under anything but the feet.
+        """Return why the robot counts as fallen: a root beyond `FALL_TILT_RAD`, or ground under anything but the feet.
 
         Seen at the end of a control period: a touch that begins and ends within one is not.
         """

@@ -1,0 +1,60 @@
+"""The whole station as a user runs it: `station …` in a terminal of its own, on a bus and a data folder of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+SHARED_VARIABLES = ("STATION_BUS", "STATION_BUS_PASSWORD", "STATION_DATA")
+LOCK_STEP = ("g1.pace=command", "motion.pace=state")
+RUNBOOK = "runbooks/g1-sim-motion.yaml"
+ROOT = Path(__file__).parents[2]
+
+
+class Terminal:
+    """A user's environment: what is started here meets nothing that runs elsewhere.
+
+    Args:
+        folder: Holds the bus's socket (so its path is short), logs and episodes.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        kept = {name: value for name, value in os.environ.items() if name not in SHARED_VARIABLES}
+        self.environment = {**kept, "XDG_RUNTIME_DIR": str(folder), "STATION_DATA": str(folder / "data")}
+        self.data = folder / "data"
+
+    def run(self, *arguments: str, timeout_s: float = 300.0) -> subprocess.CompletedProcess[str]:
+        """Run a verb to its end."""
+        return subprocess.run(
+            [sys.executable, "-m", "station", *arguments],
+            cwd=ROOT, env=self.environment, capture_output=True, text=True, timeout=timeout_s, check=False,
+        )  # fmt: skip
+
+    def start(self, *arguments: str) -> subprocess.Popen[str]:
+        """Start a verb that runs until it is told to stop; its output is in one stream."""
+        return subprocess.Popen(
+            [sys.executable, "-m", "station", *arguments],
+            cwd=ROOT, env=self.environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+
+    def json(self, *arguments: str) -> Any:
+        """Run a verb and return the JSON that it prints, whatever it thinks of it."""
+        done = self.run(*arguments, "--json")
+        assert done.stdout, f"station {' '.join(arguments)} ended with {done.returncode}: {done.stderr}"
+        return json.loads(done.stdout)
+
+    def episode(self, task: str) -> Path:
+        """Return the folder of the only episode of a task."""
+        (folder,) = (self.data / task).iterdir()
+        return folder
+
+
+def up(task: str, *settings: str) -> list[str]:
+    """Return the arguments that run the main job unattended and record it."""
+    sets = [word for setting in settings for word in ("--set", setting)]
+    return ["up", RUNBOOK, "--yes", "--record", "--task", task, *sets]
