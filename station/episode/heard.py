@@ -100,7 +100,8 @@ class Heard:
 
     def _commanders(self) -> str:
         """Return the names of the command servers that were heard, joined by ``+``; "" when only scripts command."""
-        return "+".join(sorted(name for name, server in self._servers.items() if server.role == "command"))
+        present = (name for name, s in self._servers.items() if s.role == "command" and s.state != "finalized")
+        return "+".join(sorted(present))
 
     def _is_current(self, name: str) -> bool:
         server = self._servers.get(name)

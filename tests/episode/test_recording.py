@@ -332,3 +332,11 @@ def test_closing_ends_the_episode_and_says_why(make: Make) -> None:
     assert load_manifest(path).recorder.ended_by == "shutdown"
     assert (path / "signals.mcap").exists()
     assert recording.state().state == "idle"
+
+
+def test_the_interface_is_the_command_server_that_is_up(make: Make) -> None:
+    recording, cli, gone, pico = make(), Native("record"), Native("motion"), Native("pico")
+    recording.feed([health(gone, "motion", "command", "finalized"), health(pico, "pico", "command")])
+    recording.feed([cli.request("start"), cli.request("stop")])
+    answer(recording)
+    assert load_manifest(Path(answer(recording).path or "")).operator.interface == "pico"

@@ -44,13 +44,13 @@ def driven(assets: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[d
 
 
 @pytest.fixture(scope="module")
-def rehearsed(
-    driven: dict[str, Future[Driven]], tmp_path_factory: pytest.TempPathFactory
-) -> dict[str, dict[str, Any]]:
+def rehearsed(driven: dict[str, Future[Driven]], tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
     """What `station rehearse` says of all motions, by motion; after the runs, so as not to slow them."""
     for run in driven.values():
         run.result()
-    found = Terminal(tmp_path_factory.mktemp("rehearsal")).json("rehearse", "twist2:motions/*.pkl", "--policy", "twist2")
+    found = Terminal(tmp_path_factory.mktemp("rehearsal")).json(
+        "rehearse", "twist2:motions/*.pkl", "--policy", "twist2"
+    )
     return {item["motion"]: item for item in found["motions"]}
 
 
