@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import os
 import platform
+import subprocess
 from importlib import metadata
 from pathlib import Path
 
@@ -46,9 +47,11 @@ def _memory_gb() -> float:
 
 def _server() -> str:
     try:
-        return find_binary().name
-    except BusError:
-        return "no server"
+        answer = subprocess.run([find_binary(), "--version"], capture_output=True, text=True, check=True, timeout=5.0)
+    except (BusError, OSError, subprocess.SubprocessError):
+        return "unknown server"
+    words = answer.stdout.replace(",", " ").split()  # "Valkey server v=8.1.8 sha=…"
+    return " ".join(word for word in words[:3] if word != "server")
 
 
 def _version(package: str) -> str:

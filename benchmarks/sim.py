@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -11,6 +12,9 @@ import numpy as np
 from benchmarks import processes, stock
 from benchmarks.harness import Benchmark, Row, Settings, Target, alternate, compare
 from station import assets, registry
+from station.bus import codec
+from station.life.control import Resettable
+from station.life.inlet import CommandSample
 from station.life.playback import Playback
 from station.life.rig import DEFAULT_CHECKPOINTS, DEFAULT_ROBOT_MODEL, RigConfig, build
 from station.protocols import Motion
@@ -23,8 +27,9 @@ _PERIOD_S = 0.02
 METHOD = """\
 One TWIST2 motion through playback, command text, gate, policy and the meshed G1, free-running, loading left out: the
 `rehearse` of the command line, one process. Baseline: stock's loop as it steps 1 ms of physics at a time with PD in
-numpy before each, and its network with the runtime's default threads; its pacing sleep, viewer and bus are left out,
-to its advantage."""
+numpy before each, and its network with the runtime's default threads, on commands made beforehand; its pacing sleep,
+viewer and bus are left out, to its advantage. *Control loop*: ours on the same commands made beforehand, with parsing,
+gate and the watch for falls, which the baseline does not have."""
 
 
 def run(settings: Settings) -> list[Row]:
@@ -33,6 +38,7 @@ def run(settings: Settings) -> list[Row]:
     with contextlib.ExitStack() as stack:
         start = stack.enter_context
         contenders = {
+            "control": start(processes.Worker(ours_on_ready_commands)),
             "1 ms": start(processes.Worker(ours, 0.001)),
             "2 ms": start(processes.Worker(ours, 0.002)),
             baseline: start(processes.Worker(theirs)),
@@ -42,6 +48,8 @@ def run(settings: Settings) -> list[Row]:
     return [
         compare("closed loop, physics at 1 ms", "x real time", at_1_ms, taken[baseline], baseline=baseline,
                 target=Target(limit=6.0, sense=">=")),
+        compare("control loop alone, physics at 1 ms", "x real time", taken["control"], taken[baseline],
+                baseline=baseline),
         compare("closed loop, physics at 2 ms", "x real time", at_2_ms, taken[baseline], baseline=baseline,
                 target=Target(limit=6.0, sense=">=")),
     ]  # fmt: skip
@@ -56,6 +64,28 @@ def ours(physics_dt_s: float) -> Iterator[Callable[[], float]]:
     def act() -> float:
         result = rehearse(motion, rig.policy, rig.robot, rig.form, period_s=rig.period_s)
         return result.speed_x_realtime
+
+    yield act
+    rig.robot.close()
+
+
+@contextlib.contextmanager
+def ours_on_ready_commands() -> Iterator[Callable[[], float]]:
+    """Load our rig in this process; yields what runs control alone on the motion's commands and returns the speed."""
+    rig = build(RigConfig())
+    robot = rig.robot
+    assert isinstance(robot, Resettable)
+    samples = [codec.json_vector(command) for command in _commands(_motion())]
+
+    def act() -> float:
+        rig.policy.reset()
+        robot.reset()
+        control = rig.control()
+        began_s = time.perf_counter()
+        for tick, data in enumerate(samples):
+            now_s = tick * _PERIOD_S
+            control.step(control.sense(), CommandSample(data, arrived_s=now_s), now_s)
+        return len(samples) * _PERIOD_S / (time.perf_counter() - began_s)
 
     yield act
     rig.robot.close()

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import msgspec
 
 from adapters.robots.g1 import wire
+from station import registry
 from station.config import to_plain
 from station.life.gate import GateConfig
 from station.life.loop import Rate, real_time
@@ -56,6 +57,10 @@ class G1Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     viewer: bool = False
     on_fall: Literal["continue", "reset"] = "continue"
     real_time_priority: int = 50
+
+    def __post_init__(self) -> None:
+        registry.expect("policy", self.policy)
+        registry.expect("robot", f"g1-{self.backend}")
 
     @property
     def rig(self) -> RigConfig:

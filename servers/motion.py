@@ -76,6 +76,7 @@ class MotionConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     preview_model: str = "twist2:g1/g1_sim2sim_29dof.xml"
 
     def __post_init__(self) -> None:
+        registry.expect("command", self.format)
         if not 10.0 <= self.rate_hz <= 500.0:
             raise ValueError(f"rate_hz is {self.rate_hz:g}; expected 10 to 500 Hz (TWIST and TWIST2 expect 50)")
         for name in ("enter_s", "leave_s", "seek_s", "ease_s"):

@@ -34,7 +34,7 @@ def resolve(reference: str | os.PathLike[str]) -> Path:
     if path.exists():
         return path
     if _collection(text):
-        raise AssetMissing(f"{text}: no file {path}{_near(path)}")
+        raise AssetMissing(f"{text}: no file {path}{_near(path)}; `station assets list` shows what there is")
     raise BadFile(f"{text}: no such file{_near(path)}")
 
 
@@ -74,6 +74,11 @@ def _locate(text: str) -> Path:
         raise AssetMissing(
             f"{text}: needs upstream data, but {ENVIRONMENT_VARIABLE} is not set; "
             f"set it to the folder that holds {collection}/"
+        )
+    if not base.is_dir():
+        raise AssetMissing(
+            f"{text}: ${ENVIRONMENT_VARIABLE} names {base}, which is not a folder; "
+            f"set it to the one that holds {collection}/"
         )
     return base / collection / text.partition(":")[2]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import msgspec
 import yaml
@@ -18,6 +18,7 @@ from station.errors import BadFile, ConfigError, did_you_mean
 T = TypeVar("T", bound=msgspec.Struct)
 
 _DURATION = re.compile(r"^\s*(\d+(?:\.\d+)?)\s*(ms|s|min|h|)\s*$")
+_EXPONENT = re.compile(r"^[-+]?\d+(\.\d*)?[eE][-+]?\d+$")
 _SECONDS = {"ms": 1e-3, "s": 1.0, "": 1.0, "min": 60.0, "h": 3600.0}
 
 
@@ -32,15 +33,11 @@ def build(kind: type[T], values: Mapping[str, Any], *, where: str) -> T:
     Raises:
         ConfigError: an unknown key, a missing one, or a value of the wrong type.
     """
-    known = [field.encode_name for field in msgspec.structs.fields(kind)]
-    for key in values:
-        if key not in known:
-            listed = ", ".join(sorted(known)) or "none"
-            raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(str(key), known)}; known: {listed}")
+    _refuse_unknown_keys(kind, values, where)
     try:
         return msgspec.convert(dict(values), kind, strict=True, dec_hook=_decode_path)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"{where}: {_plain(error)}") from None
+        raise ConfigError(f"{where}: {_plain(error, kind, values)}") from None
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -55,8 +52,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         near = did_you_mean(path.name, [p.name for p in path.parent.glob("*.yaml")]) if path.parent.is_dir() else ""
         raise BadFile(f"{path}: no such file{near}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadFile(f"{path}: cannot be read: {error}") from None
+    except OSError as error:
+        raise BadFile(f"{path}: cannot be read: {error.strerror}; expected a YAML file") from None
+    except UnicodeDecodeError as error:
+        raise BadFile(f"{path}: not UTF-8 text (byte {error.start}); expected a YAML file") from None
     return parse_yaml(text, where=str(path))
 
 
@@ -137,7 +136,10 @@ def _value(text: str, option: str) -> Any:
     try:
         value = yaml.safe_load(text)
     except yaml.YAMLError as error:
-        raise ConfigError(f"--set {option}: the value is not YAML: {error}") from None
+        problem = getattr(error, "problem", None) or "cannot be read"
+        raise ConfigError(f"--set {option}: the value is not YAML: {problem}; put quotes around text") from None
+    if isinstance(value, str) and _EXPONENT.match(value):
+        return float(value)  # YAML 1.1 takes 1e9 for text
     return text if isinstance(value, dict) else value
 
 
@@ -147,10 +149,48 @@ def _decode_path(kind: type, value: Any) -> Any:
     raise NotImplementedError(f"{kind.__name__} from {value!r}")
 
 
-def _plain(error: msgspec.ValidationError) -> str:
-    """Turn "Expected `float`, got `str` - at `$.rate_hz`" into "rate_hz: expected float, got str"."""
+def _refuse_unknown_keys(kind: type[msgspec.Struct], values: Mapping[str, Any], where: str) -> None:
+    """Refuse keys that a type, or one of the types within it, does not have."""
+    fields = {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
+    for key, value in values.items():
+        if key not in fields:
+            listed = ", ".join(sorted(fields)) or "none"
+            raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(str(key), fields)}; known: {listed}")
+        inner = fields[key]
+        if isinstance(inner, type) and issubclass(inner, msgspec.Struct) and isinstance(value, Mapping):
+            _refuse_unknown_keys(inner, value, f"{where}: {key}")
+
+
+def _plain(error: msgspec.ValidationError, kind: type[msgspec.Struct], values: Mapping[str, Any]) -> str:
+    """Turn "Expected `float`, got `str` - at `$.rate_hz`" into "rate_hz: expected float, got 'fast'"."""
     text, _, path = str(error).partition(" - at `$")
-    text = text.replace("`", "").replace("Object missing required field", "missing key")
-    text = text[:1].lower() + text[1:]
     place = path.rstrip("`").lstrip(".")
+    value, wanted = _at(place, kind, values)
+    if text.startswith("Invalid enum value"):
+        choices = sorted(str(choice) for choice in _choices(wanted))
+        text = f"expected {' or '.join(choices)}, got {value!r}{did_you_mean(str(value), choices)}"
+    elif not isinstance(value, Mapping):
+        text = re.sub(r"got `[^`]*`$", lambda _: f"got {value!r}", text)
+    text = (
+        text.replace("`object`", "a mapping").replace("`", "").replace("Object missing required field", "missing key")
+    )
+    text = text[:1].lower() + text[1:]
     return f"{place}: {text}" if place else text
+
+
+def _at(place: str, kind: Any, values: Any) -> tuple[Any, Any]:
+    """Return the value at a place such as ``gate.hold_after_s``, and the type that is wanted there."""
+    for key in place.split("."):
+        is_struct = isinstance(kind, type) and issubclass(kind, msgspec.Struct)
+        if not (is_struct and isinstance(values, Mapping) and key in values):
+            return {}, None  # within a list: the message has its index already
+        fields = {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
+        values, kind = values[key], fields.get(key)
+    return values, kind
+
+
+def _choices(wanted: Any) -> list[Any]:
+    """Return what a Literal allows, also one that may be absent."""
+    if get_origin(wanted) is Literal:
+        return list(get_args(wanted))
+    return [choice for part in get_args(wanted) for choice in _choices(part)]

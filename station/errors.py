@@ -19,6 +19,8 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+_TELLING = 3  # letters of a beginning that say what was meant
+
 
 class StationError(Exception):
     """Base of all errors that are shown to the user as one line."""
@@ -71,5 +73,7 @@ class EpisodeError(StationError):
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return ``" (did you mean 'x'?)"`` for the closest known name, or nothing."""
-    close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
+    names = list(known)
+    begins = [other for other in names if len(name) >= _TELLING and other.startswith(name)]
+    close = begins or difflib.get_close_matches(name, names, n=1, cutoff=0.6)
     return f" (did you mean {close[0]!r}?)" if close else ""

@@ -34,6 +34,16 @@ def names(kind: Kind) -> list[str]:
     return sorted(_entries(kind))
 
 
+def expect(kind: Kind, name: str) -> None:
+    """Check a name without loading what it names, for a configuration's ``__post_init__``.
+
+    Raises:
+        ValueError: nothing is registered under it; the message lists what is.
+    """
+    if name not in _entries(kind):
+        raise ValueError(str(UnknownName(kind, name, _entries(kind))))
+
+
 def find(kind: Kind, name: str) -> Any:
     """Load what is registered under a name.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import pytest
@@ -18,6 +19,7 @@ class Inner(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class Outer(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     name: str
     rate_hz: float = 50.0
+    pace: Literal["wall", "state"] | None = None
     inner: Inner = Inner()
 
 
@@ -31,11 +33,14 @@ def test_values_fill_the_type() -> None:
     [
         (
             {"name": "a", "rate_hs": 3},
-            "x.yaml: unknown key 'rate_hs' (did you mean 'rate_hz'?); known: inner, name, rate",
+            "x.yaml: unknown key 'rate_hs' (did you mean 'rate_hz'?); known: inner, name, pace, rate_hz",
         ),
-        ({"name": "a", "rate_hz": "fast"}, "x.yaml: rate_hz: expected float, got str"),
+        ({"name": "a", "rate_hz": "fast"}, "x.yaml: rate_hz: expected float, got 'fast'"),
         ({"rate_hz": 1.0}, "x.yaml: missing key name"),
-        ({"name": "a", "inner": {"gian": 1}}, "x.yaml: inner: object contains unknown field gian"),
+        ({"name": "a", "pace": "stat"}, "x.yaml: pace: expected state or wall, got 'stat' (did you mean 'state'?)"),
+        ({"name": "a", "inner": {"gain": "big"}}, "x.yaml: inner.gain: expected float, got 'big'"),
+        ({"name": "a", "inner": 3}, "x.yaml: inner: expected a mapping, got 3"),
+        ({"name": "a", "inner": {"gian": 1}}, "x.yaml: inner: unknown key 'gian' (did you mean 'gain'?); known: gain"),
     ],
 )
 def test_a_mistake_names_the_place_the_key_and_the_remedy(values: dict[str, object], message: str) -> None:
@@ -78,6 +83,10 @@ def test_durations(text: str | float, expected: float) -> None:
 def test_a_bad_duration_says_what_one_looks_like() -> None:
     with pytest.raises(ConfigError, match="--for: expected a duration such as 20s"):
         config.seconds("soon", where="--for")
+
+
+def test_a_number_with_an_exponent_is_a_number() -> None:
+    assert config.overrides(["a=1e9", "b=-2.5E-3", "c=1e"], servers=None) == {"": {"a": 1e9, "b": -2.5e-3, "c": "1e"}}
 
 
 def test_a_file_that_is_no_yaml_says_where(tmp_path: Path) -> None:

@@ -51,6 +51,8 @@ def _read(reference: str | os.PathLike[str], fps: float | None) -> RawMotion:
     readers = registry.names("motion")
     if suffix not in readers:
         known = ", ".join(f".{name}" for name in readers)
-        raise BadFile(f"{path}: no reader for {path.suffix or 'a file without a suffix'!r}; known: {known}")
+        raise BadFile(
+            f"{path}: no reader for {repr(path.suffix) if path.suffix else 'a name without a suffix'}; known: {known}"
+        )
     raw: RawMotion = registry.find("motion", suffix)(path, fps=fps)
     return raw

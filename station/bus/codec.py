@@ -8,11 +8,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+
+T = TypeVar("T")
 
 _decode_list = msgspec.json.Decoder(list[float]).decode
 _encode = msgspec.json.Encoder().encode
@@ -83,6 +85,18 @@ def parse_json(data: bytes) -> Any:
         return json.loads(data)
     except (ValueError, RecursionError) as error:
         raise BadValue(f"not JSON: {_short(data)}") from error
+
+
+def parse_struct(data: bytes, kind: type[T]) -> T:
+    """Decode JSON into a type that msgspec knows.
+
+    Raises:
+        BadValue: not JSON, or not of that type.
+    """
+    try:
+        return msgspec.json.decode(data, type=kind)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise BadValue(str(error)) from error
 
 
 def _parse_raw(data: bytes, layout: str, kind: Any) -> NDArray[Any]:

@@ -8,11 +8,11 @@ from pathlib import Path
 import click
 
 from station import assets
-from station.cli.options import json_option
-from station.errors import AssetMissing
+from station.cli.options import Verbs, json_option
+from station.errors import AssetMissing, UnknownName
 
 
-@click.group("assets")
+@click.group("assets", cls=Verbs)
 def command() -> None:
     """Find upstream data: policies, robot models, motions."""
 
@@ -33,9 +33,10 @@ def where(reference: str) -> None:
 def listing(collection: str, as_json: bool) -> None:
     """List what there is, as references that every verb takes."""
     base = _root()
-    found = sorted(
-        p for p in (base / collection if collection else base).rglob("*") if p.is_file() and p.suffix != ".STL"
-    )
+    known = sorted(folder.name for folder in base.iterdir() if folder.is_dir())
+    if collection and collection not in known:
+        raise UnknownName("collection", collection, known)
+    found = sorted(p for p in (base / collection).rglob("*") if p.is_file() and p.suffix != ".STL")
     references = [f"{p.relative_to(base).parts[0]}:{'/'.join(p.relative_to(base).parts[1:])}" for p in found]
     if as_json:
         click.echo(json.dumps(references))

@@ -8,10 +8,11 @@ import threading
 
 import click
 
-from station.cli.options import address_of, bus_option, json_option
+from station.cli.options import Verbs, address_of, bus_option, json_option
+from station.errors import BusError
 
 
-@click.group("bus")
+@click.group("bus", cls=Verbs)
 def command() -> None:
     """Start a bus, or look at one."""
 
@@ -34,7 +35,7 @@ def start(tcp_port: int | None) -> None:
         click.echo("Ctrl-C stops it")
         while not stop.wait(0.5):
             if not server.is_running:
-                raise SystemExit(1)
+                raise BusError(f"bus {server.address}: its server (pid {server.pid}) has died; start it again")
 
 
 @command.command("info")

@@ -9,10 +9,10 @@ import click
 import msgspec
 
 from station.cli import check
-from station.cli.options import data_option, json_option
+from station.cli.options import Verbs, data_option, json_option
 
 
-@click.group("episodes")
+@click.group("episodes", cls=Verbs)
 def command() -> None:
     """List, show and check recorded episodes."""
 

@@ -9,7 +9,7 @@ import msgspec
 
 from station.bus import contracts
 from station.cli.options import json_option
-from station.errors import UnknownName
+from station.errors import UsageError, did_you_mean
 
 
 @click.command("keys")
@@ -22,7 +22,11 @@ def command(key: str, as_json: bool) -> None:
         return
     found = contracts.contract(key)
     if found is None:
-        raise UnknownName("key", key, [item.key for item in contracts.contracts()])
+        known = [item.key for item in contracts.contracts()]
+        raise UsageError(
+            f"key {key!r} has no contract{did_you_mean(key, known)}; `station keys` lists the {len(known)} that have "
+            "one (a key without is recorded all the same)"
+        )
     if as_json:
         click.echo(msgspec.json.encode(found).decode())
         return

@@ -10,43 +10,50 @@ from typing import NoReturn
 
 import click
 
+from station.cli.options import Verbs
 from station.errors import StationError
 
-_VERBS = {
-    "demo": "station.cli.demo",
-    "up": "station.cli.up",
-    "serve": "station.cli.serve",
-    "status": "station.cli.status",
-    "keys": "station.cli.keys",
-    "record": "station.cli.record",
-    "episodes": "station.cli.episodes",
-    "check": "station.cli.check",
-    "audit": "station.cli.audit",
-    "replay": "station.cli.replay",
-    "rehearse": "station.cli.rehearse",
-    "view": "station.cli.view",
-    "estop": "station.cli.estop",
-    "bus": "station.cli.bus",
-    "assets": "station.cli.assets",
-    "doctor": "station.cli.doctor",
+_LEVELS = ("DEBUG", "INFO", "WARNING", "ERROR", "CRITICAL")
+
+VERBS = {
+    "demo": "Drive a simulated G1 once, record it, print the report.",
+    "up": "Run a runbook: start a station, watch over it, take it down.",
+    "serve": "Run one server in this terminal.",
+    "status": "Show servers and their states, keys, rates and ages.",
+    "doctor": "Find out why the robot does nothing, and what to do.",
+    "estop": "Stop every robot on the bus; --reset releases.",
+    "record": "Start, stop, mark or discard an episode.",
+    "episodes": "List, show and check what has been recorded.",
+    "check": "Measure an episode from its file, and judge it.",
+    "audit": "Run the policy again on what was recorded, and compare bits.",
+    "replay": "Play an episode to a bus, a simulation or Rerun.",
+    "rehearse": "Run motions through policy and simulation, offline.",
+    "view": "Show a running station in Rerun.",
+    "bus": "Start a bus, or look at one.",
+    "keys": "Say what each key of the bus holds.",
+    "assets": "Find upstream data: policies, robot models, motions.",
 }
+"""What each verb does; module ``station.cli.<verb>`` holds its ``command``."""
 
 
-class _Verbs(click.Group):
-    """A group that finds its commands by module name, so that ``station --help`` imports none of them."""
+class _LazyVerbs(Verbs):
+    """Finds its commands by module name, so that ``station --help`` imports none of them."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_VERBS)
+        return list(VERBS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        module = _VERBS.get(cmd_name)
-        if module is None:
+        if cmd_name not in VERBS:
             return None
-        command: click.Command = importlib.import_module(module).command
+        command: click.Command = importlib.import_module(f"station.cli.{cmd_name}").command
         return command
 
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(VERBS.items()))
 
-@click.group(cls=_Verbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+
+@click.group(cls=_LazyVerbs, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="teleop-station", prog_name="station")
 def cli() -> None:
     """Teleop Station: drive a humanoid over a Redis bus, record every write, check, audit and replay it."""
@@ -54,24 +61,37 @@ def cli() -> None:
 
 def main() -> NoReturn:
     """Run the command line; every known error is one line on stderr and an exit code."""
-    logging.basicConfig(level=os.environ.get("STATION_LOG", "INFO"), format="%(levelname).1s %(name)s: %(message)s")
+    level = os.environ.get("STATION_LOG", "").upper()
+    logging.basicConfig(level=level if level in _LEVELS else "INFO", format="%(levelname).1s %(name)s: %(message)s")
     logging.captureWarnings(True)
     try:
-        code = cli.main(standalone_mode=False)
-    except click.UsageError as error:
-        error.show()
-        code = 2
+        code = cli.main(prog_name="station", standalone_mode=False)
     except click.ClickException as error:
-        error.show()
+        _show(error)
         code = error.exit_code
     except StationError as error:
-        click.echo(f"station: {error}", err=True)
+        _complain(str(error))
         code = error.exit_code
     except (KeyboardInterrupt, click.Abort):
-        click.echo("station: interrupted", err=True)
+        _complain("interrupted")
         code = 130
     except BrokenPipeError:
         # The reader of our output (head, less) has gone; nothing is left to say, and Python must not try at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _complain(text: str) -> None:
+    click.echo(f"station: {text}", err=True)
+
+
+def _show(error: click.ClickException) -> None:
+    """Show a mistake in a line, with where it is explained; a group without a verb shows its help."""
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    if context is None:
+        _complain(error.format_message())
+    elif error.format_message() == context.get_help():
+        click.echo(error.format_message(), err=True)
+    else:
+        _complain(f"{error.format_message()} See `{context.command_path} --help`.")

@@ -1,4 +1,4 @@
-"""Options that several verbs share."""
+"""What several verbs share: options, and groups of verbs that know what was meant."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import click
 
 from station.bus import address as addresses
 from station.bus.address import BusAddress
+from station.errors import UnknownName
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -22,6 +23,23 @@ data_option: Decorator = click.option(
     help="Folder of episodes.  [default: $STATION_DATA, else ./data]",
 )  # fmt: skip
 json_option: Decorator = click.option("--json", "as_json", is_flag=True, help="Print JSON for programs.")
+
+
+class Verbs(click.Group):
+    """A group that says which verb was meant when a name is misspelt."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the verb that the first word names.
+
+        Raises:
+            UnknownName: there is none.
+        """
+        name = args[0]
+        if not name.startswith("-") and self.get_command(ctx, name) is None:
+            raise UnknownName(f"`{ctx.command_path}` command", name, self.list_commands(ctx))
+        return super().resolve_command(ctx, args)
 
 
 def set_option(form: str) -> Decorator:

@@ -8,10 +8,14 @@ from typing import Any
 
 import click
 
-from station.cli.options import address_of, bus_option, json_option
+from station.cli.options import Verbs, address_of, bus_option, json_option
+
+_PATIENCE_S = 20.0  # a stop waits for the disk
+_DOUBT_S = 2.0  # where no recorder is heard: one on a machine with a wrong clock may be there all the same
+_DONE = {"start": "recording", "stop": "finished", "mark": "marked", "discard": "discarded"}
 
 
-@click.group("record")
+@click.group("record", cls=Verbs)
 def command() -> None:
     """Start, stop, mark or discard a recording."""
 
@@ -60,12 +64,15 @@ def _ask(action: Any, bus: str | None, as_json: bool, **fields: Any) -> None:
 
     from station.bus.client import Bus
     from station.episode import remote
+    from station.life.server import read_health
 
     with Bus(address_of(bus), name="record", timeout_s=1.0) as line:
-        ack = remote.ask(line, action, **fields)
+        is_there = any(health.role == "recorder" and health.is_alive for health in read_health(line))
+        ack = remote.ask(line, action, timeout_s=_PATIENCE_S if is_there else _DOUBT_S, **fields)
     if as_json:
         click.echo(json.dumps(msgspec.to_builtins(ack)))
         return
-    click.echo(f"{action}: {ack.episode_id}  {ack.path}")
+    click.echo(f"{_DONE[action]} {ack.episode_id}  {ack.path}")
     for name, value in ack.summary.items():
-        click.echo(f"  {name}: {value}")
+        if value is not None:
+            click.echo(f"  {name:16} {value:.1f}" if isinstance(value, float) else f"  {name:16} {value}")

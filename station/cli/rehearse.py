@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from station import assets
+from station import assets, registry
 from station.cli.options import json_option
 from station.cli.tables import Column, print_table
+from station.errors import UnknownName
 
 if TYPE_CHECKING:
     from station.rehearse import Rehearsal
@@ -39,6 +40,8 @@ def command(
     from station.life.rig import DEFAULT_ROBOT_MODEL, RigConfig
     from station.rehearse import rehearse_all
 
+    if policy not in (known := registry.names("policy")):
+        raise UnknownName("policy", policy, known)  # before any motion is read
     named = [reference for motion in motions for reference in _expand(motion)]
     config = RigConfig(
         policy=policy, checkpoint=checkpoint, robot_model=robot_model or DEFAULT_ROBOT_MODEL, physics_dt_s=physics_dt_s

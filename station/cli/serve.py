@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import click
+import msgspec
 
 from station import config, registry
 from station.cli.options import bus_option, set_option
@@ -25,28 +27,34 @@ def command(server: str, bus: str | None, sets: tuple[str, ...], name: str, conf
 
     kind: ServerKind = registry.find("server", server)
     if list_keys:
-        _print_keys(kind)
+        _print_keys(kind.config)
         return
-    base = json.loads(config_json) if config_json else {}
+    values = config.merged(_base(config_json), config.overrides(sets, servers=None).get("", {}))
+    built = config.build(kind.config, values, where=f"server {server} (--list-keys shows its settings)")
+    raise SystemExit(serve(kind, built, address=address_of(bus), name=name))
+
+
+def _base(text: str) -> dict[str, Any]:
+    try:
+        base = json.loads(text or "{}")
+    except ValueError as error:
+        raise ConfigError(f"--config-json: not JSON: {error}") from None
     if not isinstance(base, dict):
-        raise ConfigError("--config-json: expected an object")
-    values = config.merged(base, config.overrides(sets, servers=None).get("", {}))
-    code = serve(kind, config.build(kind.config, values, where=f"server {server}"), address=address_of(bus), name=name)
-    raise SystemExit(code)
+        raise ConfigError(f"--config-json: expected an object, got {type(base).__name__}")
+    return base
 
 
-def _print_keys(kind: object) -> None:
-    import msgspec
+def _print_keys(kind: type[msgspec.Struct], prefix: str = "") -> None:
+    """Print the settings of a configuration as ``--set`` takes them."""
+    for field in msgspec.structs.fields(kind):
+        name = prefix + field.encode_name
+        if isinstance(field.type, type) and issubclass(field.type, msgspec.Struct):
+            _print_keys(field.type, f"{name}.")
+        elif field.required:
+            click.echo(f"{name}=  (required)")
+        else:
+            click.echo(f"{name}={json.dumps(msgspec.to_builtins(_default(field), enc_hook=str))}")
 
-    for field in msgspec.structs.fields(kind.config):  # type: ignore[attr-defined]
-        default = "required" if field.required else repr(_default(field))
-        click.echo(f"{field.encode_name} = {default}")
 
-
-def _default(field: object) -> object:
-    import msgspec
-
-    factory = field.default_factory  # type: ignore[attr-defined]
-    if factory is not msgspec.NODEFAULT:
-        return factory()
-    return field.default  # type: ignore[attr-defined]
+def _default(field: msgspec.structs.FieldInfo) -> Any:
+    return field.default if field.default_factory is msgspec.NODEFAULT else field.default_factory()

@@ -18,6 +18,11 @@ class Column(NamedTuple):
     side: Literal["left", "right"] = "right"
 
 
+def wide_console() -> Console:
+    """Return a console for stdout that is never narrower than a table."""
+    return Console(highlight=False, width=max(Console().width, _WIDE), soft_wrap=True)
+
+
 def print_table(columns: Sequence[Column], rows: Iterable[Sequence[str]], *, indent: int = 0) -> None:
     """Print rows below bold titles; cells may carry rich's colours."""
     table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
@@ -25,8 +30,7 @@ def print_table(columns: Sequence[Column], rows: Iterable[Sequence[str]], *, ind
         table.add_column(column.title, justify=column.side, no_wrap=True)
     for row in rows:
         table.add_row(*row)
-    console = Console(highlight=False)
-    console = Console(highlight=False, width=max(console.width, _WIDE), soft_wrap=True)
+    console = wide_console()
     if indent:
         from rich.padding import Padding
 

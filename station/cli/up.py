@@ -15,9 +15,9 @@ from station import config
 from station.bus.client import Bus
 from station.cli.options import bus_option, data_option, set_option
 from station.episode.folder import data_folder
-from station.errors import ConfigError
+from station.episode.request import RecordAnswer
 from station.life import runbook as runbooks
-from station.life.runbook import Runbook
+from station.life.runbook import Runbook, StartStep
 from station.life.session import Recording, Session
 
 
@@ -49,7 +49,10 @@ def command(
         person = {"id": operator or getpass.getuser()}
         recording = Recording(task=task or book.name, instruction=instruction, operator=person)
     for_s = None if for_ is None else config.seconds(for_, where="--for")
-    raise SystemExit(run(book, bus=bus, data=data_folder(data), recording=recording, unattended=yes, for_s=for_s)[0])
+    code, episode = run(book, bus=bus, data=data_folder(data), recording=recording, unattended=yes, for_s=for_s)
+    if episode is not None:
+        click.echo(episode)
+    raise SystemExit(code)
 
 
 def run(
@@ -61,38 +64,46 @@ def run(
     from station.cli.face import TerminalFace
     from station.life.supervisor import Supervisor, log_folder
 
-    if recording is not None and not any(step.start == "recorder" for step in book.servers):
-        raise ConfigError(
-            f"runbook {book.name} starts no recorder; add the step `- start: recorder`, or leave out --record"
-        )
     named = addresses.parse(bus) if bus else None
-    with _stop_on_signals() as stop, TerminalFace() as face, found_or_started(named) as address:
+    with _stop_on_signals() as stop, TerminalFace(stop) as face, found_or_started(named) as address:
         with Bus(address, name="supervisor", timeout_s=1.0) as line:
-            folder = log_folder(address)
-            supervisor = Supervisor(line, folder, {"STATION_DATA": str(data.absolute())})
+            supervisor = Supervisor(line, log_folder(address), {"STATION_DATA": str(data.absolute())})
             session = Session(book, line, supervisor, face, data=data, recording=recording, is_unattended=unattended)
             try:
                 code = session.run(stop, for_s=for_s)
+            except KeyboardInterrupt:
+                face.say("interrupted again: everything stops at once, without an order", "warning")
+                raise
             finally:
                 supervisor.stop_all()
         episode = Path(session.episode.path) if session.episode and session.episode.path else None
-        if episode is not None:
-            face.say(f"episode {episode}; look at it with: station check {episode}")
+        if session.episode is not None:
+            face.say(f"recorded {_summary(session.episode)}; look at it with: station check {session.episode.path}")
         return code, episode
+
+
+def _summary(episode: RecordAnswer) -> str:
+    """Say in words what the recorder counted; of an episode that it did not close it says nothing."""
+    counted = episode.summary
+    shown = f"{episode.episode_id}"
+    if counted:
+        shown += f": {counted['seconds']:.1f} s, {counted['messages']} messages, {counted['lost']} lost"
+    return shown
 
 
 def print_plan(book: Runbook) -> None:
     """Print the steps of a runbook."""
     click.echo(f"{book.name} · {book.description}" if book.description else book.name)
     for number, step in enumerate(book.steps, 1):
-        click.echo(f"{number:3}. {step}")
-    click.echo(f"at the end, stop: {', '.join(step.start for step in reversed(book.servers))}")
-    click.echo(f"on failure, stop: {', '.join(book.stop_order)}")
+        within = f"  (ready within {step.ready_within_s:g} s)" if isinstance(step, StartStep) else ""
+        click.echo(f"{number:3}. {step}{within}")
+    click.echo(f"at the end, stop: {', '.join(step.start for step in reversed(book.servers)) or 'nothing'}")
+    click.echo(f"on failure, stop: {', '.join(book.stop_order) or 'nothing'}")
 
 
 @contextmanager
 def _stop_on_signals() -> Iterator[threading.Event]:
-    """Turn the first Ctrl-C or SIGTERM into an orderly end; the second Ctrl-C interrupts that."""
+    """Turn the first Ctrl-C, SIGTERM or closed terminal into an orderly end; the second Ctrl-C interrupts that."""
     stop = threading.Event()
 
     def ask(number: int, _frame: object) -> None:
@@ -100,7 +111,7 @@ def _stop_on_signals() -> Iterator[threading.Event]:
             raise KeyboardInterrupt
         stop.set()
 
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         yield stop
     finally:

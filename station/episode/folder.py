@@ -93,7 +93,7 @@ def resolve(episode: str | Path, data: Path | None = None) -> Path:
         raise EpisodeError(f"{path}: no episode: expected {layout.SIGNALS} or {layout.ACTIVE} in it")
     known = [folder.name for folder in episodes]
     raise EpisodeError(
-        f"episode {name!r}: not found in {base}, which holds {len(known)}{did_you_mean(name, known)}; "
+        f"episode {name!r}: not found in {base}, which holds {len(known)} episodes{did_you_mean(name, known)}; "
         "`station episodes list` shows them, --data names another folder"
     )
 

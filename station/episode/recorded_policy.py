@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ class Suspect(msgspec.Struct, frozen=True, kw_only=True):
     checkpoint: str
     sha256: str
     runtime: str
+    options: dict[str, Any] = {}
 
 
 def recorded_policy(reader: EpisodeReader, robot: str | None = None) -> Suspect:
@@ -47,7 +49,8 @@ def recorded_policy(reader: EpisodeReader, robot: str | None = None) -> Suspect:
     text = {
         name: str(stated.get(name) or getattr(manifest, name)) for name in ("name", "checkpoint", "sha256", "runtime")
     }
-    return Suspect(robot=chosen, **text)
+    options = stated.get("options")
+    return Suspect(robot=chosen, **text, options=options if isinstance(options, dict) else {})
 
 
 def load_policy(reader: EpisodeReader, suspect: Suspect, checkpoint: str | Path | None = None) -> Policy:
@@ -70,7 +73,14 @@ def load_policy(reader: EpisodeReader, suspect: Suspect, checkpoint: str | Path 
             f"episode {reader.episode_id}: ran checkpoint sha256 {suspect.sha256[:12]}…, {path} is {came[:12]}…; "
             "name the file that ran with --checkpoint"
         )
-    policy: Policy = registry.find("policy", suspect.name)(path)
+    make = registry.find("policy", suspect.name)
+    unknown = set(suspect.options) - set(inspect.signature(make).parameters)
+    if unknown:
+        raise EpisodeError(
+            f"episode {reader.episode_id}: ran policy {suspect.name!r} with options that it no longer has: "
+            f"{', '.join(sorted(unknown))}; audit it with the version of the policy that ran"
+        )
+    policy: Policy = make(path, **suspect.options)
     return policy
 
 

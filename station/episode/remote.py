@@ -6,8 +6,6 @@ import secrets
 import time
 from typing import Any
 
-import msgspec
-
 from station.bus import codec, keys
 from station.bus.client import Bus
 from station.episode.request import Action, RecordAnswer, RecordRequest
@@ -52,6 +50,6 @@ def _accepted(action: Action, answer: RecordAnswer) -> RecordAnswer:
 
 def _decode(data: bytes) -> RecordAnswer | None:
     try:
-        return msgspec.json.decode(data, type=RecordAnswer)
-    except msgspec.DecodeError:
+        return codec.parse_struct(data, RecordAnswer)
+    except codec.BadValue:
         return None

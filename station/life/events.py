@@ -51,8 +51,8 @@ def make(source: str, name: str, severity: Severity = "info", **detail: Any) -> 
 def decode(data: bytes) -> Event | None:
     """Return the event that bytes from the bus hold, or None when they hold none."""
     try:
-        return msgspec.json.decode(data, type=Event)
-    except msgspec.DecodeError:
+        return codec.parse_struct(data, Event)
+    except codec.BadValue:
         return None
 
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 import msgspec
 
-from station.bus import keys
+from station.bus import codec, keys
 from station.bus.watch import Watch
 from station.life.playback import Playback
 from station.life.server import Life
@@ -50,9 +50,9 @@ class Requests:
         if data is None:
             return
         try:
-            request = msgspec.json.decode(data, type=MotionControl)
+            request = codec.parse_struct(data, MotionControl)
             done = self._do(request)
-        except msgspec.DecodeError as error:
+        except codec.BadValue as error:
             self._life.event("motion-control-refused", severity="warning", reason=str(error))
             return
         if done:
@@ -68,7 +68,7 @@ class Requests:
             return True
         if request.action == "seek":
             if request.time_s is None:
-                raise msgspec.ValidationError("seek needs time_s, the place to go to in seconds")
+                raise codec.BadValue("seek needs time_s, the place to go to in seconds")
             return playback.seek(request.time_s)
         verbs = {"start": playback.start, "pause": playback.pause, "resume": playback.resume, "leave": playback.leave}
         return verbs[request.action]()

@@ -8,28 +8,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 
 from station import config, registry
 from station.errors import ConfigError, did_you_mean
+from station.life.checks import KINDS, Check
 from station.life.server import ServerKind
 
-CheckName = Literal["bus", "assets", "disk", "clock", "ping", "interface", "key-rate"]
-CHECKS: tuple[CheckName, ...] = ("bus", "assets", "disk", "clock", "ping", "interface", "key-rate")
 _STEP_KINDS = ("check", "confirm", "start", "note")
 
 
 class CheckStep(msgspec.Struct, frozen=True, kw_only=True):
-    """An automatic check; `arguments` are what the check needs (a host, an interface, a key and a rate)."""
+    """An automatic check, by name, with what it needs (a host, an interface, a key and a rate)."""
 
-    check: CheckName
-    arguments: dict[str, Any] = {}
+    check: str
+    what: Check
 
     def __str__(self) -> str:
-        shown = " ".join(f"{key}={value}" for key, value in self.arguments.items())
-        return f"check {self.check} {shown}".rstrip()
+        return f"check {self.check} {_chosen(self.what)}".rstrip()  # type: ignore[arg-type]  # every one is a Struct
 
 
 class ConfirmStep(msgspec.Struct, frozen=True, kw_only=True):
@@ -59,11 +57,7 @@ class StartStep(msgspec.Struct, frozen=True, kw_only=True):
     ready_within_s: float = 20.0
 
     def __str__(self) -> str:
-        values = config.to_plain(self.config)
-        chosen = {f.encode_name: values[f.encode_name] for f in msgspec.structs.fields(self.config)
-                  if f.required or values[f.encode_name] != _default(f)}  # fmt: skip
-        shown = " ".join(f"{key}={_short(value)}" for key, value in chosen.items())
-        return f"start {self.start} (ready within {self.ready_within_s:g} s) {shown}".rstrip()
+        return f"start {self.start} {_chosen(self.config)}".rstrip()
 
 
 Step = CheckStep | ConfirmStep | NoteStep | StartStep
@@ -125,7 +119,10 @@ def load(path: Path, sets: Sequence[str] = ()) -> Runbook:
     """
     data = config.read_yaml(path)
     file = config.build(_File, data, where=str(path))
-    names = [str(step["start"]) for step in file.steps if isinstance(step, dict) and "start" in step]
+    names = [str(step["start"]) for step in file.steps if "start" in step]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f"{path}: starts server {name!r} {names.count(name)} times; expected once")
     changes = config.overrides(sets, servers=names)
     steps = tuple(_step(raw, changes, f"{path} step {n}") for n, raw in enumerate(file.steps, 1))
     return Runbook(
@@ -162,7 +159,10 @@ def _start(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], whe
             raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(key, known)}; known: {', '.join(known)}")
     name = str(raw["start"])
     kind: ServerKind = registry.find("server", name)
-    values = config.merged(raw.get("with") or {}, changes.get(name, {}))
+    given = raw.get("with") or {}
+    if not isinstance(given, dict):
+        raise ConfigError(f"{where} ({name}): with: expected a mapping of settings, got {given!r}")
+    values = config.merged(given, changes.get(name, {}))
     return StartStep(
         start=name,
         kind=kind,
@@ -173,20 +173,33 @@ def _start(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], whe
 
 def _check(raw: Mapping[str, Any], where: str) -> CheckStep:
     name = str(raw["check"])
-    if name not in CHECKS:
-        raise ConfigError(f"{where}: unknown check {name!r}{did_you_mean(name, CHECKS)}; known: {', '.join(CHECKS)}")
+    if name not in KINDS:
+        raise ConfigError(f"{where}: unknown check {name!r}{did_you_mean(name, KINDS)}; known: {', '.join(KINDS)}")
     arguments = {key: value for key, value in raw.items() if key != "check"}
-    return config.build(CheckStep, {"check": name, "arguments": arguments}, where=where)
+    what: Any = config.build(KINDS[name], arguments, where=f"{where} (check {name})")
+    return CheckStep(check=name, what=what)
 
 
 def _stop_order(file: _File, names: Sequence[str], where: str) -> tuple[str, ...]:
-    order = [step.get("stop", "") for step in file.on_failure]
-    for name in order:
+    order = []
+    for step in file.on_failure:
+        name = step.get("stop", "")
+        if list(step) != ["stop"]:
+            raise ConfigError(f"{where}: on_failure: expected steps such as `stop: motion`, got {step!r}")
+        order.append(name)
         if name not in names:
             raise ConfigError(
-                f"{where}: on_failure stops {name!r}{did_you_mean(name, names)}; it starts {', '.join(names)}"
+                f"{where}: on_failure stops {name!r}{did_you_mean(name, names)}; it starts {', '.join(names) or 'none'}"
             )
     return (*order, *(name for name in reversed(names) if name not in order))
+
+
+def _chosen(values: msgspec.Struct) -> str:
+    """Return the settings that differ from their defaults, as ``key=value``."""
+    plain = config.to_plain(values)
+    chosen = {field.encode_name: plain[field.encode_name] for field in msgspec.structs.fields(values)
+              if field.required or plain[field.encode_name] != _default(field)}  # fmt: skip
+    return " ".join(f"{key}={_short(value)}" for key, value in chosen.items())
 
 
 def _default(field: msgspec.structs.FieldInfo) -> Any:

@@ -77,7 +77,20 @@ class Health(msgspec.Struct, kw_only=True):
     @property
     def is_alive(self) -> bool:
         """Whether its last word is fresh and not a farewell; wall clocks, so only a hint across machines."""
-        return self.state != "finalized" and time.time_ns() - self.wall_ns < DEAD_AFTER_S * 1e9
+        is_fresh = time.time_ns() - self.wall_ns < DEAD_AFTER_S * 1e9
+        return self.state != "finalized" and is_fresh and not self._is_dead_process()
+
+    def _is_dead_process(self) -> bool:
+        """Whether it was killed on this machine: its last heartbeat may still look fresh."""
+        if (self.boot, self.host) != (stamp.boot_id(), socket.gethostname()):
+            return False
+        try:
+            os.kill(self.pid, 0)
+        except ProcessLookupError:
+            return True
+        except PermissionError:  # it lives, as another user
+            return False
+        return False
 
 
 _HEALTH_FIELDS = ("rate_hz", "jitter_p50_ms", "jitter_p99_ms", "overruns")
@@ -133,6 +146,10 @@ class Life:
         event = events.make(self.name, name, severity, **detail)
         self.bus.publish({keys.EVENT: event.encode()})
         events.write_log(log, event)
+
+    def last_word(self, name: str, **detail: Any) -> None:
+        """Say on the bus what ends this server; whoever started it prints the error itself."""
+        self.bus.publish({keys.EVENT: events.make(self.name, name, "error", **detail).encode()})
 
     def report(self, **facts: Any) -> None:
         """Say with the next heartbeat how the server is doing: rate_hz, jitter_p50_ms, … or anything of its own."""
@@ -190,11 +207,11 @@ def serve(kind: ServerKind, config: msgspec.Struct, *, address: BusAddress | Non
             return kind.main(config, life)
         except StationError as error:
             reason = str(error)
-            life.event("server-failed", severity="error", reason=reason)
+            life.last_word("server-failed", reason=reason)
             raise
         except Exception as error:
             reason = f"{type(error).__name__}: {error}"
-            life.event("server-crashed", severity="error", reason=reason, where=traceback.format_exc(limit=-3))
+            life.last_word("server-crashed", reason=reason, where=traceback.format_exc(limit=-3))
             raise
         finally:
             life.end(reason)
@@ -203,35 +220,26 @@ def serve(kind: ServerKind, config: msgspec.Struct, *, address: BusAddress | Non
 def read_health(bus: Bus) -> list[Health]:
     """Return what every server that ever spoke on this bus last said, by name."""
     names = bus.names(keys.SERVER_PREFIX + "*")
-    found = []
-    for key, sample in bus.read(names).items():
-        try:
-            found.append(msgspec.json.decode(sample.value, type=Health))
-        except msgspec.DecodeError as error:
-            log.warning("%s: not a server's health: %s", key, error)
-    return sorted(found, key=lambda health: health.name)
+    found = [decode_health(sample.value) for sample in bus.read(names).values()]
+    return sorted((health for health in found if health is not None), key=lambda health: health.name)
+
+
+def decode_health(data: bytes) -> Health | None:
+    """Return the health that bytes from the bus hold, or None when they hold none."""
+    try:
+        return codec.parse_struct(data, Health)
+    except codec.BadValue as error:
+        log.debug("not a server's health: %s", error)
+        return None
 
 
 def _claim(bus: Bus, name: str) -> None:
     for health in read_health(bus):
-        if health.name == name and health.is_alive and not _is_dead_process(health):
+        if health.name == name and health.is_alive:
             raise Refused(
                 f"server {name!r} is already running on {bus.address} (pid {health.pid} on {health.host}); "
                 "stop it first, or start this one under another --name"
             )
-
-
-def _is_dead_process(health: Health) -> bool:
-    """Whether a server of this machine was killed: its last heartbeat may still look fresh."""
-    if health.boot != stamp.boot_id():
-        return False
-    try:
-        os.kill(health.pid, 0)
-    except ProcessLookupError:
-        return True
-    except PermissionError:
-        return False
-    return False
 
 
 def _config_hash(config: msgspec.Struct) -> str:

@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import getpass
+import signal
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 import msgspec
 
-from station.bus import keys
 from station.bus.client import Bus
 from station.episode import remote
 from station.episode.request import RecordAnswer
-from station.errors import ConfigError, NotReady, Refused, StationError
-from station.life import checks, events
+from station.errors import BusError, ConfigError, NotReady, Refused, StationError
+from station.life.event_feed import EventFeed
+from station.life.events import Severity
 from station.life.runbook import CheckStep, ConfirmStep, NoteStep, Runbook, StartStep, Step
 from station.life.server import Health, read_health
-from station.life.supervisor import Supervisor
+from station.life.supervisor import Supervisor, how_it_ended
 
 _LOOK_S = 0.1
+_BUS_GONE_S = 10.0  # a restarted server is back within a second; without one nobody can be watched over
 _RECORDER = "recorder"
+_TOLD_OTHERWISE = ("record-start", "server-failed", "server-crashed")  # with more, by the session itself
+_INTERRUPTED = 130  # what a shell calls a command that Ctrl-C ended
 
 
 class Answer(msgspec.Struct, frozen=True, kw_only=True):
@@ -53,7 +58,11 @@ class Face(Protocol):
         """A step is done."""
         ...
 
-    def say(self, text: str) -> None:
+    def failed(self, step: str, reason: str) -> None:
+        """A step has failed."""
+        ...
+
+    def say(self, text: str, severity: Severity = "info") -> None:
         """Something happened."""
         ...
 
@@ -91,28 +100,38 @@ class Session:
         is_unattended: bool = False,
     ) -> None:
         if is_unattended and runbook.robot_is_real:
-            raise ConfigError(f"runbook {runbook.name}: --yes is refused, because people stand beside a real robot")
+            raise ConfigError(
+                f"runbook {runbook.name}: --yes is refused, because people stand beside a real robot; "
+                "run it without, and answer each confirmation"
+            )
+        if recording is not None and not any(step.start == _RECORDER for step in runbook.servers):
+            raise ConfigError(
+                f"runbook {runbook.name} starts no recorder; add the step `- start: recorder`, or leave out --record"
+            )
         self._runbook, self._bus, self._supervisor, self._face = runbook, bus, supervisor, face
         self._data, self._recording, self._is_unattended = data, recording, is_unattended
         self._is_recording = False
+        self._bus_lost_s: float | None = None
         self.answers: list[Answer] = []
         self.episode: RecordAnswer | None = None
 
     def run(self, stop: threading.Event, *, for_s: float | None = None) -> int:
-        """Run until a command server finishes, `for_s` has passed or `stop` is set; return an exit code."""
+        """Run until a command server finishes, `for_s` has passed or `stop` is set; return an exit code.
+
+        Raises:
+            Refused: a server of this runbook already runs on the bus.
+        """
         self._refuse_a_second_station()
-        try:
-            if not self._runbook.robot_is_real:
-                self._spawn_all()
-            for step in self._runbook.steps:
-                if stop.is_set():
-                    return self._leave("stopped before everything had started", code=130)
-                self._take(step)
-            reason, code = self._watch_over(stop, for_s)
-        except StationError as error:
-            self._face.say(f"failed: {error}")
-            return self._leave("failed", code=1, order=self._runbook.stop_order)
-        return self._leave(reason, code, order=self._runbook.stop_order if code else None)
+        with EventFeed(self._bus) as feed:
+            try:
+                self._start_all(feed, stop)
+                reason, code = self._watch_over(feed, stop, for_s)
+            except StationError as error:
+                is_asked = stop.is_set()
+                reason, code = (f"stopped: {error}", _INTERRUPTED) if is_asked else (f"failed: {error}", 1)
+            self._tell(feed)
+            self._face.say(reason, "error" if code == 1 else "info")
+            return self._take_down(code)
 
     def _refuse_a_second_station(self) -> None:
         wanted = {step.start for step in self._runbook.servers}
@@ -123,34 +142,44 @@ class Session:
                     "stop that station first, or use another bus with --bus"
                 )
 
-    def _spawn_all(self) -> None:
-        for step in self._runbook.servers:
-            self._supervisor.spawn(step.start, step.config)
+    def _start_all(self, feed: EventFeed, stop: threading.Event) -> None:
+        if not self._runbook.robot_is_real:
+            for server in self._runbook.servers:
+                self._supervisor.spawn(server.start, server.config)
+        for step in self._runbook.steps:
+            if stop.is_set():
+                raise NotReady("asked to stop before everything had started")
+            self._take(step, stop)
+            self._tell(feed)
 
-    def _take(self, step: Step) -> None:
+    def _take(self, step: Step, stop: threading.Event) -> None:
         self._face.begin(str(step))
-        result = self._result(step)
+        try:
+            result = self._result(step, stop)
+        except StationError:
+            self._face.failed(str(step), "stopped" if stop.is_set() else "failed")
+            raise
         self._face.done(str(step), result)
         if isinstance(step, StartStep) and step.start == _RECORDER and self._recording is not None:
-            self._record(self._recording)
+            self._record(self._recording, stop)
 
-    def _result(self, step: Step) -> str:
+    def _result(self, step: Step, stop: threading.Event) -> str:
         if isinstance(step, StartStep):
-            return self._start(step)
+            return self._start(step, stop)
         if isinstance(step, CheckStep):
-            return self._note(step, checks.run(step, self._bus, self._data), who="station")
+            return self._note(step, step.what.run(self._bus, self._data), who="station")
         if isinstance(step, ConfirmStep):
             return self._confirm(step)
         return self._note(step, "shown", who="station")
 
-    def _start(self, step: StartStep) -> str:
+    def _start(self, step: StartStep, stop: threading.Event) -> str:
         if step.start not in self._supervisor.children:
             self._supervisor.spawn(step.start, step.config)
-        self._supervisor.wait_for(step.start, "inactive", step.ready_within_s)
+        self._supervisor.wait_for(step.start, "inactive", step.ready_within_s, stop=stop)
         self._supervisor.activate(step.start)
-        health = self._supervisor.wait_for(step.start, "active", step.ready_within_s)
+        health = self._supervisor.wait_for(step.start, "active", step.ready_within_s, stop=stop)
         took_s = time.monotonic() - self._supervisor.children[step.start].started_s
-        return f"active {took_s:.1f} s after its start (pid {health.pid})"
+        return f"active after {took_s:.1f} s, pid {health.pid}"
 
     def _confirm(self, step: ConfirmStep) -> str:
         if self._is_unattended:
@@ -165,7 +194,11 @@ class Session:
         )
         return answer
 
-    def _record(self, recording: Recording) -> None:
+    def _record(self, recording: Recording, stop: threading.Event) -> None:
+        """Begin the episode, once everything is loaded that loads already: what cannot start leaves no episode."""
+        for step in self._runbook.servers:
+            if step.start in self._supervisor.children:
+                self._supervisor.wait_for(step.start, "inactive", step.ready_within_s, stop=stop)
         runbook: dict[str, Any] = {
             "name": self._runbook.name,
             "answers": msgspec.to_builtins(self.answers),
@@ -175,48 +208,73 @@ class Session:
         self._is_recording = True
         self._face.say(f"recording {self.episode.path}")
 
-    def _watch_over(self, stop: threading.Event, for_s: float | None) -> tuple[str, int]:
+    def _watch_over(self, feed: EventFeed, stop: threading.Event, for_s: float | None) -> tuple[str, int]:
         """Show how the station is doing until it should end; return why, and an exit code."""
         deadline = None if for_s is None else time.monotonic() + for_s
         roles = {step.start: step.kind.role for step in self._runbook.servers}
-        newest = None
-        with self._bus.watch([keys.EVENT]) as watch:
-            while not stop.wait(_LOOK_S):
-                sample = watch.latest(keys.EVENT)
-                if sample is not newest and sample is not None and sample.arrived_ns is not None:
-                    self._say_event(sample.value)
-                newest = sample
-                for name, code in self._supervisor.ended().items():
-                    if code == 0 and roles[name] == "command":
-                        return f"{name} has finished", 0
-                    return f"server {name!r} ended with code {code}: {self._supervisor.last_words(name)}", 1
-                if deadline is not None and time.monotonic() > deadline:
-                    return f"{for_s:g} s are over", 0
-                if self._bus.is_connected:
-                    self._face.show(read_health(self._bus))
+        while not stop.wait(_LOOK_S):
+            self._tell(feed)
+            for name, code in self._supervisor.ended().items():
+                if code == 0 and roles[name] == "command":
+                    return f"{name} has finished", 0
+                return f"server {name!r} {how_it_ended(code)}; its last words: {self._supervisor.last_words(name)}", 1
+            if deadline is not None and time.monotonic() > deadline:
+                return f"{for_s:g} s are over", 0
+            if not self._look():
+                return f"the bus {self._bus.address} has been gone for {_BUS_GONE_S:.0f} s", 1
         return "stopped", 0
 
-    def _say_event(self, data: bytes) -> None:
-        event = events.decode(data)
-        if event is not None:
-            self._face.say(f"{event.source}: {event}")
+    def _tell(self, feed: EventFeed) -> None:
+        for event in feed.take():
+            if event.name not in _TOLD_OTHERWISE:
+                self._face.say(f"{event.source}: {event}", event.severity)
 
-    def _leave(self, reason: str, code: int, order: tuple[str, ...] | None = None) -> int:
-        """Take the servers down, newest first or in the order given; the episode is closed before its recorder."""
-        self._face.say(reason)
-        names = order or tuple(step.start for step in reversed(self._runbook.servers))
-        for name in [n for n in names if n in self._supervisor.children]:
+    def _look(self) -> bool:
+        """Show the servers' health; return False when the bus has been gone for too long."""
+        try:
+            self._face.show(read_health(self._bus))
+        except BusError as error:
+            if self._bus_lost_s is None:
+                self._bus_lost_s = time.monotonic()
+                self._face.say(f"{error}; the servers hold their robots; waiting for it to come back", "error")
+            return time.monotonic() - self._bus_lost_s < _BUS_GONE_S
+        if self._bus_lost_s is not None:
+            self._face.say(f"the bus is back after {time.monotonic() - self._bus_lost_s:.1f} s", "warning")
+            self._bus_lost_s = None
+        return True
+
+    def _take_down(self, code: int) -> int:
+        """Stop the servers, newest first or as the runbook has it; the episode is closed before its recorder."""
+        newest_first = tuple(step.start for step in reversed(self._runbook.servers))
+        order: Sequence[str] = self._runbook.stop_order if code == 1 else newest_first
+        for name in [n for n in order if n in self._supervisor.children]:
             if name == _RECORDER and self._is_recording:
                 self._finish_episode()
-            ended = self._supervisor.stop(name)
-            self._face.done(f"stop {name}", "stopped" if ended == 0 else f"ended with code {ended}")
-            if ended != 0 and code == 0:
-                code = 1
+            if not self._stop(name):
+                code = code or 1
         return code
+
+    def _stop(self, name: str) -> bool:
+        """Stop a server; return whether it ended cleanly."""
+        step, began_s = f"stop {name}", time.monotonic()
+        has_ended = name in self._supervisor.ended()
+        self._face.begin(step)
+        code = self._supervisor.stop(name)
+        is_clean = code in (0, -signal.SIGTERM)  # one that is stopped while it loads dies of our signal, and may
+        if not is_clean:
+            self._face.failed(step, f"{'already ' * has_ended}{how_it_ended(code)}")
+        else:
+            self._face.done(step, "already ended" if has_ended else f"after {time.monotonic() - began_s:.1f} s")
+        return is_clean
 
     def _finish_episode(self) -> None:
         self._is_recording = False
+        if _RECORDER in self._supervisor.ended() or not self._bus.is_connected:
+            gone = "bus" if not self._bus.is_connected else "recorder"
+            self._face.say(f"the {gone} is gone: the episode ends where it was last written to disk", "error")
+            return
+        self._face.begin("close the episode")
         try:
             self.episode = remote.ask(self._bus, "stop")
         except StationError as error:
-            self._face.say(f"the episode was not closed: {error}")
+            self._face.say(f"the episode was not closed here: {error}", "warning")

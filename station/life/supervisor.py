@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,11 +26,11 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.errors import NotReady
 from station.life import leash
-from station.life.server import Health, State
+from station.life.server import Health, State, decode_health
 
 _STOP_S = 15.0  # a command server blends for 2 s, a recorder closes its episode; then the child is killed
 _LOOK_S = 0.01
-_LAST_WORDS = 12  # lines
+_PROGRESS: dict[State, int] = {"unconfigured": 0, "inactive": 1, "active": 2}
 
 
 class Child(msgspec.Struct):
@@ -36,7 +38,7 @@ class Child(msgspec.Struct):
 
     name: str
     process: subprocess.Popen[bytes]
-    go: int | None
+    go: int
     log: Path
     started_s: float
 
@@ -76,20 +78,25 @@ class Supervisor:
         os.close(reading)
         self.children[name] = Child(name, process, writing, log, time.monotonic())
 
-    def wait_for(self, name: str, state: State, timeout_s: float) -> Health:
-        """Wait until a child says that it is in a state.
+    def wait_for(self, name: str, state: State, timeout_s: float, *, stop: threading.Event | None = None) -> Health:
+        """Wait until a child says that it is in a state, or beyond.
 
         Raises:
-            NotReady: it died, or did not get there in time; with its last words.
+            NotReady: it did not get there in time, or it or another child died, with its last words; or `stop` was
+                set meanwhile.
         """
         deadline = time.monotonic() + timeout_s
         child = self.children[name]
         while True:
             health = self.health(name)
-            if health is not None and health.state == state:
+            if health is not None and _PROGRESS.get(health.state, -1) >= _PROGRESS[state]:
                 return health
-            if (code := child.process.poll()) is not None:
-                raise NotReady(f"server {name!r} ended with code {code} before it was {state}: {self.last_words(name)}")
+            for dead, code in self.ended().items():
+                who = "it" if dead == name else repr(name)
+                words = self.last_words(dead)
+                raise NotReady(f"server {dead!r} {how_it_ended(code)} before {who} was {state}: {words}")
+            if stop is not None and stop.is_set():
+                raise NotReady(f"asked to stop before server {name!r} was {state}")
             if time.monotonic() > deadline:
                 seen = health.state if health else "unconfigured"
                 raise NotReady(
@@ -100,18 +107,14 @@ class Supervisor:
 
     def activate(self, name: str) -> None:
         """Let a loaded child begin its work."""
-        child = self.children[name]
-        if child.go is not None:
-            with contextlib.suppress(BrokenPipeError):  # it has just died; whoever looks next will say so
-                os.write(child.go, b"go\n")
+        with contextlib.suppress(BrokenPipeError):  # it has just died; whoever looks next will say so
+            os.write(self.children[name].go, b"go\n")
 
     def health(self, name: str) -> Health | None:
         """Return what a child last said of itself; None before its first word."""
         data = self._bus.get(keys.server(name))
-        if data is None:
-            return None
-        health = msgspec.json.decode(data, type=Health)
-        return health if health.pid == self.children[name].process.pid else None
+        health = decode_health(data) if data is not None else None
+        return health if health is not None and health.pid == self.children[name].process.pid else None
 
     def ended(self) -> dict[str, int]:
         """Return the exit codes of the children that have ended."""
@@ -119,8 +122,11 @@ class Supervisor:
         return {name: code for name, code in codes.items() if code is not None}
 
     def stop(self, name: str, timeout_s: float = _STOP_S) -> int:
-        """Ask a child to finish, wait, kill it if it does not; return its exit code."""
-        child = self.children.pop(name)
+        """Ask a child to finish, wait, kill it if it does not; return its exit code.
+
+        Interrupted in its wait, it leaves the child to the next call.
+        """
+        child = self.children[name]
         if child.process.poll() is None:
             child.process.terminate()
         try:
@@ -128,24 +134,27 @@ class Supervisor:
         except subprocess.TimeoutExpired:
             child.process.kill()
             code = child.process.wait()
-        if child.go is not None:
-            os.close(child.go)
+        del self.children[name]
+        os.close(child.go)
         return code
 
     def stop_all(self) -> None:
-        """Stop whatever still runs, newest first."""
-        for name in reversed(list(self.children)):
-            self.stop(name)
+        """Stop whatever still runs: all at once, since whoever comes here has no time for an order."""
+        try:
+            for child in self.children.values():
+                child.process.terminate()
+            for name in reversed(list(self.children)):
+                self.stop(name)
+        except KeyboardInterrupt:
+            for child in self.children.values():
+                child.process.kill()
+            raise
 
     def last_words(self, name: str) -> str:
-        """Return the last line that a child printed, or where its log is."""
-        lines = [line for line in self.log_tail(name) if line.strip()]
-        return lines[-1].strip() if lines else "it printed nothing"
-
-    def log_tail(self, name: str) -> list[str]:
-        """Return the last lines of a child's log."""
-        log = self.children[name].log if name in self.children else self._folder / f"{name}.log"
-        return log.read_text(errors="replace").splitlines()[-_LAST_WORDS:]
+        """Return the last line that a child printed: its reason, when it ended by itself."""
+        log = self.children[name].log
+        lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
+        return lines[-1].removeprefix("station: ") if lines else f"it printed nothing to {log}"
 
     def _child_environment(self, descriptor: int) -> dict[str, str]:
         return {
@@ -156,6 +165,16 @@ class Supervisor:
             leash.ENVIRONMENT_VARIABLE: str(descriptor),
             "PYTHONUNBUFFERED": "1",
         }
+
+
+def how_it_ended(code: int) -> str:
+    """Say in words how a process ended whose exit code, or negative signal, is given."""
+    if code >= 0:
+        return f"ended with code {code}"
+    try:
+        return f"was killed by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"was killed by signal {-code}"
 
 
 def _json(config: msgspec.Struct) -> str:

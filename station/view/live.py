@@ -7,7 +7,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import rerun as rr
 
@@ -177,7 +176,6 @@ def _stated(bus: Bus) -> list[dict[str, Any]]:
 
 def _json(data: bytes) -> dict[str, Any]:
     try:
-        value = msgspec.json.decode(data)
-    except msgspec.DecodeError:
+        return codec.parse_struct(data, dict[str, Any])
+    except codec.BadValue:
         return {}
-    return value if isinstance(value, dict) else {}

@@ -68,6 +68,16 @@ def test_anything_else_is_refused_with_what_came(data: bytes, reason: str) -> No
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("data", [b'"\xff"', b"", b"{", b"[1, 2]", b'{"a": ' + b"[" * 100_000, b'{"a": "b"}'])
+def test_whatever_is_no_struct_is_a_bad_value(data: bytes) -> None:
+    with pytest.raises(codec.BadValue):
+        codec.parse_struct(data, dict[str, int])
+
+
+def test_a_struct_comes_back() -> None:
+    assert codec.parse_struct(codec.json_object({"a": 1}), dict[str, int]) == {"a": 1}
+
+
 def test_raw_vectors_come_back_and_torn_ones_are_refused() -> None:
     values = np.random.default_rng(0).normal(size=35)
     assert codec.parse_f64(codec.f64(values)).tobytes() == values.tobytes()

@@ -28,6 +28,14 @@ def test_a_value_that_was_there_before_has_no_age(bus_server: BusAddress) -> Non
             assert watch.latest("k", max_age_s=1e9) is None
 
 
+def test_closing_waits_for_nothing(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="motion") as bus:
+        began = time.monotonic()
+        for _ in range(20):
+            bus.watch(["k"]).close()
+        assert time.monotonic() - began < 5.0, "one that sits out its wait of a second takes 20"
+
+
 def test_a_new_value_arrives_with_its_stamp_and_age(bus_server: BusAddress) -> None:
     with Bus(bus_server, name="motion") as bus, bus.watch(["k"]) as watch:
         bus.publish({"k": b"new"})

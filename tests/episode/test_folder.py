@@ -78,7 +78,7 @@ def test_what_cannot_be_found_is_said_in_one_line(tmp_path: Path) -> None:
         resolve("2026-11-20-g1-wark-0002", tmp_path)
     with pytest.raises(EpisodeError, match="no episode: expected"):
         resolve(tmp_path / "walk", tmp_path)
-    with pytest.raises(EpisodeError, match="which holds 0"):
+    with pytest.raises(EpisodeError, match="which holds 0 episodes"):
         resolve("latest", tmp_path / "nowhere")
 
 

@@ -9,6 +9,7 @@ import pytest
 from servers.motion import MotionConfig
 from station.errors import BadFile, StationError
 from station.life import runbook
+from station.life.checks import DiskCheck
 from station.life.runbook import CheckStep, ConfirmStep, StartStep
 
 GOOD = """
@@ -37,7 +38,7 @@ def test_steps_come_out_typed_and_in_order(tmp_path: Path) -> None:
     assert [type(step).__name__ for step in book.steps] == ["CheckStep", "ConfirmStep", "StartStep", "NoteStep"]
     check, confirm, start, _ = book.steps
     assert isinstance(check, CheckStep)
-    assert check.arguments == {"min_free_gb": 1}
+    assert check.what == DiskCheck(min_free_gb=1.0)
     assert isinstance(confirm, ConfirmStep)
     assert confirm.confirm == "Nobody stands there."
     assert isinstance(start, StartStep)
@@ -55,10 +56,12 @@ def test_set_options_change_a_servers_configuration(tmp_path: Path) -> None:
     ("old", "new", "message"),
     [
         ("- start: motion", "- start: moton", "unknown server 'moton' (did you mean 'motion'?)"),
+        ("min_free_gb", "min_fre_gb", "step 1 (check disk): unknown key 'min_fre_gb' (did you mean 'min_free_gb'?)"),
+        ("check: disk\n    min_free_gb: 1", "check: ping", "step 1 (check ping): missing key host"),
         ("- confirm:", "- confrim:", "step 2: unknown step 'confrim' (did you mean 'confirm'?)"),
         ("check: disk", "check: dsk", "step 1: unknown check 'dsk' (did you mean 'disk'?)"),
         ("rate_hz: 25", "rate_hs: 25", "step 3 (motion): unknown key 'rate_hs' (did you mean 'rate_hz'?)"),
-        ("rate_hz: 25", "rate_hz: fast", "step 3 (motion): rate_hz: expected float, got str"),
+        ("rate_hz: 25", "rate_hz: fast", "step 3 (motion): rate_hz: expected float, got 'fast'"),
         ('motion: "a.pkl", ', "", "step 3 (motion): missing key motion"),
         ("ready_within: 90s", "ready_within: soon", "step 3: ready_within: expected a duration"),
         ("ready_within: 90s", "ready_witin: 90s", "step 3: unknown key 'ready_witin' (did you mean 'ready_within'?)"),

@@ -133,7 +133,7 @@ def test_a_second_server_of_the_same_name_is_refused(bus_server: BusAddress, mot
             with pytest.raises(Refused, match=r"'motion' is already running .* \(pid \d+"):
                 serve(MOTION, config, address=bus_server)
             os.kill(supervisor.children["motion"].process.pid, signal.SIGKILL)
-            supervisor.children["motion"].process.wait()
+            supervisor.stop("motion")
             supervisor.spawn("again", config, server="motion")
             supervisor.wait_for("again", "inactive", DEADLINE_S)
         finally:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import random
 import threading
 import time
-from types import TracebackType
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
 
 import redis
 
@@ -75,31 +77,21 @@ class NativeWriter:
         self._bus.close()
 
 
-class Running:
-    """Lets a writer tick in a thread for the length of a block; raises what it raised."""
+@contextmanager
+def running(writer: ForeignWriter | NativeWriter) -> Iterator[None]:
+    """Let a writer tick in a thread for the length of a block; raises what it raised."""
+    stop = threading.Event()
 
-    def __init__(self, writer: ForeignWriter | NativeWriter) -> None:
-        self._writer = writer
-        self._stop = threading.Event()
-        self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, daemon=True)
+    def tick() -> None:
+        while not stop.is_set():
+            writer.tick()
 
-    def __enter__(self) -> Running:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stop.set()
-        self._thread.join()
-        self._writer.close()
-        if self._error is not None and error is None:
-            raise self._error
-
-    def _run(self) -> None:
+    with ThreadPoolExecutor(1) as pool:
+        ticking = pool.submit(tick)
         try:
-            while not self._stop.is_set():
-                self._writer.tick()
-        except BaseException as error:
-            self._error = error
+            yield
+        finally:
+            stop.set()
+            wait([ticking])
+            writer.close()
+        ticking.result()

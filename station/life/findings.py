@@ -1,0 +1,66 @@
+"""What a doctor finds, and what is to be found on this machine itself: upstream data, versions, scheduling."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Iterator
+from importlib import metadata
+from typing import Literal
+
+import msgspec
+
+from station import assets
+
+_PACKAGES = ("teleop-station", "mujoco", "onnxruntime", "numpy", "redis", "mcap", "rerun-sdk")
+
+
+class Finding(msgspec.Struct, frozen=True):
+    """One thing that was looked at.
+
+    Attributes:
+        level: ``ok``, ``warning`` (works, but look) or ``broken``.
+        subject: What was looked at.
+        found: What was found.
+        remedy: What to do; empty when nothing.
+    """
+
+    level: Literal["ok", "warning", "broken"]
+    subject: str
+    found: str
+    remedy: str = ""
+
+
+def machine() -> Iterator[Finding]:
+    """Look at this machine: upstream data, versions, scheduling."""
+    base = assets.root()
+    if base is None:
+        yield Finding("warning", "assets", f"${assets.ENVIRONMENT_VARIABLE} is not set",
+                      "set it to the folder with upstream policies, models and motions")  # fmt: skip
+    elif not base.is_dir():
+        yield Finding("broken", "assets", f"{base} is not a folder", f"mend ${assets.ENVIRONMENT_VARIABLE}")
+    else:
+        yield Finding("ok", "assets", str(base))
+    missing = [name for name in _PACKAGES if _version(name) is None]
+    versions = ", ".join(f"{name} {_version(name) or 'MISSING'}" for name in _PACKAGES)
+    yield Finding("broken" if missing else "ok", "versions", f"python {platform.python_version()}, {versions}",
+                  f"pip install {' '.join(missing)}" if missing else "")  # fmt: skip
+    yield _scheduling()
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _scheduling() -> Finding:
+    try:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+        os.sched_setscheduler(0, *before)
+    except (PermissionError, AttributeError):
+        return Finding("warning", "scheduling", "real-time scheduling is not permitted",
+                       "for a steady loop on a busy machine grant rtprio in /etc/security/limits.conf")  # fmt: skip
+    return Finding("ok", "scheduling", "real-time scheduling is permitted")

@@ -1,0 +1,145 @@
+"""What scripts of users rely on: ``--json`` prints clean JSON of these shapes on stdout; all else goes to stderr."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from station.bus import keys
+from station.bus.address import BusAddress
+from tests.cli.conftest import Wave
+from tests.cli.running import Home, new_home
+
+LIGHT = ("g1.robot_model=zoo:models/g1_29dof.xml", "g1.physics_dt_s=0.002", "g1.real_time_priority=0",
+         "motion.motion=builtin:wave", "motion.enter_s=0.1", "motion.leave_s=0.1")  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def walked(assets: Path) -> Iterator[tuple[Home, str]]:
+    """A home with a short episode of a simulated robot, and the name of its folder."""
+    assert assets
+    sets = [word for setting in LIGHT for word in ("--set", setting)]
+    with new_home() as home:
+        done = home.run("up", "g1-sim-motion", "--yes", "--record", "--task", "t", "--for", "2s", *sets)
+        assert done.returncode == 0, done.stderr
+        yield home, done.stdout.strip()
+
+
+def of(rows: list[dict[str, Any]], **wanted: str) -> dict[str, Any]:
+    """The only row with some values."""
+    (found,) = [row for row in rows if wanted.items() <= row.items()]
+    return found
+
+
+def test_status(live: Home) -> None:
+    found = live.json("status")
+    motion = of(found["servers"], name="motion")
+    assert motion["state"] == "active"
+    assert motion["pid"] == live.pids()["motion"]
+    assert 40 < motion["rate_hz"] < 60
+    assert of(found["servers"], name="recorder")["state"] == "active"
+    body = of(found["keys"], key=keys.action_body())
+    assert 40 < body["rate_hz"] < 60
+    assert 0 <= body["age_s"] < 1
+    assert body["writer"] == "motion"
+
+
+def test_status_that_watches_prints_a_line_per_look(live: Home) -> None:
+    with live.running("status", "--watch", "--json") as watching:
+        assert watching.process.stdout is not None
+        looks = [json.loads(watching.process.stdout.readline()) for _ in range(2)]
+    assert all({server["name"] for server in look["servers"]} >= {"motion", "recorder"} for look in looks)
+
+
+def test_status_of_a_bus_without_servers(bus_server: BusAddress, home: Home) -> None:
+    home.environment["STATION_BUS"] = bus_server.url
+    assert home.json("status")["servers"] == []
+    assert home.run("status").stderr.startswith("no server has spoken on this bus")
+
+
+@pytest.mark.parametrize("verb", [("check",), ("episodes", "check")])
+def test_check(wave: Wave, verb: tuple[str, ...]) -> None:
+    found = wave.home.json(*verb, str(wave.episode), "--no-write")
+    assert found["verdict"] in ("good", "usable", "reject")
+    assert found["recorder_restarts"] == found["falls"] == 0
+    body = of(found["streams"], key=keys.action_body())
+    assert body["lost"] == 0
+    assert body["count"] > 250
+    assert 45 < body["rate_hz"] < 55
+    assert 0 < body["longest_gap_s"] < 5
+
+
+def test_episodes_list_and_show(wave: Wave) -> None:
+    row = of(wave.home.json("episodes", "list"), episode_id=wave.episode.name)
+    assert row["state"] == "finished"
+    assert row["lost"] == 0
+    assert row["operator"] == "ada"
+    assert wave.home.json("episodes", "list", "--task", "nothing") == []
+    shown = wave.home.json("episodes", "show", "latest")
+    assert shown["messages"] == row["messages"]
+    assert shown["manifest"]["episode_id"] == wave.episode.name
+
+
+def test_bus_info(bus_home: Home) -> None:
+    assert bus_home.json("bus", "info")["address"] == str(bus_home.bus)
+
+
+def test_keys(home: Home) -> None:
+    assert keys.action_body() in [item["key"] for item in home.json("keys")]
+    one = home.json("keys", keys.action_body())
+    assert len(one["elements"]) == 35
+
+
+def test_an_error_leaves_stdout_empty(home: Home) -> None:
+    for verb in (["status"], ["check", "latest"], ["episodes", "show", "latest"], ["record", "stop"], ["bus", "info"]):
+        done = home.run(*verb, "--json")
+        assert (done.returncode, done.stdout) == (1, ""), verb
+
+
+@pytest.mark.assets
+def test_audit(walked: tuple[Home, str]) -> None:
+    home, episode = walked
+    found = home.json("audit", episode)
+    assert found["steps"] > 50
+    assert (found["different"], found["max_abs_difference"]) == (0, 0.0)
+
+
+@pytest.mark.assets
+def test_check_of_a_robot(walked: tuple[Home, str]) -> None:
+    home, episode = walked
+    found = home.json("check", episode)
+    assert found["falls"] == 0
+    assert found["steps"][0]["missing_steps"] == 0
+
+
+@pytest.mark.assets
+def test_replay_to_a_simulation(walked: tuple[Home, str]) -> None:
+    home, episode = walked
+    assert home.json("replay", episode, "--to", "sim")["steps"] > 50
+
+
+@pytest.mark.assets
+def test_replay_to_a_bus(walked: tuple[Home, str], bus_home: Home) -> None:
+    _, episode = walked
+    found = bus_home.json("replay", episode, "--to", "bus", "--speed", "4")
+    assert found["is_complete"]
+    assert found["lost"] == 0
+
+
+@pytest.mark.assets
+def test_rehearse(walked: tuple[Home, str]) -> None:
+    home, _ = walked
+    done = home.run("rehearse", "builtin:wave", "--policy", "twist2", "--robot-model", "zoo:models/g1_29dof.xml",
+                    "--physics-dt", "0.002", "--json")  # fmt: skip
+    (motion,) = json.loads(done.stdout)["motions"]
+    assert motion["motion"] == "builtin:wave"
+    assert set(motion) == {
+        "motion", "fell", "fell_at_s", "mean_joint_error_rad", "mean_root_height_error_m", "seconds",
+        "speed_x_realtime",
+    }  # fmt: skip
+    assert done.returncode == (1 if motion["fell"] else 0)
+    assert "1/1 builtin:wave" in done.stderr, "progress goes to stderr"

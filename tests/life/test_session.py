@@ -1,0 +1,223 @@
+"""A station's session with real servers on a real bus; the test is the person who answers."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from station.bus import keys
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.bus.redis_server import RedisServer, ServerOptions
+from station.episode.manifest import load_manifest
+from station.errors import BusError, ConfigError, Refused
+from station.life import events, runbook
+from station.life.event_feed import EventFeed
+from station.life.events import Severity
+from station.life.server import Health
+from station.life.session import Recording, Session
+from station.life.supervisor import Supervisor
+from tests.waiting import wait_until
+
+HEAD = "runbook: t\nrobot: unitree_g1_with_hands\n"
+ASK = "  - confirm: Nobody stands there.\n"
+RECORDER = "  - start: recorder\n"
+MOTION = "  - start: motion\n    with: {motion: 'builtin:wave', loop: true, enter_s: 0.1, leave_s: 0.1}\n"
+QUICK = HEAD + "steps:\n" + ASK + RECORDER + MOTION
+
+
+@dataclass
+class Person:
+    """Answers as told, and remembers what was shown."""
+
+    answer: bool = True
+    asked: Callable[[], None] = lambda: None
+    told: list[str] = field(default_factory=list)
+    shown: list[list[Health]] = field(default_factory=list)
+
+    def begin(self, step: str) -> None:
+        self.told.append(f"begin {step}")
+
+    def done(self, step: str, result: str) -> None:
+        self.told.append(f"done {step}: {result}")
+
+    def failed(self, step: str, reason: str) -> None:
+        self.told.append(f"failed {step}: {reason}")
+
+    def say(self, text: str, severity: Severity = "info") -> None:
+        self.told.append(f"{severity} {text}")
+
+    def confirm(self, sentence: str) -> bool:
+        self.told.append(f"asked {sentence}")
+        self.asked()
+        return self.answer
+
+    def show(self, health: list[Health]) -> None:
+        self.shown.append(health)
+
+    def heard(self, text: str) -> bool:
+        return any(text in line for line in self.told)
+
+
+class Place:
+    """A bus, a supervisor and a data folder."""
+
+    def __init__(self, bus: Bus, folder: Path) -> None:
+        self.bus, self.folder, self.data = bus, folder, folder / "data"
+        self.supervisor = Supervisor(bus, folder / "logs", {"STATION_DATA": str(self.data)})
+        self.stop = threading.Event()
+
+    def session(self, text: str, person: Person, *, record: bool = False, unattended: bool = False) -> Session:
+        path = self.folder / "book.yaml"
+        path.write_text(text)
+        recording = Recording(task="t", operator={"id": "ada"}) if record else None
+        return Session(runbook.load(path), self.bus, self.supervisor, person, data=self.data, recording=recording,
+                       is_unattended=unattended)  # fmt: skip
+
+
+@pytest.fixture
+def place(bus_server: BusAddress, tmp_path: Path) -> Iterator[Place]:
+    with Bus(bus_server, name="supervisor", timeout_s=1.0) as bus:
+        made = Place(bus, tmp_path)
+        try:
+            yield made
+        finally:
+            made.supervisor.stop_all()
+
+
+def test_a_confirmation_that_is_refused_ends_it_before_anything_is_active(place: Place) -> None:
+    person = Person(answer=False)
+    session = place.session(QUICK, person, record=True)
+    assert session.run(place.stop) == 1
+    assert person.heard("error failed: not confirmed: Nobody stands there.")
+    assert not person.heard("done start")
+    assert place.bus.get(keys.action_body()) is None
+    assert place.supervisor.children == {}
+    assert session.episode is None
+    assert not list(place.data.glob("*/*"))
+
+
+def test_a_real_robot_refuses_to_be_confirmed_by_nobody(place: Place) -> None:
+    with pytest.raises(ConfigError, match=r"--yes is refused, because people stand beside a real robot"):
+        place.session(HEAD + "robot_is_real: true\nsteps:\n" + ASK + MOTION, Person(), unattended=True)
+
+
+def test_with_a_real_robot_nothing_starts_before_its_step(place: Place) -> None:
+    person = Person()
+    person.asked = lambda: person.told.append(f"running {sorted(place.supervisor.children)}")
+    text = HEAD + "robot_is_real: true\nsteps:\n" + RECORDER + ASK + MOTION
+    assert place.session(text, person).run(place.stop, for_s=0.1) == 0
+    assert person.heard("running ['recorder']")
+
+
+def test_in_a_simulation_all_load_at_once(place: Place) -> None:
+    person = Person()
+    person.asked = lambda: person.told.append(f"running {sorted(place.supervisor.children)}")
+    assert place.session(QUICK, person).run(place.stop, for_s=0.1) == 0
+    assert person.heard("running ['motion', 'recorder']")
+
+
+def test_the_answers_stand_in_the_manifest(place: Place) -> None:
+    text = HEAD + "steps:\n  - note: The left knee is warm.\n  - check: bus\n" + ASK + RECORDER + MOTION
+    session = place.session(text, Person(), record=True)
+    assert session.run(place.stop, for_s=0.2) == 0
+    assert session.episode is not None
+    assert session.episode.path is not None
+    manifest = load_manifest(Path(session.episode.path))
+    answers = {answer["step"]: answer for answer in manifest.runbook["answers"]}
+    assert answers["note: The left knee is warm."]["answer"] == "shown"
+    assert "answers in" in answers["check bus"]["answer"]
+    said = answers["confirm: Nobody stands there."]
+    assert (said["answer"], said["is_unattended"]) == ("yes", False)
+    assert abs(said["wall_ns"] - time.time_ns()) < 120e9
+    assert manifest.runbook["text"] == text
+    assert manifest.operator.id == "ada"
+
+
+def test_an_answer_that_nobody_gave_is_recorded_as_such(place: Place) -> None:
+    person = Person()
+    session = place.session(QUICK, person, unattended=True)
+    assert session.run(place.stop, for_s=0.1) == 0
+    assert [(answer.answer, answer.who, answer.is_unattended) for answer in session.answers] == [
+        ("yes (unattended)", "--yes", True)
+    ]
+    assert not person.heard("asked")
+
+
+def test_a_check_that_fails_ends_it_with_what_to_do(place: Place) -> None:
+    person = Person()
+    text = HEAD + "steps:\n  - check: disk\n    min_free_gb: 1000000000\n" + MOTION
+    assert place.session(text, person).run(place.stop) == 1
+    assert person.heard("failed check disk min_free_gb=1000000000.0")
+    assert person.heard("make room or record elsewhere with --data")
+
+
+def test_asked_to_stop_while_a_server_loads_it_stops(place: Place) -> None:
+    person = Person()
+    person.asked = place.stop.set
+    assert place.session(QUICK, person).run(place.stop) == 130
+    assert person.heard("info stopped: ")
+    assert place.supervisor.children == {}
+
+
+def test_it_can_only_record_with_a_recorder(place: Place) -> None:
+    with pytest.raises(ConfigError, match="starts no recorder"):
+        place.session(HEAD + "steps:\n" + MOTION, Person(), record=True)
+
+
+def test_a_second_session_on_a_bus_is_refused(place: Place, tmp_path: Path) -> None:
+    first = threading.Thread(target=place.session(QUICK, Person()).run, args=(place.stop,))
+    first.start()
+    try:
+        wait_until(lambda: place.bus.get(keys.server("motion")) is not None)
+        second = Supervisor(place.bus, tmp_path / "second")
+        path = tmp_path / "book.yaml"
+        with pytest.raises(Refused, match="already runs on"):
+            Session(runbook.load(path), place.bus, second, Person(), data=place.data).run(threading.Event())
+    finally:
+        place.stop.set()
+        first.join()
+
+
+def test_a_bus_that_comes_back_is_waited_for(tmp_path: Path) -> None:
+    options = ServerOptions(folder=tmp_path, socket=tmp_path / "bus.sock")
+    person = Person()
+    first = RedisServer.start(options)
+    with Bus(first.address, name="supervisor", timeout_s=1.0) as bus:
+        place = Place(bus, tmp_path)
+        session = place.session(HEAD + "steps:\n" + MOTION, person)
+        codes: list[int] = []
+        thread = threading.Thread(target=lambda: codes.append(session.run(place.stop)))
+        thread.start()
+        wait_until(lambda: person.shown)
+        first.stop()
+        wait_until(lambda: person.heard("waiting for it to come back"))
+        with RedisServer.start(options):
+            wait_until(lambda: person.heard("warning the bus is back after"))
+            wait_until(lambda: _is_written(bus))
+            place.stop.set()
+            thread.join()
+    assert codes == [0], person.told
+
+
+def _is_written(bus: Bus) -> bool:
+    with suppress(BusError):
+        return bus.get(keys.action_body()) is not None
+    return False
+
+
+def test_a_feed_yields_each_event_once_and_survives_junk(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="a", timeout_s=5.0) as bus, EventFeed(bus) as feed:
+        found: list[str] = []
+        for name in ("one", "two", "three"):
+            bus.call("SET", keys.EVENT, b'{"name": "\xff"}')
+            bus.publish({keys.EVENT: events.make("a", name).encode()})
+            wait_until(lambda: found.extend(event.name for event in feed.take()) or len(found) > 0)
+            assert found.pop() == name
+        assert list(feed.take()) == []

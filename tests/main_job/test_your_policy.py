@@ -1,0 +1,65 @@
+"""The example of `docs/your-policy.md`, as it stands there, installed as a package of somebody else's."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.main_job.station_runs import LOCK_STEP, ROOT, Terminal, up
+
+PAGE = ROOT / "docs" / "your-policy.md"
+CHECKPOINT = "zoo:policies/holosoma_fastsac_g1_29dof.onnx"
+MOTION = "twist2:motions/0807_yanjie_walk_002.pkl"
+
+pytestmark = [pytest.mark.assets, pytest.mark.timeout(300)]
+
+
+def example(name: str) -> str:
+    """Return a file of the example from the page."""
+    found = re.search(rf"^`holosoma-walk/{re.escape(name)}`\n\n```\w+\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.M)
+    assert found is not None, f"{PAGE} has no file {name}"
+    return found[1]
+
+
+@pytest.fixture
+def terminal(assets: Path, tmp_path: Path) -> Terminal:
+    """A user's terminal in whose Python the package is installed: module and metadata, as an installer leaves them."""
+    site, terminal = tmp_path / "site", Terminal(tmp_path / "station")
+    metadata = site / "holosoma_walk-0.1.dist-info"
+    metadata.mkdir(parents=True)
+    (site / "holosoma_walk.py").write_text(example("holosoma_walk.py"))
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: holosoma-walk\nVersion: 0.1\n")
+    entry = re.search(r'^holosoma-walk = "(.*)"$', example("pyproject.toml"), re.MULTILINE)
+    assert entry is not None
+    (metadata / "entry_points.txt").write_text(f"[station.policies]\nholosoma-walk = {entry[1]}\n")
+    terminal.environment["PYTHONPATH"] = str(site)
+    return terminal
+
+
+def test_example_walks_and_its_episode_is_audited_with_its_option(terminal: Terminal) -> None:
+    policy = ("g1.policy=holosoma-walk", f"g1.checkpoint={CHECKPOINT}", "g1.policy_options.speed=0.8")
+    done = terminal.run(*up("own-policy", *LOCK_STEP, *policy, f"motion.motion={MOTION}"))
+    assert done.returncode == 0, done.stdout + done.stderr
+    episode = str(terminal.episode("own-policy"))
+    check = terminal.json("check", episode)
+    (robot,) = check["steps"]
+    assert (check["falls"], robot["missing_steps"]) == (0, 0)
+    audit = terminal.json("audit", episode)
+    assert (audit["policy"], audit["steps"]) == ("holosoma-walk", robot["steps"])
+    assert (audit["different"], audit["observations"]["different"]) == (0, 0)
+    replay = terminal.json("replay", episode, "--to", "sim")
+    assert (replay["different"], replay["fell"]) == (0, False)
+
+
+def test_example_is_found_by_its_name_in_a_rehearsal(terminal: Terminal) -> None:
+    rehearsal = terminal.json("rehearse", MOTION, "--policy", "holosoma-walk", "--checkpoint", CHECKPOINT)
+    assert [motion["fell"] for motion in rehearsal["motions"]] == [False]
+
+
+def test_an_option_that_the_class_does_not_have_is_refused_in_one_line(terminal: Terminal) -> None:
+    policy = ("g1.policy=holosoma-walk", f"g1.checkpoint={CHECKPOINT}", "g1.policy_options.sped=0.8")
+    done = terminal.run(*up("own-policy", *policy, f"motion.motion={MOTION}"))
+    assert done.returncode == 1
+    assert "has no option 'sped' (did you mean 'speed'?)" in done.stderr

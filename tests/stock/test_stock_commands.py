@@ -1,0 +1,119 @@
+"""A stock TWIST2 motion server in place of ours: our G1 follows it, our recorder keeps it as foreign."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from station import registry
+from station.bus import keys
+from station.bus.client import Bus
+from station.episode.reader import open_episode
+from station.protocols import CommandFormat, Motion
+from tests.stock.conftest import OpenBus, Serve, finish, health
+from tests.stock.stock_twist2 import ACTIONS, BODY, STANDING, STATE_BODY, MotionServer, waving
+from tests.waiting import wait_until
+
+LIGHT = ("robot_model=zoo:models/g1_29dof.xml", "physics_dt_s=0.002")
+MOST_JOINT_ERROR_RAD = 0.11
+SETTLED = 150  # commands: stock steps into the clip at once, our gate blends for 1 s
+
+pytestmark = pytest.mark.assets
+
+
+def gate(bus: Bus) -> str:
+    value = bus.get(keys.command_gate(keys.TWIST2_ROBOT))
+    return str(json.loads(value)["state"]) if value else ""
+
+
+def clip(seconds: float) -> list[list[float]]:
+    """The commands of a shipped walk as lists, one period ahead as stock samples it; no blend at either end."""
+    form: CommandFormat = registry.find("command", "twist2")
+    motion: Motion = registry.find("loader", "motion")("twist2:motions/0807_yanjie_walk_001.pkl")
+    times = 0.02 * (1 + np.arange(int(seconds / 0.02)))
+    return [form.encode(motion.at(float(time_s)), motion.joint_names).tolist() for time_s in times]
+
+
+@pytest.fixture
+def stock(open_bus: OpenBus) -> MotionServer:
+    return MotionServer(open_bus.port)
+
+
+class Follower:
+    """Reads the robot's state as a stock script would, after each command."""
+
+    def __init__(self, stock: MotionServer) -> None:
+        self._redis = stock.redis
+        self.errors: list[float] = []
+
+    def look(self, body: list[float]) -> None:
+        state = json.loads(self._redis.get(STATE_BODY) or "[]")
+        assert len(state) == 34
+        self.errors.append(float(np.abs(np.subtract(state[5:], body[6:])).mean()))
+
+
+def test_robot_walks_to_stock_commands_and_all_of_it_is_recorded(
+    assets: Path, open_bus: OpenBus, bus: Bus, serve: Serve, stock: MotionServer
+) -> None:
+    g1, recorder = serve("g1"), serve("recorder")
+    started = open_bus.terminal.json("record", "start", "--task", "stock-walk")
+    commands, follower = clip(8.0), Follower(stock)
+    stock.play(commands, follower.look)
+    assert gate(bus) == "tracking"
+    assert np.mean(follower.errors[SETTLED:]) <= MOST_JOINT_ERROR_RAD
+    stock.close()
+    open_bus.terminal.json("record", "stop")
+    finish(recorder)
+    finish(g1)
+
+    reader = open_episode(Path(started["path"]))
+    body = list(reader.messages([BODY]))
+    assert [message.data for message in body] == [json.dumps(command).encode() for command in commands]
+    writers = {stream.channel.topic: stream.channel.writer for stream in reader.streams()}
+    assert {writers[key] for key in ACTIONS} == {"foreign"}
+    assert writers[STATE_BODY] == "g1"
+    check = open_bus.terminal.json("check", started["path"])
+    (robot,) = check["steps"]
+    assert (check["falls"], check["dropped"], robot["steps"] > 350) == (0, 0, True)
+    assert open_bus.terminal.json("audit", started["path"])["different"] == 0
+
+
+@pytest.mark.parametrize("is_first", [True, False], ids=["stock starts first", "our robot starts first"])
+def test_order_of_starting_does_not_matter(
+    assets: Path, bus: Bus, serve: Serve, stock: MotionServer, is_first: bool
+) -> None:
+    if is_first:
+        stock.play(waving(0.1))
+    g1 = serve("g1", *LIGHT)
+    wait_until(lambda: gate(bus))
+    assert gate(bus) == "waiting"  # an empty bus, or the last words of somebody who has gone, move nothing
+    stock.play(waving(2.0))
+    assert gate(bus) == "tracking"
+    stock.close()
+    wait_until(lambda: gate(bus) == "waiting")  # stock would repeat the last command for ever
+    assert g1.poll() is None
+
+
+def test_what_stock_may_write_wrongly_is_refused_and_the_robot_stands(
+    assets: Path, bus: Bus, serve: Serve, stock: MotionServer
+) -> None:
+    g1 = serve("g1", *LIGHT)
+    nan = [float("nan"), *STANDING[1:]]
+    for body in ([*STANDING, 1.0, 0.0], [*STANDING, 0.0, 0.0, 0.0], nan, STANDING[:33]):
+        stock.play([list(map(float, body))] * 5)
+    stock.redis.set(BODY, "not a list")
+    wait_until(lambda: sum(health(bus, "g1").detail.get("refused", {}).values()) >= 4)
+    assert (g1.poll(), gate(bus)) == (None, "waiting")
+    stock.play(waving(2.0))
+    assert gate(bus) == "tracking"
+    stock.close()
+
+
+def test_robot_needs_none_of_the_companion_keys(assets: Path, bus: Bus, serve: Serve, stock: MotionServer) -> None:
+    g1 = serve("g1", *LIGHT)
+    stock.play(waving(2.0), each=lambda _: stock.redis.delete(*[key for key in ACTIONS if key != BODY]))
+    assert (g1.poll(), gate(bus)) == (None, "tracking")
+    stock.close()

@@ -1,0 +1,129 @@
+"""A stock TWIST2 robot in place of ours: it reads our commands, our recorder keeps its state as foreign."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from station.bus import keys
+from station.bus.client import Bus
+from station.episode.reader import open_episode
+from tests.stock.conftest import OpenBus, Serve, finish
+from tests.stock.stock_twist2 import ACTIONS, LOOP_S, STANDING, STATE_BODY, LowLevelServer
+from tests.waiting import wait_until
+
+MOTION = "motion=builtin:wave"
+
+
+@pytest.fixture
+def stock(open_bus: OpenBus) -> Iterator[LowLevelServer]:
+    server = LowLevelServer(open_bus.port)
+    yield server
+    server.close()
+
+
+def run(stock: LowLevelServer, ticks: int) -> list[list[list[float]]]:
+    """Tick as stock does; return the four commands of each tick."""
+    read = []
+    for _ in range(ticks):
+        read.append(stock.tick())
+        time.sleep(LOOP_S)
+    return read
+
+
+def test_our_commands_are_what_a_stock_robot_reads(bus: Bus, serve: Serve, stock: LowLevelServer) -> None:
+    serve("motion", MOTION)
+    wait_until(lambda: bus.get(keys.action_body()))
+    stock.say_hello()
+    read = run(stock, 100)
+    for commands in read:
+        assert [len(command) for command in commands] == list(ACTIONS.values())
+        assert all(type(value) is float and math.isfinite(value) for command in commands for value in command)
+    t_action = stock.redis.get("t_action")
+    assert t_action is not None
+    assert t_action.isdigit()
+    assert abs(int(t_action) - time.time() * 1000) < 1000
+    assert len({tuple(commands[0]) for commands in read}) > 50  # it moves
+    assert read[-1][1:] == [[0.0] * 7, [0.0] * 7, [0.0] * 2]
+
+
+def test_first_command_is_near_the_default_pose_and_no_step_is_a_jump(
+    bus: Bus, serve: Serve, stock: LowLevelServer
+) -> None:
+    serve("motion", MOTION)
+    wait_until(lambda: bus.get(keys.action_body()))
+    joints = [STANDING[6:], *[commands[0][6:] for commands in run(stock, 100)]]
+    steps = [max(abs(a - b) for a, b in zip(one, two, strict=True)) for one, two in itertools.pairwise(joints)]
+    assert max(steps) < 0.3  # [rad]; a late look sees several periods at once
+
+
+def test_all_four_keys_outlive_our_motion_server(bus: Bus, serve: Serve, stock: LowLevelServer) -> None:
+    with pytest.raises(TypeError):  # a stock robot dies on an empty bus: ours must have run first
+        stock.tick()
+    finish(serve("motion", MOTION))
+    body, *_ = stock.tick()
+    assert body == pytest.approx([float(value) for value in STANDING])  # it left the robot standing
+
+
+@pytest.mark.parametrize("is_robot_first", [True, False], ids=["robot starts first", "motion starts first"])
+def test_order_of_starting_does_not_matter(bus: Bus, serve: Serve, stock: LowLevelServer, is_robot_first: bool) -> None:
+    finish(serve("motion", MOTION))  # what upstream calls warming up: the keys are there
+    if is_robot_first:
+        stock.say_hello()
+        run(stock, 10)
+    motion = serve("motion", MOTION)
+    read = run(stock, 60)
+    assert read[0][0] != read[-1][0]
+    assert motion.poll() is None
+
+
+def test_recorder_keeps_the_states_of_a_stock_robot_as_foreign(
+    open_bus: OpenBus, bus: Bus, serve: Serve, stock: LowLevelServer
+) -> None:
+    recorder = serve("recorder", "preroll_s=0")
+    started = open_bus.terminal.json("record", "start", "--task", "stock-robot")
+    motion = serve("motion", MOTION)
+    wait_until(lambda: bus.get(keys.action_body()))
+    stock.say_hello()
+    run(stock, 50)
+    finish(motion)
+    open_bus.terminal.json("record", "stop")
+    finish(recorder)
+
+    reader = open_episode(Path(started["path"]))
+    written = {stream.channel.topic: (stream.channel.writer, stream.count) for stream in reader.streams()}
+    assert written[STATE_BODY] == ("foreign", 51)
+    hands = {written[keys.state_hand(side)] for side in ("left", "right")}
+    assert hands == {("foreign", 51)}
+    assert written[keys.state_neck()] == written["t_state"] == ("foreign", 50)
+    assert {written[key][0] for key in ACTIONS} == {"motion"}
+    first = next(reader.messages([STATE_BODY]))
+    assert len(json.loads(first.data)) == 127
+    states = reader.vectors(STATE_BODY)  # the contract says 34: the odd one is left out and counted
+    assert (len(states.log_ns), reader.skipped[STATE_BODY]) == (50, 1)
+    check = open_bus.terminal.json("check", started["path"])
+    assert (check["dropped"], check["steps"]) == (0, [])
+    audit = open_bus.terminal.run("audit", started["path"])
+    assert audit.returncode == 1
+    assert "no policy steps" in audit.stderr
+    assert len(audit.stderr.strip().splitlines()) == 1
+
+
+def test_a_start_signal_of_the_robot_starts_our_motion(bus: Bus, serve: Serve, stock: LowLevelServer) -> None:
+    stock.redis.set("motion_start_signal", "1")  # left behind by an earlier session
+    motion = serve("motion", MOTION, "wait_for_start=true")
+    wait_until(lambda: stock.redis.get("motion_start_signal") == b"0")
+    waiting = run(stock, 20)
+    assert {tuple(commands[0]) for commands in waiting} == {tuple(float(value) for value in STANDING)}
+    stock.redis.set("motion_start_signal", "1")
+    moving = run(stock, 80)
+    assert moving[-1][0] != waiting[-1][0]
+    stock.redis.set("motion_exit_signal", "1")
+    motion.communicate(timeout=30)
+    assert motion.returncode == 0

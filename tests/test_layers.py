@@ -1,0 +1,160 @@
+"""Imports point one way (docs/architecture.md); what is heavy is imported where it is used; a key is spelled once."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from station import registry
+from station.bus import keys
+from station.cli.main import VERBS
+
+ROOT = Path(__file__).parents[1]
+OUTER = ("servers", "adapters", "bridges")
+HEAVY = ("mujoco", "onnxruntime", "rerun", "torch")
+
+WHAT_ADAPTERS_NEED = {
+    "station.assets", "station.bus.codec", "station.bus.contracts", "station.bus.joints", "station.bus.keys",
+    "station.errors", "station.protocols", "station.registry", "station.rotations",
+}  # fmt: skip
+"""Facts, formats and how to find things: no connection, no loop, no process, no episode."""
+
+NO_VERBS = {"__init__", "face", "main", "options", "report", "tables"}
+"""Modules of `station.cli` that verbs share."""
+
+A_KEY = re.compile(
+    r"(action_(body|hand|neck|mimic)|state_(body|hand|neck)|robot_state|policy_(obs|action|timing)|target|sim_qpos"
+    r"|command_(gate|used|source))_(?=$|\{|g1|unitree)|^station:\S|^t_(action|state)$|^controller_data$"
+    r"|^motion_(start|exit)_signal$|" + keys.TWIST2_ROBOT
+)
+NO_KEYS = {("station/episode/layout.py", "station:recorder:stamps")}
+"""A topic of a file, which no bus ever sees."""
+
+
+def sources(*folders: str) -> list[Path]:
+    return [path for folder in folders for path in sorted((ROOT / folder).rglob("*.py"))]
+
+
+def imports(path: Path) -> Iterator[str]:
+    """Yield the full names of the modules that a file imports, at its top or within a function."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (name.name for name in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: imports by full name"
+            assert node.module is not None
+            for name in node.names:
+                full = f"{node.module}.{name.name}"
+                yield full if is_module(full) else node.module
+
+
+def is_module(name: str) -> bool:
+    path = ROOT / name.replace(".", "/")
+    return path.is_dir() or path.with_suffix(".py").is_file()
+
+
+def ours(path: Path) -> set[str]:
+    return {name for name in imports(path) if name.split(".")[0] in ("station", *OUTER)}
+
+
+def within(names: set[str], *packages: str) -> set[str]:
+    return {name for name in names if any(name == package or name.startswith(package + ".") for package in packages)}
+
+
+def told(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("path", sources("station"), ids=told)
+def test_the_station_imports_no_server_adapter_or_bridge(path: Path) -> None:
+    assert not within(ours(path), *OUTER)
+
+
+@pytest.mark.parametrize("path", sources("adapters"), ids=told)
+def test_an_adapter_imports_other_adapters_and_the_pure_part_of_the_station(path: Path) -> None:
+    used = ours(path)
+    assert not within(used, "servers", "bridges")
+    assert within(used, "station") <= WHAT_ADAPTERS_NEED
+
+
+@pytest.mark.parametrize("path", sources("servers"), ids=told)
+def test_a_server_imports_the_station_and_adapters_and_no_other_server(path: Path) -> None:
+    used = ours(path)
+    assert not within(used, "servers")
+    assert not within(used, "station.cli")
+
+
+@pytest.mark.parametrize("path", sources("station", "servers", "adapters"), ids=told)
+def test_nobody_imports_the_command_line_but_itself(path: Path) -> None:
+    inside = told(path).startswith("station/cli/") or told(path) == "station/__main__.py"
+    assert inside or not within(ours(path), "station.cli")
+
+
+@pytest.mark.parametrize("path", sources("station", "servers", "adapters"), ids=told)
+def test_only_one_module_spells_the_keys_of_the_bus(path: Path) -> None:
+    if told(path) == "station/bus/keys.py":
+        return
+    spelled = {text for text in strings(path) if A_KEY.search(text) and (told(path), text) not in NO_KEYS}
+    assert not spelled
+
+
+def strings(path: Path) -> Iterator[str]:
+    """Yield every string of a file that is no docstring."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    docs = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docs:
+            yield node.value
+
+
+def test_the_pattern_knows_every_key() -> None:
+    spelled = [text for text in strings(ROOT / "station/bus/keys.py") if text not in ("@", "_", keys.TWIST_ROBOT)]
+    assert spelled
+    assert [text for text in spelled if not A_KEY.search(text)] == []
+
+
+def test_every_module_of_the_command_line_is_a_verb_or_shared() -> None:
+    modules = {path.stem for path in sources("station/cli")}
+    assert modules == set(VERBS) | NO_VERBS
+    for verb in VERBS:
+        command = importlib.import_module(f"station.cli.{verb}").command
+        assert command.name == verb
+        assert command.help, f"station {verb} --help says what it does"
+
+
+def test_every_server_registers_a_kind_of_its_own_name() -> None:
+    for name in registry.names("server"):
+        assert registry.find("server", name).name == name
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "from station import registry; [registry.find('server', name) for name in registry.names('server')]",
+        "from station.life import runbook; runbook.load(runbook.find('g1-sim-motion'))",
+        "from station.cli import main; [main.cli.get_command(None, verb) for verb in main.VERBS]",
+    ],
+    ids=["listing servers", "reading a runbook", "listing verbs"],
+)
+def test_what_is_quick_loads_nothing_heavy(code: str) -> None:
+    loaded = subprocess.run(
+        [sys.executable, "-c", f"{code}; import sys; print(*sys.modules)"], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert [name for name in HEAVY if name in loaded] == []
+
+
+def test_help_of_all_verbs_imports_none_of_them() -> None:
+    code = (
+        "import sys; from station.cli import main; sys.argv = ['station', '--help']\n"
+        "try: main.main()\n"
+        "except SystemExit: print(*sys.modules)"
+    )
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not [verb for verb in VERBS if f"station.cli.{verb}" in loaded]
