@@ -22,7 +22,7 @@ from station.errors import BusError
 
 log = logging.getLogger(__name__)
 
-_STALL_S = 1.0  # a busy machine may hold a server up for a moment; a server silent for longer is taken for frozen
+_STALL_S = 5.0  # a busy machine may hold a server up for a moment; one silent for longer is taken for frozen
 _RETRY_S = 0.1  # a restarted local server is back within 25 ms; ten tries a second cost nothing
 
 
@@ -135,6 +135,7 @@ class Bus:
             try:
                 if self._connection.owed:
                     self._account(self._connection.collect(self._timeout_s))
+                    self._give_up_on_a_stall(self._connection)
                 if self._connection.owed:
                     raise BusError(f"bus {self.address}: no answer in time")
                 return self._connection.call(*arguments)

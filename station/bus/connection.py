@@ -18,6 +18,7 @@ from station.bus.address import BusAddress
 from station.errors import BusError
 
 _READ_SIZE = 1 << 16
+_MOST_UNSENT = 8 << 20  # bytes; a G1 server fills them in 13 s
 _CONNECT_TIMEOUT_S = 0.5  # a TCP handshake may cross a lab network; a unix socket answers at once
 
 Argument = bytes | str | int
@@ -49,6 +50,7 @@ class Connection:
     def __init__(self, address: BusAddress, *, timeout_s: float = 0.05) -> None:
         self.address = address
         self.owed = 0  # answers of posted requests that have not come yet
+        self._unsent = bytearray()  # of posted requests, while the line is full
         self._timeout_s = timeout_s
         self._reader = hiredis.Reader()
         self._socket = self._open()
@@ -84,33 +86,48 @@ class Connection:
     def post(self, data: bytes) -> list[Any]:
         """Send an encoded request and wait for its answer no longer than the time-out.
 
-        While the answer to an earlier one is still owed there is no wait at all: a server that stalls for a moment
-        costs its writer one time-out, and loses nothing.
+        While the answer to an earlier one is still owed there is no wait at all, and what the line does not take now
+        is kept and sent by a later call: a server that stalls costs its writer one time-out, and loses nothing.
 
         Returns:
             The answers that have come, oldest first; `owed` tells how many have not.
 
         Raises:
-            ConnectionLost: the server went away, or its stall has filled the line.
+            ConnectionLost: the server went away, or its stall has filled the line and the memory set aside for it.
         """
         is_behind = self.owed > 0
+        self._unsent += data
+        self.owed += 1
+        return self.collect(0.0 if is_behind else self._timeout_s)
+
+    def _send_unsent(self, timeout_s: float) -> None:
         try:
-            self._socket.sendall(data)
+            self._socket.settimeout(timeout_s)
+            while self._unsent:
+                del self._unsent[: self._socket.send(self._unsent)]
+        except (TimeoutError, BlockingIOError, ssl.SSLWantReadError, ssl.SSLWantWriteError):
+            if len(self._unsent) > _MOST_UNSENT:
+                self.close()
+                raise ConnectionLost(
+                    f"bus {self.address}: it takes nothing any more, {_MOST_UNSENT} bytes wait"
+                ) from None
         except OSError as error:
             self.close()
             raise ConnectionLost(f"bus {self.address}: {_reason(error)}") from error
-        self.owed += 1
-        return self.collect(0.0 if is_behind else self._timeout_s)
+        finally:
+            self._restore_timeout()
 
     def collect(self, timeout_s: float) -> list[Any]:
         """Return the owed answers that come within a time, oldest first; 0 takes what is here."""
         answers = []
+        if self._unsent:
+            self._send_unsent(timeout_s)
         try:
             self._socket.settimeout(timeout_s)
             while self.owed:
                 answers.append(self._next())
                 self.owed -= 1
-        except (TimeoutError, BlockingIOError):
+        except (TimeoutError, BlockingIOError, ssl.SSLWantReadError):
             pass  # the rest is late; the caller sees it in `owed`
         except OSError as error:
             self.close()
