@@ -16,7 +16,7 @@ from station.bus.client import Bus
 from station.life.loop import Rate, real_time
 
 _WRITER_HZ, _LOOP_HZ = 97.0, 50.0  # no common period: the phase between them sweeps
-STOCK, PLAIN, FIFO, FIFO_BUS = "stock poll each cycle", "Watch", "Watch, FIFO", "Watch, FIFO, bus too"
+STOCK, PLAIN, FIFO = "stock poll each cycle", "Watch", "Watch, FIFO"
 
 METHOD = """\
 A process writes the command at 97 Hz, another runs a 50 Hz loop with the policy's network (or 0.5 ms of work where
@@ -26,8 +26,8 @@ run free it is uniform over a writer's period whatever the transport, and only a
 shorten it. Baseline: stock's pipeline of GETs in each cycle with relative sleeps, its writer's pipeline of SETs; the
 time rides in `t_action`. *Cost*: time of the loop's thread from asking for the command to having its numbers.
 *CPU*: of the whole policy process, `Watch`'s thread included. *Loaded*: a process of normal priority on every core.
-*FIFO*: writer and policy under SCHED_FIFO, as the station's servers ask for; *bus too*: and the Redis server. Both are
-left out where that is not permitted."""
+*FIFO*: writer, Redis server and policy under SCHED_FIFO, as the station's servers ask for; left out where that is not
+permitted. The other rows and the baseline run without."""
 
 
 class Seen(msgspec.Struct):
@@ -46,7 +46,7 @@ def run(settings: Settings) -> list[Row]:
     with contextlib.ExitStack() as stack:
         workers = {STOCK: _start_stock(stack), PLAIN: _start(stack)}
         if processes.fifo_is_permitted():
-            workers |= {FIFO: _start(stack, is_fifo=True), FIFO_BUS: _start(stack, is_fifo=True, is_bus_fifo=True)}
+            workers |= {FIFO: _start(stack, is_fifo=True)}
         for condition, beside in (("quiet", processes.nothing), ("loaded", processes.burners)):
             with beside():
                 turns = {name: _turn(worker, seconds) for name, worker in workers.items()}
@@ -54,15 +54,15 @@ def run(settings: Settings) -> list[Row]:
     return rows
 
 
-def _start(stack: contextlib.ExitStack, *, is_fifo: bool = False, is_bus_fifo: bool = False) -> processes.Worker:
+def _start(stack: contextlib.ExitStack, *, is_fifo: bool = False) -> processes.Worker:
     """Start a bus, a writer and a reader of ours; a bus of its own, so that no contender disturbs another."""
-    address, _ = stack.enter_context(processes.bus(is_fifo=is_bus_fifo))
+    address, _ = stack.enter_context(processes.bus(is_fifo=is_fifo))
     stack.enter_context(processes.Beside(commands.write_native, address, _WRITER_HZ, is_fifo))
     return stack.enter_context(processes.Worker(reader, address, is_fifo))
 
 
 def _start_stock(stack: contextlib.ExitStack) -> processes.Worker:
-    _, port = stack.enter_context(processes.bus())
+    _, port = stack.enter_context(processes.bus(is_fifo=False))
     stack.enter_context(processes.Beside(commands.write_stock, port, _WRITER_HZ))
     return stack.enter_context(processes.Worker(stock_reader, port))
 

@@ -29,6 +29,7 @@ from station.life import leash
 from station.life.server import Health, State, decode_health
 
 _STOP_S = 15.0  # a command server blends for 2 s, a recorder closes its episode; then the child is killed
+_HURRY_S = 5.0  # a blend and a flush to the disk still fit
 _LOOK_S = 0.01
 _PROGRESS: dict[State, int] = {"unconfigured": 0, "inactive": 1, "active": 2}
 
@@ -139,12 +140,13 @@ class Supervisor:
         return code
 
     def stop_all(self) -> None:
-        """Stop whatever still runs: all at once, since whoever comes here has no time for an order."""
+        """Stop whatever still runs: all at once and soon, since whoever comes here has no time for an order."""
+        deadline = time.monotonic() + _HURRY_S
         try:
             for child in self.children.values():
                 child.process.terminate()
             for name in reversed(list(self.children)):
-                self.stop(name)
+                self.stop(name, max(0.0, deadline - time.monotonic()))
         except KeyboardInterrupt:
             for child in self.children.values():
                 child.process.kill()

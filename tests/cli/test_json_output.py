@@ -51,7 +51,9 @@ def test_status(live: Home) -> None:
 def test_status_that_watches_prints_a_line_per_look(live: Home) -> None:
     with live.running("status", "--watch", "--json") as watching:
         assert watching.process.stdout is not None
-        looks = [json.loads(watching.process.stdout.readline()) for _ in range(2)]
+        lines = [watching.process.stdout.readline() for _ in range(2)]
+    assert all(lines), watching.text
+    looks = [json.loads(line) for line in lines]
     assert all({server["name"] for server in look["servers"]} >= {"motion", "recorder"} for look in looks)
 
 

@@ -259,7 +259,7 @@ def test_the_recorder_is_registered_and_its_configuration_is_checked(tmp_path: P
         ({"preroll_s": -1}, "preroll_s is -1"),
         ({"flush_s": 0}, "flush_s is 0"),
         ({"prerol_s": 1}, "did you mean 'preroll_s'"),
-        ({"backend": "monitor"}, "Invalid enum value 'monitor'"),
+        ({"backend": "monitor"}, "expected notifications or poll or replication, got 'monitor'"),
     ):
         with pytest.raises(ConfigError, match=f"(?i){words}"):
             config.build(RecorderConfig, values, where="x")

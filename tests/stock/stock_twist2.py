@@ -124,7 +124,7 @@ class Recorder:
         Raises:
             TypeError: nobody has ever written ``controller_data``; a stock recorder ends with it.
         """
-        pressed: bool = json.loads(self.redis.get(CONTROLLER_DATA))["LeftController"]["key_two"]  # type: ignore[arg-type]
+        pressed: bool = json.loads(self.redis.get(CONTROLLER_DATA))["LeftController"]["key_two"]
         return pressed
 
     def item(self) -> dict[str, Any]:
@@ -176,7 +176,7 @@ def _run(role: str, port: int, seconds: float) -> str:
             time.sleep(LOOP_S)
         return f"{ticks} ticks; last commands of lengths {[len(command) for command in commands]}"
     recorder = Recorder(port)
-    rows = []
+    rows: list[dict[str, Any]] = []
     while not recorder.is_button_pressed() and len(rows) < seconds * 30:
         rows.append(recorder.item())
         time.sleep(1 / 30)
