@@ -68,7 +68,7 @@ def _collection(text: str) -> str | None:
 def _locate(text: str) -> Path:
     collection = _collection(text)
     if collection is None:
-        return Path(text).expanduser()
+        return Path(text).expanduser().absolute()  # it ends in manifests, which are read from other folders
     base = root()
     if base is None:
         raise AssetMissing(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import tempfile
 from pathlib import Path
@@ -97,9 +98,11 @@ def parse(text: str) -> BusAddress:
 def runtime_folder() -> Path:
     """Return the folder (mode 0700) that holds this user's sockets; made when missing."""
     base = os.environ.get("XDG_RUNTIME_DIR")
-    folder = Path(base) / "station" if base else Path(tempfile.gettempdir()) / f"station-{os.getuid()}"
+    short = Path(tempfile.gettempdir()) / f"station-{os.getuid()}"
+    folder = Path(base) / "station" if base else short
     if len(os.fsencode(folder / "bus.sock")) > _SOCKET_PATH_LIMIT:
-        folder = Path(tempfile.gettempdir()) / f"station-{os.getuid()}"
+        # A socket's path must be short; folders that differ must not meet in one.
+        folder = short.with_name(f"{short.name}-{hashlib.sha256(os.fsencode(folder)).hexdigest()[:8]}")
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     owner = folder.stat()
     if owner.st_uid != os.getuid() or owner.st_mode & 0o077:

@@ -90,8 +90,8 @@ class StepQuality(msgspec.Struct, frozen=True, kw_only=True):
         robot: Suffix of its keys.
         steps: Steps in the file.
         missing_steps: Steps whose number is missing between the first and the last of a source.
-        command_age: Age of the command at the instant the policy used it: since it was written, or, for a writer
-            without stamps, since it arrived.
+        command_age: Age of the command at the instant the policy used it, from the first to the last step that
+            followed one: since it was written, or, for a writer without stamps, since it arrived.
         stages: Time between consecutive instants of a step, named ``command_written_to_command_arrived`` … and
             ``command_written_to_sent``. Negative in lock-step, where the command answers the state.
         gate_shares: Share of time in each state of the gate, 0..1.

@@ -33,6 +33,7 @@ class StepMeter:
     start_ns: int
     _times: array[int] = field(default_factory=lambda: array("q"))
     _gates: list[str] = field(default_factory=list)
+    _timed_gates: list[str] = field(default_factory=list)  # of the steps in _timings
     _timings: list[Any] = field(default_factory=list)
     _numbers: dict[str, array[int]] = field(default_factory=lambda: defaultdict(lambda: array("q")))
     _poses: dict[str, bytearray] = field(default_factory=lambda: defaultdict(bytearray))
@@ -73,7 +74,10 @@ class StepMeter:
         tracking, compared = self._tracking, self._tracking.ticks if self._tracking else 0
         worst = max(self._joint_sums, key=lambda joint: self._joint_sums[joint], default="")
         shares, interrupted = _gate_shares(np.array(self._times, dtype=np.int64), self._gates)
-        age, stages = _latencies(np.array(self._timings, dtype=np.int64).reshape(-1, _FIRST_STAGE + len(_STAGES)))
+        age, stages = _latencies(
+            np.array(self._timings, dtype=np.int64).reshape(-1, _FIRST_STAGE + len(_STAGES)),
+            _followed(self._timed_gates),
+        )
         return StepQuality(
             robot=self.robot,
             steps=len(self._times),
@@ -109,6 +113,7 @@ class StepMeter:
         numbers = _json(step.values.get(keys.policy_timing(self.robot)))
         if isinstance(numbers, list) and len(numbers) == _FIRST_STAGE + len(_STAGES):
             self._timings.append([int(number) for number in numbers])
+            self._timed_gates.append(self._gates[-1])
 
     def _take_pose(self, step: Step) -> None:
         for key in (keys.sim_qpos(self.robot), keys.robot_state(self.robot)):
@@ -154,7 +159,14 @@ def spread(values: NDArray[Any]) -> Spread:
     return Spread(len(values), float(p50), float(p99), float(seconds.max()))
 
 
-def _latencies(timings: NDArray[np.int64]) -> tuple[Spread, dict[str, Spread]]:
+def _followed(gates: list[str]) -> slice:
+    """Return the steps from the first to the last in which a command was followed; a robot left alone uses none."""
+    used = np.flatnonzero(np.isin(gates, ("entering", _TRACKING)))
+    return slice(used[0], used[-1] + 1) if len(used) else slice(0, 0)
+
+
+def _latencies(timings: NDArray[np.int64], followed: slice) -> tuple[Spread, dict[str, Spread]]:
+    """Return the age of the command at use over the followed steps, and the time between stages over all."""
     instants = timings[:, _FIRST_STAGE:]
     pairs = [*pairwise(_STAGES), (_STAGES[0], _STAGES[-1])]
     stages = {}
@@ -164,7 +176,8 @@ def _latencies(timings: NDArray[np.int64]) -> tuple[Spread, dict[str, Spread]]:
         stages[f"{start}_to_{end}"] = spread((b - a)[known])
     written, arrived, used = (instants[:, _STAGES.index(s)] for s in ("command_written", "command_arrived", "observed"))
     since = np.where(written > 0, written, arrived)
-    return spread((used - since)[(since > 0) & (used > 0)]), stages
+    known = (since > 0) & (used > 0)
+    return spread((used - since)[followed][known[followed]]), stages
 
 
 def _gate_shares(times_ns: NDArray[np.int64], gates: list[str]) -> tuple[dict[str, float], float]:

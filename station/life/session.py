@@ -25,6 +25,7 @@ from station.life.supervisor import Supervisor, how_it_ended
 _LOOK_S = 0.1
 _BUS_GONE_S = 10.0  # a restarted server is back within a second; without one nobody can be watched over
 _RECORDER = "recorder"
+_UNATTENDED = "--yes"
 _TOLD_OTHERWISE = ("record-start", "server-failed", "server-crashed")  # with more, by the session itself
 _INTERRUPTED = 130  # what a shell calls a command that Ctrl-C ended
 
@@ -183,14 +184,14 @@ class Session:
 
     def _confirm(self, step: ConfirmStep) -> str:
         if self._is_unattended:
-            return self._note(step, "yes (unattended)", who="--yes")
+            return self._note(step, "yes (unattended)", who=_UNATTENDED)
         if not self._face.confirm(step.confirm):
             raise NotReady(f"not confirmed: {step.confirm}")
         return self._note(step, "yes", who=getpass.getuser())
 
     def _note(self, step: CheckStep | ConfirmStep | NoteStep, answer: str, *, who: str) -> str:
         self.answers.append(
-            Answer(step=str(step), answer=answer, who=who, wall_ns=time.time_ns(), is_unattended=self._is_unattended)
+            Answer(step=str(step), answer=answer, who=who, wall_ns=time.time_ns(), is_unattended=who == _UNATTENDED)
         )
         return answer
 

@@ -61,3 +61,16 @@ def test_a_runtime_folder_open_to_others_is_refused(monkeypatch: pytest.MonkeyPa
     if len(str(tmp_path)) < 80:
         with pytest.raises(ConfigError, match="mode 0700"):
             address.runtime_folder()
+
+
+def test_runtime_folders_too_long_for_a_socket_do_not_meet(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    found = []
+    for name in ("a", "b"):
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / (name * 120)))
+        found.append(address.runtime_folder())
+    try:
+        assert found[0] != found[1]
+        assert all(len(str(folder / "bus.sock")) < 100 for folder in found)
+    finally:
+        for folder in found:
+            folder.rmdir()
