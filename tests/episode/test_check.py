@@ -145,6 +145,15 @@ def test_a_fall_is_seen_in_the_pose_alone(builder: EpisodeBuilder) -> None:
     assert fall.tilt_rad == pytest.approx(np.radians(120), abs=0.01)
 
 
+def test_a_robot_that_outlives_its_commander_is_not_blamed_for_an_old_command(builder: EpisodeBuilder) -> None:
+    walk(builder, seconds=1.0)
+    for number in range(50, 100):
+        tick(builder, number, at_s=0.1 + number / 50, gate="waiting", age_s=(number - 49) / 50)
+    quality = checked(builder)
+    assert quality.steps[0].command_age.count == 50
+    assert "old-command" not in {reason.rule for reason in quality.reasons}
+
+
 def test_a_bow_from_the_waist_is_no_fall(builder: EpisodeBuilder) -> None:
     bowed = STANDING.copy()
     bowed[14] = 1.2  # waist pitch; the pelvis itself stays level
