@@ -58,7 +58,7 @@ def write_measured(folder: Path, quality: Quality) -> Manifest:
     if not quality.is_finished:
         raise EpisodeError(
             f"episode {quality.episode_id}: not finished, its recorder still owns the manifest; "
-            "stop the recording, or repair the episode, then check again"
+            "stop the recording and check again (an episode whose recorder was killed keeps its manifest as it is)"
         )
     manifest = load_manifest(folder)
     manifest.quality = {"measured_at": datetime.now(UTC).isoformat(), **msgspec.to_builtins(quality)}
@@ -101,7 +101,8 @@ def _assemble(
         falls_seen=seen,
         resets=names["operator-reset"],
         estops=names["estop"],
-        bus_lost=names["bus-lost"],
+        # A lost bus hears no event: what tells of it is its return, or the end of the episode.
+        bus_lost=names["bus-lost"] + names["bus-back"] + (recorder.ended_by == "bus-lost"),
         events=dict(sorted(names.items())),
         recorder_restarts=recorder.restarts,
         dropped=recorder.dropped,

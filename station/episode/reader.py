@@ -193,7 +193,7 @@ class EpisodeReader:
         try:
             return read_chunk(file, place)
         except EpisodeError as error:
-            raise EpisodeError(f"{self.path}: {error}; `station episodes repair` saves what is whole") from error
+            raise EpisodeError(f"{self.path}: {error}; copy the file from where it was recorded again") from error
 
 
 def open_episode(episode: str | Path, data: Path | None = None) -> EpisodeReader:

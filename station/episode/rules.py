@@ -25,7 +25,7 @@ def _empty(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
 
 def _torn(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
     if quality.torn is not None:
-        yield "reject", f"the file is torn ({quality.torn}); `station episodes repair` saves what is whole"
+        yield "reject", f"the file is torn ({quality.torn}); what is whole of it can still be shown and replayed"
 
 
 def _unfinished(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:

@@ -59,6 +59,8 @@ def save(reader: EpisodeReader, path: Path, *, robot_model: str | Path | None = 
         StationError: the file cannot be written.
         AssetMissing, BadFile: `robot_model` is not there, or is none.
     """
+    if not path.absolute().parent.is_dir():
+        raise StationError(f"{path}: there is no folder {path.parent}; make it, or name a file elsewhere")
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     recording = _recording(reader)
     try:

@@ -97,7 +97,7 @@ def test_damage_in_the_middle_of_a_finished_file_is_an_error_that_says_where(
     data[place.offset + place.length - 5] ^= 0xFF
     file.write_bytes(data)
     reader = open_episode(tmp_path)
-    with pytest.raises(EpisodeError, match=rf"chunk at byte {place.offset} is damaged: .*episodes repair"):
+    with pytest.raises(EpisodeError, match=rf"chunk at byte {place.offset} is damaged: .*copy the file"):
         list(reader.messages())
 
 
