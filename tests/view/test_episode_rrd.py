@@ -132,7 +132,7 @@ def test_model_that_the_user_names_must_be_there(builder: EpisodeBuilder, tmp_pa
 def test_folder_that_is_not_there_is_one_line(builder: EpisodeBuilder, tmp_path: Path) -> None:
     walk(builder, seconds=0.2)
     reader = open_episode(builder.finish())
-    with pytest.raises(StationError, match="cannot be written") as caught:
+    with pytest.raises(StationError, match="there is no folder") as caught:
         save(reader, tmp_path / "nowhere" / "ep.rrd")
     assert "\n" not in str(caught.value)
 
