@@ -21,7 +21,8 @@ _HEAD = """\
 Written by `python -m benchmarks --write`; do not edit. Every figure stands beside a baseline that was measured in the
 same run, the two taking turns: **carry the ratios to another machine, not the absolutes**. A figure is the median over
 the rounds, a p99 the median of the rounds' 99th percentiles. The stock pattern is re-created in `benchmarks/stock.py`.
-Targets: of the figure, or of the ratio where they end in "x".
+Targets: of the figure, or of the ratio where they end in "x". *Quiet* means that the benchmark adds no load of its own;
+on a shared machine that is not an idle one, and rows without FIFO then miss what they keep on an idle one.
 """
 
 

@@ -12,12 +12,16 @@ from station import assets, registry
 from station.bus import keys
 from station.episode import steps
 from station.episode.reader import EpisodeReader
-from station.errors import EpisodeError
+from station.errors import BadFile, EpisodeError
+from station.life.rig import DEFAULT_CHECKPOINTS
 from station.protocols import Policy
 
 
 class Suspect(msgspec.Struct, frozen=True, kw_only=True):
-    """The policy that an episode says it was recorded with; "" for what it does not say."""
+    """The policy that an episode says it was recorded with; "" for what it does not say.
+
+    `checkpoint` is where the file was on the machine that recorded; `reference` is how its user named it.
+    """
 
     robot: str
     name: str
@@ -25,6 +29,7 @@ class Suspect(msgspec.Struct, frozen=True, kw_only=True):
     sha256: str
     runtime: str
     options: dict[str, Any] = {}
+    reference: str = ""
 
 
 def recorded_policy(reader: EpisodeReader, robot: str | None = None) -> Suspect:
@@ -44,13 +49,17 @@ def recorded_policy(reader: EpisodeReader, robot: str | None = None) -> Suspect:
     if robot is not None and robot not in present:
         raise EpisodeError(f"episode {reader.episode_id}: no steps of {robot!r}; it has {', '.join(present)}")
     chosen = robot or present[0]
-    stated = _stated_policy(reader, chosen)
+    facts = _stated(reader, chosen)
+    stated = facts.get("policy", {})
     manifest = reader.manifest.policy
     text = {
         name: str(stated.get(name) or getattr(manifest, name)) for name in ("name", "checkpoint", "sha256", "runtime")
     }
     options = stated.get("options")
-    return Suspect(robot=chosen, **text, options=options if isinstance(options, dict) else {})
+    return Suspect(
+        robot=chosen, **text, options=options if isinstance(options, dict) else {},
+        reference=_reference(facts, text["name"]),
+    )  # fmt: skip
 
 
 def load_policy(reader: EpisodeReader, suspect: Suspect, checkpoint: str | Path | None = None) -> Policy:
@@ -66,7 +75,7 @@ def load_policy(reader: EpisodeReader, suspect: Suspect, checkpoint: str | Path 
             f"episode {reader.episode_id}: does not name the policy it ran "
             f"(name {suspect.name!r}, checkpoint {suspect.checkpoint!r}); it cannot be audited"
         )
-    path = assets.resolve(wanted)
+    path = _find(suspect, wanted, is_given=checkpoint is not None)
     came = assets.sha256(path)
     if suspect.sha256 and came != suspect.sha256:
         raise EpisodeError(
@@ -84,8 +93,26 @@ def load_policy(reader: EpisodeReader, suspect: Suspect, checkpoint: str | Path 
     return policy
 
 
-def _stated_policy(reader: EpisodeReader, robot: str) -> dict[str, Any]:
+def _find(suspect: Suspect, wanted: str, *, is_given: bool) -> Path:
+    """Return the checkpoint; on another machine than the one that recorded, where its user's own name for it leads."""
+    try:
+        return assets.resolve(wanted)
+    except BadFile:
+        if is_given or not suspect.reference:
+            raise
+        return assets.resolve(suspect.reference)
+
+
+def _stated(reader: EpisodeReader, robot: str) -> dict[str, Any]:
+    """Return what the low-level server of a robot stated; empty when none did."""
     for facts in reader.manifest.servers.values():
         if facts.get("robot") == robot and isinstance(facts.get("policy"), dict):
-            return dict(facts["policy"])
+            return dict(facts)
     return {}
+
+
+def _reference(facts: dict[str, Any], policy: str) -> str:
+    config = facts.get("config")
+    if not isinstance(config, dict):
+        return ""
+    return str(config.get("checkpoint") or DEFAULT_CHECKPOINTS.get(policy, ""))

@@ -10,6 +10,7 @@ import pytest
 
 from station.bus import codec, keys
 from station.episode.audit import Audit, Comparison, audit
+from station.episode.manifest import load_manifest, save_manifest
 from station.episode.reader import open_episode
 from station.errors import AssetMissing, BadFile, EpisodeError, UnknownName
 from station.protocols import RobotState
@@ -170,6 +171,18 @@ def test_checkpoint_that_cannot_be_used_is_named_in_one_line(
     with pytest.raises(error, match=words) as caught:
         audit(open_episode(builder.finish(_stated(**stated))))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.assets
+@pytest.mark.usefixtures("assets")
+def test_on_another_machine_the_checkpoint_is_found_by_the_name_that_its_user_gave(builder: EpisodeBuilder) -> None:
+    folder = lock_step.record(builder, seconds=0.5)
+    manifest = load_manifest(folder)
+    for facts in manifest.servers.values():
+        facts["policy"]["checkpoint"] = "/the/recording/machine/policy.onnx"
+        facts["config"] = {"checkpoint": "twist2:ckpts/twist2_1017_20k.onnx"}
+    save_manifest(manifest, folder)
+    assert audit(open_episode(folder)).is_equal
 
 
 @pytest.mark.assets
