@@ -22,7 +22,7 @@ Written by `python -m benchmarks --write`; do not edit. Every figure stands besi
 same run, the two taking turns: **carry the ratios to another machine, not the absolutes**. A figure is the median over
 the rounds, a p99 the median of the rounds' 99th percentiles. The stock pattern is re-created in `benchmarks/stock.py`.
 Targets: of the figure, or of the ratio where they end in "x". *Quiet* means that the benchmark adds no load of its own;
-the machine was shared, so it was not idle, and the tails of rows without FIFO show its other users too.
+on a shared machine the tails of rows without FIFO show its other users too.
 """
 
 

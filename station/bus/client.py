@@ -49,7 +49,7 @@ class Bus:
         self._sequences: dict[str, int] = {}
         self._frames: dict[str, tuple[bytes, bytes]] = {}
         self._unanswered: deque[int] = deque()  # keys per write whose answer is owed
-        self._late_since_s: float | None = None
+        self._heard_s = time.monotonic()  # when the server last answered, or owed nothing
         self._connection: Connection | None = Connection(self.address, timeout_s=max(timeout_s, 1.0))
         self._connection.set_timeout(timeout_s)
 
@@ -81,9 +81,10 @@ class Bus:
                 self.lost_writes += len(values)
                 return False
             self._unanswered.append(len(values))
+            if not self._connection.owed:
+                self._heard_s = time.monotonic()  # a long silence of ours is none of the server's
             try:
-                refused = self._account(self._connection.post(request))
-                self._give_up_on_a_stall(self._connection)
+                refused = self._account(self._connection, self._connection.post(request))
             except ConnectionLost as error:
                 self._lose(error)
                 return False
@@ -134,8 +135,7 @@ class Bus:
                 raise BusError(f"bus {self.address}: lost; reconnecting ({self.last_error})")
             try:
                 if self._connection.owed:
-                    self._account(self._connection.collect(self._timeout_s))
-                    self._give_up_on_a_stall(self._connection)
+                    self._account(self._connection, self._connection.collect(self._timeout_s))
                 if self._connection.owed:
                     raise BusError(f"bus {self.address}: no answer in time")
                 return self._connection.call(*arguments)
@@ -183,8 +183,12 @@ class Bus:
         self._frames[key] = frames
         return frames
 
-    def _account(self, answers: list[Any]) -> bool:
-        """Take note of the answers to writes; return whether one was refused."""
+    def _account(self, connection: Connection, answers: list[Any]) -> bool:
+        """Take note of the answers to writes; return whether one was refused.
+
+        Raises:
+            ConnectionLost: answers are owed, and none has come for too long.
+        """
         errors = [answer for answer in answers if isinstance(answer, hiredis.ReplyError)]
         for answer in answers:
             count = self._unanswered.popleft()
@@ -192,22 +196,17 @@ class Bus:
                 self.lost_writes += count
         if errors:
             self._complain(str(errors[-1]))
-        return bool(errors)
-
-    def _give_up_on_a_stall(self, connection: Connection) -> None:
-        if not connection.owed:
-            self._late_since_s = None
-            return
         now_s = time.monotonic()
-        if self._late_since_s is None:
-            self._late_since_s = now_s
-        elif now_s - self._late_since_s > _STALL_S:
+        if answers or not connection.owed:
+            self._heard_s = now_s
+        elif now_s - self._heard_s > _STALL_S:
             connection.close()
             raise ConnectionLost(f"bus {self.address}: no answer for {_STALL_S:g} s")
+        return bool(errors)
 
     def _lose(self, error: BusError) -> None:
         """Take note of a lost connection and look for it in the background; called with the lock held."""
-        self._connection, self._late_since_s = None, None
+        self._connection = None
         self.lost_writes += sum(self._unanswered)  # the server may have taken some: counted as lost, to be honest
         self._unanswered.clear()
         self._complain(str(error))
@@ -225,7 +224,7 @@ class Bus:
                 if self._closed.is_set():
                     fresh.close()
                 else:
-                    self._connection, self.last_error = fresh, ""
+                    self._connection, self.last_error, self._heard_s = fresh, "", time.monotonic()
                     log.info("bus %s: back", self.address)
             return
 

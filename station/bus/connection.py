@@ -95,10 +95,11 @@ class Connection:
         Raises:
             ConnectionLost: the server went away, or its stall has filled the line and the memory set aside for it.
         """
+        answers = self.collect(0.0)  # those that came meanwhile, or one stall would leave us behind for ever
         is_behind = self.owed > 0
         self._unsent += data
         self.owed += 1
-        return self.collect(0.0 if is_behind else self._timeout_s)
+        return answers + self.collect(0.0 if is_behind else self._timeout_s)
 
     def _send_unsent(self, timeout_s: float) -> None:
         try:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from station.bus import stamp
+from station.bus import client, stamp
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
@@ -108,6 +108,37 @@ def test_a_server_that_stalls_for_a_moment_loses_no_write(bus_server: BusAddress
         wait_until(lambda: bus.publish({"last": b"x"}) and not bus.is_late)
         samples = other.read([f"k{n}" for n in range(30)])
         assert [sample.value for sample in samples.values()] == [b"x" * size] * 30
+        assert bus.lost_writes == 0
+
+
+def test_a_writer_that_fell_behind_catches_up_by_writing_alone(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="motion", timeout_s=0.01) as bus:
+        pid = freeze(bus)
+        for _ in range(5):
+            bus.publish({"k": b"x"})
+        assert bus.is_late
+        os.kill(pid, signal.SIGCONT)
+        wait_until(lambda: bus.publish({"k": b"x"}) and not bus.is_late)
+        for _ in range(200):
+            assert bus.publish({"k": b"x"})
+        assert bus.lost_writes == 0
+
+
+def test_a_long_silence_of_the_writer_is_not_held_against_the_server(
+    bus_server: BusAddress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(client, "_STALL_S", 1.0)
+    with Bus(bus_server, name="motion", timeout_s=0.01) as bus:
+        bus.publish({"k": b"1"})
+        silent_since = time.monotonic()
+        wait_until(lambda: time.monotonic() - silent_since > 1.1)
+        pid = freeze(bus)
+        try:
+            assert bus.publish({"k": b"2"})
+            assert bus.is_connected
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        wait_until(lambda: bus.publish({"k": b"3"}) and not bus.is_late)
         assert bus.lost_writes == 0
 
 
