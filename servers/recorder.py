@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import sys
 import time
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any, Literal
 import msgspec
 
 from station.bus import codec, keys
+from station.bus import stamp as stamps
 from station.bus.tap import Tap, Write, open_tap
 from station.config import to_plain
 from station.episode.claim import Claim
@@ -22,10 +24,13 @@ from station.errors import BusError
 from station.life.server import Life, ServerKind
 from station.software import software
 
+log = logging.getLogger(__name__)
+
 _READ_S = 0.02  # how long a due answer may wait for a write that does not come
 _STATE_PERIOD_S = 0.5
 _ANSWER_SPACING_S = 0.02  # two answers at once would overwrite each other before the first asker has read
 _RETRY_S = 0.2
+_DRAIN_S = 2.0  # a healthy tap is less than 10 ms behind
 _CLOSE_S = 8.0  # a supervisor kills after 15 s, its own death after 10
 _SWITCH_S = 0.001  # Python's 5 ms between threads would stand in the arrival times
 
@@ -144,6 +149,7 @@ class _Recorder:
 
     def close(self) -> int:
         """Close the open episode and give the last answers; returns the exit code."""
+        self._drain()
         is_closed = self.recording.close(_CLOSE_S)
         if not is_closed:
             self._life.event("recorder-not-closed", severity="error", waited_s=_CLOSE_S)
@@ -151,6 +157,25 @@ class _Recorder:
         for answer in self.recording.answers.take():
             self._life.bus.publish({keys.RECORD_ACK: codec.json_object(answer)})
         return 0 if is_closed else 1
+
+    def _drain(self) -> None:
+        """Take in all that was written before we were asked to stop: until a write of our own has come back."""
+        began_ns = time.monotonic_ns()
+        deadline_ns = began_ns + int(_DRAIN_S * 1e9)
+        self._life.bus.publish({keys.RECORDER: codec.json_object(self.recording.state())})
+        is_back = False
+        while not is_back and time.monotonic_ns() < deadline_ns:
+            try:
+                writes = self._tap.read(_READ_S)
+            except BusError as error:
+                log.warning("the tap was lost at the end: %s", error)
+                return
+            self.recording.feed(writes, self._tap.position())
+            is_back = any(self._is_own(write, began_ns) for write in writes)
+
+    def _is_own(self, write: Write, since_ns: int) -> bool:
+        mark = stamps.decode(write.stamp) if write.stamp is not None and write.key == keys.RECORDER else None
+        return mark is not None and mark.source == self._life.bus.source and mark.mono_ns >= since_ns
 
     def hang_up(self) -> None:
         """Leave the bus as if no recorder had been there, so that the next one need not wonder."""

@@ -50,7 +50,7 @@ def test_the_manifest_holds_what_was_asked_for_and_answered(wave: Wave) -> None:
     assert facts["operator"]["id"] == "ada"
     assert facts["runbook"]["name"] == COMMANDS_ONLY
     assert [answer["step"] for answer in facts["runbook"]["answers"]] == ["check bus"]
-    assert facts["runbook"]["answers"][0]["is_unattended"] is True
+    assert facts["runbook"]["answers"][0]["is_unattended"] is False, "a check asks nobody"
 
 
 def test_ctrl_c_takes_the_station_down_in_order_and_closes_the_episode(home: Home) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -176,8 +176,7 @@ def test_file_opens_with_the_mcap_reader(minute: Minute) -> None:
 
 
 def test_file_passes_reruns_own_check(minute: Minute) -> None:
-    program = shutil.which("rerun")
-    assert program is not None, "the package rerun-sdk brings the command `rerun`"
+    program = Path(sys.executable).with_name("rerun")  # the package rerun-sdk brings it
     done = subprocess.run(
         [program, "mcap", "check", str(minute.reader.path)], capture_output=True, text=True, check=False
     )
