@@ -23,6 +23,7 @@ HEAVY = ("mujoco", "onnxruntime", "rerun", "torch")
 WHAT_ADAPTERS_NEED = {
     "station.assets", "station.bus.codec", "station.bus.contracts", "station.bus.joints", "station.bus.keys",
     "station.errors", "station.protocols", "station.registry", "station.rotations",
+    "station.window",
 }  # fmt: skip
 """Facts, formats and how to find things: no connection, no loop, no process, no episode."""
 

@@ -6,8 +6,6 @@ only leaves the time behind. A preview that fails ends with a reason, the motion
 
 from __future__ import annotations
 
-import os
-import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +17,7 @@ import numpy as np
 from station.errors import StationError
 from station.protocols import Floats, Motion
 from station.view.model import RobotModel
+from station.window import Window, can_open
 
 _PERIOD_S = 0.04  # 25 pictures a second
 _CLOSED = "the window was closed"
@@ -40,7 +39,7 @@ class Preview:
 
     def __init__(self, motion: Motion, model: Path, file: Path, *, on_end: Callable[[str], None]) -> None:
         self._motion, self._on_end = motion, on_end
-        self._screen: _Screen = _Window(model) if has_display() else _RerunFile(model, file)
+        self._screen: _Screen = _Window(model) if can_open() else _RerunFile(model, file)
         self.where = self._screen.where
         self._time_s: float | None = None
         self._closed = threading.Event()
@@ -74,11 +73,6 @@ class Preview:
         self._screen.draw(time_s, root, self._motion.joint_names, reference.q)
 
 
-def has_display() -> bool:
-    """Whether a window can be opened here."""
-    return sys.platform == "darwin" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
 class _Screen(Protocol):
     where: str
 
@@ -93,18 +87,13 @@ class _Window:
     where = "a window"
 
     def __init__(self, path: Path) -> None:
-        import mujoco.viewer
-
         model: Any = mujoco.MjModel.from_xml_path(str(path))
         self._addresses = {model.joint(i).name: int(model.jnt_qposadr[i]) for i in range(model.njnt)}
         self._model, self._data = model, mujoco.MjData(model)
-        try:
-            self._viewer: Any = mujoco.viewer.launch_passive(model, self._data, show_left_ui=False, show_right_ui=False)
-        except (RuntimeError, OSError) as error:
-            raise StationError(f"preview: no window can be opened ({error}); run without `preview`") from error
+        self._window = Window(model, self._data)
 
     def draw(self, time_s: float, root: Floats, joints: tuple[str, ...], q: Floats) -> None:
-        if not self._viewer.is_running():
+        if not self._window.is_open:
             raise StationError(_CLOSED)
         self._data.qpos[:7] = root
         for name, position in zip(joints, q, strict=True):
@@ -112,10 +101,10 @@ class _Window:
             if address is not None:
                 self._data.qpos[address] = position
         mujoco.mj_forward(self._model, self._data)
-        self._viewer.sync()
+        self._window.sync()
 
     def close(self) -> None:
-        self._viewer.close()
+        self._window.close()
 
 
 class _RerunFile:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import time
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +17,10 @@ from adapters.robots.g1.joints import select
 from adapters.robots.picture import Camera, Picture
 from station.assets import sha256
 from station.bus.joints import G1_29
-from station.errors import ConfigError, StationError
+from station.errors import ConfigError
 from station.protocols import FALL_TILT_RAD, Fall, Floats, JointTargets, RobotState
 from station.rotations import tilt
+from station.window import Window
 
 log = logging.getLogger(__name__)
 
@@ -64,7 +64,7 @@ class MujocoG1:
         self._kp, self._kd = np.zeros(len(G1_29)), np.zeros(len(G1_29))
         self._camera: Camera | None = None
         self.reset()
-        self._viewer = _open_viewer(self._model, self._data) if viewer else None
+        self._viewer = Window(self._model, self._data) if viewer else None
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -215,15 +215,3 @@ def _is_part_of(model: mujoco.MjModel, body: int, roots: set[int]) -> bool:
     while body and body not in roots:
         body = int(model.body_parentid[body])
     return body in roots
-
-
-def _open_viewer(model: mujoco.MjModel, data: mujoco.MjData) -> Any:
-    import glfw
-    import mujoco.viewer  # opens the window system's libraries
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # GLFW says in a warning what we say in the error
-        has_display = glfw.init()
-    if not has_display:  # asked first, since the viewer would end the whole process
-        raise StationError("no viewer window: no display can be opened; run without `viewer`, or use `station view`")
-    return mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
