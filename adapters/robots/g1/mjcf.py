@@ -7,6 +7,7 @@ motion (`tests/adapters/robots/test_mujoco_g1.py` shows it), and the engine can 
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import mujoco
@@ -81,10 +82,17 @@ def _make_servo(actuator: mujoco.MjsActuator, limit_nm: float) -> None:
     actuator.gainprm[:] = 0
     actuator.biasprm[:] = 0
     actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
-    own = actuator.forcerange[1] if actuator.forcelimited == mujoco.mjtLimited.mjLIMITED_TRUE else limit_nm
+    limit_nm = min(limit_nm, _own_limit(actuator))
     actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-    actuator.forcerange = [-min(own, limit_nm), min(own, limit_nm)]
+    actuator.forcerange = [-limit_nm, limit_nm]
     actuator.inheritrange = 0
+
+
+def _own_limit(actuator: mujoco.MjsActuator) -> float:
+    """The limit that the model gives [N m]; a range alone says that there is one, unless it is switched off."""
+    lower, upper = actuator.forcerange
+    is_limited = actuator.forcelimited != mujoco.mjtLimited.mjLIMITED_FALSE and lower < upper
+    return float(upper) if is_limited else math.inf
 
 
 def _has_ground(spec: mujoco.MjSpec) -> bool:
