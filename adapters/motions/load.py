@@ -1,39 +1,58 @@
-"""From a file, by whatever reader its suffix is registered under, to a clip that a robot may follow."""
+"""From a file, by whatever reader its suffix is registered under, to a clip that a robot may follow.
+
+A reference may end in what is to be done to the motion: ``#mirror`` (left becomes right), ``#speed=1.2`` (that much
+faster), or both, as ``#mirror#speed=1.2``. So a changed motion can be named wherever a motion can, and a manifest that
+names it says how it came about.
+"""
 
 from __future__ import annotations
 
 import logging
 import os
-from pathlib import Path
+import re
 
 from adapters.motions import builtin
 from adapters.motions.bad_frames import Holes, mend
 from adapters.motions.clip import Clip
 from adapters.motions.raw import RawMotion
+from adapters.motions.transforms import mirrored, retimed
 from station import assets, registry
-from station.errors import BadFile
+from station.errors import BadFile, UsageError
+from station.protocols import Motion
 
 log = logging.getLogger(__name__)
 
+_CHANGES = re.compile(r"(#(mirror|speed=[^/#]*))+$")  # any other "#" belongs to the name of a file
 
-def load(reference: str | os.PathLike[str], *, holes: Holes = "refuse", fps: float | None = None) -> Clip:
-    """Read a motion, trim or bridge its bad frames, and make it a clip.
+
+def load(reference: str | os.PathLike[str], *, holes: Holes = "refuse", fps: float | None = None) -> Motion:
+    """Read a motion, trim or bridge its bad frames, make it a clip, and change it as its reference says.
 
     Args:
-        reference: A path, ``collection:path`` below ``$STATION_ASSETS``, or ``builtin:NAME``.
+        reference: A path, ``collection:path`` below ``$STATION_ASSETS``, or ``builtin:NAME``; changes may follow.
         holes: What is done with bad frames between good ones: ``refuse`` or ``bridge``.
         fps: Frames per second, in place of what the file says (a ``.csv`` says nothing: 30).
 
     Raises:
         BadFile: missing, torn, malicious, of the wrong shape, or with frames that cannot be used.
+        UsageError: a change that cannot be.
         AssetMissing: the reference needs upstream data that is not there.
     """
-    raw = builtin.make(os.fspath(reference)) if builtin.is_named(os.fspath(reference)) else _read(reference, fps)
+    text = os.fspath(reference)
+    found = _CHANGES.search(text)
+    motion: Motion = _clip(text[: found.start()] if found else text, holes, fps)
+    for change in found[0][1:].split("#") if found else ():
+        motion = _changed(motion, change)
+    return motion
+
+
+def _clip(plain: str, holes: Holes, fps: float | None) -> Clip:
+    raw = builtin.make(plain) if builtin.is_named(plain) else _read(plain, fps)
     good, report = mend(raw, holes=holes)
     for line in report.lines():
         log.warning("%s: %s", raw.path.name, line)
     facts = {
-        "file": os.fspath(reference) if not isinstance(reference, Path) else str(reference),
+        "file": plain,
         "sha256": builtin.sha256(raw) if raw.format == builtin.FORMAT else assets.sha256(raw.path),
         "format": raw.format,
         "fps": raw.fps,
@@ -41,12 +60,24 @@ def load(reference: str | os.PathLike[str], *, holes: Holes = "refuse", fps: flo
         "holes": holes,
         "joints_filled_with_zero": list(raw.filled),
         **report.facts(),
+        **(builtin.facts(plain) if raw.format == builtin.FORMAT else {}),
     }
     return Clip(good, facts=facts)
 
 
-def _read(reference: str | os.PathLike[str], fps: float | None) -> RawMotion:
-    path = assets.resolve(reference)
+def _changed(motion: Motion, change: str) -> Motion:
+    if change == "mirror":
+        return mirrored(motion)
+    text = change.removeprefix("speed=")
+    try:
+        speed = float(text)
+    except ValueError:
+        raise UsageError(f"{motion.name}#{change}: speed is {text!r}; expected a number, for example 1.2") from None
+    return retimed(motion, speed)
+
+
+def _read(plain: str, fps: float | None) -> RawMotion:
+    path = assets.resolve(plain)
     suffix = path.suffix.lower().removeprefix(".")
     readers = registry.names("motion")
     if suffix not in readers:

@@ -96,3 +96,8 @@ def lower(names: tuple[str, ...]) -> Floats:
 def upper(names: tuple[str, ...]) -> Floats:
     """Return the upper ends of the ranges of these joints [rad]."""
     return np.array([joint.upper for joint in select(names)])
+
+
+def velocity(names: tuple[str, ...]) -> Floats:
+    """Return the greatest speeds of these joints [rad/s]."""
+    return np.array([joint.velocity_rad_s for joint in select(names)])
