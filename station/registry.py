@@ -1,4 +1,4 @@
-"""Servers, robots, policies, motion readers (by suffix), loaders and command formats, found by name.
+"""Servers, robots, policies, motion readers (by suffix), loaders, command formats and collections of files, by name.
 
 Each kind is an entry point group, so a third-party package adds its own in its ``pyproject.toml`` and
 nothing here changes. Loading an entry imports its module; listing names imports nothing.
@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from station.errors import UnknownName
 
-Kind = Literal["server", "robot", "policy", "motion", "command", "loader"]
+Kind = Literal["server", "robot", "policy", "motion", "command", "loader", "asset"]
 
 _GROUPS: dict[str, str] = {
     "server": "station.servers",
@@ -21,6 +21,7 @@ _GROUPS: dict[str, str] = {
     "motion": "station.motions",
     "command": "station.commands",
     "loader": "station.loaders",
+    "asset": "station.assets",
 }
 
 

@@ -31,7 +31,7 @@ VERBS = {
     "view": "Show a running station in Rerun.",
     "bus": "Start a bus, or look at one.",
     "keys": "Say what each key of the bus holds.",
-    "assets": "Find upstream data: policies, robot models, motions.",
+    "assets": "Find and fetch policies, robot models and motions.",
 }
 """What each verb does; module ``station.cli.<verb>`` holds its ``command``."""
 

@@ -1,0 +1,1 @@
+"""Collections of files: what is built in, and what upstream projects offer, pinned by revision, size and hash."""

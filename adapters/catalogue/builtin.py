@@ -1,0 +1,26 @@
+"""What is built in: a model of the G1, a policy that tracks, and motions that need no file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from station.assets import Collection
+
+_ADAPTERS = Path(__file__).parents[1]
+
+
+def _motions() -> Sequence[str]:
+    from adapters.motions import builtin  # with numpy, and how they are made: only for who asks
+
+    return builtin.names()
+
+
+def _files() -> dict[str, Path]:
+    found = [*(_ADAPTERS / "robots/g1").glob("*.xml"), *(_ADAPTERS / "policies/tracker").glob("*.onnx")]
+    return {path.name: path for path in sorted(found)}
+
+
+COLLECTION = Collection(
+    about="Part of the program: needs no download.", built_in=_files(), licence="Apache-2.0", motions=_motions
+)
