@@ -10,11 +10,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from benchmarks import report
+from benchmarks import report, upstream
 from benchmarks.harness import Benchmark, Settings
 from station.errors import did_you_mean
 
-MODULES = ("bus", "wake", "loop", "recorder", "effect", "sim", "reading", "startup")
+MODULES = ("bus", "wake", "loop", "recorder", "effect", "sim", "inference", "reading", "startup")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,8 +29,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = " ".join(["python -m benchmarks", *options.names, *(["--quick"] if options.quick else [])])
     for name in options.names or MODULES:
         benchmark: Benchmark = importlib.import_module(f"benchmarks.{name}").BENCHMARK
-        if benchmark.needs_assets and settings.assets is None:
-            console.print(f"{benchmark.title}: left out, needs upstream data; set STATION_ASSETS")
+        if benchmark.needs_assets and (problem := upstream.problem()):
+            console.print(f"{benchmark.title}: left out, needs upstream data: {problem}")
             continue
         rows = benchmark.run(settings)
         report.show(benchmark, rows, console)

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from benchmarks import commands, processes, traffic
+from benchmarks import commands, processes, traffic, upstream
 from benchmarks.harness import Benchmark, Rounds, Row, Settings, Target, alternate, compare, p50, p99
 from benchmarks.recorder import recorder, wait_active
 from station.bus import codec, keys
@@ -24,10 +24,10 @@ _SMALL_PER_S, _IMAGE_MB_PER_S, _COMMAND_HZ = 1_000.0, 30.0, 100.0
 _SETTLE_S = 1.0
 
 METHOD = """\
-The real G1 server (simulation at 1 ms, network, gate) at 50 Hz, commands at 100 Hz and 1,000 small values a second
-beside it; with pictures, 30 MB/s too. The recorder process is started and recording in one turn and absent in the
-next. *Wake-up*: |time between two ticks - 20 ms|; *cycle*: from reading the state to the targets being sent; both from
-`policy_timing`. *FIFO*: the server under SCHED_FIFO, as it asks for; left out where that is not permitted.
+The real G1 server (TWIST2's model at 1 ms and its network, gate) at 50 Hz, commands at 100 Hz and 1,000 small values a
+second beside it; with pictures, 30 MB/s too. The recorder process is started and recording in one turn and absent in
+the next. *Wake-up*: |time between two ticks - 20 ms|; *cycle*: from reading the state to the targets being sent; both
+from `policy_timing`. *FIFO*: the server under SCHED_FIFO, as it asks for; left out where that is not permitted.
 Baseline: the same without the recorder."""
 
 
@@ -81,7 +81,8 @@ def _station(priority: int, image_mb_per_s: float) -> Iterator[tuple[BusAddress,
         address, _ = stack.enter_context(processes.bus())
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="bench-")))
         environment, log = {"STATION_BUS": address.url}, folder / "g1.log"
-        arguments = ("serve", "g1", "--set", f"real_time_priority={priority}")
+        settings = (*upstream.G1_SETTINGS, f"real_time_priority={priority}")
+        arguments = ("serve", "g1", *(word for setting in settings for word in ("--set", setting)))
         process = stack.enter_context(processes.station(*arguments, environment=environment, log=log))
         wait_active(address, "g1", process.pid, log)
         stack.enter_context(processes.Beside(commands.write_native, address, _COMMAND_HZ, bool(priority)))

@@ -6,10 +6,8 @@ measured seconds apart. So each figure is the median over rounds, and each ratio
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -52,12 +50,6 @@ class Settings:
     def rounds(self) -> int:
         """How often every contender takes its turn."""
         return 1 if self.quick else 5
-
-    @property
-    def assets(self) -> Path | None:
-        """Folder with upstream data, or None."""
-        value = os.environ.get("STATION_ASSETS")
-        return Path(value) if value and Path(value).is_dir() else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +107,7 @@ class Benchmark:
         title: Heading of its table.
         method: What is measured and how, for the reader of the table.
         run: Measures.
-        needs_assets: Whether it is left out without upstream data.
+        needs_assets: Whether it is left out without what `benchmarks.upstream` names.
     """
 
     name: str

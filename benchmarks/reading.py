@@ -12,7 +12,7 @@ from pathlib import Path
 
 from mcap.reader import make_reader
 
-from benchmarks import processes
+from benchmarks import processes, upstream
 from benchmarks.harness import Benchmark, Row, Settings, Target, alternate, compare
 from station.episode.audit import audit
 from station.episode.folder import signals_file
@@ -22,10 +22,10 @@ from station.episode.recorded_policy import load_policy, recorded_policy
 _RUN_S = 180.0
 
 METHOD = """\
-An episode that the real station has just recorded (`station up g1-sim-motion`, about 1,000 messages a second) is read
-whole in the order of the file, and its policy steps are audited, network included. Recorded time over the time taken.
-Baselines: the `mcap` library's own reader (`make_reader`, in log-time order as it does by default, and in the order
-of the file), and real time."""
+An episode that the real station has just recorded (`station up g1-sim-motion` with TWIST2's policy, model and motion,
+about 1,000 messages a second) is read whole in the order of the file, and its policy steps are audited, network
+included. Recorded time over the time taken. Baselines: the `mcap` library's own reader (`make_reader`, in log-time
+order as it does by default, and in the order of the file), and real time."""
 
 
 def run(settings: Settings) -> list[Row]:
@@ -60,7 +60,9 @@ def _episode(seconds: float) -> Iterator[Path]:
     """Record an episode with a station of its own; yields its MCAP file."""
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
         folder = Path(name)
+        settings = (*(f"g1.{setting}" for setting in upstream.G1_SETTINGS), f"motion.motion={upstream.MOTION}")
         run = [sys.executable, "-m", "station", "up", "g1-sim-motion", "--yes", "--record", "--task", "bench"]
+        run += [word for setting in settings for word in ("--set", setting)]
         result = subprocess.run(
             [*run, "--for", f"{seconds:g}s", "--data", str(folder / "data")],
             env=processes.own_station(folder), capture_output=True, text=True, timeout=_RUN_S, check=False,

@@ -7,29 +7,29 @@ import logging
 import time
 from collections.abc import Callable, Iterator
 
+import msgspec
 import numpy as np
 
-from benchmarks import processes, stock
+from benchmarks import processes, stock, upstream
 from benchmarks.harness import Benchmark, Row, Settings, Target, alternate, compare
 from station import assets, registry
 from station.bus import codec
 from station.life.control import Resettable
 from station.life.inlet import CommandSample
 from station.life.playback import Playback
-from station.life.rig import DEFAULT_CHECKPOINTS, DEFAULT_ROBOT_MODEL, RigConfig, build
+from station.life.rig import build
 from station.protocols import Motion
 from station.rehearse import rehearse
 
-_MOTION = "twist2:motions/0807_yanjie_walk_001.pkl"
 _TORQUE_LIMIT_NM = [88.0, 139.0, 88.0, 139.0, 50.0, 50.0] * 2 + [88.0, 50.0, 50.0] + [25.0] * 14
 _PERIOD_S = 0.02
 
 METHOD = """\
-One TWIST2 motion through playback, command text, gate, policy and the meshed G1, free-running, loading left out: the
-`rehearse` of the command line, one process. Baseline: stock's loop as it steps 1 ms of physics at a time with PD in
-numpy before each, and its network with the runtime's default threads, on commands made beforehand; its pacing sleep,
-viewer and bus are left out, to its advantage. *Control loop*: ours on the same commands made beforehand, with parsing,
-gate and the watch for falls, which the baseline does not have."""
+One TWIST2 motion through playback, command text, gate, TWIST2's policy and the meshed G1, free-running, loading left
+out: the `rehearse` of the command line, one process. Baseline: stock's loop as it steps 1 ms of physics at a time with
+PD in numpy before each, and its network with the runtime's default threads, on commands made beforehand; its pacing
+sleep, viewer and bus are left out, to its advantage. *Control loop*: ours on the same commands made beforehand, with
+parsing, gate and the watch for falls, which the baseline does not have."""
 
 
 def run(settings: Settings) -> list[Row]:
@@ -58,7 +58,7 @@ def run(settings: Settings) -> list[Row]:
 @contextlib.contextmanager
 def ours(physics_dt_s: float) -> Iterator[Callable[[], float]]:
     """Load our rig in this process; yields what rehearses and returns the speed."""
-    rig = build(RigConfig(physics_dt_s=physics_dt_s))
+    rig = build(msgspec.structs.replace(upstream.RIG, physics_dt_s=physics_dt_s))
     motion = _motion()
 
     def act() -> float:
@@ -72,7 +72,7 @@ def ours(physics_dt_s: float) -> Iterator[Callable[[], float]]:
 @contextlib.contextmanager
 def ours_on_ready_commands() -> Iterator[Callable[[], float]]:
     """Load our rig in this process; yields what runs control alone on the motion's commands and returns the speed."""
-    rig = build(RigConfig())
+    rig = build(upstream.RIG)
     robot = rig.robot
     assert isinstance(robot, Resettable)
     samples = [codec.json_vector(command) for command in _commands(_motion())]
@@ -94,13 +94,13 @@ def ours_on_ready_commands() -> Iterator[Callable[[], float]]:
 @contextlib.contextmanager
 def theirs() -> Iterator[Callable[[], float]]:
     """Load stock's loop in this process; yields what runs it on the same commands and returns the speed."""
-    policy = registry.find("policy", "twist2")(assets.resolve(DEFAULT_CHECKPOINTS["twist2"]))
+    policy = registry.find("policy", "twist2")(assets.resolve(upstream.CHECKPOINT))
     spec = policy.spec
     commands = _commands(_motion())
 
     def act() -> float:
         loop = stock.Simulation(
-            assets.resolve(DEFAULT_ROBOT_MODEL), spec.checkpoint, spec.default_q, spec.kp, spec.kd,
+            assets.resolve(upstream.ROBOT_MODEL), spec.checkpoint, spec.default_q, spec.kp, spec.kd,
             np.array(_TORQUE_LIMIT_NM),
         )  # fmt: skip
         return loop.run(commands)
@@ -110,7 +110,7 @@ def theirs() -> Iterator[Callable[[], float]]:
 
 def _motion() -> Motion:
     logging.getLogger("adapters").setLevel(logging.ERROR)  # what was trimmed is for the users of a motion
-    motion: Motion = registry.find("loader", "motion")(_MOTION)
+    motion: Motion = registry.find("loader", "motion")(upstream.MOTION)
     return motion
 
 

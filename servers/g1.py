@@ -16,7 +16,7 @@ from station.config import to_plain
 from station.life.gate import GateConfig
 from station.life.loop import Rate, real_time
 from station.life.low_level import LowLevelLoop
-from station.life.rig import DEFAULT_ROBOT_MODEL, Rig, RigConfig, build
+from station.life.rig import DEFAULT_POLICY, DEFAULT_ROBOT_MODEL, Rig, RigConfig, build
 from station.life.server import Life, ServerKind
 from station.software import software
 
@@ -45,7 +45,7 @@ class G1Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     backend: str = "mujoco"
     robot_model: str = DEFAULT_ROBOT_MODEL
-    policy: str = "twist2"
+    policy: str = DEFAULT_POLICY
     checkpoint: str = ""
     policy_options: dict[str, Any] = {}
     rate_hz: float = 50.0

@@ -24,6 +24,7 @@ from station.life.own_key import OwnKey
 from station.life.pace import Pace, StatePace, WallPace
 from station.life.playback import AtEnd, Frame, Playback
 from station.life.playback_requests import Requests
+from station.life.rig import DEFAULT_ROBOT_MODEL
 from station.life.server import Life, ServerKind
 from station.protocols import CommandFormat, Motion
 
@@ -73,7 +74,7 @@ class MotionConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     patience_s: float = 1.0
     preview: bool = False
     preview_file: str = "preview.rrd"
-    preview_model: str = "twist2:g1/g1_sim2sim_29dof.xml"
+    preview_model: str = DEFAULT_ROBOT_MODEL
 
     def __post_init__(self) -> None:
         registry.expect("command", self.format)

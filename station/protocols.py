@@ -107,6 +107,24 @@ class Robot(Protocol):
         ...
 
 
+@runtime_checkable
+class SimulatedRobot(Robot, Protocol):
+    """What a simulated robot may offer beside: enough to be tried out. Not every robot has it."""
+
+    @property
+    def joint_speeds(self) -> Floats:
+        """Greatest speed of each joint, shape (n,) [rad/s]."""
+        ...
+
+    def reset(self) -> None:
+        """Return to the start pose, at rest."""
+        ...
+
+    def push(self, velocity_step: Floats) -> None:
+        """Add to the velocity of the root in the world, shape (3,) [m/s]: what a short, hard push does."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class PolicySpec:
     """The constants of a policy.

@@ -6,18 +6,14 @@ the ticks, and control is the very step that the low-level server runs. A lock-s
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
 from functools import lru_cache
 
 import msgspec
 
-from station import registry
+from station import registry, side_by_side
 from station.bus import codec
-from station.errors import StationError, UsageError
 from station.life.control import ControlStep, Resettable, StepRecord
 from station.life.gate import GateConfig
 from station.life.inlet import CommandSample
@@ -129,25 +125,8 @@ def rehearse_all(
     Raises:
         StationError: a motion, the policy or the robot model cannot be loaded; the first problem ends the rest.
     """
-    jobs = min(len(motions), jobs or os.cpu_count() or 1)
-    if jobs <= 1:
-        return [_told(_rehearse_named(motion, config, holes), on_done) for motion in motions]
-    # Processes are spawned: a forked copy of a process with threads (a runtime's, a bus client's) may hang.
-    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        futures = [pool.submit(_rehearse_in_child, motion, config, holes) for motion in motions]
-        for future in futures:
-            future.add_done_callback(lambda done: _tell_if_good(done, on_done))
-        try:
-            return [_good(future.result()) for future in futures]
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-class _Failed(msgspec.Struct, frozen=True):
-    """An error of a child: exceptions do not always survive the way back, one line and its exit code do."""
-
-    text: str
-    is_usage: bool
+    tasks = [(motion, config, holes) for motion in motions]
+    return side_by_side.run(_rehearse_named, tasks, jobs=jobs, on_done=on_done)
 
 
 def _step(control: ControlStep, playback: Playback, now_s: float, dt_s: float) -> tuple[Frame, StepRecord]:
@@ -157,7 +136,8 @@ def _step(control: ControlStep, playback: Playback, now_s: float, dt_s: float) -
     return frame, control.step(state, sample, now_s)
 
 
-def _rehearse_named(motion: str, config: RigConfig, holes: str) -> Rehearsal:
+def _rehearse_named(task: tuple[str, RigConfig, str]) -> Rehearsal:
+    motion, config, holes = task
     clip = registry.find("loader", "motion")(motion, holes=holes)
     rig = _rig(msgspec.json.encode(config))
     return rehearse(clip, rig.policy, rig.robot, rig.form, name=motion, period_s=rig.period_s)
@@ -167,29 +147,3 @@ def _rehearse_named(motion: str, config: RigConfig, holes: str) -> Rehearsal:
 def _rig(config: bytes) -> Rig:
     """Load once per process; both ends of a rig are reset before each run."""
     return build(msgspec.json.decode(config, type=RigConfig))
-
-
-def _rehearse_in_child(motion: str, config: RigConfig, holes: str) -> Rehearsal | _Failed:
-    try:
-        return _rehearse_named(motion, config, holes)
-    except StationError as error:
-        return _Failed(str(error), isinstance(error, UsageError))
-
-
-def _good(result: Rehearsal | _Failed) -> Rehearsal:
-    if isinstance(result, _Failed):
-        raise (UsageError if result.is_usage else StationError)(result.text)
-    return result
-
-
-def _told(result: Rehearsal, on_done: Callable[[Rehearsal], None] | None) -> Rehearsal:
-    if on_done is not None:
-        on_done(result)
-    return result
-
-
-def _tell_if_good(future: Future[Rehearsal | _Failed], on_done: Callable[[Rehearsal], None] | None) -> None:
-    if not future.cancelled() and future.exception() is None:
-        result = future.result()
-        if isinstance(result, Rehearsal):
-            _told(result, on_done)

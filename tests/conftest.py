@@ -11,9 +11,20 @@ import pytest
 from station.bus.address import BusAddress
 
 
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """See that there is upstream data for a test that is marked with `assets`, before any of its fixtures."""
+    if item.get_closest_marker("assets"):
+        _upstream_data()
+
+
 @pytest.fixture(scope="session")
 def assets() -> Path:
-    """Folder with upstream data; a machine without it skips, CI fails."""
+    """Folder with upstream data; for tests that are marked with `assets`."""
+    return _upstream_data()
+
+
+def _upstream_data() -> Path:
+    """Return the folder; a machine without it skips, CI fails."""
     value = os.environ.get("STATION_ASSETS")
     if value and Path(value).is_dir():
         return Path(value)

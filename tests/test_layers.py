@@ -18,7 +18,7 @@ from station.cli.main import VERBS
 
 ROOT = Path(__file__).parents[1]
 OUTER = ("servers", "adapters", "bridges")
-HEAVY = ("mujoco", "onnxruntime", "rerun", "torch")
+HEAVY = ("matplotlib", "mujoco", "onnxruntime", "pooch", "rerun", "torch")
 
 WHAT_ADAPTERS_NEED = {
     "station.assets", "station.bus.codec", "station.bus.contracts", "station.bus.joints", "station.bus.keys",

@@ -92,13 +92,7 @@ class Twist2Policy:
             self.act(self._restored)
         observation = np.empty(OBSERVATION, dtype=np.float32)
         frame = observation[:FRAME]
-        frame[0:35] = command
-        frame[35:38] = state.gyro * GYRO_SCALE
-        frame[38:40] = roll_pitch_yaw(state.quat_wxyz)[:2]
-        frame[40:69] = state.q - DEFAULT_Q
-        frame[69:98] = state.dq * VELOCITY_SCALE
-        frame[69 + ANKLES] = 0.0
-        frame[98:127] = self._action
+        write_frame(frame, state, command, self._action)
         observation[FRAME:-COMMAND] = self._history.flat
         observation[-COMMAND:] = frame[:COMMAND]
         self._history.push(frame)
@@ -112,8 +106,7 @@ class Twist2Policy:
 
     def targets(self, action: Floats32, command: Floats) -> JointTargets:
         """Return default + 0.5 x the output clipped to ±10; nothing of the command bypasses the network."""
-        q = np.clip(action.astype(np.float64), -ACTION_CLIP, ACTION_CLIP) * ACTION_SCALE + DEFAULT_Q
-        return JointTargets(q, self._spec.kp, self._spec.kd)
+        return JointTargets(offsets(action), self._spec.kp, self._spec.kd)
 
     def restore(self, observation: Floats32) -> None:
         """Take up the history that a recorded observation, shape (1432,), shows.
@@ -124,6 +117,22 @@ class Twist2Policy:
         self._history.fill(observation[FRAME:-COMMAND])
         self._history.push(observation[:FRAME])
         self._restored = np.array(observation, dtype=np.float32)
+
+
+def write_frame(frame: Floats32, state: RobotState, command: Floats, action: Floats32) -> None:
+    """Fill a frame, shape (127,): command, state of the 29 joints, and the previous raw output, shape (29,)."""
+    frame[0:35] = command
+    frame[35:38] = state.gyro * GYRO_SCALE
+    frame[38:40] = roll_pitch_yaw(state.quat_wxyz)[:2]
+    frame[40:69] = state.q - DEFAULT_Q
+    frame[69:98] = state.dq * VELOCITY_SCALE
+    frame[69 + ANKLES] = 0.0
+    frame[98:127] = action
+
+
+def offsets(action: Floats32) -> Floats:
+    """Return the joint positions that a raw output asks for, shape (29,) [rad]."""
+    return np.clip(action.astype(np.float64), -ACTION_CLIP, ACTION_CLIP) * ACTION_SCALE + DEFAULT_Q
 
 
 def gains(wrist_kp: float, wrist_kd: float) -> tuple[Floats, Floats]:

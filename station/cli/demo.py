@@ -1,25 +1,39 @@
-"""``station demo``: the main job once, and its report."""
+"""``station demo``: a simulated G1 walks, is recorded, checked and drawn; needs nothing but this package."""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from station import assets
-from station.cli.options import data_option
+from station.cli.options import data_option, set_option
 from station.errors import StationError
+
+if TYPE_CHECKING:
+    from station.episode.reader import EpisodeReader
+
+_INTERRUPTED = 130
 
 
 @click.command("demo")
-@data_option
 @click.option(
     "--for", "for_", metavar="DURATION", default=None, help="Stop after this long (25s).  [default: to the end]"
 )
-def command(data: Path | None, for_: str | None) -> None:
-    """Drive the G1 in MuJoCo with a motion, record it, check it and run its policy again.
+@set_option("server.key=value")
+@data_option
+def command(for_: str | None, sets: tuple[str, ...], data: Path | None) -> None:
+    """Drive a simulated G1 through the built-in clips, record it, check it, run its policy again, and draw it.
 
-    Without upstream data ($STATION_ASSETS) there is no policy to walk with yet: then the command half alone runs.
+    \b
+    station demo                                     a tour of about a minute
+    station demo --set motion.motion=builtin:bow     one clip
+    station demo --set g1.policy=twist2              another policy
+
+    It is the runbook g1-demo; `station up g1-demo --dry-run` prints it.
     """
     from station import config
     from station.cli import up
@@ -27,24 +41,34 @@ def command(data: Path | None, for_: str | None) -> None:
     from station.life import runbook as runbooks
     from station.life.session import Recording
 
-    is_whole = assets.root() is not None
-    if not is_whole:
-        click.echo(
-            f"${assets.ENVIRONMENT_VARIABLE} is not set, so there is no policy and no robot model: only the command "
-            "half runs (motion, bus, recorder). docs/assets.md says how to get the rest.",
-            err=True,
-        )
-    book = runbooks.load(runbooks.find("g1-sim-motion" if is_whole else "commands-only"))
+    book = runbooks.load(runbooks.find("g1-demo"), sets)
     seconds = None if for_ is None else config.seconds(for_, where="--for")
+    gl = _leave_drawing_to_the_end()
     recording = Recording(task="demo", instruction="follow the motion")
-    code, episode = up.run(book, bus=None, data=data_folder(data), recording=recording, unattended=True, for_s=seconds)
-    if episode is None:
+    code, episode = up.run(
+        book, bus=None, data=data_folder(data), recording=recording, unattended=True, for_s=seconds, is_brief=True
+    )
+    if episode is None and code != _INTERRUPTED:
         raise StationError("the demo recorded nothing; the lines above say why")
-    code = _report(episode, is_whole=is_whole) or code
+    if episode is not None:
+        code = _report(episode, gl, data) or code
     raise SystemExit(code)
 
 
-def _report(episode: Path, *, is_whole: bool) -> int:
+def _leave_drawing_to_the_end() -> str:
+    """Keep MuJoCo from looking for OpenGL in this process and its servers; return how it was to draw.
+
+    Where OpenGL is broken, or ``$MUJOCO_GL`` names what is not there, MuJoCo cannot even be imported.
+    """
+    from station.view.offscreen import VARIABLE
+
+    wanted = os.environ.get(VARIABLE, "")
+    os.environ[VARIABLE] = "disable"
+    return wanted
+
+
+def _report(episode: Path, gl: str, data: Path | None) -> int:
+    """Print what was measured, draw the pictures, say what to try next; return an exit code."""
     from station.cli.audit import print_audit
     from station.cli.report import print_quality
     from station.episode.audit import audit
@@ -52,14 +76,78 @@ def _report(episode: Path, *, is_whole: bool) -> int:
     from station.episode.reader import open_episode
 
     click.echo()
-    reader = open_episode(episode)
-    quality = check(reader)
-    write_measured(episode, quality)
+    with _busy("measuring the episode"):
+        reader = open_episode(episode)
+        quality = check(reader)
+        write_measured(episode, quality)
     print_quality(quality)
-    if not is_whole:
-        return 0 if sum(stream.lost for stream in quality.streams) == 0 else 1
     click.echo()
-    found = audit(reader)
+    with _busy("running the policy again on what was recorded"):
+        found = audit(reader)
     print_audit(found)
-    click.echo(f"\nnext: station replay {episode} --to rerun     station episodes show {episode}")
+    click.echo()
+    _draw(reader, episode, gl)
+    _say_what_next(data)
     return 0 if found.is_equal and quality.verdict != "reject" else 1
+
+
+def _draw(reader: EpisodeReader, folder: Path, gl: str) -> None:
+    """Draw the episode in three ways; what cannot be drawn here is said, and costs nothing else."""
+    from station.view import names
+
+    def sheet(path: Path) -> object:
+        from station.view.contact_sheet import save_sheet
+
+        return save_sheet(reader, path, gl=gl)
+
+    def plot(path: Path) -> object:
+        from station.view.plots import save_plot
+
+        return save_plot(reader, path)
+
+    def rrd(path: Path) -> object:
+        from station.view.episode_rrd import save
+
+        return save(reader, path)
+
+    _made("contact sheet", folder / names.CONTACT_SHEET, sheet)
+    _made("plot", folder / names.PLOT, plot)
+    _made("Rerun file", folder / names.RERUN, rrd)
+
+
+def _made(name: str, path: Path, make: Callable[[Path], object]) -> None:
+    try:
+        with _busy(f"drawing the {name}"):
+            make(path)
+    except StationError as error:
+        click.echo(f"{name} skipped: {error}")
+    else:
+        click.echo(f"{name:<14} {path}")
+
+
+def _say_what_next(data: Path | None) -> None:
+    where = "" if data is None else f" --data {data}"
+    tries = {
+        f"station view latest{where}": "look at it in Rerun, every curve by its name",
+        "station rehearse builtin:march": "would it survive? offline, faster than real time",
+        "station demo --set motion.motion=builtin:walk-arc": "another motion, or a file of yours",
+        "station demo --set g1.policy=twist2": "another policy; before that: station assets fetch twist2",
+        f"station up g1-demo --yes --record --task mine{where}": "record a task of your own",
+    }
+    width = max(len(text) for text in tries)
+    click.echo("\nnext:")
+    for text, why in tries.items():
+        click.echo(f"  {text:<{width}}   {why}")
+
+
+@contextmanager
+def _busy(what: str) -> Iterator[None]:
+    """Show in a terminal what takes a moment."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield
+        return
+    with console.status(f"[dim]{what} …[/]"):
+        yield

@@ -1,4 +1,4 @@
-"""How a session shows itself in a terminal: a line per step, and a live footer where there is a screen."""
+"""How a session shows itself: a line per step, below them in a terminal how the run is going, live."""
 
 from __future__ import annotations
 
@@ -8,37 +8,59 @@ import sys
 import termios
 import threading
 import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from types import TracebackType
 
 import click
-from rich.console import Console, RenderableType
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.markup import escape
 
+from station.bus.client import Bus
+from station.errors import BusError
 from station.life.events import Severity
 from station.life.server import Health
-from station.view.table import render_servers
+from station.view import progress_panel
+from station.view.progress import ProgressReader
+from station.view.table import plain, render_servers
 
-_SHOW_S = 0.25
+_REFRESH_HZ = 8
+_LOOK_S = 0.5  # without a screen
+_TELL_S = 10.0  # without a screen, while the same is being played
 _LISTEN_S = 0.05
 _LONGEST = 200  # characters of something that happened; the log and the episode have the rest
 _MARKS: dict[Severity, str] = {"info": "[cyan]·[/]", "warning": "[yellow]![/]", "error": "[red]✗[/]"}
 
 
 class TerminalFace:
-    """Prints steps and events to stderr; a real terminal has a footer below them: the present step, or the servers.
+    """Prints steps and events to stderr; a real terminal has a footer below them that tells how the run is going.
 
     Args:
         stop: Ends a question without an answer when it is set.
+        is_brief: For somebody who looks on: no table of the servers, and lines of progress where there is no screen.
     """
 
-    def __init__(self, stop: threading.Event) -> None:
+    def __init__(self, stop: threading.Event, *, is_brief: bool = False) -> None:
         self._console = Console(stderr=True, highlight=False)
-        self._stop = stop
+        self._stop, self._is_brief = stop, is_brief
         self._live: Live | None = None
-        self._shown_s = 0.0
+        self._step = ""
+        self._names: Sequence[str] = ()
+        self._progress: ProgressReader | None = None
+        self._told, self._told_s, self._looked_s = "", 0.0, 0.0
         self._log = _Log(self)
         self._handlers: list[logging.Handler] = []
+
+    @contextmanager
+    def watching(self, bus: Bus, names: Sequence[str]) -> Iterator[None]:
+        """Show, until the end of the block, how the run of some servers on a bus is going."""
+        self._names, self._progress = names, ProgressReader(bus, names)
+        try:
+            yield
+        finally:
+            self._end_footer()
+            self._progress = None
 
     def __enter__(self) -> TerminalFace:
         root = logging.getLogger()
@@ -53,20 +75,23 @@ class TerminalFace:
 
     def begin(self, step: str) -> None:
         """Show what is being done, where a slow step would otherwise leave a person wondering."""
-        self._footer(f"[dim]… {escape(step)}[/]")
+        self._step = step
+        self._begin_footer()
 
     def done(self, step: str, result: str) -> None:
         """Print a finished step and its result."""
-        self._print(f"[green]✓[/] {escape(step)}  [dim]{escape(result)}[/]")
+        self._step = ""
+        self._print(f"[green]✓[/] {plain(step)}  [dim]{plain(result)}[/]")
 
     def failed(self, step: str, reason: str) -> None:
         """Print a step that failed."""
-        self._print(f"[red]✗[/] {escape(step)}  [red]{escape(reason)}[/]")
+        self._step = ""
+        self._print(f"[red]✗[/] {plain(step)}  [red]{plain(reason)}[/]")
 
     def say(self, text: str, severity: Severity = "info") -> None:
         """Print a line."""
         shown = text if len(text) <= _LONGEST or severity != "info" else text[:_LONGEST] + "…"
-        self._print(f"{_MARKS[severity]} {escape(shown)}")
+        self._print(f"{_MARKS[severity]} {plain(shown)}")
 
     def confirm(self, sentence: str) -> bool:
         """Ask a person; without one at the terminal, and when interrupted, the answer is no."""
@@ -83,22 +108,42 @@ class TerminalFace:
         return False
 
     def show(self, health: list[Health]) -> None:
-        """Refresh the table of the servers."""
+        """Show how the run goes; the footer looks for itself, more often than it is told."""
+        self._begin_footer()
+        if self._is_brief and not self._console.is_terminal:
+            self._tell_progress()
+
+    def _tell_progress(self) -> None:
+        """Print a line when something else is being played, and now and then."""
         now_s = time.monotonic()
-        if now_s - self._shown_s >= _SHOW_S:
-            self._shown_s = now_s
-            self._footer(render_servers(health))
+        if self._progress is None or now_s - self._looked_s < _LOOK_S:
+            return
+        self._looked_s = now_s
+        seen = self._progress.look()
+        what = progress_panel.doing(seen.motion) if seen.motion is not None else ""
+        if what and (what != self._told or now_s - self._told_s >= _TELL_S):
+            self._told, self._told_s = what, now_s
+            self.say(progress_panel.line(seen))
 
     def _print(self, text: str) -> None:
         self._console.print(text, soft_wrap=True)
 
-    def _footer(self, what: RenderableType) -> None:
-        if not self._console.is_terminal:
-            return
-        if self._live is None:
-            self._live = Live(console=self._console, transient=True, auto_refresh=False)
+    def _begin_footer(self) -> None:
+        if self._live is None and self._console.is_terminal:
+            self._live = Live(console=self._console, transient=True, get_renderable=self._footer,
+                              refresh_per_second=_REFRESH_HZ)  # fmt: skip
             self._live.start()
-        self._live.update(what, refresh=True)
+
+    def _footer(self) -> RenderableType:
+        """Return what stands below the lines; called by a thread of the terminal's."""
+        if self._progress is None:
+            return f"[dim]… {escape(self._step)}[/]" if self._step else ""
+        try:
+            seen = self._progress.look()
+        except BusError:  # the session tells of it
+            return f"[dim]… {escape(self._step)}[/]" if self._step else ""
+        panel = progress_panel.panel(seen, self._names, self._step)
+        return panel if self._is_brief else Group(panel, "", render_servers(seen.servers))
 
     def _end_footer(self) -> None:
         if self._live is not None:

@@ -28,7 +28,7 @@ VERBS = {
     "audit": "Run the policy again on what was recorded, and compare bits.",
     "replay": "Play an episode to a bus, a simulation or Rerun.",
     "rehearse": "Run motions through policy and simulation, offline.",
-    "view": "Show a running station in Rerun.",
+    "view": "Show a running station or an episode; draw its pictures.",
     "bus": "Start a bus, or look at one.",
     "keys": "Say what each key of the bus holds.",
     "assets": "Find and fetch policies, robot models and motions.",

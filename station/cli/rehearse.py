@@ -1,11 +1,12 @@
-"""``station rehearse``: motions through policy and simulation, offline."""
+"""``station rehearse``: motions through policy and simulation, offline; with ``--suite``, a policy's evaluation."""
 
 from __future__ import annotations
 
-import glob
+import fnmatch
 import json
+import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NoReturn, get_args
 
 import click
 import msgspec
@@ -13,39 +14,76 @@ import msgspec
 from station import assets, registry
 from station.cli.options import json_option
 from station.cli.tables import Column, print_table
-from station.errors import UnknownName
+from station.errors import UnknownName, UsageError
+from station.suite.cases import Group
 
 if TYPE_CHECKING:
+    from station.life.rig import RigConfig
     from station.rehearse import Rehearsal
+    from station.suite.outcome import Outcome
+    from station.suite.run import Evaluation
+
+_TOLD = 8  # cases of a group that failed and are told
 
 
 @click.command("rehearse")
-@click.argument("motions", nargs=-1, required=True)
-@click.option("--policy", required=True, help="Name of the policy family (twist2, twist, …).")
+@click.argument("motions", nargs=-1)
+@click.option("--suite", is_flag=True, help="Run the evaluation of a policy, with all clips there are or with MOTIONS.")
+@click.option("--policy", default="", help="Name of the policy family (tracker, twist2, …).  [default: the station's]")
 @click.option("--checkpoint", default="", help="File of the policy.  [default: the family's]")
 @click.option("--robot-model", default=None, help="MJCF of the robot.  [default: the station's]")
 @click.option("--physics-dt", "physics_dt_s", default=0.001, show_default=True, help="Physics time step [s].")
 @click.option("--holes", type=click.Choice(["refuse", "bridge"]), default="refuse", show_default=True,
-              help="What is done with bad frames inside a motion.")  # fmt: skip
+              help="What is done with bad frames inside a motion; not with --suite.")  # fmt: skip
 @click.option("--jobs", default=0, help="Processes side by side.  [default: one per core]")
+@click.option("--quick", is_flag=True, help="--suite: fewer instants, and one minute in place of ten.")
+@click.option(
+    "--only", "only", multiple=True, type=click.Choice(get_args(Group)), help="--suite: these groups; may repeat."
+)
+@click.option("--against", default="", metavar="POLICY", help="--suite: another policy, run beside it and compared.")
+@click.option("--against-checkpoint", default="", help="File of that policy.  [default: the family's]")
+@click.option("--markdown", "as_markdown", is_flag=True, help="--suite: print the table for a model card.")
 @json_option
 def command(
-    motions: Sequence[str], policy: str, checkpoint: str, robot_model: str | None, physics_dt_s: float,
-    holes: str, jobs: int, as_json: bool,
+    motions: Sequence[str], policy: str, checkpoint: str, robot_model: str | None, physics_dt_s: float, holes: str,
+    jobs: int, as_json: bool, suite: bool, against: str, against_checkpoint: str, **of_suite: Any,
 ) -> None:  # fmt: skip
-    """Run MOTIONS (files, or patterns such as 'twist2:motions/*.pkl') in a closed loop and print how each went.
+    """Run MOTIONS (files, or patterns such as 'twist2:motions/*.pkl' or 'builtin:*') in a closed loop and print how
+    each went. Exit code 1 when the robot fell in any of them.
 
-    Exit code 1 when the robot fell in any of them.
+    With --suite: stand, track every clip, be pushed, move the arms at random, hear late, lose the commands and get
+    them back. Exit code 1 when the policy did not keep a limit; station/suite/promise.py has them all.
     """
-    from station.life.rig import DEFAULT_ROBOT_MODEL, RigConfig
-    from station.rehearse import rehearse_all
+    from station.life.rig import DEFAULT_POLICY, DEFAULT_ROBOT_MODEL, RigConfig
+    from station.view.offscreen import VARIABLE
 
-    if policy not in (known := registry.names("policy")):
-        raise UnknownName("policy", policy, known)  # before any motion is read
+    os.environ[VARIABLE] = "disable"  # nothing is drawn: no process need look for OpenGL as it imports MuJoCo
+    _refuse_what_does_not_go_together(motions, suite, {"against": against, **of_suite})
+    policy = policy or DEFAULT_POLICY
+    for name in filter(None, (policy, against)):
+        if name not in (known := registry.names("policy")):
+            raise UnknownName("policy", name, known)  # before any motion is read
     named = [reference for motion in motions for reference in _expand(motion)]
     config = RigConfig(
         policy=policy, checkpoint=checkpoint, robot_model=robot_model or DEFAULT_ROBOT_MODEL, physics_dt_s=physics_dt_s
     )
+    if not suite:
+        _motions(config, named, holes=holes, jobs=jobs, as_json=as_json)
+    other = msgspec.structs.replace(config, policy=against, checkpoint=against_checkpoint)
+    _suite([config, other] if against else [config], named, jobs=jobs, as_json=as_json, **of_suite)
+
+
+def _refuse_what_does_not_go_together(motions: Sequence[str], suite: bool, of_suite: dict[str, Any]) -> None:
+    given = [name.removeprefix("as_") for name, value in of_suite.items() if value]
+    if not suite and given:
+        raise UsageError(f"--{given[0]} goes with --suite")
+    if not suite and not motions:
+        raise UsageError("name a motion to rehearse, for example builtin:wave; or evaluate a policy with --suite")
+
+
+def _motions(config: RigConfig, named: Sequence[str], *, holes: str, jobs: int, as_json: bool) -> NoReturn:
+    from station.rehearse import rehearse_all
+
     done: list[Rehearsal] = []
 
     def tell(result: Rehearsal) -> None:
@@ -60,14 +98,90 @@ def command(
     raise SystemExit(1 if any(result.fell for result in results) else 0)
 
 
+def _suite(
+    rigs: Sequence[RigConfig], named: Sequence[str], *, quick: bool, only: Sequence[Group], jobs: int, as_json: bool,
+    as_markdown: bool,
+) -> NoReturn:  # fmt: skip
+    from station.suite import promise, run, table
+
+    planned = run.plan(rigs, extent=promise.QUICK if quick else promise.FULL, named=named, only=only, jobs=jobs)
+    if planned.missing:
+        click.echo(f"left out, not on this machine: {', '.join(planned.missing)}", err=True)
+    click.echo(f"{planned.runs} runs in {planned.processes} processes", err=True)
+    with _Progress(planned.runs) as progress:
+        done = run.run(planned, progress.tell)
+    if as_json:
+        click.echo(msgspec.json.encode(done))
+    elif as_markdown:
+        click.echo(table.markdown(done.policies))
+    else:
+        _print_suite(done)
+    raise SystemExit(0 if done.is_kept else 1)
+
+
+class _Progress:
+    """Says on stderr how far a suite is, and what fell: a bar in a terminal, else a line now and then."""
+
+    def __init__(self, runs: int) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        self._bar = Progress(console=Console(stderr=True, highlight=False, soft_wrap=True), transient=True)
+        self._task = self._bar.add_task("", total=runs)
+        self._runs, self._done = runs, 0
+
+    def __enter__(self) -> _Progress:
+        if self._bar.console.is_terminal:
+            self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def tell(self, policy: str, outcome: Outcome) -> None:
+        self._done += 1
+        self._bar.advance(self._task)
+        if outcome.falls:
+            self._bar.console.print(f"{policy}: {outcome.group}: {outcome.case}: {outcome.falls[0]}", markup=False)
+        has_more = self._done * 20 // self._runs > (self._done - 1) * 20 // self._runs
+        if has_more and not self._bar.console.is_terminal:
+            click.echo(f"{self._done}/{self._runs}", err=True)
+
+
+def _print_suite(done: Evaluation) -> None:
+    from rich.markup import escape
+
+    from station.suite import table
+
+    columns = [Column(escape(title), "left" if title in table.LEFT else "right") for title in table.TITLES]
+    colours = {"kept": "green", "failed": "red"}
+    verdict = table.TITLES.index("verdict")
+    rows = []
+    for row in table.rows(done.policies):
+        cells = [escape(cell) for cell in row]
+        colour = colours.get(row[verdict].split()[-1])
+        cells[verdict] = f"[{colour}]{cells[verdict]}[/]" if colour else cells[verdict]
+        rows.append(cells)
+    print_table(columns, rows)
+    for summary in done.policies[0].groups:
+        for failure in summary.failures[:_TOLD]:
+            click.echo(f"{summary.group}: {failure.case}: {failure.reason}")
+        if len(summary.failures) > _TOLD:
+            click.echo(f"{summary.group}: … and {len(summary.failures) - _TOLD} more; --json has them all")
+    summaries = [summary for policy in done.policies for summary in policy.groups]
+    simulated_s = sum(summary.simulated_s for summary in summaries)
+    runs = sum(summary.runs for summary in summaries)
+    seeds = " ".join(map(str, done.extent.arm_seeds))
+    click.echo(f"{runs} runs, {simulated_s:.0f} s simulated in {done.wall_s:.0f} s by {done.processes} processes; "
+               f"seeds of the arms {seeds}")  # fmt: skip
+
+
 def _expand(motion: str) -> list[str]:
     """Return the references that a pattern names; anything that is no pattern is left for the loader."""
-    if not glob.has_magic(motion):
-        return [motion]
-    found, base = assets.expand(motion), assets.root()
-    if base is None or ":" not in motion:
-        return [str(path) for path in found]
-    return [f"{(rel := path.relative_to(base)).parts[0]}:{'/'.join(rel.parts[1:])}" for path in found]
+    from station.assets import inventory
+
+    made = fnmatch.filter(inventory.motions(), motion) if "*" in motion else []
+    return made or assets.references(motion)
 
 
 def _print(results: Sequence[Rehearsal]) -> None:

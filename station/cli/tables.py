@@ -8,6 +8,10 @@ from typing import Literal, NamedTuple
 from rich.console import Console
 from rich.table import Table
 
+from station.view.table import plain
+
+__all__ = ["Column", "plain", "print_table", "wide_console"]
+
 _WIDE = 200  # characters; a pipe or a file has no width
 
 

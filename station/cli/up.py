@@ -56,17 +56,22 @@ def command(
 
 
 def run(
-    book: Runbook, *, bus: str | None, data: Path, recording: Recording | None, unattended: bool, for_s: float | None
-) -> tuple[int, Path | None]:
-    """Run a runbook in this terminal; return the exit code and the folder of the episode, if one was recorded."""
+    book: Runbook, *, bus: str | None, data: Path, recording: Recording | None, unattended: bool, for_s: float | None,
+    is_brief: bool = False,
+) -> tuple[int, Path | None]:  # fmt: skip
+    """Run a runbook in this terminal; return the exit code and the folder of the episode, if one was recorded.
+
+    `is_brief` shows progress to somebody who looks on, rather than servers to somebody who operates.
+    """
     from station.bus import address as addresses
     from station.bus.discovery import found_or_started
     from station.cli.face import TerminalFace
     from station.life.supervisor import Supervisor, log_folder
 
     named = addresses.parse(bus) if bus else None
-    with _stop_on_signals() as stop, TerminalFace(stop) as face, found_or_started(named) as address:
-        with Bus(address, name="supervisor", timeout_s=1.0) as line:
+    names = [step.start for step in book.servers]
+    with _stop_on_signals() as stop, TerminalFace(stop, is_brief=is_brief) as face, found_or_started(named) as address:
+        with Bus(address, name="supervisor", timeout_s=1.0) as line, face.watching(line, names):
             supervisor = Supervisor(line, log_folder(address), {"STATION_DATA": str(data.absolute())})
             session = Session(book, line, supervisor, face, data=data, recording=recording, is_unattended=unattended)
             try:

@@ -1,26 +1,100 @@
-"""``station view``: a running station in Rerun."""
+"""``station view``: a running station in Rerun; or an episode, there and as pictures."""
 
 from __future__ import annotations
 
 import signal
 import threading
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from station.cli.options import address_of, bus_option
-from station.errors import StationError
+from station.cli.options import address_of, bus_option, data_option
+from station.errors import StationError, UsageError
+
+if TYPE_CHECKING:
+    from station.episode.reader import EpisodeReader
+
+_IN_ITS_FOLDER = ""  # FILE was left out
 
 
 @click.command("view")
+@click.argument("episode", required=False)
 @click.option("--save", "save_as", type=click.Path(dir_okay=False, path_type=Path), default=None,
               help="Write this .rrd file instead of opening the viewer; needs no display.")  # fmt: skip
-@click.option("--for", "for_", metavar="DURATION", default=None, help="Stop after this long.  [default: Ctrl-C]")
-@click.option("--robot", default="", help="Suffix of the robot.  [default: the one that writes a state]")
+@click.option("--contact-sheet", metavar="[FILE]", is_flag=False, flag_value=_IN_ITS_FOLDER, default=None,
+              help="Draw moments of EPISODE as PNG; without FILE in its folder.")  # fmt: skip
+@click.option("--plot", metavar="[FILE]", is_flag=False, flag_value=_IN_ITS_FOLDER, default=None,
+              help="Draw command against state of EPISODE as PNG; without FILE in its folder.")  # fmt: skip
+@click.option("--for", "for_", metavar="DURATION", default=None, help="Stop after this long (live).  [default: Ctrl-C]")
+@click.option("--robot", default="", help="Suffix of the robot (live).  [default: the one that writes a state]")
 @click.option("--robot-model", default=None, help="MJCF to draw.  [default: the one that its server names]")
+@data_option
 @bus_option
-def command(save_as: Path | None, for_: str | None, robot: str, robot_model: str | None, bus: str | None) -> None:
-    """Show the robot, its reference, and every named curve, live."""
+def command(
+    episode: str | None, save_as: Path | None, contact_sheet: str | None, plot: str | None, for_: str | None,
+    robot: str, robot_model: str | None, data: Path | None, bus: str | None,
+) -> None:  # fmt: skip
+    """Show a running station live, robot, reference and every named curve; or EPISODE, also as pictures.
+
+    \b
+    station view                                   what runs now
+    station view latest                            an episode
+    station view latest --contact-sheet --plot     the same as two pictures, in its folder
+    """
+    pictures = {"--contact-sheet": contact_sheet, "--plot": plot}
+    asked = [option for option, file in pictures.items() if file is not None]
+    if episode is None:
+        if asked:
+            raise UsageError(f"{asked[0]} draws an episode; name it first: station view EPISODE {asked[0]} [FILE]")
+        _show_live(save_as, for_, robot, robot_model, bus)
+        return
+    if for_ is not None or bus is not None:
+        raise UsageError(f"--{'for' if for_ is not None else 'bus'} is for a running station, not for an episode")
+    for option in asked:
+        _expect_png(option, pictures[option] or "")
+    _show_episode(episode, data, save_as, contact_sheet, plot, robot_model)
+
+
+def _expect_png(option: str, file: str) -> None:
+    if file != _IN_ITS_FOLDER and Path(file).suffix.lower() != ".png":
+        raise UsageError(f"{option} {file}: expected a file that ends in .png; an episode is named before {option}")
+
+
+def _show_episode(
+    episode: str, data: Path | None, save_as: Path | None, contact_sheet: str | None, plot: str | None,
+    robot_model: str | None,
+) -> None:  # fmt: skip
+    from station.episode.reader import open_episode
+    from station.view import names
+
+    reader = open_episode(episode, data)
+    if contact_sheet is not None:
+        from station.view.contact_sheet import save_sheet
+
+        path = Path(contact_sheet or reader.folder / names.CONTACT_SHEET)
+        _warn(save_sheet(reader, path, robot_model=robot_model))
+        click.echo(f"saved {path}")
+    if plot is not None:
+        from station.view.plots import save_plot
+
+        click.echo(f"saved {save_plot(reader, Path(plot or reader.folder / names.PLOT))}")
+    if save_as is not None or (contact_sheet is None and plot is None):
+        _show_in_rerun(reader, save_as, robot_model)
+
+
+def _show_in_rerun(reader: EpisodeReader, save_as: Path | None, robot_model: str | None) -> None:
+    from station.view import episode_rrd
+
+    if save_as is None:
+        view = episode_rrd.show(reader, robot_model=robot_model)
+    else:
+        view = episode_rrd.save(reader, save_as, robot_model=robot_model)
+    _warn(view.warnings)
+    click.echo(f"saved {view.path}; open it with: rerun {view.path}" if view.path else "shown in the viewer")
+
+
+def _show_live(save_as: Path | None, for_: str | None, robot: str, robot_model: str | None, bus: str | None) -> None:
     import rerun as rr
 
     from station import config
@@ -38,13 +112,17 @@ def command(save_as: Path | None, for_: str | None, robot: str, robot_model: str
     with Bus(address_of(bus), name="view", timeout_s=1.0) as line:
         _open(recording, save_as)
         with LiveView(line, recording, robot=robot, robot_model=robot_model) as view:
-            for warning in view.warnings:
-                click.echo(f"station: {warning}", err=True)
+            _warn(view.warnings)
             click.echo(f"showing {view.robot}; Ctrl-C stops", err=True)
             run(view, stop)
     recording.flush()
     if save_as is not None:
         click.echo(f"saved {save_as}; open it with: rerun {save_as}")
+
+
+def _warn(warnings: list[str]) -> None:
+    for warning in warnings:
+        click.echo(f"station: {warning}", err=True)
 
 
 def _open(recording: object, save_as: Path | None) -> None:

@@ -35,8 +35,7 @@ def machine() -> Iterator[Finding]:
     """Look at this machine: upstream data, versions, scheduling."""
     base = assets.root()
     if base is None:
-        yield Finding("warning", "assets", f"${assets.ENVIRONMENT_VARIABLE} is not set",
-                      "set it to the folder with upstream policies, models and motions")  # fmt: skip
+        yield Finding("ok", "assets", f"built in; ${assets.ENVIRONMENT_VARIABLE} is not set, cache {assets.cache()}")
     elif not base.is_dir():
         yield Finding("broken", "assets", f"{base} is not a folder", f"mend ${assets.ENVIRONMENT_VARIABLE}")
     else:

@@ -13,9 +13,11 @@ from station.life.control import ControlStep
 from station.life.gate import GateConfig
 from station.protocols import CommandFormat, Policy, Robot
 
-DEFAULT_ROBOT_MODEL = "twist2:g1/g1_sim2sim_29dof.xml"
+DEFAULT_ROBOT_MODEL = "builtin:g1.xml"
 
-DEFAULT_CHECKPOINTS = {"twist2": "twist2:ckpts/twist2_1017_20k.onnx"}
+DEFAULT_POLICY = "tracker"
+
+DEFAULT_CHECKPOINTS = {"tracker": "builtin:tracker.onnx", "twist2": "twist2:ckpts/twist2_1017_20k.onnx"}
 """Checkpoint of a policy family when none is named."""
 
 
@@ -35,7 +37,7 @@ class RigConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     robot: str = "g1-mujoco"
     robot_model: str = DEFAULT_ROBOT_MODEL
-    policy: str = "twist2"
+    policy: str = DEFAULT_POLICY
     checkpoint: str = ""
     policy_options: dict[str, Any] = {}
     rate_hz: float = 0.0

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from station import assets
 from station.errors import StationError
 from station.life.rig import DEFAULT_ROBOT_MODEL
-from station.view.model import RobotModel
+
+if TYPE_CHECKING:
+    from station.view.model import RobotModel
 
 
 def find_model(
@@ -25,23 +27,46 @@ def find_model(
     Raises:
         AssetMissing, BadFile: the model that the user named is not there, or is none.
     """
+    from station.view.model import RobotModel  # MuJoCo, which `find_path` does without
+
     if reference is not None:
         return RobotModel(assets.resolve(str(reference))), []
+    problems: list[str] = []
+    for path, doubts in _present(servers, robot, problems):
+        try:
+            return RobotModel(path), doubts
+        except StationError as error:
+            problems.append(str(error))
+    return None, [f"the robot is not drawn: {problems[-1]}"]
+
+
+def find_path(
+    servers: Iterable[Mapping[str, Any]], robot: str, reference: str | Path | None = None
+) -> tuple[Path | None, list[str]]:
+    """Like `find_model`, for whoever reads the file itself."""
+    if reference is not None:
+        return assets.resolve(str(reference)), []
+    problems: list[str] = []
+    for path, doubts in _present(servers, robot, problems):
+        return path, doubts
+    return None, [f"the robot is not drawn: {problems[-1]}"]
+
+
+def _present(servers: Iterable[Mapping[str, Any]], robot: str, problems: list[str]) -> Iterator[tuple[Path, list[str]]]:
+    """Yield the models that are here, the one that ran first, and what is to be said of each; the others' problems."""
     facts: Mapping[str, Any] = next(
         (f["robot_facts"] for f in servers if f.get("robot") == robot and "robot_facts" in f), {}
     )
     stated = str(facts.get("model") or "")
-    problems = []
     for candidate in dict.fromkeys((stated, DEFAULT_ROBOT_MODEL)):
         if not candidate:
             continue
         try:
-            model = RobotModel(assets.resolve(candidate))
+            path = assets.resolve(candidate)
         except StationError as error:
             problems.append(str(error))
             continue
-        return model, _doubts(model.path, stated, facts)
-    return None, [f"the robot is not drawn: {problems[-1]}"]
+        yield path, _doubts(path, stated, facts)
 
 
 def _doubts(path: Path, stated: str, facts: Mapping[str, Any]) -> list[str]:

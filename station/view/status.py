@@ -9,11 +9,14 @@ import msgspec
 from rich.console import Group
 from rich.table import Table
 
+from station.bus import keys
+from station.bus import stamp as stamps
 from station.bus.client import Bus
 from station.bus.contracts import contract
+from station.bus.stamp import Stamp
 from station.life.server import Health, read_health
 from station.view.rates import KeyRate, RateMeter
-from station.view.table import age_s, render_servers, state_of
+from station.view.table import age_s, plain, render_servers, state_of
 
 _LOOK_S = 1.0
 
@@ -52,17 +55,16 @@ class Status(msgspec.Struct, frozen=True):
 def look(bus: Bus, meter: RateMeter) -> Status:
     """Return the status of a station whose writes a meter has been counting."""
     rates = meter.rates()
-    samples = bus.read(bus.names())
     found = []
-    for key, sample in samples.items():
+    for key, mark in _stamps(bus).items():
         known, rate = contract(key), rates.get(key)
         found.append(
             KeyStatus(
                 key=key,
                 role=known.role if known else "unknown",
-                writer=sample.stamp.writer if sample.stamp else "foreign",
+                writer=mark.writer if mark else "foreign",
                 rate_hz=rate.rate_hz if rate else 0.0,
-                age_s=_age(rate, sample.stamp.wall_ns if sample.stamp else None),
+                age_s=_age(rate, mark.wall_ns if mark else None),
             )
         )
     return Status(str(bus.address), read_health(bus), sorted(found, key=lambda item: (item.role, item.key)))
@@ -81,8 +83,17 @@ def render(status: Status) -> Group:
     for title, side in (("key", "left"), ("role", "left"), ("writer", "left"), ("rate", "right"), ("age", "right")):
         table.add_column(title, justify=side, no_wrap=True)  # type: ignore[arg-type]
     for item in status.keys:
-        table.add_row(item.key, item.role, item.writer, _hertz(item.rate_hz), _since(item.age_s))
+        table.add_row(plain(item.key), item.role, plain(item.writer), _hertz(item.rate_hz), _since(item.age_s))
     return Group(f"[bold]{status.address}[/]", "", render_servers(status.servers), "", table)
+
+
+def _stamps(bus: Bus) -> dict[str, Stamp | None]:
+    """Return the stamp beside each key; of the values, which may be pictures or worse, nothing is fetched."""
+    names = bus.names()
+    if not names:
+        return {}
+    marks = bus.call("MGET", *(keys.stamp(name) for name in names))
+    return {name: stamps.decode(mark) if mark else None for name, mark in zip(names, marks, strict=True)}
 
 
 def _age(rate: KeyRate | None, written_wall_ns: int | None) -> float | None:

@@ -6,12 +6,19 @@ import time
 from collections.abc import Iterable
 
 from rich.console import Group
+from rich.markup import escape
 from rich.table import Table
 
 from station.life.server import Health
+from station.printable import printable
 
 _COLOURS = {"active": "green", "inactive": "yellow", "unconfigured": "yellow", "finalized": "dim", "dead": "red"}
 _EMPTY: tuple[object, ...] = ("", None, 0, {}, [])
+
+
+def plain(text: str) -> str:
+    """Return a word of the bus as a cell that shows it, colours nothing and steers no terminal."""
+    return escape(printable(text))
 
 
 def state_of(health: Health) -> str:
@@ -28,16 +35,16 @@ def render_servers(servers: Iterable[Health]) -> Group:
     for health in servers:
         state = state_of(health)
         table.add_row(
-            health.name,
+            plain(health.name),
             f"[{_COLOURS.get(state, 'red')}]{state}[/]",
             str(health.pid),
             "" if health.rate_hz is None else f"{health.rate_hz:.1f} Hz",
-            "" if health.jitter_p50_ms is None else f"{health.jitter_p50_ms:.2f} / {health.jitter_p99_ms:.2f} ms",
+            _jitter(health),
             str(health.overruns) if health.rate_hz is not None else "",
             str(health.lost_writes) if health.lost_writes else "",
         )
         if said := _detail(health):
-            words.append(f"[dim]{health.name}: {said}[/]")
+            words.append(f"[dim]{plain(health.name)}: {said}[/]")
     return Group(table, *words)
 
 
@@ -48,9 +55,15 @@ def age_s(health: Health) -> float:
 
 def _detail(health: Health) -> str:
     if health.state == "finalized":
-        return health.reason.replace("[", r"\[")
+        return plain(health.reason)
     shown = [f"{key.replace('_', ' ')} {_value(value)}" for key, value in health.detail.items() if value not in _EMPTY]
-    return " · ".join(shown).replace("[", r"\[")
+    return plain(" · ".join(shown))
+
+
+def _jitter(health: Health) -> str:
+    if health.jitter_p50_ms is None or health.jitter_p99_ms is None:
+        return ""
+    return f"{health.jitter_p50_ms:.2f} / {health.jitter_p99_ms:.2f} ms"
 
 
 def _value(value: object) -> str:

@@ -47,7 +47,10 @@ def test_a_benchmark_that_needs_upstream_data_says_so_and_is_left_out_without_it
         check=False, env=environment,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
-    assert "left out, needs upstream data; set STATION_ASSETS" in " ".join(result.stdout.split())
+    told = " ".join(result.stdout.split())
+    assert (
+        "left out, needs upstream data: twist2:ckpts/twist2_1017_20k.onnx: not on this machine; `station assets" in told
+    )
 
 
 def test_contenders_take_turns_and_every_other_round_goes_backwards() -> None:

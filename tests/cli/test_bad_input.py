@@ -230,16 +230,12 @@ def test_a_file_that_is_no_episode(home: Home, tmp_path: Path, verb: tuple[str, 
     assert str(fake) in one_line(home.run(*verb, str(fake)))
 
 
-@pytest.mark.assets
-@pytest.mark.usefixtures("assets")
 def test_a_checkpoint_of_the_wrong_input_size(bus_home: Home) -> None:
-    wrong = "zoo:policies/playground_g1_policy.onnx"
-    line = one_line(bus_home.run("serve", "g1", "--set", f"checkpoint={wrong}"))
-    assert "playground_g1_policy.onnx: expected one float input [batch, 1432], the checkpoint has obs [1, 103]" in line
+    other = ("--set", "policy=twist2", "--set", "checkpoint=builtin:tracker.onnx")
+    line = one_line(bus_home.run("serve", "g1", *other))
+    assert "tracker.onnx: expected one float input [batch, 1432], the checkpoint has observation [" in line
 
 
-@pytest.mark.assets
-@pytest.mark.usefixtures("assets")
 def test_a_file_that_is_no_checkpoint(bus_home: Home, tmp_path: Path) -> None:
     path = tmp_path / "junk.onnx"
     path.write_bytes(b"junk")
@@ -250,5 +246,6 @@ def test_a_file_that_is_no_checkpoint(bus_home: Home, tmp_path: Path) -> None:
 
 def test_upstream_data_that_is_not_there(bus_home: Home) -> None:
     bare = bus_home.without("STATION_ASSETS")
-    line = one_line(bare.run("serve", "g1"))
-    assert "needs upstream data, but STATION_ASSETS is not set; set it to the folder that holds twist2/" in line
+    line = one_line(bare.run("serve", "g1", "--set", "policy=twist2"))
+    assert "twist2:ckpts/twist2_1017_20k.onnx: not on this machine; `station assets fetch twist2-checkpoint`" in line
+    assert line.endswith("; $STATION_ASSETS is not set)")

@@ -1,36 +1,123 @@
-"""``station demo``: with upstream data the whole main job; without it the command half, and that it says so."""
+"""``station demo`` as a newcomer runs it, without upstream data; and on a machine that cannot draw."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
+from subprocess import CompletedProcess
+
 import pytest
 
-from tests.cli.running import Home
+from station.episode.audit import audit
+from station.episode.reader import open_episode
+from station.view import names
+from tests.cli.running import SHORT, Home, are_gone, new_home
+from tests.cli.test_up import at_a_terminal
+from tests.view.pictures import drawing_machine, pixels
+
+__all__ = ["drawing_machine"]
+
+DEMO = ("demo", "--for", "1s", *SHORT)
 
 
-def test_without_upstream_data_the_command_half_runs_and_says_so(home: Home) -> None:
-    done = home.without("STATION_ASSETS").run("demo", "--for", "1s")
+@pytest.fixture(scope="module")
+def bare() -> Iterator[Home]:
+    """A place without upstream data."""
+    with new_home() as made:
+        yield made.without("STATION_ASSETS")
+
+
+@pytest.fixture(scope="module")
+def done(bare: Home) -> CompletedProcess[str]:
+    """A demo that has run to its end."""
+    return bare.run(*DEMO)
+
+
+@pytest.fixture
+def episode(bare: Home, done: CompletedProcess[str]) -> Path:
     assert done.returncode == 0, done.stderr
-    assert done.stderr.startswith("$STATION_ASSETS is not set, so there is no policy and no robot model")
-    assert "docs/assets.md" in done.stderr.splitlines()[0]
-    assert "0 lost, 0 falls" in done.stdout
-    assert len(list((home.data / "demo").iterdir())) == 1
+    (folder,) = (bare.data / "demo").iterdir()
+    return folder
 
 
-@pytest.mark.assets
-@pytest.mark.usefixtures("assets")
-def test_the_main_job_is_driven_recorded_checked_and_audited(home: Home) -> None:
-    done = home.run("demo", "--for", "1s")
-    assert done.returncode == 0, done.stderr
-    assert "confirm: Fall zone is clear" in done.stderr
+def test_without_upstream_data_the_robot_walks_is_recorded_checked_and_audited(
+    done: CompletedProcess[str], episode: Path
+) -> None:
+    assert ": good   " in done.stdout, done.stdout
     assert "0 lost, 0 falls" in done.stdout
-    assert "unitree_g1_with_hands: " in done.stdout
     assert " steps, 0 different" in done.stdout
-    assert "next: station replay " in done.stdout
+    reader = open_episode(episode)
+    assert reader.manifest.policy.name == "tracker"
+    assert reader.manifest.robot.facts["model"].endswith("g1.xml")
+    assert audit(reader).is_equal
 
 
-def test_upstream_data_in_no_folder_is_told(home: Home) -> None:
-    home.environment["STATION_ASSETS"] = "/nowhere"
-    done = home.run("demo", "--for", "1s")
-    assert done.returncode == 1
-    assert "$STATION_ASSETS names /nowhere, which is not a folder" in done.stderr
-    assert done.stderr.splitlines()[-1] == "station: the demo recorded nothing; the lines above say why"
+def test_progress_is_told_in_plain_lines(done: CompletedProcess[str], episode: Path) -> None:
+    assert "✓ start g1" in done.stderr
+    assert "· tour: " in done.stderr
+    assert "upright, leans " in done.stderr
+    assert f"recorded {episode.name}" in done.stderr
+    assert "\x1b" not in done.stderr + done.stdout
+
+
+@pytest.mark.usefixtures("drawing_machine")
+def test_pictures_lie_in_the_episode_and_are_named(done: CompletedProcess[str], episode: Path) -> None:
+    for name in (names.CONTACT_SHEET, names.PLOT, names.RERUN):
+        assert str(episode / name) in done.stdout
+        assert (episode / name).stat().st_size > 50_000
+    for name in (names.CONTACT_SHEET, names.PLOT):
+        picture = pixels(episode / name)
+        assert picture.shape[1] == 1600
+        assert picture.std() > 10
+
+
+def test_what_to_try_next_is_said_last(done: CompletedProcess[str], episode: Path) -> None:
+    assert episode.is_dir()
+    title, *tries = done.stdout[done.stdout.index("next:") :].splitlines()
+    assert title == "next:"
+    assert len(tries) == 5
+    assert all(line.startswith("  station ") for line in tries)
+
+
+def test_pictures_of_an_episode_are_drawn_again_on_demand(bare: Home, episode: Path, tmp_path: Path) -> None:
+    plot = tmp_path / "p.png"
+    drawn = bare.run("view", str(episode), "--plot", str(plot))
+    assert drawn.returncode == 0, drawn.stderr
+    assert drawn.stdout == f"saved {plot}\n"
+    assert pixels(plot).shape == pixels(episode / names.PLOT).shape
+
+
+def test_a_machine_that_cannot_draw_says_which_picture_it_skipped(home: Home) -> None:
+    home.environment |= {"MUJOCO_GL": "bogus"}
+    done = home.run(*DEMO)
+    assert done.returncode == 0, done.stderr
+    assert "contact sheet skipped: this machine cannot render ($MUJOCO_GL is 'bogus'; " in done.stdout
+    (episode,) = (home.data / "demo").iterdir()
+    assert not (episode / names.CONTACT_SHEET).exists()
+    assert (episode / names.PLOT).is_file()
+    assert (episode / names.RERUN).is_file()
+
+
+def test_at_a_terminal_progress_is_live_and_ctrl_c_ends_the_demo_in_order(home: Home) -> None:
+    demo = ("demo", *SHORT)
+    code, screen = at_a_terminal(home.without("STATION_ASSETS"), *demo, until="gate tracking", then=b"\x03")
+    assert code == 0, screen
+    for part in ("starting", "upright", "inference", "command to joints", "messages", "stop motion", "next:"):
+        assert part in screen
+    assert not home.bus_is_there()
+
+
+def test_another_motion_and_policy_are_one_set_away(home: Home) -> None:
+    done = home.run("up", "g1-demo", "--dry-run", "--set", "g1.policy=twist2", "--set", "motion.motion=builtin:bow")
+    assert "start motion motion=builtin:bow" in done.stdout
+    assert "tracker" not in done.stdout
+
+
+def test_what_cannot_start_is_told_and_leaves_nobody_behind(home: Home) -> None:
+    with home.running("demo", "--set", "motion.motion=builtin:nowhere") as demo:
+        code, out = demo.finish()
+    assert (code, out) == (1, "")
+    assert "nowhere" in demo.text
+    assert demo.lines[-1] == "station: the demo recorded nothing; the lines above say why"
+    assert not home.bus_is_there()
+    assert are_gone([demo.process.pid])

@@ -146,6 +146,13 @@ def test_junk_on_its_keys_does_not_stop_it(patient: tuple[Home, BusAddress]) -> 
     assert found[KEY]["found"] == "stale: nobody writes it now (last: a foreign writer)"
 
 
+def test_a_machine_without_upstream_data_lacks_nothing(patient: tuple[Home, BusAddress]) -> None:
+    home, _ = patient
+    found = findings(home.without("STATION_ASSETS"))["assets"]
+    assert found["level"] == "ok"
+    assert found["found"].startswith("built in; $STATION_ASSETS is not set, cache ")
+
+
 def test_upstream_data_that_is_not_there(patient: tuple[Home, BusAddress]) -> None:
     home, _ = patient
     home.environment["STATION_ASSETS"] = "/nowhere"
@@ -154,8 +161,6 @@ def test_upstream_data_that_is_not_there(patient: tuple[Home, BusAddress]) -> No
     }  # fmt: skip
 
 
-@pytest.mark.assets
-@pytest.mark.usefixtures("assets")
 def test_a_robot_that_gets_no_command_and_then_a_bad_one(patient: tuple[Home, BusAddress]) -> None:
     home, address = patient
     with G1Process(address, *LIGHT):
@@ -172,8 +177,6 @@ def test_a_robot_that_gets_no_command_and_then_a_bad_one(patient: tuple[Home, Bu
         assert found[KEY]["found"].startswith("commands refused since the start: ")
 
 
-@pytest.mark.assets
-@pytest.mark.usefixtures("assets")
 def test_a_robot_that_is_disarmed(patient: tuple[Home, BusAddress]) -> None:
     home, address = patient
     with G1Process(address, *LIGHT, "start_armed=false"), Bus(address, name="test", timeout_s=5.0) as bus:

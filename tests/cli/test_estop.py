@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,8 +16,6 @@ from tests.cli.running import Home, Running, new_home, one_line
 from tests.servers.g1_station import LIGHT, Log, logged
 from tests.waiting import wait_until
 
-pytestmark = [pytest.mark.assets, pytest.mark.usefixtures("assets")]
-
 ROBOT = keys.TWIST2_ROBOT
 GATE = keys.command_gate(ROBOT)
 SETTINGS = (*(f"g1.{setting}" for setting in LIGHT), "motion.motion=builtin:wave", "motion.loop=true",
@@ -26,9 +23,8 @@ SETTINGS = (*(f"g1.{setting}" for setting in LIGHT), "motion.motion=builtin:wave
 
 
 @pytest.fixture(scope="module")
-def driven(assets: Path) -> Iterator[tuple[Home, Running]]:
+def driven() -> Iterator[tuple[Home, Running]]:
     """A simulated robot that follows a motion."""
-    assert assets
     sets = [word for setting in SETTINGS for word in ("--set", setting)]
     with new_home() as home, home.running("up", "g1-sim-motion", "--yes", *sets) as station:
         station.wait_for("to=tracking")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,16 +12,16 @@ from station.bus import keys
 from station.bus.address import BusAddress
 from tests.cli.conftest import Wave
 from tests.cli.running import Home, new_home
+from tests.servers.g1_station import LIGHT
 
-LIGHT = ("g1.robot_model=zoo:models/g1_29dof.xml", "g1.physics_dt_s=0.002", "g1.real_time_priority=0",
-         "motion.motion=builtin:wave", "motion.enter_s=0.1", "motion.leave_s=0.1")  # fmt: skip
+SETTINGS = (*(f"g1.{setting}" for setting in LIGHT), "motion.motion=builtin:wave", "motion.enter_s=0.1",
+            "motion.leave_s=0.1")  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def walked(assets: Path) -> Iterator[tuple[Home, str]]:
+def walked() -> Iterator[tuple[Home, str]]:
     """A home with a short episode of a simulated robot, and the name of its folder."""
-    assert assets
-    sets = [word for setting in LIGHT for word in ("--set", setting)]
+    sets = [word for setting in SETTINGS for word in ("--set", setting)]
     with new_home() as home:
         done = home.run("up", "g1-sim-motion", "--yes", "--record", "--task", "t", "--for", "2s", *sets)
         assert done.returncode == 0, done.stderr
@@ -102,7 +101,6 @@ def test_an_error_leaves_stdout_empty(home: Home) -> None:
         assert (done.returncode, done.stdout) == (1, ""), verb
 
 
-@pytest.mark.assets
 def test_audit(walked: tuple[Home, str]) -> None:
     home, episode = walked
     found = home.json("audit", episode)
@@ -110,7 +108,6 @@ def test_audit(walked: tuple[Home, str]) -> None:
     assert (found["different"], found["max_abs_difference"]) == (0, 0.0)
 
 
-@pytest.mark.assets
 def test_check_of_a_robot(walked: tuple[Home, str]) -> None:
     home, episode = walked
     found = home.json("check", episode)
@@ -118,13 +115,11 @@ def test_check_of_a_robot(walked: tuple[Home, str]) -> None:
     assert found["steps"][0]["missing_steps"] == 0
 
 
-@pytest.mark.assets
 def test_replay_to_a_simulation(walked: tuple[Home, str]) -> None:
     home, episode = walked
     assert home.json("replay", episode, "--to", "sim")["steps"] > 50
 
 
-@pytest.mark.assets
 def test_replay_to_a_bus(walked: tuple[Home, str], bus_home: Home) -> None:
     _, episode = walked
     found = bus_home.json("replay", episode, "--to", "bus", "--speed", "4")
@@ -132,11 +127,9 @@ def test_replay_to_a_bus(walked: tuple[Home, str], bus_home: Home) -> None:
     assert found["lost"] == 0
 
 
-@pytest.mark.assets
 def test_rehearse(walked: tuple[Home, str]) -> None:
     home, _ = walked
-    done = home.run("rehearse", "builtin:wave", "--policy", "twist2", "--robot-model", "zoo:models/g1_29dof.xml",
-                    "--physics-dt", "0.002", "--json")  # fmt: skip
+    done = home.run("rehearse", "builtin:wave", "--policy", "tracker", "--physics-dt", "0.002", "--json")
     (motion,) = json.loads(done.stdout)["motions"]
     assert motion["motion"] == "builtin:wave"
     assert set(motion) == {

@@ -20,7 +20,7 @@ from station.life.playback import Playback
 from station.life.rig import Rig, build
 from tests.episode.synthetic import EpisodeBuilder
 
-MOTION = "twist2:motions/0807_yanjie_walk_003.pkl"
+MOTION = "builtin:walk-forward"
 
 
 def record(builder: EpisodeBuilder, *, seconds: float, skip: int = 0, config: G1Config | None = None) -> Path:

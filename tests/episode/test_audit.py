@@ -173,20 +173,16 @@ def test_checkpoint_that_cannot_be_used_is_named_in_one_line(
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.assets
-@pytest.mark.usefixtures("assets")
 def test_on_another_machine_the_checkpoint_is_found_by_the_name_that_its_user_gave(builder: EpisodeBuilder) -> None:
     folder = lock_step.record(builder, seconds=0.5)
     manifest = load_manifest(folder)
     for facts in manifest.servers.values():
         facts["policy"]["checkpoint"] = "/the/recording/machine/policy.onnx"
-        facts["config"] = {"checkpoint": "twist2:ckpts/twist2_1017_20k.onnx"}
+        facts["config"] = {"checkpoint": "builtin:tracker.onnx"}
     save_manifest(manifest, folder)
     assert audit(open_episode(folder)).is_equal
 
 
-@pytest.mark.assets
-@pytest.mark.usefixtures("assets")
 def test_real_policy_gives_equal_bits_and_names_both_runtimes(builder: EpisodeBuilder) -> None:
     found = audit(open_episode(lock_step.record(builder, seconds=2.0)))
     assert (found.steps, found.different, found.observations.compared) == (100, 0, 100)
@@ -196,8 +192,6 @@ def test_real_policy_gives_equal_bits_and_names_both_runtimes(builder: EpisodeBu
     assert "onnxruntime" in found.runtime
 
 
-@pytest.mark.assets
-@pytest.mark.usefixtures("assets")
 def test_real_policy_is_taken_up_in_mid_run(builder: EpisodeBuilder) -> None:
     found = audit(open_episode(lock_step.record(builder, seconds=2.0, skip=50)))
     assert (found.steps, found.observations.compared) == (50, 49)

@@ -13,8 +13,6 @@ from tests.episode import lock_step
 from tests.episode.synthetic import EpisodeBuilder, walk
 
 
-@pytest.mark.assets
-@pytest.mark.usefixtures("assets")
 def test_lock_step_episode_comes_out_the_same_to_the_last_bit(tmp_path: Path) -> None:
     found = to_sim(open_episode(lock_step.record(EpisodeBuilder(tmp_path), seconds=3.0)))
     assert found.lock_step
@@ -24,8 +22,6 @@ def test_lock_step_episode_comes_out_the_same_to_the_last_bit(tmp_path: Path) ->
     assert not found.fell
 
 
-@pytest.mark.assets
-@pytest.mark.usefixtures("assets")
 def test_another_physics_step_is_reported_from_the_first_step_that_differs(tmp_path: Path) -> None:
     reader = open_episode(lock_step.record(EpisodeBuilder(tmp_path), seconds=1.0))
     found = to_sim(reader, changes={"physics_dt_s": 0.002})
@@ -34,8 +30,6 @@ def test_another_physics_step_is_reported_from_the_first_step_that_differs(tmp_p
     assert any("physics_dt_s" in note for note in found.notes)
 
 
-@pytest.mark.assets
-@pytest.mark.usefixtures("assets")
 def test_episode_that_begins_late_is_warmed_up_and_does_not_pretend(tmp_path: Path) -> None:
     found = to_sim(open_episode(lock_step.record(EpisodeBuilder(tmp_path), seconds=2.0, skip=50)))
     assert (found.warm_up_steps, found.steps) == (50, 50)

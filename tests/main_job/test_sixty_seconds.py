@@ -25,10 +25,10 @@ from tests.main_job.writers import FOREIGN_KEY, NATIVE_HZ, NATIVE_KEY, ForeignWr
 from tests.waiting import wait_until
 
 RUN_S = 60.0
-MOTION = "motion.motion=twist2:motions/0807_yanjie_walk_003.pkl"
+MOTION = "motion.motion=builtin:tour"
 BODY = keys.action_body()
 
-pytestmark = [pytest.mark.assets, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.timeout(300)
 
 Counters = dict[tuple[str, str], int]
 """Newest sequence number by key and source, as the writer stamped it on the bus."""
@@ -55,8 +55,7 @@ class Minute:
 
 
 @pytest.fixture(scope="module")
-def minute(assets: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Minute]:
-    assert assets
+def minute(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Minute]:
     terminal = Terminal(tmp_path_factory.mktemp("minute"))
     bus_process = terminal.start("bus", "start")
     try:

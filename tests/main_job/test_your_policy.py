@@ -24,7 +24,7 @@ def example(name: str) -> str:
 
 
 @pytest.fixture
-def terminal(assets: Path, tmp_path: Path) -> Terminal:
+def terminal(tmp_path: Path) -> Terminal:
     """A user's terminal in whose Python the package is installed: module and metadata, as an installer leaves them."""
     site, terminal = tmp_path / "site", Terminal(tmp_path / "station")
     metadata = site / "holosoma_walk-0.1.dist-info"

@@ -28,8 +28,8 @@ from tests.waiting import wait_until
 
 ROBOT = keys.TWIST2_ROBOT
 FORM = registry.find("command", "twist2")
-LIGHT = ("robot_model=zoo:models/g1_29dof.xml", "physics_dt_s=0.002", "real_time_priority=0")
-"""A model without meshes loads in milliseconds; tests that are not about the model take it."""
+LIGHT = ("physics_dt_s=0.002", "real_time_priority=0")
+"""Half the physics, and no more of the processor than anybody else: for tests that are about neither."""
 
 
 class G1Process:

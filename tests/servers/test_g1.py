@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station import registry
+from station import assets, registry
 from station.bus import codec, contracts, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
-from station.life.rig import RigConfig
+from station.life.rig import DEFAULT_CHECKPOINTS, RigConfig
 from station.life.tracking import TrackingError
 from station.rehearse import rehearse_all
 from tests.servers.g1_station import (
@@ -31,9 +31,7 @@ from tests.servers.g1_station import (
 )
 from tests.waiting import wait_until
 
-pytestmark = pytest.mark.assets
-
-WALK = "twist2:motions/0807_yanjie_walk_002.pkl"
+WALK = "builtin:walk-forward"
 
 _STATE_KEYS = [
     keys.state_body(ROBOT), keys.state_hand("left"), keys.state_hand("right"), keys.state_neck(), keys.T_STATE,
@@ -49,23 +47,27 @@ def _ticks(log: Log) -> int:
     return len(log.of(keys.policy_timing(ROBOT)))
 
 
+@pytest.mark.parametrize(
+    ("policy", "observation_size"), [("tracker", 635), pytest.param("twist2", 1432, marks=pytest.mark.assets)]
+)
 def test_it_states_its_configuration_and_writes_every_key_as_its_contract_says(
-    assets: Path, bus_server: BusAddress
+    bus_server: BusAddress, policy: str, observation_size: int
 ) -> None:
-    with logged(bus_server) as log, G1Process(bus_server) as server:
+    with logged(bus_server) as log, G1Process(bus_server, f"policy={policy}") as server:
         wait_until(lambda: _ticks(log) > 20)
         code, out, err = server.finish()
     assert code == 0, err
     assert out == ""
     config = codec.parse_json(log.last(keys.server_config("g1")))
-    assert config["policy"]["sha256"].startswith("2d1fb3a3")
+    assert config["policy"]["name"] == policy
+    assert config["policy"]["sha256"] == assets.sha256(assets.resolve(DEFAULT_CHECKPOINTS[policy]))
     assert len(config["policy"]["kp"]) == len(config["policy"]["joint_names"]) == 29
     assert config["robot_facts"]["physics_dt_s"] == 0.001
     assert config["config"]["pace"] == "wall"
     order = [write.key for write in log.writes]
     assert order.index(keys.server_config("g1")) < order.index(keys.robot_state(ROBOT))
     for key in _STATE_KEYS + _RESULT_KEYS:
-        _assert_fits(key, log.values(key))
+        _assert_fits(key, log.values(key), observation_size)
     first = codec.parse_json_vector(log.values(keys.state_body(ROBOT))[0])
     assert first[5:].any(), "stock servers begin with zeros; ours with the first real state"
     assert codec.parse_json_vector(log.values(keys.policy_timing(ROBOT))[0])[0] == 1
@@ -73,11 +75,11 @@ def test_it_states_its_configuration_and_writes_every_key_as_its_contract_says(
     assert 0 <= now_ms - state < 60_000
 
 
-def _assert_fits(key: str, values: list[bytes]) -> None:
+def _assert_fits(key: str, values: list[bytes], observation_size: int) -> None:
     contract = contracts.contract(key)
     assert contract is not None
     assert values
-    sizes = {keys.policy_obs(ROBOT): 1432, keys.policy_action(ROBOT): 29}
+    sizes = {keys.policy_obs(ROBOT): observation_size, keys.policy_action(ROBOT): 29}
     for value in values:
         match contract.codec:
             case "json-vector":
@@ -94,7 +96,7 @@ def _assert_fits(key: str, values: list[bytes]) -> None:
                 assert isinstance(json.loads(value), dict)
 
 
-def test_the_keys_of_a_tick_are_written_together_and_in_turn(assets: Path, bus_server: BusAddress) -> None:
+def test_the_keys_of_a_tick_are_written_together_and_in_turn(bus_server: BusAddress) -> None:
     with logged(bus_server) as log, G1Process(bus_server, *LIGHT):
         wait_until(lambda: _ticks(log) > 20)
     wanted = set(_STATE_KEYS + _RESULT_KEYS)
@@ -106,9 +108,7 @@ def test_the_keys_of_a_tick_are_written_together_and_in_turn(assets: Path, bus_s
     assert len(set(mono)) == 1
 
 
-def test_a_stock_commander_is_followed_and_when_it_falls_silent_the_robot_stands_again(
-    assets: Path, bus_server: BusAddress
-) -> None:
+def test_a_stock_commander_is_followed_and_when_it_falls_silent_the_robot_stands_again(bus_server: BusAddress) -> None:
     with logged(bus_server) as log, G1Process(bus_server, *LIGHT):
         wait_until(lambda: _ticks(log) > 5)
         assert log.gate()["state"] == "waiting"
@@ -127,9 +127,7 @@ def test_a_stock_commander_is_followed_and_when_it_falls_silent_the_robot_stands
     assert not log.events("fall")
 
 
-def test_malformed_commands_of_every_kind_are_refused_told_once_per_kind_and_survived(
-    assets: Path, bus_server: BusAddress
-) -> None:
+def test_malformed_commands_of_every_kind_are_refused_told_once_per_kind_and_survived(bus_server: BusAddress) -> None:
     bad = [b"", b"hello", b"[1, 2]", json.dumps([float("nan")] * 35).encode(), b"[" * 100_000, b"\xff" * 10,
            json.dumps([9.0] * 35).encode(), b'{"a": 1}', b"null"]  # fmt: skip
     with logged(bus_server) as log, G1Process(bus_server, *LIGHT) as server, Bus(bus_server, name="bad") as bus:
@@ -154,7 +152,7 @@ def test_malformed_commands_of_every_kind_are_refused_told_once_per_kind_and_sur
 
 @pytest.mark.parametrize("stop", [b"1", b'{"stop": true, "who": "anna", "reason": "smoke"}'])
 def test_the_emergency_stop_damps_within_one_step_and_is_left_only_by_a_reset(
-    assets: Path, bus_server: BusAddress, stop: bytes
+    bus_server: BusAddress, stop: bytes
 ) -> None:
     with logged(bus_server) as log, G1Process(bus_server, *LIGHT), Bus(bus_server, name="anna") as bus:
         with StockCommander(bus_server):
@@ -181,7 +179,7 @@ def test_the_emergency_stop_damps_within_one_step_and_is_left_only_by_a_reset(
     assert [event.name for event in log.events("estop") + log.events("operator-reset")] == ["estop", "operator-reset"]
 
 
-def test_a_stop_that_stood_before_the_server_started_holds(assets: Path, bus_server: BusAddress) -> None:
+def test_a_stop_that_stood_before_the_server_started_holds(bus_server: BusAddress) -> None:
     with logged(bus_server) as log, Bus(bus_server, name="anna") as bus:
         bus.publish({keys.ESTOP: b"1"})
         with G1Process(bus_server, *LIGHT):
@@ -189,7 +187,7 @@ def test_a_stop_that_stood_before_the_server_started_holds(assets: Path, bus_ser
             assert set(log.states()) == {"stopped"}
 
 
-def test_a_command_left_over_from_another_time_moves_nothing(assets: Path, bus_server: BusAddress) -> None:
+def test_a_command_left_over_from_another_time_moves_nothing(bus_server: BusAddress) -> None:
     with logged(bus_server) as log, Bus(bus_server, name="ghost") as bus:
         publish(bus, leaning(0.0))
         with G1Process(bus_server, *LIGHT):
@@ -197,7 +195,7 @@ def test_a_command_left_over_from_another_time_moves_nothing(assets: Path, bus_s
             assert set(log.states()) == {"waiting"}
 
 
-def test_two_writers_of_the_command_are_an_event_that_names_both(assets: Path, bus_server: BusAddress) -> None:
+def test_two_writers_of_the_command_are_an_event_that_names_both(bus_server: BusAddress) -> None:
     with logged(bus_server) as log, G1Process(bus_server, *LIGHT), Bus(bus_server, name="native") as bus:
         wait_until(lambda: _ticks(log) > 5)
         with StockCommander(bus_server):
@@ -213,9 +211,7 @@ def test_two_writers_of_the_command_are_an_event_that_names_both(assets: Path, b
     assert "foreign" in detail["writers"]
 
 
-def test_a_fall_is_one_event_and_the_robot_is_put_back_on_its_feet_when_asked(
-    assets: Path, bus_server: BusAddress
-) -> None:
+def test_a_fall_is_one_event_and_the_robot_is_put_back_on_its_feet_when_asked(bus_server: BusAddress) -> None:
     with logged(bus_server) as log, G1Process(bus_server, *LIGHT, "on_fall=reset"):
         wait_until(lambda: _ticks(log) > 5)
         with StockCommander(bus_server, leaning):
@@ -229,7 +225,7 @@ def test_a_fall_is_one_event_and_the_robot_is_put_back_on_its_feet_when_asked(
     assert heights[-1] > 0.7
 
 
-def test_a_disarmed_robot_is_not_moved_until_it_is_armed(assets: Path, bus_server: BusAddress) -> None:
+def test_a_disarmed_robot_is_not_moved_until_it_is_armed(bus_server: BusAddress) -> None:
     with (
         logged(bus_server) as log,
         G1Process(bus_server, *LIGHT, "start_armed=false"),
@@ -245,7 +241,7 @@ def test_a_disarmed_robot_is_not_moved_until_it_is_armed(assets: Path, bus_serve
     assert stiffness[-1] == 100.0
 
 
-def test_without_a_bus_the_loop_keeps_its_time_and_says_so_when_the_bus_is_back(assets: Path, tmp_path: Path) -> None:
+def test_without_a_bus_the_loop_keeps_its_time_and_says_so_when_the_bus_is_back(tmp_path: Path) -> None:
     options = ServerOptions(folder=tmp_path, socket=tmp_path / "bus.sock")
     first = RedisServer.start(options)
     try:
@@ -269,9 +265,7 @@ def test_without_a_bus_the_loop_keeps_its_time_and_says_so_when_the_bus_is_back(
         first.stop()
 
 
-def test_in_lock_step_nothing_moves_before_the_first_command_and_then_once_per_command(
-    assets: Path, bus_server: BusAddress
-) -> None:
+def test_in_lock_step_nothing_moves_before_the_first_command_and_then_once_per_command(bus_server: BusAddress) -> None:
     with (
         logged(bus_server) as log,
         G1Process(bus_server, *LIGHT, "pace=command", "command_timeout_s=0.2"),
@@ -287,7 +281,7 @@ def test_in_lock_step_nothing_moves_before_the_first_command_and_then_once_per_c
         wait_until(lambda: log.gate()["state"] == "waiting")  # and without commands time goes on by itself
 
 
-def test_the_emergency_stop_is_heard_in_lock_step_while_no_command_comes(assets: Path, bus_server: BusAddress) -> None:
+def test_the_emergency_stop_is_heard_in_lock_step_while_no_command_comes(bus_server: BusAddress) -> None:
     with (
         logged(bus_server) as log,
         G1Process(bus_server, *LIGHT, "pace=command", "command_timeout_s=30"),
@@ -300,9 +294,7 @@ def test_the_emergency_stop_is_heard_in_lock_step_while_no_command_comes(assets:
         wait_until(lambda: log.gate()["state"] == "stopped", timeout_s=10.0)
 
 
-def test_a_motion_through_the_lock_step_station_gives_the_figures_of_its_rehearsal(
-    assets: Path, bus_server: BusAddress
-) -> None:
+def test_a_motion_through_the_lock_step_station_gives_the_figures_of_its_rehearsal(bus_server: BusAddress) -> None:
     (expected,) = rehearse_all([WALK], RigConfig(), jobs=1)
     with logged(bus_server) as log, G1Process(bus_server, "pace=command", "command_timeout_s=5"):
         wait_until(lambda: log.of(keys.robot_state(ROBOT)))
@@ -335,7 +327,7 @@ def _steps(log: Log) -> list[tuple[bytes, bytes, bytes, bytes]]:
 
 @pytest.mark.torch
 @pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")
-def test_with_a_twist_policy_it_writes_the_keys_of_twist(assets: Path, bus_server: BusAddress, tmp_path: Path) -> None:
+def test_with_a_twist_policy_it_writes_the_keys_of_twist(bus_server: BusAddress, tmp_path: Path) -> None:
     torch = pytest.importorskip("torch")
     checkpoint = tmp_path / "twist.pt"
     torch.jit.save(torch.jit.script(torch.nn.Linear(1155, 23)), str(checkpoint))
@@ -355,19 +347,19 @@ def test_with_a_twist_policy_it_writes_the_keys_of_twist(assets: Path, bus_serve
 
 
 @pytest.mark.parametrize(
-    ("setting", "expected"),
+    ("settings", "expected"),
     [
-        ("polciy=twist2", "unknown key 'polciy' (did you mean 'policy'?)"),
-        ("backend=real", "unknown robot 'g1-real'"),
-        ("gate.hold_after_s=-1", "hold_after_s must be a positive time"),
-        ("pace=fast", "pace"),
-        ("checkpoint=zoo:policies/holosoma_ppo_g1_29dof.onnx", "expected one float input [batch, 1432]"),
+        (["polciy=twist2"], "unknown key 'polciy' (did you mean 'policy'?)"),
+        (["backend=real"], "unknown robot 'g1-real'"),
+        (["gate.hold_after_s=-1"], "hold_after_s must be a positive time"),
+        (["pace=fast"], "pace"),
+        (["policy=twist2", "checkpoint=builtin:tracker.onnx"], "expected one float input [batch, 1432]"),
     ],
 )
 def test_a_wrong_setting_ends_it_with_one_line_and_exit_code_two(
-    assets: Path, bus_server: BusAddress, setting: str, expected: str
+    bus_server: BusAddress, settings: list[str], expected: str
 ) -> None:
-    with G1Process(bus_server, *LIGHT, setting) as server:
+    with G1Process(bus_server, *LIGHT, *settings) as server:
         code, out, err = server.result()
     assert code == 2, err
     assert out == ""

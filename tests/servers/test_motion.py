@@ -341,13 +341,11 @@ def test_a_motion_that_cannot_be_read_ends_the_server_before_it_commands_anythin
     assert bus.get(FORM.key) is None
 
 
-@pytest.mark.assets
 def test_without_a_display_a_preview_is_a_rerun_file(
-    assets: Path, start: Start, writes: Writes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    start: Start, writes: Writes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("STATION_ASSETS", str(assets))
     assert finish(start(preview=True, preview_file="seen/walk.rrd")) == 0
     assert writes.events("preview") == [{"where": "seen/walk.rrd"}]
     assert not writes.events("preview-ended")

@@ -69,7 +69,9 @@ def serve(open_bus: OpenBus, bus: Bus) -> Iterator[Serve]:
     yield start
     for process in reversed(started):
         process.kill()
-        process.communicate()
+        process.wait()
+        assert process.stdout is not None
+        process.stdout.close()  # not `communicate`: that of a server that died at its start has been read
 
 
 def finish(process: subprocess.Popen[str]) -> str:

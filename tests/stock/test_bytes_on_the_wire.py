@@ -20,7 +20,6 @@ from tests.stock.conftest import OpenBus, Serve, finish
 from tests.stock.stock_twist2 import ACTIONS, STATES
 from tests.waiting import wait_until
 
-LIGHT = ("robot_model=zoo:models/g1_29dof.xml", "physics_dt_s=0.002")
 LEFT_WRIST, RIGHT_WRIST = 0.11, -0.22
 T1_ACTIONS = {"action_mimic_g1": 33, "action_hand_g1": 14}
 T1_STATES = {"state_body_g1": 74, "state_hand_g1": 14}
@@ -55,9 +54,8 @@ def holds_milliseconds(log: Log, key: str) -> None:
     assert values == sorted(values)
 
 
-@pytest.mark.assets
-def test_twist2(assets: Path, serve: Serve, log: Log) -> None:
-    g1, motion = serve("g1", *LIGHT), serve("motion", "motion=builtin:wave", "wait_for_start=true")
+def test_twist2(serve: Serve, log: Log) -> None:
+    g1, motion = serve("g1"), serve("motion", "motion=builtin:wave", "wait_for_start=true")
     wait_until(lambda: len(log.values(keys.action_body())) > 30)
     finish(motion)
     finish(g1)
@@ -98,18 +96,15 @@ def test_twist_commands_carry_the_wrist_rolls_where_stock_takes_them_out(serve: 
     assert log.values(keys.action_body()) == []
 
 
-@pytest.mark.assets
 @pytest.mark.torch
 @pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")
-def test_twist_robot_answers_with_74_scaled_numbers(
-    assets: Path, bus: Bus, serve: Serve, log: Log, tmp_path: Path
-) -> None:
+def test_twist_robot_answers_with_74_scaled_numbers(bus: Bus, serve: Serve, log: Log, tmp_path: Path) -> None:
     torch = pytest.importorskip("torch")
     network = torch.nn.Linear(1155, 23)
     torch.nn.init.zeros_(network.weight)
     torch.nn.init.zeros_(network.bias)
     torch.jit.save(torch.jit.script(network), str(tmp_path / "stand.pt"))
-    g1 = serve("g1", *LIGHT, "policy=twist", f"checkpoint={tmp_path / 'stand.pt'}")
+    g1 = serve("g1", "policy=twist", f"checkpoint={tmp_path / 'stand.pt'}")
     body = [0.793] + [0.0] * 7 + [-0.2, 0, 0, 0.4, -0.2, 0] * 2 + [0.0] * 3
     body += [0, 0.2, 0, 1.2, LEFT_WRIST, 0, -0.2, 0, 1.2, RIGHT_WRIST]
     for _ in range(100):

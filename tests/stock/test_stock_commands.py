@@ -17,11 +17,9 @@ from tests.stock.conftest import OpenBus, Serve, finish, health
 from tests.stock.stock_twist2 import ACTIONS, BODY, STANDING, STATE_BODY, MotionServer, waving
 from tests.waiting import wait_until
 
-LIGHT = ("robot_model=zoo:models/g1_29dof.xml", "physics_dt_s=0.002")
+AS_STOCK = ("policy=twist2", "robot_model=twist2:g1/g1_sim2sim_29dof.xml")
 MOST_JOINT_ERROR_RAD = 0.11
 SETTLED = 150  # commands: stock steps into the clip at once, our gate blends for 1 s
-
-pytestmark = pytest.mark.assets
 
 
 def gate(bus: Bus) -> str:
@@ -29,10 +27,10 @@ def gate(bus: Bus) -> str:
     return str(json.loads(value)["state"]) if value else ""
 
 
-def clip(seconds: float) -> list[list[float]]:
-    """The commands of a shipped walk as lists, one period ahead as stock samples it; no blend at either end."""
+def clip(name: str, seconds: float) -> list[list[float]]:
+    """The commands of a motion as lists, one period ahead as stock samples it; no blend at either end."""
     form: CommandFormat = registry.find("command", "twist2")
-    motion: Motion = registry.find("loader", "motion")("twist2:motions/0807_yanjie_walk_001.pkl")
+    motion: Motion = registry.find("loader", "motion")(name)
     times = 0.02 * (1 + np.arange(int(seconds / 0.02)))
     return [form.encode(motion.at(float(time_s)), motion.joint_names).tolist() for time_s in times]
 
@@ -55,12 +53,20 @@ class Follower:
         self.errors.append(float(np.abs(np.subtract(state[5:], body[6:])).mean()))
 
 
+@pytest.mark.parametrize(
+    ("motion", "settings"),
+    [
+        ("builtin:walk-forward", ()),
+        pytest.param("twist2:motions/0807_yanjie_walk_001.pkl", AS_STOCK, marks=pytest.mark.assets),
+    ],
+    ids=["built in", "as stock"],
+)
 def test_robot_walks_to_stock_commands_and_all_of_it_is_recorded(
-    assets: Path, open_bus: OpenBus, bus: Bus, serve: Serve, stock: MotionServer
+    open_bus: OpenBus, bus: Bus, serve: Serve, stock: MotionServer, motion: str, settings: tuple[str, ...]
 ) -> None:
-    g1, recorder = serve("g1"), serve("recorder")
+    g1, recorder = serve("g1", *settings), serve("recorder")
     started = open_bus.terminal.json("record", "start", "--task", "stock-walk")
-    commands, follower = clip(8.0), Follower(stock)
+    commands, follower = clip(motion, 8.0), Follower(stock)
     stock.play(commands, follower.look)
     assert gate(bus) == "tracking"
     assert np.mean(follower.errors[SETTLED:]) <= MOST_JOINT_ERROR_RAD
@@ -82,12 +88,10 @@ def test_robot_walks_to_stock_commands_and_all_of_it_is_recorded(
 
 
 @pytest.mark.parametrize("is_first", [True, False], ids=["stock starts first", "our robot starts first"])
-def test_order_of_starting_does_not_matter(
-    assets: Path, bus: Bus, serve: Serve, stock: MotionServer, is_first: bool
-) -> None:
+def test_order_of_starting_does_not_matter(bus: Bus, serve: Serve, stock: MotionServer, is_first: bool) -> None:
     if is_first:
         stock.play(waving(0.1))
-    g1 = serve("g1", *LIGHT)
+    g1 = serve("g1")
     wait_until(lambda: gate(bus))
     assert gate(bus) == "waiting"  # an empty bus, or the last words of somebody who has gone, move nothing
     stock.play(waving(2.0))
@@ -98,9 +102,9 @@ def test_order_of_starting_does_not_matter(
 
 
 def test_what_stock_may_write_wrongly_is_refused_and_the_robot_stands(
-    assets: Path, bus: Bus, serve: Serve, stock: MotionServer
+    bus: Bus, serve: Serve, stock: MotionServer
 ) -> None:
-    g1 = serve("g1", *LIGHT)
+    g1 = serve("g1")
     nan = [float("nan"), *STANDING[1:]]
     for body in ([*STANDING, 1.0, 0.0], [*STANDING, 0.0, 0.0, 0.0], nan, STANDING[:33]):
         stock.play([list(map(float, body))] * 5)
@@ -112,8 +116,8 @@ def test_what_stock_may_write_wrongly_is_refused_and_the_robot_stands(
     stock.close()
 
 
-def test_robot_needs_none_of_the_companion_keys(assets: Path, bus: Bus, serve: Serve, stock: MotionServer) -> None:
-    g1 = serve("g1", *LIGHT)
+def test_robot_needs_none_of_the_companion_keys(bus: Bus, serve: Serve, stock: MotionServer) -> None:
+    g1 = serve("g1")
     stock.play(waving(2.0), each=lambda _: stock.redis.delete(*[key for key in ACTIONS if key != BODY]))
     assert (g1.poll(), gate(bus)) == (None, "tracking")
     stock.close()

@@ -13,8 +13,6 @@ from tests.stock.conftest import OpenBus, Serve
 from tests.stock.stock_twist2 import ACTIONS, STATES, Recorder, press
 from tests.waiting import wait_until
 
-LIGHT = ("robot_model=zoo:models/g1_29dof.xml", "physics_dt_s=0.002")
-
 
 @pytest.fixture
 def stock(open_bus: OpenBus) -> Iterator[Recorder]:
@@ -23,11 +21,8 @@ def stock(open_bus: OpenBus) -> Iterator[Recorder]:
     recorder.close()
 
 
-@pytest.mark.assets
-def test_every_slot_of_a_row_is_filled_from_our_servers(
-    assets: object, bus: Bus, serve: Serve, stock: Recorder
-) -> None:
-    serve("g1", *LIGHT)
+def test_every_slot_of_a_row_is_filled_from_our_servers(bus: Bus, serve: Serve, stock: Recorder) -> None:
+    serve("g1")
     serve("motion", "motion=builtin:wave")
     wait_until(lambda: bus.get(keys.T_ACTION) and bus.get(keys.T_STATE))
     rows = []

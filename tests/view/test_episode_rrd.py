@@ -97,18 +97,16 @@ def test_gate_motion_and_events_are_told(builder: EpisodeBuilder, tmp_path: Path
     assert view.events == 1
 
 
-def test_without_the_robot_model_curves_remain_and_a_warning_names_what_is_missing(
-    builder: EpisodeBuilder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_where_the_model_that_ran_is_not_here_the_built_in_one_is_drawn_and_a_warning_says_so(
+    builder: EpisodeBuilder, tmp_path: Path
 ) -> None:
-    monkeypatch.delenv("STATION_ASSETS", raising=False)
     walk(builder, seconds=0.2)
-    view = save(open_episode(builder.finish()), tmp_path / "ep.rrd")
-    assert view.poses == 0
-    assert view.curves
+    facts = {"model": "/elsewhere/g1_meshed.xml", "model_sha256": "5b583d20a469b426"}
+    manifest = {"servers": {"g1": {"robot": ROBOT, "robot_facts": facts}}}
+    view = save(open_episode(builder.finish(manifest)), tmp_path / "ep.rrd")
+    assert view.poses == 10
     (warning,) = view.warnings
-    assert "the robot is not drawn" in warning
-    assert "g1_sim2sim_29dof.xml" in warning
-    assert "STATION_ASSETS" in warning
+    assert "which is not the model that ran (/elsewhere/g1_meshed.xml, sha256 5b583d20a469" in warning
 
 
 def test_episode_of_stock_scripts_has_curves_and_a_robot(builder: EpisodeBuilder, tmp_path: Path) -> None:
@@ -137,8 +135,6 @@ def test_folder_that_is_not_there_is_one_line(builder: EpisodeBuilder, tmp_path:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.assets
-@pytest.mark.usefixtures("assets")
 def test_real_run_is_drawn_with_the_model_that_it_names(builder: EpisodeBuilder, tmp_path: Path) -> None:
     view = save(open_episode(lock_step.record(builder, seconds=1.0)), tmp_path / "ep.rrd")
     assert (view.poses, view.warnings) == (50, [])

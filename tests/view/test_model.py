@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from station import assets
+from station.bus.joints import G1_29
 from station.errors import BadFile
 from station.view.model import RobotModel
 from station.view.shapes import Mesh, clustered
@@ -74,11 +76,15 @@ def test_clustering_keeps_the_shape_and_drops_what_cannot_be_seen() -> None:
     assert mesh.normals == pytest.approx(np.tile([0.0, 0, 1], (len(mesh.vertices), 1)))
 
 
-@pytest.mark.assets
-def test_g1_is_drawn_whole_and_light(assets: Path) -> None:
-    from station.bus.joints import G1_29
-
-    model = RobotModel(assets / "twist2/g1/g1_sim2sim_29dof.xml")
+@pytest.mark.parametrize(
+    ("reference", "hand"),
+    [
+        ("builtin:g1.xml", "right_wrist_yaw_link"),
+        pytest.param("twist2:g1/g1_sim2sim_29dof.xml", "right_rubber_hand", marks=pytest.mark.assets),
+    ],
+)
+def test_g1_is_drawn_whole_and_light(reference: str, hand: str) -> None:
+    model = RobotModel(assets.resolve(reference))
     assert all(model.knows(joint) for joint in G1_29)
-    assert {"pelvis", "torso_link", "left_ankle_roll_link", "right_rubber_hand"} <= model.visible
+    assert {"pelvis", "torso_link", "left_ankle_roll_link", hand} <= model.visible
     assert sum(len(shape.vertices) for shape in model.shapes) < 50_000

@@ -36,8 +36,8 @@ _BAD_STATE = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL
 class MujocoG1:
     """A G1 in MuJoCo; `write` applies targets for one control period and advances the physics by it.
 
-    Implements `station.protocols.Robot`. Torques follow ``kp (q_target - q) - kd dq`` in every physics step, clipped
-    as in the stock simulation. Not thread safe.
+    Implements `station.protocols.SimulatedRobot`. Torques follow ``kp (q_target - q) - kd dq`` in every physics step,
+    clipped as in the stock simulation. Not thread safe.
 
     Args:
         model: MJCF file with the joints of `station.bus.joints.G1_29` and a free joint.
@@ -81,6 +81,11 @@ class MujocoG1:
         """Simulated time since the last `reset` [s]."""
         return float(self._data.time)
 
+    @property
+    def joint_speeds(self) -> Floats:
+        """Greatest speed of each joint, shape (29,) [rad/s]: what the motors can, the physics knows no such limit."""
+        return np.array([joint.velocity_rad_s for joint in select(G1_29)])
+
     def reset(self) -> None:
         """Put the robot back on its feet, at rest, in the start pose."""
         mujoco.mj_resetData(self._model, self._data)
@@ -116,6 +121,11 @@ class MujocoG1:
         if self._viewer is not None:
             self._viewer.sync()
         return targets
+
+    def push(self, velocity_step: Floats) -> None:
+        """Add to the linear velocity of the pelvis in the world, shape (3,) [m/s]; joints keep their speeds, so the
+        whole body moves off at once."""
+        self._data.qvel[self._linear] += velocity_step
 
     def fallen(self) -> Fall | None:
         """Return why the robot counts as fallen: a root beyond `FALL_TILT_RAD`, or ground under anything but the feet.
@@ -177,6 +187,7 @@ class MujocoG1:
         self._u = np.array([servo_of[joint.id] for joint in joints])
         free = model.body(mjcf.ROOT_BODY).jntadr[0]
         self._root_q = np.arange(7) + model.jnt_qposadr[free]
+        self._linear = np.arange(3) + model.jnt_dofadr[free]
         self._gyro = np.arange(3, 6) + model.jnt_dofadr[free]
         feet = {body for body in range(model.nbody) if model.body(body).name.endswith(mjcf.FOOT_SUFFIX)}
         self._may_touch = np.array([_is_part_of(model, body, feet) for body in range(model.nbody)])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from adapters.motions.load import load
-from station.errors import AssetMissing, BadFile
+from station.errors import AssetMissing, BadFile, UsageError
 from tests.adapters.motions.made import content, smooth, spoiled, write_csv, write_pkl
 
 MOTION = smooth()
@@ -30,6 +30,39 @@ def test_facts_tell_the_file_its_hash_and_what_was_done(tmp_path: Path) -> None:
     assert facts["trimmed"] == {"start": 1, "end": 0}
     assert facts["bridged"] == [[40, 40]]
     assert facts["duration_s"] == pytest.approx(88 / 30)
+
+
+def test_a_reference_may_end_in_what_is_done_to_the_motion(tmp_path: Path) -> None:
+    path = write_pkl(tmp_path / "walk.pkl", content(MOTION))
+    plain, seen, fast = (load(f"{path}{changes}") for changes in ("", "#mirror", "#mirror#speed=2"))
+    assert (seen.name, fast.name) == ("walk#mirror", "walk#mirror#speed=2")
+    assert fast.duration_s == pytest.approx(plain.duration_s / 2)
+    left, right = (plain.joint_names.index(f"{side}_elbow") for side in ("left", "right"))
+    assert seen.at(1.0).q[left] == fast.at(0.5).q[left] == plain.at(1.0).q[right]
+    assert fast.facts()["file"] == str(path), "the hash is that of this file"
+    assert fast.facts()["mirrored"] is True
+    assert fast.facts()["speed"] == 2.0
+
+
+def test_any_other_hash_sign_belongs_to_the_name_of_a_file(tmp_path: Path) -> None:
+    assert load(write_pkl(tmp_path / "take#2.pkl", content(MOTION))).name == "take#2"
+    assert load(f"{write_pkl(tmp_path / 'take#mirror.pkl', content(MOTION))}#speed=1.5").name == "take#mirror#speed=1.5"
+    with pytest.raises(BadFile, match=r"walk\.pkl#mirrored: no such file"):
+        load(tmp_path / "walk.pkl#mirrored")
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("speed=fast", "speed is 'fast'; expected a number, for example 1.2"),
+        ("speed=", "speed is ''; expected a number"),
+        ("speed=0", "speed is 0.0; expected a number from 0.1 to 10"),
+        ("speed=nan", "speed is nan"),
+    ],
+)
+def test_a_speed_that_cannot_be_is_refused(change: str, told: str) -> None:
+    with pytest.raises(UsageError, match=told):
+        load(f"builtin:wave#{change}")
 
 
 def test_an_unknown_suffix_lists_the_known_ones(tmp_path: Path) -> None:

@@ -8,12 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from adapters.policies import tracker
 from adapters.policies.twist2 import DEFAULT_Q, OBSERVATION, Twist2Policy
+from station.assets import resolve
 from station.errors import BadFile, ConfigError
 from station.protocols import Floats, Floats32, RobotState
 from station.rotations import normalized, roll_pitch_yaw
 
 CHECKPOINT = "twist2/ckpts/twist2_1017_20k.onnx"
+ANOTHER = Path(tracker.__file__).with_name("tracker.onnx")
 
 
 @pytest.fixture
@@ -127,10 +130,9 @@ def test_wrist_gains_are_chosen_by_name(assets: Path, name: str, kp: float, kd: 
         np.testing.assert_array_equal(spec.kd[wrists], kd)
 
 
-@pytest.mark.assets
-def test_unknown_wrist_gains_are_refused(assets: Path) -> None:
+def test_unknown_wrist_gains_are_refused() -> None:
     with pytest.raises(ConfigError, match="sim, real, training"):
-        Twist2Policy(assets / CHECKPOINT, wrist_gains="soft")  # type: ignore[arg-type]
+        Twist2Policy(ANOTHER, wrist_gains="soft")  # type: ignore[arg-type]
 
 
 @pytest.mark.assets
@@ -142,20 +144,25 @@ def test_the_spec_names_checkpoint_hash_and_runtime(policy: Twist2Policy) -> Non
     assert (spec.observation_size, spec.action_size) == (1432, 29)
 
 
-@pytest.mark.assets
-def test_a_checkpoint_of_another_input_size_is_refused_in_one_line(assets: Path) -> None:
-    path = assets / "zoo/policies/holosoma_ppo_g1_29dof.onnx"
+@pytest.mark.parametrize(
+    ("checkpoint", "came"),
+    [
+        ("builtin:tracker.onnx", "observation ['batch', 635]"),
+        pytest.param("zoo:policies/holosoma_ppo_g1_29dof.onnx", "actor_obs [1, 100]", marks=pytest.mark.assets),
+    ],
+)
+def test_a_checkpoint_of_another_input_size_is_refused_in_one_line(checkpoint: str, came: str) -> None:
+    path = resolve(checkpoint)
     with pytest.raises(BadFile) as caught:
         Twist2Policy(path)
     assert str(caught.value) == (
-        f"{path}: expected one float input [batch, 1432], the checkpoint has actor_obs [1, 100] tensor(float)"
+        f"{path}: expected one float input [batch, 1432], the checkpoint has {came} tensor(float)"
     )
 
 
-@pytest.mark.assets
-def test_a_torn_checkpoint_is_refused_in_one_line(assets: Path, tmp_path: Path) -> None:
+def test_a_torn_checkpoint_is_refused_in_one_line(tmp_path: Path) -> None:
     path = tmp_path / "torn.onnx"
-    path.write_bytes((assets / CHECKPOINT).read_bytes()[:100_000])
+    path.write_bytes(ANOTHER.read_bytes()[:100_000])
     with pytest.raises(BadFile, match="not a usable ONNX checkpoint") as caught:
         Twist2Policy(path)
     assert "\n" not in str(caught.value)

@@ -12,22 +12,30 @@ from adapters.policies.twist2 import DEFAULT_Q, gains
 from adapters.robots.g1 import mjcf
 from adapters.robots.g1.joints import select
 from adapters.robots.g1.mujoco_g1 import START_Q, MujocoG1
+from station import assets
 from station.bus.joints import G1_29
 from station.errors import BadFile, ConfigError, StationError
-from station.protocols import Floats, JointTargets, Robot
+from station.protocols import Floats, JointTargets, Robot, SimulatedRobot
 from station.rotations import from_rotation_vector, multiply, rotation_vector
-
-pytestmark = pytest.mark.assets
+from tests.adapters.robots.g1_models import G1
+from tests.view.robots import tiny
 
 _KP, _KD = gains(4.0, 0.2)
-_MESHED = "twist2/g1/g1_sim2sim_29dof.xml"
-_MOTORS = "zoo/models/g1_29dof.xml"
-_POSITION_ACTUATORS = "zoo/models/g1_playground.xml"
+
+with_models_of_others = pytest.mark.parametrize(
+    "model",
+    [
+        "builtin:g1.xml",
+        pytest.param("twist2:g1/g1_sim2sim_29dof.xml", marks=pytest.mark.assets),  # meshes
+        pytest.param("zoo:models/g1_29dof.xml", marks=pytest.mark.assets),  # torque motors
+        pytest.param("zoo:models/g1_playground.xml", marks=pytest.mark.assets),  # position actuators, other limits
+    ],
+)
 
 
 @pytest.fixture
-def robot(assets: Path) -> MujocoG1:
-    return MujocoG1(assets / _MESHED)
+def robot() -> MujocoG1:
+    return MujocoG1(G1)
 
 
 def _explicit(path: Path, physics_dt_s: float) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -75,11 +83,11 @@ class _StockLoop:
         np.testing.assert_allclose(state.dq, self.data.qvel[self.v_at], rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("model", [_MESHED, _MOTORS, _POSITION_ACTUATORS])
+@with_models_of_others
 @pytest.mark.parametrize("physics_dt_s", [0.001, 0.002])
-def test_the_engine_servo_equals_the_stock_loop_over_ten_periods(assets: Path, model: str, physics_dt_s: float) -> None:
-    robot = MujocoG1(assets / model, physics_dt_s=physics_dt_s)
-    stock = _StockLoop(assets / model, robot, physics_dt_s)
+def test_the_engine_servo_equals_the_stock_loop_over_ten_periods(model: str, physics_dt_s: float) -> None:
+    robot = MujocoG1(assets.resolve(model), physics_dt_s=physics_dt_s)
+    stock = _StockLoop(assets.resolve(model), robot, physics_dt_s)
     random = np.random.default_rng(3)
     for _ in range(10):
         targets = JointTargets(np.array(START_Q) + random.normal(size=29) * 0.1, _KP, _KD)
@@ -88,10 +96,11 @@ def test_the_engine_servo_equals_the_stock_loop_over_ten_periods(assets: Path, m
         stock.assert_equals(robot)
 
 
+@with_models_of_others
 @pytest.mark.parametrize("physics_dt_s", [0.001, 0.002])
-def test_the_engine_servo_clips_and_changes_gains_as_the_stock_loop(assets: Path, physics_dt_s: float) -> None:
-    robot = MujocoG1(assets / _MESHED, physics_dt_s=physics_dt_s)
-    stock = _StockLoop(assets / _MESHED, robot, physics_dt_s)
+def test_the_engine_servo_clips_and_changes_gains_as_the_stock_loop(model: str, physics_dt_s: float) -> None:
+    robot = MujocoG1(assets.resolve(model), physics_dt_s=physics_dt_s)
+    stock = _StockLoop(assets.resolve(model), robot, physics_dt_s)
     random = np.random.default_rng(4)
     for period in range(10):
         # Hard kicks make contacts in which rounding grows without bound: each period starts from one state.
@@ -122,14 +131,14 @@ def test_a_state_does_not_change_after_it_was_read(robot: MujocoG1) -> None:
         np.testing.assert_array_equal(then, now)
 
 
-def test_one_write_advances_one_control_period(assets: Path) -> None:
-    robot = MujocoG1(assets / _MOTORS, physics_dt_s=0.002, control_dt_s=0.01)
+def test_one_write_advances_one_control_period() -> None:
+    robot = MujocoG1(G1, physics_dt_s=0.002, control_dt_s=0.01)
     robot.write(JointTargets(DEFAULT_Q, _KP, _KD))
     assert robot.time_s == pytest.approx(0.01)
 
 
-def test_the_gyro_is_the_angular_velocity_in_the_pelvis_frame(assets: Path) -> None:
-    robot = MujocoG1(assets / _MOTORS, physics_dt_s=0.001, control_dt_s=0.001)
+def test_the_gyro_is_the_angular_velocity_in_the_pelvis_frame() -> None:
+    robot = MujocoG1(G1, physics_dt_s=0.001, control_dt_s=0.001)
     limp = JointTargets(DEFAULT_Q, np.zeros(29), np.zeros(29))
     for _ in range(150):
         robot.write(limp)
@@ -159,6 +168,29 @@ def test_a_leaning_pelvis_is_a_fall_beyond_60_degrees_only(robot: MujocoG1) -> N
     assert fall.tilt_rad == pytest.approx(np.radians(61.0))
 
 
+def test_a_push_is_a_step_in_velocity_in_the_world_wherever_the_robot_looks(robot: MujocoG1) -> None:
+    assert isinstance(robot, SimulatedRobot)
+    limp = JointTargets(DEFAULT_Q, np.zeros(29), np.zeros(29))
+    moved = []
+    for velocity in ((0.0, 0.0, 0.0), (0.3, -0.4, 0.0)):
+        robot.reset()
+        robot._data.qpos[2] = 3.0  # in the air, where nothing holds it
+        robot._data.qpos[3:7] = from_rotation_vector(np.array([0.0, 0.0, 2.0]))
+        robot.push(np.array(velocity))
+        joints = robot.read().dq
+        robot.write(limp)
+        moved.append(robot.qpos[:3])
+    assert not joints.any(), "the whole body moves off at once"
+    np.testing.assert_allclose(moved[1] - moved[0], np.array([0.3, -0.4, 0.0]) * 0.02, atol=1e-6)
+
+
+def test_the_speeds_of_the_joints_are_those_of_their_motors(robot: MujocoG1) -> None:
+    speeds = dict(zip(robot.joint_names, robot.joint_speeds.tolist(), strict=True))
+    assert speeds["left_knee"] == 20.0
+    assert speeds["right_elbow"] == 37.0
+    assert speeds["right_wrist_yaw"] == 22.0
+
+
 def test_reset_puts_a_fallen_robot_back_on_its_feet(robot: MujocoG1) -> None:
     assert _let_go(robot) is not None
     robot.reset()
@@ -177,8 +209,8 @@ def test_two_runs_from_the_start_are_the_same_bit_for_bit(robot: MujocoG1) -> No
     np.testing.assert_array_equal(*runs)
 
 
-def test_a_model_without_a_floor_gets_one(assets: Path, tmp_path: Path) -> None:
-    text = (assets / _MOTORS).read_text()
+def test_a_model_without_a_floor_gets_one(tmp_path: Path) -> None:
+    text = G1.read_text()
     path = tmp_path / "floorless.xml"
     path.write_text("\n".join(line for line in text.splitlines() if 'type="plane"' not in line))
     robot = MujocoG1(path)
@@ -195,31 +227,29 @@ def test_targets_that_are_not_finite_are_refused_and_nothing_moves(robot: Mujoco
 
 def test_the_facts_name_the_model_its_hash_and_the_time_steps(robot: MujocoG1) -> None:
     facts = robot.facts()
-    assert facts["model"].endswith("g1_sim2sim_29dof.xml")
+    assert facts["model"] == str(G1)
     assert len(facts["model_sha256"]) == 64
     assert (facts["physics_dt_s"], facts["control_dt_s"]) == (0.001, 0.02)
     assert facts["mass_kg"] == pytest.approx(33.34, abs=0.01)
 
 
 @pytest.mark.parametrize("physics_dt_s", [0.0, -0.001, 0.003, 0.05, float("nan")])
-def test_a_physics_step_that_does_not_fit_the_control_period_is_refused(assets: Path, physics_dt_s: float) -> None:
+def test_a_physics_step_that_does_not_fit_the_control_period_is_refused(physics_dt_s: float) -> None:
     with pytest.raises(ConfigError, match="whole number of times"):
-        MujocoG1(assets / _MOTORS, physics_dt_s=physics_dt_s)
+        MujocoG1(G1, physics_dt_s=physics_dt_s)
 
 
-def test_a_model_of_another_robot_is_refused_in_one_line(assets: Path) -> None:
+def test_a_model_of_another_robot_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(BadFile, match="expected the 29 joints of a G1") as caught:
-        MujocoG1(assets / "zoo/models/g1_12dof.xml")
+        MujocoG1(tiny(tmp_path))
     assert "\n" not in str(caught.value)
 
 
-def test_a_viewer_without_a_display_is_refused_and_the_process_lives(
-    assets: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_viewer_without_a_display_is_refused_and_the_process_lives(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(StationError, match="no display can be opened"):
-        MujocoG1(assets / _MOTORS, viewer=True)
+        MujocoG1(G1, viewer=True)
 
 
 def test_a_picture_shows_the_robot_and_not_one_colour(robot: MujocoG1) -> None:

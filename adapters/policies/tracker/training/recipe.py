@@ -1,0 +1,80 @@
+"""What the tracker is trained with: every number of a run, so that a seed and a file of YAML give it again."""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class Crowd(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The simulated robots that collect data side by side.
+
+    Attributes:
+        robots: Their number.
+        teacher_drives: Share of them that the teacher drives itself, so that its own states stay in the data.
+        bodies: Different bodies among them (masses, gains, friction), dealt out in turn.
+        physics_dt_s: Physics step [s].
+        episode_s: Longest episode [s].
+        mass_spread, gain_spread: Greatest relative change of each link's mass, and of each joint's gains.
+        payload_kg: Greatest mass added to the torso [kg].
+        com_shift_m: Greatest shift of the torso's centre of mass along each axis [m].
+        friction: Range of the friction between sole and floor.
+        push_m_s: Greatest sudden change of the root's velocity in the plane [m/s].
+        push_every_s: Mean time between pushes in the half of the episodes that has them [s].
+        late_steps: Greatest delay of a target, in control steps.
+        noise: Sensor noise at full strength (uniform, ±): joints [rad], joint speeds [rad/s], gyro [rad/s], tilt [rad].
+    """
+
+    robots: int = 96
+    teacher_drives: float = 0.1
+    bodies: int = 24
+    physics_dt_s: float = 0.002
+    episode_s: float = 16.0
+    mass_spread: float = 0.1
+    gain_spread: float = 0.1
+    payload_kg: float = 2.0
+    com_shift_m: float = 0.02
+    friction: tuple[float, float] = (0.6, 1.6)
+    push_m_s: float = 0.6
+    push_every_s: float = 3.0
+    late_steps: float = 1.25
+    noise: tuple[float, float, float, float] = (0.01, 0.5, 0.1, 0.02)
+
+
+class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A training run.
+
+    Attributes:
+        seed: Of everything that is drawn.
+        teacher: Checkpoint of TWIST2's family whose actions are the labels.
+        calm: How far from home the arms are that the teacher sees, over how far they are; see `training.tutor`.
+        meshed_model: A second robot model for every fourth body, or "".
+        motions: Recorded motions that commands are drawn from.
+        mirrored: Those of `motions` whose mirror image is drawn from as well; the others' are held back.
+        speeds: Each motion is played at a speed drawn from here.
+        made: Number of walks, and of rows of postures, that are made to draw from.
+        rounds: Of collecting and learning.
+        steps_per_round: Control steps of each robot in a round.
+        batches_per_round: Gradient steps after each round.
+        polish_batches: Gradient steps at the end, on everything.
+        batch: Labelled steps in a gradient step.
+        learning_rate: At the start; it falls to a twentieth.
+        hidden: Widths of the network's hidden layers.
+        crowd: Who collects.
+    """
+
+    seed: int = 7
+    teacher: str = "twist2:ckpts/twist2_1017_20k.onnx"
+    calm: float = 0.25
+    meshed_model: str = "twist2:g1/g1_sim2sim_29dof.xml"
+    motions: tuple[str, ...] = tuple(f"twist2:motions/0807_yanjie_walk_00{number}.pkl" for number in range(1, 7))
+    mirrored: tuple[int, ...] = (1, 2, 4, 5)
+    speeds: tuple[float, ...] = (0.85, 1.0, 1.0, 1.1)
+    made: int = 250
+    rounds: int = 150
+    steps_per_round: int = 200
+    batches_per_round: int = 120
+    polish_batches: int = 8000
+    batch: int = 2048
+    learning_rate: float = 1e-3
+    hidden: tuple[int, ...] = (512, 256, 128)
+    crowd: Crowd = Crowd()

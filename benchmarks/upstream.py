@@ -1,0 +1,29 @@
+"""What stock TWIST2 runs: its checkpoint, its meshed G1, one of its motions.
+
+Every figure that stands beside the stock pattern is taken with these, so that both do the same work, and so that it can
+be compared with earlier ones: what the station runs by itself is lighter.
+"""
+
+from __future__ import annotations
+
+from station import assets
+from station.errors import StationError
+from station.life.rig import RigConfig
+
+CHECKPOINT = "twist2:ckpts/twist2_1017_20k.onnx"
+ROBOT_MODEL = "twist2:g1/g1_sim2sim_29dof.xml"
+MOTION = "twist2:motions/0807_yanjie_walk_001.pkl"
+
+RIG = RigConfig(policy="twist2", checkpoint=CHECKPOINT, robot_model=ROBOT_MODEL)
+G1_SETTINGS = ("policy=twist2", f"checkpoint={CHECKPOINT}", f"robot_model={ROBOT_MODEL}")
+"""The same for ``station serve g1 --set``."""
+
+
+def problem() -> str:
+    """Return what is missing of it and how it comes here, in one line; "" when all is there."""
+    try:
+        for reference in (CHECKPOINT, ROBOT_MODEL, MOTION):
+            assets.resolve(reference)
+    except StationError as error:
+        return str(error)
+    return ""

@@ -1,0 +1,118 @@
+"""Where the commands of a case come from: each source gives one vector per tick, or None when nothing comes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from station.bus import contracts
+from station.errors import ConfigError
+from station.life.playback import Playback
+from station.protocols import CommandFormat, Floats, Motion
+from station.suite.cases import Silence
+
+Commands = Callable[[float], Floats | None]
+"""From the time since the start [s], which only grows, to a command vector, shape (m,)."""
+
+_ARM_WORDS = ("shoulder", "elbow", "wrist")
+_SHORTEST_S, _LONGEST_S = 0.3, 3.0  # from one pose of an arm to the next
+_SPEED_PART = 0.8  # of what the joints can do
+_MIN_JERK_PEAK = 1.875  # greatest speed of a minimum-jerk move, over its mean
+
+
+def silence(_: float) -> Floats | None:
+    """Give nothing, ever."""
+    return None
+
+
+def playing_on(motion: Motion, form: CommandFormat, *, period_s: float) -> Commands:
+    """Play a motion again and again, as the motion server does with `loop`."""
+    playback = Playback(motion, form, lead_s=period_s, loop=True)
+    return lambda now_s: playback.step(period_s if now_s else 0.0).command
+
+
+def cut(motion: Motion, form: CommandFormat, quiet: Silence, *, enter_s: float, at_s: float, lead_s: float) -> Commands:
+    """Enter a motion at once at `at_s - enter_s`, fall silent at `at_s` of it, and come back; nothing after its end.
+
+    No blend but the gate's: so it is when a network drops, or when a command server starts in the middle of things.
+    """
+
+    def command(now_s: float) -> Floats | None:
+        time_s = at_s - enter_s + now_s
+        if now_s >= enter_s:
+            if now_s < enter_s + quiet.seconds:
+                return None
+            time_s -= 0.0 if quiet.goes_on else quiet.seconds
+        return form.encode(motion.at(time_s + lead_s), motion.joint_names) if time_s <= motion.duration_s else None
+
+    return command
+
+
+class RandomArms:
+    """Stand, and take each arm from one random pose to the next, each pose anywhere within the joints' ranges.
+
+    Moves have minimum jerk and last 0.3 to 3 s, short ones as often as long ones (log-uniform), longer where a joint
+    would exceed 80 % of its greatest speed.
+
+    Args:
+        form: Its contract names the elements.
+        joint_speeds: Greatest speed of joints by name [rad/s].
+        seed: Of the poses and times.
+
+    Raises:
+        ConfigError: the format has no arms, or nobody knows how fast they are.
+    """
+
+    def __init__(self, form: CommandFormat, joint_speeds: dict[str, float], seed: int) -> None:
+        self._form = form
+        self._random = np.random.default_rng(seed)
+        arms = [arm for arm in _arms(form) if arm]
+        if not arms:
+            raise ConfigError(f"command format {form.name!r}: no element is named after a shoulder, elbow or wrist")
+        unknown = [name for arm in arms for name in arm if name not in joint_speeds]
+        if unknown:
+            raise ConfigError(f"the robot does not say how fast {unknown[0]} can be; the arms need it")
+        self._arms = [
+            _Arm(np.array(list(arm.values())), _SPEED_PART * np.array([joint_speeds[name] for name in arm]), form)
+            for arm in arms
+        ]
+
+    def __call__(self, now_s: float) -> Floats:
+        """Return the vector of an instant."""
+        command = np.array(self._form.default)
+        for arm in self._arms:
+            command[arm.elements] = arm.at(now_s, self._random)
+        return command
+
+
+class _Arm:
+    """The moves of one arm: its elements of the command, their greatest speeds [rad/s], and where it is going."""
+
+    def __init__(self, elements: Floats, speeds: Floats, form: CommandFormat) -> None:
+        self.elements = elements
+        self._speeds, self._lower, self._upper = speeds, form.lower[elements], form.upper[elements]
+        self._begun_s, self._ends_s = 0.0, 0.0
+        self._start = self._end = np.array(form.default[elements])
+
+    def at(self, now_s: float, random: np.random.Generator) -> Floats:
+        if now_s >= self._ends_s:
+            self._begun_s, self._start = now_s, self._end
+            self._end = random.uniform(self._lower, self._upper)
+            least_s = float((_MIN_JERK_PEAK * np.abs(self._end - self._start) / self._speeds).max())
+            wanted_s = float(np.exp(random.uniform(np.log(_SHORTEST_S), np.log(_LONGEST_S))))
+            self._ends_s = now_s + max(least_s, wanted_s)
+        part = (now_s - self._begun_s) / (self._ends_s - self._begun_s)
+        smooth = part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+        return np.asarray(self._start + smooth * (self._end - self._start))
+
+
+def _arms(form: CommandFormat) -> list[dict[str, int]]:
+    """Elements of the command that are joints of the left and of the right arm, by the name of the joint."""
+    contract = contracts.contract(form.key)
+    names = contract.names if contract is not None else ()
+    joints = {name.removesuffix("_pos"): index for index, name in enumerate(names) if name.endswith("_pos")}
+    return [
+        {name: i for name, i in joints.items() if name.startswith(side) and any(word in name for word in _ARM_WORDS)}
+        for side in ("left", "right")
+    ]

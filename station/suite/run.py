@@ -1,0 +1,140 @@
+"""The whole evaluation: every case, on the policy and on the one that it is held against, side by side in processes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Sequence
+from pathlib import PurePath
+
+import msgspec
+
+from station import side_by_side
+from station.life.rig import RigConfig
+from station.suite import clips, promise
+from station.suite.cases import Case, Group
+from station.suite.judge import Summary, judge
+from station.suite.outcome import Outcome
+from station.suite.promise import Extent
+from station.suite.trial import run_case
+
+
+class Evaluated(msgspec.Struct, frozen=True, kw_only=True):
+    """One policy: how it is called in the table, what was run, and how it went by group and by case."""
+
+    label: str
+    rig: RigConfig
+    groups: list[Summary]
+    cases: list[Outcome]
+
+
+class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
+    """What came of a suite.
+
+    Attributes:
+        extent: How much was run; its `arm_seeds` are all the chance there is in it.
+        limits: What was asked, by group.
+        missing: Clips that are not on this machine.
+        policies: The policy that is judged, then perhaps the one that it is held against.
+        wall_s: Time that it took [s], in `processes` processes.
+    """
+
+    extent: Extent
+    limits: dict[Group, str]
+    missing: list[str]
+    policies: list[Evaluated]
+    wall_s: float
+    processes: int
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether the policy keeps the promise in everything that was run."""
+        return not any(summary.failures for summary in self.policies[0].groups)
+
+
+class Plan(msgspec.Struct, frozen=True, kw_only=True):
+    """What is to be run; see `Evaluation`."""
+
+    extent: Extent
+    cases: list[Case]
+    missing: list[str]
+    rigs: list[RigConfig]
+    processes: int
+
+    @property
+    def runs(self) -> int:
+        """How many runs that is."""
+        return len(self.cases) * len(self.rigs)
+
+    def label(self, rig: int) -> str:
+        """Return what the policy of a rig is called: its family, and its file where that is not enough."""
+        config = self.rigs[rig]
+        is_alone = [other.policy for other in self.rigs].count(config.policy) == 1
+        return config.policy if is_alone else f"{config.policy} {PurePath(config.checkpoint).name}".strip()
+
+
+def plan(
+    rigs: Sequence[RigConfig],
+    *,
+    extent: Extent,
+    named: Sequence[str] = (),
+    only: Collection[Group] = (),
+    jobs: int = 0,
+) -> Plan:
+    """Look what there is to be run.
+
+    Args:
+        rigs: On what: the policy, and perhaps one that it is held against.
+        extent: How much.
+        named: Clips of the user's, in place of all that there are.
+        only: Some of the groups; none for all.
+        jobs: Processes; 0 for one per core, 1 for this process alone.
+
+    Raises:
+        StationError: a clip cannot be read.
+    """
+    found, missing = clips.find(named)
+    cases = promise.cases(extent, found, only)
+    count = side_by_side.processes(len(cases) * len(rigs), jobs)
+    return Plan(extent=extent, cases=cases, missing=missing, rigs=list(rigs), processes=count)
+
+
+def run(planned: Plan, on_done: Callable[[str, Outcome], None] | None = None) -> Evaluation:
+    """Run every case on every rig, the longest first.
+
+    Args:
+        planned: From `plan`.
+        on_done: Called with the label of the rig and each outcome as it comes, in any order.
+
+    Raises:
+        StationError: something cannot be loaded; the first problem ends the rest.
+    """
+    started_s = time.perf_counter()
+    cases, rigs = planned.cases, planned.rigs
+    order = [(rig, number) for rig in range(len(rigs)) for number in range(len(cases))]
+    order.sort(key=lambda task: -cases[task[1]].seconds)
+
+    def tell(result: tuple[int, Outcome]) -> None:
+        if on_done is not None:
+            on_done(planned.label(result[0]), result[1])
+
+    tasks = [(rig, cases[number], rigs[rig]) for rig, number in order]
+    done = side_by_side.run(_work, tasks, jobs=planned.processes, on_done=tell)
+    found = {task: outcome for task, (_, outcome) in zip(order, done, strict=True)}
+    outcomes = [[found[rig, number] for number in range(len(cases))] for rig in range(len(rigs))]
+    policies = [
+        Evaluated(
+            label=planned.label(rig), rig=rigs[rig], cases=mine,
+            groups=judge(mine, against=outcomes[1] if len(rigs) > 1 and rig == 0 else ()),
+        )
+        for rig, mine in enumerate(outcomes)
+    ]  # fmt: skip
+    return Evaluation(
+        extent=planned.extent, limits=promise.LIMITS, missing=planned.missing, policies=policies,
+        wall_s=time.perf_counter() - started_s, processes=planned.processes,
+    )  # fmt: skip
+
+
+def _work(task: tuple[int, Case, RigConfig]) -> tuple[int, Outcome]:
+    rig, case, config = task
+    with clips.quietly():
+        return rig, run_case(case, config)

@@ -1,0 +1,145 @@
+"""A contact sheet: a run on a page, a picture per moment with its time and what was being played."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from station.episode.reader import EpisodeReader
+from station.errors import StationError
+from station.view import offscreen
+from station.view import plot_style as style
+from station.view.find_model import find_path
+from station.view.moments import Moment, moments
+from station.view.offscreen import Pictures
+from station.view.run import Run, read_run
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+    from PIL.ImageDraw import ImageDraw
+    from PIL.ImageFont import FreeTypeFont
+
+COLUMNS, ROWS = 5, 3
+_MARGIN, _GAP, _HEAD, _CAPTION = 32, 16, 88, 40  # px
+_CELL = (style.WIDTH_PX - 2 * _MARGIN - (COLUMNS - 1) * _GAP) // COLUMNS
+_PICTURE = 340  # height of a picture [px]
+_CORNER = 8
+
+
+def save_sheet(
+    reader: EpisodeReader, path: Path, *, robot_model: str | Path | None = None, gl: str | None = None
+) -> list[str]:
+    """Draw an episode as a contact sheet, write it as PNG, and return what is to be said of it.
+
+    Args:
+        reader: The episode.
+        path: The file; replaced as a whole, or not at all.
+        robot_model: MJCF of the robot, path or ``collection:path``; None for the one that the episode names.
+        gl: How MuJoCo draws, see `station.view.offscreen.render`.
+
+    Raises:
+        CannotRender: this machine has no way to draw.
+        StationError: the episode holds no pose of a robot, no model of it is here, or the file cannot be written.
+    """
+    run = read_run(reader)
+    shown = moments(run, COLUMNS * ROWS)
+    if run.measured is None or not shown:
+        raise StationError(f"{run.episode_id}: no contact sheet, it holds no pose of a robot")
+    model, warnings = find_path(reader.manifest.servers.values(), run.robot, robot_model)
+    if model is None:
+        raise StationError(f"{run.episode_id}: no contact sheet, {warnings[-1]}")
+    rows = [moment.row for moment in shown]
+    pictures = offscreen.render(
+        model, run.measured.root[rows], run.measured.joints, run.measured.q[rows], width=_CELL, height=_PICTURE, gl=gl
+    )
+    _save(_page(run, shown, pictures), path)
+    return warnings
+
+
+class _Fonts(NamedTuple):
+    """The page's fonts: those that come with matplotlib, so that every machine draws the same page."""
+
+    title: FreeTypeFont
+    line: FreeTypeFont
+    name: FreeTypeFont
+    time: FreeTypeFont
+
+    @classmethod
+    def load(cls) -> _Fonts:
+        import matplotlib as mpl
+        from PIL import ImageFont
+
+        folder = Path(mpl.get_data_path()) / "fonts" / "ttf"
+        named = (
+            ("DejaVuSans-Bold.ttf", 22),
+            ("DejaVuSans.ttf", 15),
+            ("DejaVuSans-Bold.ttf", 15),
+            ("DejaVuSans.ttf", 14),
+        )
+        return cls(*(ImageFont.truetype(str(folder / name), size) for name, size in named))
+
+
+def _page(run: Run, shown: Sequence[Moment], pictures: Pictures) -> Image:
+    from PIL import Image, ImageDraw
+
+    fonts = _Fonts.load()
+    rows = -(-len(shown) // COLUMNS)
+    height = _HEAD + rows * (_PICTURE + _CAPTION + _GAP) - _GAP + _MARGIN // 2
+    page = Image.new("RGB", (style.WIDTH_PX, height), style.PAPER)
+    pen = ImageDraw.Draw(page)
+    pen.text((_MARGIN, 26), run.episode_id, style.INK, fonts.title)
+    pen.text((_MARGIN, 56), style.headline(run), style.SOFT, fonts.line)
+    corners = _rounded((_CELL, _PICTURE))
+    for number, (moment, picture) in enumerate(zip(shown, pictures, strict=True)):
+        left = _MARGIN + number % COLUMNS * (_CELL + _GAP)
+        top = _HEAD + number // COLUMNS * (_PICTURE + _CAPTION + _GAP)
+        page.paste(Image.fromarray(picture), (left, top), corners)
+        _caption(pen, moment, (left, top), fonts)
+    return page
+
+
+def _caption(pen: ImageDraw, moment: Moment, corner: tuple[int, int], fonts: _Fonts) -> None:
+    """Write below a picture what was played, and when; a robot that has fallen is framed."""
+    left, top = corner
+    base = top + _PICTURE + 26
+    pen.text((left + 2, base), moment.name, style.INK, fonts.name, anchor="ls")
+    said, colour = (
+        (f"fallen   {moment.at_s:.1f} s", style.FELL) if moment.has_fallen else (f"{moment.at_s:.1f} s", style.SOFT)
+    )
+    pen.text((left + _CELL - 2, base), said, colour, fonts.time, anchor="rs")
+    room = _CELL - 16 - fonts.time.getlength(said)
+    pen.text((left + 2, base), _fitted(moment.name, fonts.name, room), style.INK, fonts.name, anchor="ls")
+    if moment.has_fallen:
+        box = (left, top, left + _CELL - 1, top + _PICTURE - 1)
+        pen.rounded_rectangle(box, _CORNER, outline=style.FELL, width=4)
+
+
+def _fitted(text: str, font: FreeTypeFont, room: float) -> str:
+    """Return a text, cut where it is longer than `room` [px]."""
+    if font.getlength(text) <= room:
+        return text
+    while text and font.getlength(f"{text}…") > room:
+        text = text[:-1]
+    return f"{text}…"
+
+
+def _rounded(size: tuple[int, int]) -> Image:
+    """Return a mask with round corners, drawn large and shrunk so that they are smooth."""
+    from PIL import Image, ImageDraw
+
+    mask = Image.new("L", (size[0] * 4, size[1] * 4), 0)
+    ImageDraw.Draw(mask).rounded_rectangle((0, 0, mask.width - 1, mask.height - 1), _CORNER * 4, fill=255)
+    return mask.resize(size, Image.Resampling.LANCZOS)
+
+
+def _save(page: Image, path: Path) -> None:
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        page.save(part, format="PNG", optimize=True)
+        os.replace(part, path)
+    except OSError as error:
+        raise StationError(f"{path}: cannot be written ({error.strerror}); name a file in a folder of yours") from error
+    finally:
+        part.unlink(missing_ok=True)

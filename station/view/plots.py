@@ -1,0 +1,223 @@
+"""Command against state as one page: each joint as asked and as measured, root, gate, clips and falls.
+
+Limbs are columns and each joint has its row, so left and right stand side by side; the two have one span.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from station import rotations
+from station.episode.reader import EpisodeReader
+from station.errors import StationError
+from station.protocols import FALL_TILT_RAD, Floats
+from station.view import plot_style as style
+from station.view.layout import LIMBS
+from station.view.plot_lanes import draw_lanes
+from station.view.run import Run, read_run
+from station.view.tracking import joint_errors
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.gridspec import GridSpec
+
+_COLUMNS = ("left leg", "right leg", "waist", "left arm", "right arm")
+_ROWS = max(len(LIMBS[limb]) for limb in _COLUMNS)
+_HEAD_IN, _LANES_IN, _ROOT_IN, _ROW_IN, _FOOT_IN = 0.72, 0.52, 1.35, 1.36, 0.42
+_LEFT_IN, _RIGHT_IN = 0.55, 0.25
+_NAMES_IN = 0.55  # what the names beside the bars stick out to the left
+_LEAST_SPAN_RAD = 0.2  # a joint that stands still must not look as if it trembled
+_LEAST_ERROR_RAD = 0.01
+
+
+def save_plot(reader: EpisodeReader, path: Path) -> Path:
+    """Draw an episode on a page, write it as PNG, and return its path.
+
+    Raises:
+        StationError: the episode holds no joints, or the file cannot be written.
+    """
+    return save_run(read_run(reader), path)
+
+
+def save_run(run: Run, path: Path) -> Path:
+    """Like `save_plot`, of a run that has been read."""
+    if run.commanded is None and run.measured is None:
+        raise StationError(f"{run.episode_id}: no plot, it holds neither a command nor a state with joints")
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(style.RC):
+        height_in = _HEAD_IN + _LANES_IN + _ROOT_IN + _ROWS * _ROW_IN + _FOOT_IN
+        figure = Figure(figsize=(style.WIDTH_PX / style.DPI, height_in), dpi=style.DPI, facecolor=style.PAPER)
+        FigureCanvasAgg(figure)  # of its own, so that no display is looked for
+        _draw(figure, run, joint_errors(run))
+        return _save(figure, path)
+
+
+def _save(figure: Figure, path: Path) -> Path:
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        figure.savefig(part, format="png")
+        os.replace(part, path)
+    except OSError as error:
+        raise StationError(f"{path}: cannot be written ({error.strerror}); name a file in a folder of yours") from error
+    finally:
+        part.unlink(missing_ok=True)
+    return path
+
+
+def _draw(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
+    from matplotlib.gridspec import GridSpec
+
+    height_in = float(figure.get_figheight())
+    _head(figure, run, errors)
+    top = GridSpec(
+        2, 1, figure, left=_LEFT_IN / 16, right=1 - _RIGHT_IN / 16, top=1 - _HEAD_IN / height_in,
+        bottom=1 - (_HEAD_IN + _LANES_IN + _ROOT_IN - 0.3) / height_in, height_ratios=(_LANES_IN, _ROOT_IN - 0.3),
+        hspace=0.42,
+    )  # fmt: skip
+    limits = (0.0, max(run.end_s, 0.1))
+    lanes = figure.add_subplot(top[0])
+    lanes.set_xlim(limits)
+    draw_lanes(lanes, run, width_px=(16 - _LEFT_IN - _RIGHT_IN) * style.DPI)
+    root = figure.add_subplot(top[1])
+    _draw_height(root, run)
+    style.time_axis(root, limits, ticks=12, unit=" s")
+    below = GridSpec(
+        _ROWS, len(_COLUMNS), figure, left=_LEFT_IN / 16, right=1 - _RIGHT_IN / 16,
+        top=1 - (_HEAD_IN + _LANES_IN + _ROOT_IN + 0.42) / height_in, bottom=_FOOT_IN / height_in, hspace=0.5,
+        wspace=0.18,
+    )  # fmt: skip
+    _draw_limbs(figure, below, run, errors, limits)
+    _draw_lean(figure.add_subplot(below[_ROWS - 1, 0]), run, limits)
+    _draw_path(figure.add_subplot(below[_ROWS - 1, 1]), run)
+    if errors:
+        _draw_errors(figure.add_subplot(below[len(LIMBS["waist"]) :, 2]), errors)
+
+
+def _head(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
+    from matplotlib.lines import Line2D
+
+    height_in = float(figure.get_figheight())
+    left = _LEFT_IN / 16
+    figure.text(left, 1 - 0.32 / height_in, run.episode_id, fontsize=14, fontweight="bold")
+    figure.text(left, 1 - 0.54 / height_in, style.headline(run, errors), color=style.SOFT, fontsize=9)
+    lines = [Line2D([], [], color=style.ASKED, linewidth=2.4), Line2D([], [], color=style.MEASURED, linewidth=1.2)]
+    figure.legend(lines, ["commanded", "measured"], loc="upper right", ncols=2, frameon=False, fontsize=9,
+                  bbox_to_anchor=(1 - _RIGHT_IN / 16, 1 - 0.14 / height_in), borderpad=0, handlelength=1.8)  # fmt: skip
+
+
+def _draw_height(axes: Axes, run: Run) -> None:
+    style.title(axes, "height of the pelvis [m]")
+    style.mark(axes, run)
+    if run.heights is not None:
+        style.asked(axes, *run.heights)
+    if run.measured is not None and run.has_place:
+        style.measured(axes, run.times_s, run.measured.root[:, 2])
+    style.scale(axes, _values(axes), least=0.1)
+
+
+def _draw_lean(axes: Axes, run: Run, limits: tuple[float, float]) -> None:
+    style.title(axes, "lean of the pelvis [°]")
+    style.mark(axes, run)
+    if run.measured is not None:
+        style.measured(axes, run.times_s, np.degrees(rotations.tilt(run.measured.root[:, 3:])))
+        lean = _values(axes)
+        axes.set_ylim(0, max(12.0, 1.1 * float(lean.max(initial=0.0))))
+        if lean.max(initial=0.0) > np.degrees(FALL_TILT_RAD) / 2:
+            axes.axhline(np.degrees(FALL_TILT_RAD), color=style.FELL, linewidth=0.8, linestyle=(0, (4, 3)))
+    style.time_axis(axes, limits, ticks=5)
+
+
+def _draw_path(axes: Axes, run: Run) -> None:
+    """Draw where the pelvis went, seen from above, forward to the right."""
+    if run.measured is None or not run.has_place:
+        axes.set_visible(False)
+        return
+    style.title(axes, "path from above [m]", figure="starts at the dot")
+    x, y = run.measured.root[:, 0], run.measured.root[:, 1]
+    axes.plot(x, y, color=style.MEASURED, linewidth=1.2)
+    whole = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    if len(whole):
+        axes.plot(x[whole[0]], y[whole[0]], "o", color=style.MEASURED, markersize=4)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.08)
+
+
+def _draw_limbs(
+    figure: Figure, grid: GridSpec, run: Run, errors: Mapping[str, float], limits: tuple[float, float]
+) -> None:
+    for column, limb in enumerate(_COLUMNS):
+        joints = LIMBS[limb]
+        for row, joint in enumerate(joints):
+            axes = figure.add_subplot(grid[row, column])
+            name = joint.removeprefix("left_").removeprefix("right_").replace("_", " ")
+            style.title(axes, name, f"{errors[joint]:.3f}" if joint in errors else "")
+            style.mark(axes, run)
+            _draw_joint(axes, run, joint)
+            style.scale(axes, _both(run, joint), least=max(_LEAST_SPAN_RAD, _extent(_both(run, _twin(joint)))))
+            style.time_axis(axes, limits, ticks=5)
+            axes.tick_params(axis="x", labelbottom=row == len(joints) - 1)
+            if row == 0:
+                axes.annotate(f"{limb} [rad]", (0, 1), (0, 20), xycoords="axes fraction", textcoords="offset points",
+                              fontsize=10.5, fontweight="bold", color=style.INK)  # fmt: skip
+
+
+def _draw_joint(axes: Axes, run: Run, joint: str) -> None:
+    for source, draw in ((run.commanded, style.asked), (run.joints, style.measured)):
+        if source is not None and joint in source.names:
+            draw(axes, source.times_s, source.q[:, source.names.index(joint)])
+
+
+def _twin(joint: str) -> str:
+    """Return the same joint on the other side: the two are drawn with one span."""
+    return joint.replace("left_", "right_") if joint.startswith("left_") else joint.replace("right_", "left_")
+
+
+def _both(run: Run, joint: str) -> Floats:
+    """Return the finite values of a joint, commanded and measured."""
+    columns = [
+        source.q[:, source.names.index(joint)]
+        for source in (run.commanded, run.joints)
+        if source is not None and joint in source.names
+    ]
+    values = np.concatenate(columns) if columns else np.empty(0)
+    return np.asarray(values[np.isfinite(values)])
+
+
+def _extent(values: Floats) -> float:
+    return float(np.ptp(values)) if len(values) else 0.0
+
+
+def _values(axes: Axes) -> Floats:
+    """Return the finite values of all curves of a panel."""
+    drawn: list[Any] = [np.asarray(line.get_ydata(), dtype=np.float64) for line in axes.get_lines() if line.get_gid()]
+    values = np.concatenate(drawn) if drawn else np.empty(0)
+    return np.asarray(values[np.isfinite(values)])
+
+
+def _draw_errors(axes: Axes, errors: Mapping[str, float]) -> None:
+    """Draw a bar per joint, left above right."""
+    style.title(axes, "mean |error| [rad]", figure="left above right")
+    place = axes.get_position()
+    axes.set_position((place.x0 + _NAMES_IN / 16, place.y0, place.width - _NAMES_IN / 16, place.height))
+    names = [joint.removeprefix("left_") for limb in ("left leg", "waist", "left arm") for joint in LIMBS[limb]]
+    for row, name in enumerate(names):
+        if name in errors:
+            axes.barh(row, errors[name], 0.5, color=style.MEASURED)
+            continue
+        for side, shift, colour in (("left", -0.2, style.MEASURED), ("right", 0.2, style.SECOND)):
+            axes.barh(row + shift, errors.get(f"{side}_{name}", 0.0), 0.36, color=colour)
+    axes.set_yticks(range(len(names)), [name.replace("_", " ") for name in names], fontsize=7.5)
+    axes.set_ylim(len(names) - 0.4, -0.6)
+    axes.set_xlim(0, 1.08 * max(*errors.values(), _LEAST_ERROR_RAD))
+    axes.grid(visible=True, axis="x")
+    axes.grid(visible=False, axis="y")
+    axes.locator_params(axis="x", nbins=5)

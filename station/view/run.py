@@ -1,0 +1,251 @@
+"""One recorded run as pictures need it: where the robot was, what it was asked, and what happened when.
+
+Times are seconds since the start of the episode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from station import rotations
+from station.bus import codec, keys
+from station.episode import falls, steps
+from station.episode.messages import Message
+from station.episode.quality import FallSeen
+from station.episode.reader import EpisodeReader
+from station.episode.vectors import numbers
+from station.protocols import Floats
+from station.view import clips, poses
+from station.view.poses import Ints, Numbers, Posture
+
+PLAYING, TRACKING = "playing", "tracking"
+"""The phase of a motion, and the state of the gate, in which a robot is to follow."""
+_JOINT = "_pos"  # end of the name of a joint's position in a contract
+
+
+class Span(NamedTuple):
+    """Something that lasted."""
+
+    start_s: float
+    end_s: float
+    name: str
+
+
+class Joints(NamedTuple):
+    """Positions of m joints at n instants: times (n,) [s], their names, positions (n, m) [rad]."""
+
+    times_s: Floats
+    names: tuple[str, ...]
+    q: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """What pictures show of an episode.
+
+    Attributes:
+        episode_id: The episode.
+        robot: Suffix of the robot, "" for none.
+        policy, motion: Their short names, "" where the episode does not say.
+        measured: Where the robot was; None where nothing tells.
+        has_place: Whether its place and height were measured rather than assumed.
+        commanded: Joints that it was asked for, after the gate where there was one; None where nothing tells.
+        heights: Times [s] and commanded heights of the root [m]; None where the command has none.
+        gate: States of the gate.
+        phases: What was played: names of clips while a motion plays, else the phase.
+        playing: When a motion played, blends and pauses left out.
+        falls_s: When the robot fell [s].
+        start_ns: Start of the episode on the clock of `measured` and `commanded` [ns].
+    """
+
+    episode_id: str
+    robot: str
+    policy: str = ""
+    motion: str = ""
+    measured: Posture | None = None
+    has_place: bool = False
+    commanded: Joints | None = None
+    heights: tuple[Floats, Floats] | None = None
+    gate: list[Span] = field(default_factory=list)
+    phases: list[Span] = field(default_factory=list)
+    playing: list[Span] = field(default_factory=list)
+    falls_s: list[float] = field(default_factory=list)
+    start_ns: int = 0
+
+    @property
+    def times_s(self) -> Floats:
+        """Times of `measured` [s], shape (n,)."""
+        return np.empty(0) if self.measured is None else _seconds(self.measured.times_ns, self.start_ns)
+
+    @property
+    def end_s(self) -> float:
+        """Last instant that anything tells of [s]."""
+        ends = [span.end_s for span in (*self.gate, *self.phases)]
+        return max([*ends, *self.times_s[-1:], *([] if self.commanded is None else self.commanded.times_s[-1:])],
+                   default=0.0)  # fmt: skip
+
+    @property
+    def joints(self) -> Joints | None:
+        """Measured joints."""
+        return None if self.measured is None else Joints(self.times_s, self.measured.joints, self.measured.q)
+
+
+def read_run(reader: EpisodeReader) -> Run:
+    """Read from an episode what pictures show of it, in one pass over its signals."""
+    robot = _robot(reader.topics())
+    held = reader.collect(_topics(robot))
+    start_ns = _start_ns(reader)
+    find = _finder(held)
+    measured = poses.measured(find, robot)
+    facts = _motion_facts(reader, robot)
+    source = list(_objects(held[keys.command_source(robot)], start_ns))
+    gates = _objects(held[keys.command_gate(robot)], start_ns)
+    return Run(
+        episode_id=reader.episode_id,
+        robot=robot,
+        policy=reader.manifest.policy.name or "",
+        motion=clips.short_name(str(facts.get("file", ""))),
+        measured=measured,
+        has_place=find(keys.sim_qpos(robot)) is not None,
+        commanded=_commanded(find, robot, start_ns),
+        heights=_heights(find, robot, start_ns),
+        gate=_spans((at_s, str(value.get("state", ""))) for at_s, value in gates),
+        phases=_phases(source, facts),
+        playing=[
+            span for span in _spans((at_s, str(v.get("phase", ""))) for at_s, v in source) if span.name == PLAYING
+        ],
+        falls_s=_falls(held[keys.EVENT], robot, measured, start_ns),
+        start_ns=start_ns,
+    )
+
+
+def _robot(topics: list[str]) -> str:
+    """Return the robot that a policy drove; else one whose state or command is there (stock scripts, no robot)."""
+    others = [
+        robot
+        for family in (keys.state_body, keys.action_body, keys.action_mimic)
+        for robot in (keys.TWIST2_ROBOT, keys.TWIST_ROBOT)
+        if family(robot) in topics
+    ]
+    return next(iter([*steps.robots(topics), *others]), "")
+
+
+def _topics(robot: str) -> set[str]:
+    families = (keys.sim_qpos, keys.robot_state, keys.state_body, keys.command_used, keys.action_body,
+                keys.action_mimic, keys.command_gate, keys.command_source)  # fmt: skip
+    return {family(robot) for family in families} | {keys.EVENT}
+
+
+def _start_ns(reader: EpisodeReader) -> int:
+    if reader.anchor is not None:
+        return reader.anchor.wall_ns
+    return min((stream.first_ns for stream in reader.streams() if stream.count), default=0)
+
+
+def _seconds(times_ns: Ints, start_ns: int) -> Floats:
+    return np.asarray((times_ns - start_ns) * 1e-9, dtype=np.float64)
+
+
+def _finder(held: Mapping[str, list[Message]]) -> Callable[[str], Numbers | None]:
+    """Return a function that gives the numbers of a key, or None where it has none with names."""
+    found: dict[str, Numbers | None] = {}
+
+    def find(key: str) -> Numbers | None:
+        if key not in found:
+            contract = next((m.channel.contract for m in held[key] if m.channel.contract is not None), None)
+            vectors = numbers(key, held[key])[0] if contract is not None and contract.elements else None
+            has_values = vectors is not None and len(vectors.values) > 0
+            found[key] = (
+                Numbers(vectors.log_ns, np.asarray(vectors.values, dtype=np.float64), contract)
+                if vectors is not None and contract is not None and has_values
+                else None
+            )
+        return found[key]
+
+    return find
+
+
+def _first(find: poses.Find, robot: str) -> Numbers | None:
+    """Return the command that the policy got, else the one on the bus."""
+    families = (keys.command_used, keys.action_body, keys.action_mimic)
+    return next((found for family in families if (found := find(family(robot))) is not None), None)
+
+
+def _commanded(find: poses.Find, robot: str, start_ns: int) -> Joints | None:
+    command = _first(find, robot)
+    if command is None:
+        return None
+    columns = [index for index, name in enumerate(command.contract.names) if name.endswith(_JOINT)]
+    names = tuple(command.contract.names[index].removesuffix(_JOINT) for index in columns)
+    return Joints(_seconds(command.times_ns, start_ns), names, command.values[:, columns])
+
+
+def _heights(find: poses.Find, robot: str, start_ns: int) -> tuple[Floats, Floats] | None:
+    command = _first(find, robot)
+    if command is None or "root_height" not in command.contract.names:
+        return None
+    column = command.values[:, command.contract.names.index("root_height")]
+    return _seconds(command.times_ns, start_ns), column
+
+
+def _motion_facts(reader: EpisodeReader, robot: str) -> Mapping[str, Any]:
+    """Return what the server that commanded the robot said of its motion."""
+    stated = (facts["motion"] for facts in reader.manifest.servers.values()
+              if facts.get("robot") == robot and isinstance(facts.get("motion"), Mapping))  # fmt: skip
+    return next(stated, {})
+
+
+def _phases(source: Iterable[tuple[float, Mapping[str, Any]]], facts: Mapping[str, Any]) -> list[Span]:
+    parts = clips.clips(facts)
+    whole = clips.short_name(str(facts.get("file", "")))
+
+    def name(value: Mapping[str, Any]) -> str:
+        phase, time_s = str(value.get("phase", "")), value.get("time_s")
+        if phase != PLAYING:
+            return phase
+        return (clips.name_at(parts, float(time_s)) if isinstance(time_s, (int, float)) else "") or whole or phase
+
+    return _spans((at_s, name(value)) for at_s, value in source)
+
+
+def _spans(states: Iterable[tuple[float, str]]) -> list[Span]:
+    """Join equal neighbours; a state lasts until the next one begins."""
+    found: list[Span] = []
+    for at_s, name in states:
+        if found and found[-1].name == name:
+            found[-1] = found[-1]._replace(end_s=at_s)
+            continue
+        if found:
+            found[-1] = found[-1]._replace(end_s=at_s)
+        found.append(Span(at_s, at_s, name))
+    return [span for span in found if span.name]
+
+
+def _objects(messages: Iterable[Message], start_ns: int) -> Iterable[tuple[float, dict[str, Any]]]:
+    """Yield each JSON object with its time [s]; what is none is counted by `check`, not here."""
+    for message in messages:
+        try:
+            value = codec.parse_json(message.data)
+        except codec.BadValue:
+            continue
+        if isinstance(value, dict):
+            yield (message.log_ns - start_ns) * 1e-9, value
+
+
+def _falls(messages: list[Message], robot: str, measured: Posture | None, start_ns: int) -> list[float]:
+    """Return when the robot fell: as reported, and as its pose shows."""
+    told = [
+        FallSeen(at_s=at_s, robot=robot, tilt_rad=None, seen_by="event")
+        for at_s, event in _objects(messages, start_ns)
+        if event.get("name") == "fall"
+    ]
+    seen = []
+    if measured is not None:
+        whole = np.isfinite(measured.root).all(axis=1)
+        times_s = _seconds(measured.times_ns[whole], start_ns)
+        seen = falls.from_pose(robot, times_s, rotations.tilt(measured.root[whole, 3:]))
+    return [fall.at_s for fall in falls.merged(told, seen)]

@@ -1,0 +1,81 @@
+"""A run as a page of pictures, and what is said where none can be drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from station.bus import codec, keys
+from station.episode.reader import EpisodeReader, open_episode
+from station.errors import StationError
+from station.view import offscreen, plot_style
+from station.view.contact_sheet import save_sheet
+from station.view.offscreen import CannotRender
+from tests.episode.synthetic import EpisodeBuilder, command, walk
+from tests.view.pictures import pixels, share
+from tests.view.robots import tiny
+
+LYING = (0.6, 0.8, 0.0, 0.0)
+
+
+@pytest.fixture
+def builder(tmp_path: Path) -> EpisodeBuilder:
+    return EpisodeBuilder(tmp_path / "data")
+
+
+@pytest.fixture
+def walked(builder: EpisodeBuilder) -> EpisodeReader:
+    walk(builder, seconds=1.0)
+    return open_episode(builder.finish())
+
+
+@pytest.mark.usefixtures("drawing_machine")
+def test_a_walk_becomes_a_page_of_fifteen_pictures(walked: EpisodeReader, tmp_path: Path) -> None:
+    path = tmp_path / "sheet.png"
+    save_sheet(walked, path, robot_model=tiny(tmp_path))
+    picture = pixels(path)
+    assert picture.shape[1] == plot_style.WIDTH_PX
+    assert 1000 < picture.shape[0] < 1600
+    reddish = (picture[..., 0] > 120) & (picture[..., 1] < 90) & (picture[..., 2] < 90)
+    seen = reddish[88:].any(axis=0)
+    assert np.count_nonzero(np.diff(seen.astype(int)) == 1) >= 5, "the red pelvis is in each of five columns"
+    assert share(picture, plot_style.FELL) < 0.01
+    assert [path.name for path in tmp_path.iterdir() if "part" in path.name] == []
+
+
+@pytest.mark.usefixtures("drawing_machine")
+def test_a_robot_that_has_fallen_is_framed(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    walk(builder, seconds=1.0, quat=LYING, height=0.1)
+    save_sheet(open_episode(builder.finish()), tmp_path / "sheet.png", robot_model=tiny(tmp_path))
+    assert share(pixels(tmp_path / "sheet.png"), plot_style.FELL, within=8) > 0.01
+
+
+@pytest.mark.parametrize("gl", ["disable", "bogus"])
+def test_where_drawing_is_switched_off_the_reason_says_so(walked: EpisodeReader, tmp_path: Path, gl: str) -> None:
+    with pytest.raises(CannotRender, match=rf"cannot render \(\$MUJOCO_GL is '{gl}'; expected egl, osmesa, glfw\)"):
+        save_sheet(walked, tmp_path / "sheet.png", robot_model=tiny(tmp_path), gl=gl)
+    assert not (tmp_path / "sheet.png").exists()
+
+
+def test_where_no_way_works_each_ones_reason_is_told(
+    walked: EpisodeReader, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("__EGL_VENDOR_LIBRARY_FILENAMES", "/nowhere")
+    with pytest.raises(CannotRender, match=r"this machine cannot render \(egl: ") as caught:
+        save_sheet(walked, tmp_path / "sheet.png", robot_model=tiny(tmp_path), gl="egl")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_child_that_is_killed_takes_nothing_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "sitecustomize.py").write_text("import os; os.abort()")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with pytest.raises(CannotRender, match="egl: killed by SIGABRT"):
+        offscreen.render(tmp_path / "m.xml", np.zeros((1, 7)), (), np.zeros((1, 0)), width=8, height=8, gl="egl")
+
+
+def test_an_episode_without_a_pose_has_no_contact_sheet(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    builder.write({keys.action_body(): codec.json_vector(command())}, at_s=0.1, writer="motion")
+    with pytest.raises(StationError, match="no contact sheet, it holds no pose of a robot"):
+        save_sheet(open_episode(builder.finish()), tmp_path / "sheet.png")

@@ -1,0 +1,94 @@
+"""A run as a page of plots: a real picture, whatever the episode lacks."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from subprocess import run as run_process
+
+import numpy as np
+import pytest
+
+from station.bus import codec, keys
+from station.episode.reader import open_episode
+from station.errors import StationError
+from station.view import plot_style as style
+from station.view.plots import save_plot
+from tests.episode.synthetic import STANDING, EpisodeBuilder, command, tick, walk
+from tests.view.pictures import pixels, share
+
+
+@pytest.fixture
+def builder(tmp_path: Path) -> EpisodeBuilder:
+    return EpisodeBuilder(tmp_path / "data")
+
+
+def draw(builder: EpisodeBuilder, folder: Path) -> Path:
+    return save_plot(open_episode(builder.finish()), folder / "plot.png")
+
+
+def test_a_walk_becomes_a_page_with_both_curves(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    for number in range(100):
+        q = STANDING + 0.2 * np.sin(0.2 * number)
+        tick(builder, number, at_s=0.02 * number, q=q, asked=command(q + 0.15),
+             gate="entering" if number < 25 else "tracking")  # fmt: skip
+    picture = pixels(draw(builder, tmp_path))
+    height, width, _ = picture.shape
+    assert width == style.WIDTH_PX
+    assert 1000 < height < 1600
+    assert share(picture, style.ASKED) > 0.002
+    assert share(picture, style.MEASURED) > 0.002
+    assert share(picture, style.PAPER) > 0.7
+    assert share(picture, style.FELL) == 0.0
+    assert [path.name for path in tmp_path.iterdir() if "part" in path.name] == []
+
+
+def test_a_fall_is_marked(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    walk(builder, seconds=1.0)
+    builder.event("fall", at_s=0.5, severity="error")
+    assert share(pixels(draw(builder, tmp_path)), style.FELL) > 0.00005
+
+
+def test_values_that_are_no_numbers_leave_gaps(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    for number in range(50):
+        q = STANDING + 0.1 * np.sin(0.3 * number)
+        broken = (np.nan, np.nan, np.nan, np.nan) if number % 10 == 0 else (1.0, 0.0, 0.0, 0.0)
+        q[3] = np.inf if number % 7 == 0 else q[3]
+        q[5] = np.nan
+        height = np.nan if number % 5 == 0 else 0.79
+        tick(builder, number, at_s=0.02 * number, q=q, asked=command(), quat=broken, height=height)
+    assert share(pixels(draw(builder, tmp_path)), style.MEASURED) > 0.002
+
+
+def test_an_episode_without_a_robot_shows_what_was_commanded(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    for number in range(50):
+        asked = command(STANDING + 0.1 * np.sin(0.3 * number))
+        builder.write({keys.action_body(): codec.json_vector(asked)}, at_s=0.02 * number, writer="motion")
+    picture = pixels(draw(builder, tmp_path))
+    assert share(picture, style.ASKED) > 0.002
+    legend = picture[:60]
+    assert share(picture, style.MEASURED) * picture.size == share(legend, style.MEASURED) * legend.size
+
+
+def test_a_single_instant_is_drawn(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    tick(builder, 0, at_s=0.0)
+    assert draw(builder, tmp_path).is_file()
+
+
+def test_an_episode_without_joints_cannot_be_plotted(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    builder.event("mark", at_s=0.1)
+    with pytest.raises(StationError, match="no plot, it holds neither a command nor a state"):
+        draw(builder, tmp_path)
+    assert not (tmp_path / "plot.png").exists()
+
+
+def test_a_folder_that_is_not_there_is_one_line(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    walk(builder, seconds=0.1)
+    with pytest.raises(StationError, match="cannot be written") as caught:
+        draw(builder, tmp_path / "nowhere")
+    assert "\n" not in str(caught.value)
+
+
+def test_reading_the_module_loads_no_matplotlib() -> None:
+    code = "import sys, station.view.plots, station.view.contact_sheet; print('matplotlib' in sys.modules)"
+    assert run_process([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"

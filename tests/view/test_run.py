@@ -1,0 +1,117 @@
+"""What pictures read of an episode: postures, gate, clips, falls, and what is missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from station.bus import codec, joints, keys
+from station.episode.reader import open_episode
+from station.view.run import Run, read_run
+from station.view.tracking import joint_errors
+from tests.episode.synthetic import ROBOT, STANDING, EpisodeBuilder, command, tick, walk
+
+LYING = (0.6, 0.8, 0.0, 0.0)  # 106° about x
+
+
+@pytest.fixture
+def builder(tmp_path: Path) -> EpisodeBuilder:
+    return EpisodeBuilder(tmp_path / "data")
+
+
+def read(builder: EpisodeBuilder, manifest: dict[str, Any] | None = None) -> Run:
+    return read_run(open_episode(builder.finish(manifest)))
+
+
+def test_gate_and_phases_are_spans_from_change_to_change(builder: EpisodeBuilder) -> None:
+    for number in range(50):
+        tick(builder, number, at_s=0.02 * number, gate="entering" if number < 20 else "tracking",
+             phase="entering" if number < 20 else "playing")  # fmt: skip
+    run = read(builder)
+    assert [span.name for span in run.gate] == ["entering", "tracking"]
+    assert run.gate[0].end_s == run.gate[1].start_s == pytest.approx(0.4, abs=0.01)
+    assert [span.name for span in run.phases] == ["entering", "playing"]
+    assert run.end_s == pytest.approx(0.98, abs=0.01)
+
+
+def test_clips_take_the_place_of_playing(builder: EpisodeBuilder) -> None:
+    for number in range(20):
+        source = {"file": "builtin:tour", "phase": "playing", "time_s": 0.1 * number}
+        values = {
+            keys.action_body(): codec.json_vector(command()),
+            keys.command_source(ROBOT): codec.json_object(source),
+        }
+        builder.write(values, at_s=0.1 * number, writer="motion")
+    parts = [{"name": "wave", "start_s": 0.0, "end_s": 1.0}, {"name": "bow", "start_s": 1.0, "end_s": 1.5}]
+    facts = {"file": "builtin:tour", "duration_s": 2.0, "clips": parts}
+    run = read(builder, {"servers": {"motion": {"robot": ROBOT, "motion": facts}}})
+    assert [span.name for span in run.phases] == ["wave", "bow", "tour"]
+    assert run.motion == "tour"
+    assert [span.name for span in run.playing] == ["playing"]
+
+
+def test_a_fall_is_seen_once_though_told_and_derived(builder: EpisodeBuilder) -> None:
+    for number in range(100):
+        tick(builder, number, at_s=0.02 * number, quat=LYING if number >= 50 else (1.0, 0, 0, 0))
+    builder.event("fall", at_s=0.95, severity="error")
+    assert read(builder).falls_s == [pytest.approx(0.95, abs=0.01)]
+
+
+def test_joint_errors_count_only_while_the_motion_plays_and_the_gate_tracks(builder: EpisodeBuilder) -> None:
+    for number in range(40):
+        is_counted = number >= 20
+        asked = command(STANDING + (0.1 if is_counted else 0.5))
+        tick(builder, number, at_s=0.02 * number, asked=asked, gate="tracking" if is_counted else "entering")
+    errors = joint_errors(read(builder))
+    assert set(errors) == set(joints.G1_29)
+    assert np.array(list(errors.values())) == pytest.approx(0.1, abs=0.03)
+
+
+def test_values_that_are_no_numbers_take_no_part_in_errors(builder: EpisodeBuilder) -> None:
+    for number in range(20):
+        q = STANDING.copy()
+        q[0] = np.nan
+        q[1] = np.nan if number % 2 else q[1]
+        tick(builder, number, at_s=0.02 * number, q=q, asked=command(STANDING + 0.1))
+    errors = joint_errors(read(builder))
+    assert joints.G1_29[0] not in errors
+    assert errors[joints.G1_29[1]] == pytest.approx(0.1)
+
+
+def test_an_episode_of_stock_scripts_gives_its_command_and_its_state(builder: EpisodeBuilder) -> None:
+    for number in range(10):
+        state = np.concatenate([np.zeros(5), STANDING])
+        builder.foreign(keys.action_body(), codec.json_vector(command()), at_s=0.02 * number)
+        builder.foreign(keys.state_body(ROBOT), codec.json_vector(state), at_s=0.02 * number + 0.01)
+    run = read(builder)
+    assert run.commanded is not None
+    assert run.joints is not None
+    assert run.joints.q[0] == pytest.approx(STANDING)
+    assert not run.has_place
+    assert run.gate == []
+
+
+def test_an_episode_without_a_robot_has_its_command_alone(builder: EpisodeBuilder) -> None:
+    builder.write({keys.action_body(): codec.json_vector(command())}, at_s=0.1, writer="motion")
+    run = read(builder)
+    assert run.measured is None
+    assert run.commanded is not None
+    assert joint_errors(run) == {}
+
+
+def test_an_episode_with_nothing_of_a_robot_is_an_empty_run(builder: EpisodeBuilder) -> None:
+    builder.event("mark", at_s=0.1)
+    run = read(builder)
+    assert (run.measured, run.commanded, run.robot, run.end_s) == (None, None, "", 0.0)
+
+
+def test_a_walk_is_whole(builder: EpisodeBuilder) -> None:
+    walk(builder, seconds=0.5)
+    run = read(builder)
+    assert len(run.times_s) == 25
+    assert run.times_s[0] == pytest.approx(0.1, abs=0.01)
+    assert run.has_place
+    assert run.heights is not None
