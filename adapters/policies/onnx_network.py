@@ -62,7 +62,7 @@ def _open(path: Path) -> onnxruntime.InferenceSession:
 
 
 def _only(path: Path, kind: str, ports: list[onnxruntime.NodeArg], size: int) -> str:
-    came = ", ".join(f"{port.name} {list(port.shape)} {port.type}" for port in ports)
+    came = ", ".join(f"{port.name} [{', '.join(map(str, port.shape))}] {port.type}" for port in ports)
     if len(ports) != 1 or len(ports[0].shape) != 2 or ports[0].shape[1] != size or ports[0].type != "tensor(float)":
         raise BadFile(f"{path}: expected one float {kind} [batch, {size}], the checkpoint has {came}")
     return str(ports[0].name)

@@ -147,7 +147,7 @@ def test_the_spec_names_checkpoint_hash_and_runtime(policy: Twist2Policy) -> Non
 @pytest.mark.parametrize(
     ("checkpoint", "came"),
     [
-        ("builtin:tracker.onnx", "observation ['batch', 635]"),
+        ("builtin:tracker.onnx", "observation [batch, 635]"),
         pytest.param("zoo:policies/holosoma_ppo_g1_29dof.onnx", "actor_obs [1, 100]", marks=pytest.mark.assets),
     ],
 )
