@@ -36,8 +36,8 @@ class G1Config(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         physics_dt_s: Physics step of a simulation [s].
         pace: ``wall`` or ``command`` (lock-step).
         command_timeout_s: Longest wait for the next command in lock-step [s]; then ticks go on at `rate_hz`.
-        gate: Times of the gate.
-        start_armed: Whether targets go to the robot from the start; None: only in simulation.
+        gate: Times of the gate, how fast a command may move, and whom to obey when two write it.
+        start_armed: Whether targets go to the robot from the start; None: only in simulation. Otherwise `station arm`.
         viewer: Whether a simulation opens a window.
         on_fall: ``continue``, or ``reset``: a simulated robot is put back on its feet after a second.
         real_time_priority: SCHED_FIFO priority that is asked for with `pace: wall`; 0 does not ask.

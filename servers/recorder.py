@@ -17,9 +17,11 @@ from station.bus.tap import Tap, Write, open_tap
 from station.config import to_plain
 from station.episode.claim import Claim
 from station.episode.folder import data_folder
+from station.episode.heritage import Heritage
 from station.episode.options import RecordingOptions
 from station.episode.progress import WriterOptions
 from station.episode.recording import Recording
+from station.episode.resume import as_written
 from station.errors import BusError
 from station.life.server import Life, ServerKind
 from station.software import software
@@ -44,11 +46,13 @@ class RecorderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         preroll_s: How much of what came before the start belongs to an episode [s]; 0 for nothing.
         preroll_mb: Bound of the memory for that [MB].
         backend: Tap to use; None probes for the best.
-        flush_s: Time between two flushes to the disk [s]: what a killed recorder loses.
+        flush_s: Time between two flushes to the disk [s]: what a power cut loses.
         flush_kb: Size that makes a flush come sooner [kB].
         queue_mb: What may wait for a slow disk [MB]; beyond it writes are dropped and counted.
         min_free_mb: Free disk space below which no episode starts [MB].
         resume_s: How long an episode stays open while the bus is gone [s].
+        take_up_s: How long after its recorder was killed an episode is taken up again with a hole [s], where the server
+            no longer has what was written meanwhile; where it has, there is no limit.
     """
 
     data: Path | None = None
@@ -61,10 +65,11 @@ class RecorderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     queue_mb: float = 128.0
     min_free_mb: float = 500.0
     resume_s: float = 5.0
+    take_up_s: float = 60.0
 
     def __post_init__(self) -> None:
         """Refuse what cannot work."""
-        for name in ("preroll_s", "preroll_mb", "min_free_mb", "resume_s"):
+        for name in ("preroll_s", "preroll_mb", "min_free_mb", "resume_s", "take_up_s"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
         for name in ("flush_s", "flush_kb", "queue_mb"):
@@ -95,7 +100,7 @@ def main(config: RecorderConfig, life: Life) -> int:
         recorder = _Recorder(config, options, life)
         try:
             life.configured(recorder.facts())
-            if not life.ready():
+            if not life.ready() and not recorder.recording.is_recording:
                 return 0
             while not life.stopping:
                 recorder.step()
@@ -110,16 +115,16 @@ class _Recorder:
     def __init__(self, config: RecorderConfig, options: RecordingOptions, life: Life) -> None:
         self._config = config
         self._life = life
-        self._tap: Tap = open_tap(life.bus.address, backend=config.backend)
+        self._state_due = self._answer_due = 0.0
+        heritage = Heritage(options, life, config.take_up_s)
+        self._tap: Tap = open_tap(life.bus.address, resume=heritage.position, backend=config.backend)
         self._heard_ns = time.monotonic_ns()
         self.recording = Recording(
             options, backend=self._tap.backend, is_lossless=self._tap.is_lossless, bus=str(life.bus.address)
         )
-        self._state_due = self._answer_due = 0.0
+        self.recording.placed(self._tap.position())
         self._seed()
-        old_request = life.bus.get(keys.RECORD)
-        if old_request is not None:  # of before our time
-            self.recording.seed(keys.RECORD, old_request, None)
+        self._written_ns = heritage.enter(self.recording, self._tap)  # the newest write, on our monotonic clock
 
     def facts(self) -> dict[str, Any]:
         """What this server states that it runs."""
@@ -135,6 +140,7 @@ class _Recorder:
 
     def step(self) -> None:
         """Take in what arrived, and say what is due."""
+        is_late = getattr(self._tap, "is_catching_up", False)
         try:
             writes = self._tap.read(_READ_S)
         except BusError as error:
@@ -142,7 +148,11 @@ class _Recorder:
             return
         self._heard_ns = time.monotonic_ns()
         if writes:
-            self.recording.feed(writes, self._tap.position())
+            writes = as_written(writes, self._written_ns) if is_late else writes
+            self._written_ns = writes[-1].mono_ns
+            self.recording.feed(writes, self._tap.position(), is_live=not is_late)
+        if is_late and self.recording.is_congested:  # what waited at the server can wait a little longer
+            self._life.stop_event.wait(_READ_S)
         self.recording.not_mirrored(getattr(self._tap, "not_mirrored", 0))
         self.recording.poll()
         self._speak()
@@ -211,7 +221,7 @@ class _Recorder:
             self._life.bus.publish({keys.RECORDER: codec.json_object(state)})
             self._life.report(
                 recording=state.episode_id, backend=state.backend, lag_ms=state.lag_ms, lag_p99_ms=state.lag_p99_ms,
-                dropped=state.dropped,
+                dropped=state.dropped, restarts=state.restarts,
             )  # fmt: skip
 
     def _say_notices(self) -> None:
@@ -242,6 +252,7 @@ class _Recorder:
         if self._tap.resumed:
             self._life.event("tap-resumed", seconds=seconds)
         else:
+            self.recording.placed(self._tap.position())
             self.recording.hole(self._heard_ns, now_ns, f"the tap was lost ({error}) and could not go on where it was")
             self._life.event("tap-hole", severity="warning", seconds=seconds)
             self._catch_up()

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import msgspec
-import yaml
 
+from station import safe_yaml
 from station.errors import BadFile, ConfigError, did_you_mean
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -48,7 +48,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         ConfigError: not YAML, or not a mapping.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = safe_yaml.read_bytes(path).decode()
     except FileNotFoundError:
         near = did_you_mean(path.name, [p.name for p in path.parent.glob("*.yaml")]) if path.parent.is_dir() else ""
         raise BadFile(f"{path}: no such file{near}") from None
@@ -62,11 +62,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
 def parse_yaml(text: str, *, where: str) -> dict[str, Any]:
     """Read a YAML mapping from text; raises `ConfigError` like `read_yaml`."""
     try:
-        data = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        raise ConfigError(f"{where}: not YAML{place}: {getattr(error, 'problem', error)}") from None
+        data = safe_yaml.load(text)
+    except safe_yaml.BadYaml as error:
+        raise ConfigError(f"{where}: {error}") from None
     if not isinstance(data, dict):
         raise ConfigError(f"{where}: expected a mapping of keys to values, got {type(data).__name__}")
     return data
@@ -134,10 +132,9 @@ def _assign(target: dict[str, Any], dotted: str, value: Any) -> None:
 def _value(text: str, option: str) -> Any:
     # "twist2:motions/x.pkl" and friends are text to YAML already; "a: b" would not be, and nobody means a mapping here.
     try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        problem = getattr(error, "problem", None) or "cannot be read"
-        raise ConfigError(f"--set {option}: the value is not YAML: {problem}; put quotes around text") from None
+        value = safe_yaml.load(text)
+    except safe_yaml.BadYaml as error:
+        raise ConfigError(f"--set {option}: the value is {error}; put quotes around text") from None
     if isinstance(value, str) and _EXPONENT.match(value):
         return float(value)  # YAML 1.1 takes 1e9 for text
     return text if isinstance(value, dict) else value

@@ -279,6 +279,11 @@ class CommandFormat(Protocol):
         """How far outside its range an element is still clamped rather than refused, shape (m,)."""
         ...
 
+    @property
+    def rate(self) -> Floats:
+        """Greatest change of each element per second, shape (m,); infinite where it has none."""
+        ...
+
     def encode(self, reference: Reference, joint_names: tuple[str, ...]) -> Floats:
         """Return the vector that asks for a reference whose joints are named, shape (m,)."""
         ...

@@ -48,7 +48,8 @@ def _own_runtime_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: p
     folder = tmp_path_factory.mktemp("run")
     folder.chmod(0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
-    for name in ("STATION_BUS", "STATION_BUS_PASSWORD", "STATION_DATA"):
+    bus = ("", "_USER", "_PASSWORD", "_PASSWORD_FILE", "_CA", "_CERT", "_KEY")
+    for name in (*(f"STATION_BUS{suffix}" for suffix in bus), "STATION_DATA"):
         monkeypatch.delenv(name, raising=False)
 
 

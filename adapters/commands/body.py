@@ -19,12 +19,20 @@ JOINT_MARGIN_RAD = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """One element of the head: its value when standing, its range, and how far outside it is still clamped."""
+    """One element of the head.
+
+    Attributes:
+        default: Its value when standing.
+        lower, upper: Its range.
+        margin: How far outside it is still clamped.
+        rate: Greatest change per second.
+    """
 
     default: float
     lower: float
     upper: float
     margin: float
+    rate: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +52,7 @@ class BodyCommand:
     lower: Floats
     upper: Floats
     margin: Floats
+    rate: Floats
     joint_names: tuple[str, ...]
     head: Callable[[Reference], list[float]]
 
@@ -84,6 +93,7 @@ def body_command(
         lower=whole("lower", g1.lower(joint_names)),
         upper=whole("upper", g1.upper(joint_names)),
         margin=whole("margin", np.full(count, JOINT_MARGIN_RAD)),
+        rate=whole("rate", g1.velocity(joint_names)),
         joint_names=joint_names,
         head=head,
     )

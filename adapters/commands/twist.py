@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 
 from adapters.commands.body import Bound, body_command, standing
-from adapters.commands.twist2 import TILT, VELOCITY, YAW_RATE
+from adapters.commands.twist2 import HEIGHT_RATE, TILT, VELOCITY, YAW_RATE
 from station.bus import joints, keys
 from station.protocols import Reference
 from station.rotations import roll_pitch_yaw
@@ -34,10 +34,10 @@ FORMAT = body_command(
     key=keys.action_mimic(),
     companions={keys.action_hands(): 14},
     bounds=(
-        Bound(0.793, 0.2, 1.2, 0.1),
+        Bound(0.793, 0.2, 1.2, 0.1, HEIGHT_RATE),
         TILT,
         TILT,
-        Bound(0.0, -math.pi, math.pi, 0.1),
+        Bound(0.0, -math.pi, math.pi, 0.1, math.inf),  # a heading that passes the half turn jumps by a whole one
         VELOCITY,
         VELOCITY,
         VELOCITY,

@@ -90,6 +90,9 @@ def _members(path: Path, data: bytes) -> dict[str, np.ndarray[Any, Any]]:
             if missing:
                 raise BadFile(f"{path}: has no member {missing[0]!r}; expected {', '.join(_MEMBERS)}")
             return {name: archive[name] for name in _MEMBERS}
-    except (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, KeyError, NotImplementedError) as error:
+    except (
+        zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, KeyError, NotImplementedError, MemoryError,
+        RecursionError, OverflowError, TypeError,
+    ) as error:  # fmt: skip
         reason = " ".join(str(error).split())[:100]
         raise BadFile(f"{path}: not a readable .npz motion ({reason}); fetch or export it again") from error

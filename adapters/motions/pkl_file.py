@@ -54,7 +54,8 @@ def _check_keys(path: Path, content: Any) -> None:
         raise BadFile(f"{path}: has no {missing[0]!r}; expected a dict with {', '.join(_NEEDED)}")
     unknown = [key for key in content if key not in _NEEDED + _OPTIONAL]
     if unknown:
-        raise BadFile(f"{path}: unknown key {str(unknown[0])[:40]!r}; known: {', '.join(_NEEDED + _OPTIONAL)}")
+        name = repr(unknown[0][:40]) if isinstance(unknown[0], str) else f"of type {type(unknown[0]).__name__}"
+        raise BadFile(f"{path}: unknown key {name}; known: {', '.join(_NEEDED + _OPTIONAL)}")
 
 
 def _check_bodies(path: Path, content: dict[str, Any]) -> None:

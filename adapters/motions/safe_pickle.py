@@ -10,21 +10,20 @@ from __future__ import annotations
 import io
 import math
 import pickle
-import pickletools
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from adapters.motions import pickle_survey
 from station.errors import BadFile
 
-# Other ways to call or build than the allow-listed names; numpy's pickles use none of them.
-_REFUSED_OPCODES = frozenset(
-    ["PERSID", "BINPERSID", "INST", "OBJ", "NEWOBJ", "NEWOBJ_EX", "EXT1", "EXT2", "EXT4",
-     "NEXT_BUFFER", "READONLY_BUFFER"]
-)  # fmt: skip
-_MEMO_OPCODES = frozenset(["PUT", "BINPUT", "LONG_BINPUT"])
+_DTYPE = re.compile(r"[<>|=]?[biuf]\d{1,2}")
+_LARGEST_SIDE = 1 << 40  # of an array; without a bound the product of the sides may be hours of arithmetic
+_MOST_SIDES = 32
+_DEEPEST = 8  # lists within lists; a motion's have two levels
 _PLAIN_DTYPE_STATE = (None, None, None, -1, -1, 0)  # no sub-array, no names, no fields, usual size, alignment, flags
 _TORN = (
     pickle.UnpicklingError, EOFError, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError,
@@ -43,11 +42,13 @@ def load_plain(path: Path, data: bytes) -> Any:
         BadFile: torn, or it asks for anything beyond plain data and arrays of numbers.
     """
     try:
-        _check_opcodes(path, data)
-        return _plain(_Reader(path, data).load())
+        pickle_survey.check(data)
+        value = _Reader(path, data).load()
+        _check_size(value, len(data))
+        return _plain(value)
     except BadFile:
         raise
-    except _Refused as error:
+    except (_Refused, pickle_survey.Unfit) as error:
         raise BadFile(f"{path}: {error}; refused") from None
     except _TORN as error:
         reason = " ".join(str(error).split())[:100] or type(error).__name__
@@ -56,15 +57,6 @@ def load_plain(path: Path, data: bytes) -> Any:
 
 class _Refused(Exception):
     """The pickle asks for something that plain data does not need."""
-
-
-def _check_opcodes(path: Path, data: bytes) -> None:
-    for opcode, argument, _ in pickletools.genops(data):
-        if opcode.name in _REFUSED_OPCODES:
-            raise BadFile(f"{path}: pickle instruction {opcode.name} does not belong in a motion file; refused")
-        # The reader keeps its memo in an array: one instruction with a huge index would claim gigabytes.
-        if opcode.name in _MEMO_OPCODES and isinstance(argument, int) and argument > len(data):
-            raise BadFile(f"{path}: pickle memo index {argument} is beyond the file; refused")
 
 
 class _Reader(pickle.Unpickler):
@@ -103,9 +95,9 @@ class _Dtype:
     __slots__ = ("dtype",)
 
     def __init__(self, code: Any, *_: Any) -> None:
-        text = code.decode("ascii", "replace") if isinstance(code, bytes) else str(code)
-        if text.lstrip("<>|=")[:1] not in tuple("biuf"):
-            raise _Refused(f"holds an array of dtype {text[:20]!r}, expected numbers")
+        text = code.decode("ascii", "replace") if isinstance(code, bytes) else code
+        if not isinstance(text, str) or not _DTYPE.fullmatch(text):
+            raise _Refused(f"holds an array of dtype {_named(text)}, expected numbers")
         self.dtype: np.dtype[Any] = np.dtype(text)
 
     def __setstate__(self, state: Any) -> None:
@@ -133,9 +125,11 @@ def _from_bytes(data: Any, dtype: Any, shape: Any, order: Any) -> Any:
         data = data.encode("latin-1")
     if not isinstance(dtype, _Dtype) or not isinstance(data, (bytes, bytearray)):
         raise _Refused("holds an array that is not made of plain numbers")
-    sizes = tuple(shape)
-    if not all(isinstance(size, int) and size >= 0 for size in sizes) or order not in ("C", "F"):
-        raise _Refused(f"holds an array of shape {str(sizes)[:40]}")
+    if not isinstance(shape, tuple) or len(shape) > _MOST_SIDES or order not in ("C", "F"):
+        raise _Refused(f"holds an array of shape {_named(shape)}")
+    sizes = shape
+    if not all(isinstance(size, int) and 0 <= size < _LARGEST_SIDE for size in sizes):
+        raise _Refused("holds an array whose shape is not made of sizes")
     if math.prod(sizes) * dtype.dtype.itemsize != len(data):
         raise ValueError(f"array of shape {sizes} with {len(data)} bytes")
     return np.frombuffer(bytes(data), dtype=dtype.dtype).reshape(sizes, order=order)
@@ -153,7 +147,7 @@ def _scalar(dtype: Any, data: Any) -> Any:
 
 def _encode(text: Any, encoding: Any = "latin1") -> bytes:
     if not isinstance(text, str) or encoding not in ("latin1", "latin-1"):
-        raise _Refused(f"asks for the codec {str(encoding)[:20]!r}")
+        raise _Refused(f"asks for the codec {_named(encoding)}")
     return text.encode("latin-1")
 
 
@@ -170,6 +164,31 @@ for _core in ("numpy.core", "numpy._core"):  # before and since numpy 2
     _ALLOWED[f"{_core}.multiarray", "_reconstruct"] = _Array
     _ALLOWED[f"{_core}.multiarray", "scalar"] = _scalar
     _ALLOWED[f"{_core}.numeric", "_frombuffer"] = _frombuffer
+
+
+def _named(value: Any) -> str:
+    """Return a short text by itself and of anything else only the type: what it shows may be endless."""
+    return repr(value[:20]) if isinstance(value, str) else type(value).__name__
+
+
+def _check_size(value: Any, size: int) -> None:
+    """Refuse lists that hold each other: a page of them stands for more than there is memory.
+
+    Written out, each item of a list takes at least one byte of a file.
+    """
+    level, count = [value], 0
+    for _ in range(_DEEPEST):
+        inner = [item.values() if isinstance(item, dict) else item for item in level if isinstance(item, _HOLDERS)]
+        count += sum(len(items) for items in inner)
+        if count > size:
+            raise _Refused("holds more items than it has bytes")
+        level = [item for items in inner for item in items]
+        if not level:
+            return
+    raise _Refused(f"holds lists more than {_DEEPEST} deep")
+
+
+_HOLDERS = (dict, list, tuple)
 
 
 def _plain(value: Any) -> Any:

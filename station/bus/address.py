@@ -6,15 +6,21 @@ import hashlib
 import os
 import tempfile
 from pathlib import Path
-from urllib.parse import parse_qs, quote, unquote, urlsplit
+from urllib.parse import SplitResult, parse_qs, quote, unquote, urlsplit
 
 import msgspec
 
 from station.errors import ConfigError
 
 ENVIRONMENT_VARIABLE = "STATION_BUS"
+USER_VARIABLE = "STATION_BUS_USER"
 PASSWORD_VARIABLE = "STATION_BUS_PASSWORD"
+PASSWORD_FILE_VARIABLE = "STATION_BUS_PASSWORD_FILE"
 CA_VARIABLE = "STATION_BUS_CA"
+CERTIFICATE_VARIABLE = "STATION_BUS_CERT"
+KEY_VARIABLE = "STATION_BUS_KEY"
+DEFAULT_USER = "operator"  # of a file that has passwords for several: who uses the command line
+_EXPECTED = "expected redis://HOST:PORT/DB, rediss://HOST:PORT/DB or unix:///PATH?db=N"
 _SOCKET_PATH_LIMIT = 104  # bytes; the smallest limit among the systems that we run on
 
 
@@ -28,6 +34,7 @@ class BusAddress(msgspec.Struct, frozen=True, kw_only=True):
         username, password: Credentials, or None.
         tls: Whether TCP is wrapped in TLS.
         ca_file: File with the certificates to trust for TLS; None trusts the system's.
+        certificate_file, key_file: Our own certificate and its key, for a server that asks for one.
     """
 
     host: str = "localhost"
@@ -38,6 +45,8 @@ class BusAddress(msgspec.Struct, frozen=True, kw_only=True):
     password: str | None = None
     tls: bool = False
     ca_file: str | None = None
+    certificate_file: str | None = None
+    key_file: str | None = None
 
     @property
     def url(self) -> str:
@@ -62,14 +71,17 @@ class BusAddress(msgspec.Struct, frozen=True, kw_only=True):
 def parse(text: str) -> BusAddress:
     """Read ``redis://``, ``rediss://`` (TLS) or ``unix://`` with optional credentials and database.
 
-    ``$STATION_BUS_PASSWORD`` gives a password that the URL does not; ``$STATION_BUS_CA`` names a file of certificates.
+    What the URL does not say comes from the environment: ``$STATION_BUS_USER``, ``$STATION_BUS_PASSWORD`` or
+    ``$STATION_BUS_PASSWORD_FILE``; for TLS ``$STATION_BUS_CA``, ``$STATION_BUS_CERT`` and ``$STATION_BUS_KEY``.
 
     Raises:
-        ConfigError: not such a URL.
+        ConfigError: not such a URL, or a file of passwords that cannot be used.
     """
-    parts = urlsplit(text)
-    password = unquote(parts.password) if parts.password else os.environ.get(PASSWORD_VARIABLE)
-    username = unquote(parts.username) if parts.username else None
+    try:
+        parts = urlsplit(text)
+    except ValueError:
+        raise ConfigError(f"bus address: not a URL; {_EXPECTED}") from None
+    username, password = _login(parts)
     try:
         if parts.scheme == "unix":
             db = int(parse_qs(parts.query).get("db", ["0"])[0])
@@ -86,13 +98,43 @@ def parse(text: str) -> BusAddress:
                 password=password,
                 tls=parts.scheme == "rediss",
                 ca_file=os.environ.get(CA_VARIABLE),
+                certificate_file=os.environ.get(CERTIFICATE_VARIABLE),
+                key_file=os.environ.get(KEY_VARIABLE),
             )
         raise ValueError(f"scheme {parts.scheme!r}")
     except ValueError:
         shown = f"{parts.scheme}://{parts.hostname or ''}…" if parts.scheme else repr(text[:20])
-        raise ConfigError(
-            f"bus address {shown}: expected redis://HOST:PORT/DB, rediss://HOST:PORT/DB or unix:///PATH?db=N"
-        ) from None
+        raise ConfigError(f"bus address {shown}: {_EXPECTED}") from None
+
+
+def login_of_environment() -> tuple[str | None, str | None]:
+    """Return user and password of the environment, or of the file that it names; None for what it does not say.
+
+    Raises:
+        ConfigError: the file cannot be used, or has no such user.
+    """
+    return _login(urlsplit(""))
+
+
+def _login(parts: SplitResult) -> tuple[str | None, str | None]:
+    """Return user and password: of the URL, else of the environment, else of the file that it names."""
+    user = unquote(parts.username) if parts.username else os.environ.get(USER_VARIABLE) or None
+    password = unquote(parts.password) if parts.password else os.environ.get(PASSWORD_VARIABLE) or None
+    file = os.environ.get(PASSWORD_FILE_VARIABLE)
+    if password is not None or not file:
+        return user, password
+    return _login_of(Path(file), user)
+
+
+def _login_of(file: Path, user: str | None) -> tuple[str | None, str]:
+    """Return the user, or the one that is meant where none is named, with the password that a file has for them."""
+    from station.bus.credentials import read_file
+
+    passwords = read_file(file)
+    for name in [user] if user else [DEFAULT_USER, "", *sorted(passwords)[:1]]:
+        if name in passwords:
+            return name or None, passwords[name]
+    raise ConfigError(f"password file {file}: has no password of user {user or DEFAULT_USER!r}")
 
 
 def runtime_folder() -> Path:
@@ -111,8 +153,19 @@ def runtime_folder() -> Path:
 
 
 def own() -> BusAddress:
-    """Return the address of this user's own server: a socket that only they can open."""
-    return BusAddress(socket=str(runtime_folder() / "bus.sock"))
+    """Return the address of this user's own server: a socket that only they can open.
+
+    One that is open to the network too asks everybody for a password, and has left it in a file beside the socket.
+    """
+    socket = runtime_folder() / "bus.sock"
+    file = password_file(socket)
+    user, password = _login_of(file, None) if file.exists() else (None, None)
+    return BusAddress(socket=str(socket), username=user, password=password)
+
+
+def password_file(socket: Path) -> Path:
+    """Return where a server of ours leaves the password that it asks for."""
+    return socket.with_suffix(".password")
 
 
 def default() -> BusAddress:

@@ -79,10 +79,13 @@ def parse_json(data: bytes) -> Any:
     """Decode any JSON, with Python's ``NaN`` and ``Infinity`` tokens.
 
     Raises:
-        BadValue: not JSON.
+        BadValue: not JSON, or text in it that no file could hold (half a surrogate pair).
     """
     try:
-        return json.loads(data)
+        value = json.loads(data)
+        if b"\\u" in data:
+            json.dumps(value, ensure_ascii=False).encode()
+        return value
     except (ValueError, RecursionError) as error:
         raise BadValue(f"not JSON: {_short(data)}") from error
 
@@ -97,6 +100,18 @@ def parse_struct(data: bytes, kind: type[T]) -> T:
         return msgspec.json.decode(data, type=kind)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BadValue(str(error)) from error
+
+
+def is_modest(value: Any, *, values: int = 20_000, depth: int = 32) -> bool:
+    """Whether decoded JSON is small and shallow enough to be kept and written out again in another form."""
+    level, count = [value], 1
+    for _ in range(depth):
+        inner = [item.values() if isinstance(item, dict) else item for item in level if isinstance(item, (dict, list))]
+        level = [below for items in inner for below in items]
+        count += len(level)
+        if not level or count > values:
+            break
+    return not level and count <= values
 
 
 def _parse_raw(data: bytes, layout: str, kind: Any) -> NDArray[Any]:

@@ -15,7 +15,7 @@ from typing import Any
 import hiredis
 
 from station.bus.address import BusAddress
-from station.errors import BusError
+from station.errors import BusError, ConfigError
 
 _READ_SIZE = 1 << 16
 _MOST_UNSENT = 8 << 20  # bytes; a G1 server fills them in 13 s
@@ -28,7 +28,7 @@ def pack(*arguments: Argument) -> bytes:
     """Encode one request in the server's protocol (RESP)."""
     parts = [b"*%d\r\n" % len(arguments)]
     for argument in arguments:
-        data = argument if isinstance(argument, bytes) else str(argument).encode()
+        data = argument if isinstance(argument, bytes) else str(argument).encode("utf-8", "surrogateescape")
         parts.append(b"$%d\r\n" % len(data))
         parts.append(data)
         parts.append(b"\r\n")
@@ -245,8 +245,16 @@ class Connection:
             raise
 
     def _wrap(self, plain: socket.socket) -> ssl.SSLSocket:
-        context = ssl.create_default_context(cafile=self.address.ca_file)
-        return context.wrap_socket(plain, server_hostname=self.address.host)
+        address = self.address
+        try:
+            context = ssl.create_default_context(cafile=address.ca_file)
+            if address.certificate_file is not None:
+                context.load_cert_chain(address.certificate_file, address.key_file)
+        except OSError as error:  # of which ssl.SSLError is one
+            plain.close()
+            files = [file for file in (address.ca_file, address.certificate_file, address.key_file) if file]
+            raise ConfigError(f"bus {address}: TLS files {', '.join(files)}: {_reason(error)}") from None
+        return context.wrap_socket(plain, server_hostname=address.host)
 
     def _greet(self) -> None:
         address = self.address
@@ -270,7 +278,7 @@ def _checked_login(reply: Any, address: BusAddress) -> None:
     if text.startswith(("NOAUTH", "WRONGPASS", "ERR AUTH", "ERR invalid password", "NOPERM")):
         raise BusError(
             f"bus {address}: the server asks for a password or refused ours ({text.split(' ', 1)[0]}); "
-            "put it into $STATION_BUS_PASSWORD or the URL"
+            "put it into $STATION_BUS_PASSWORD, or name a file that has it in $STATION_BUS_PASSWORD_FILE"
         )
     raise BusError(f"bus {address}: {text}")
 

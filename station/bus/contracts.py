@@ -181,6 +181,7 @@ def _station() -> list[Contract]:
 
     return [
         make(keys.ESTOP, "control", "json", "latched emergency stop: who asked for it and why; 0 when reset"),
+        make(keys.ARM, "control", "json", "arm or disarm: who asked and why; answered in the robot's command_gate"),
         make(keys.EVENT, "event", "json", "one event: name, severity, source, numbers"),
         make(
             keys.MOTION_CONTROL, "control", "json", "start, pause, resume, seek, loop or leave, for the motion server"

@@ -111,6 +111,7 @@ def command_source(robot: str) -> str:
 
 # -- Ours, of the station ----------------------------------------------------------------------------------------
 ESTOP = "station:estop"
+ARM = "station:arm"
 EVENT = "station:event"
 MOTION_CONTROL = "station:motion"
 RECORD = "station:record"

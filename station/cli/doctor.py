@@ -20,6 +20,7 @@ def command(bus: str | None, as_json: bool) -> None:
     from rich.console import Console
 
     from station.bus.client import Bus
+    from station.cli.tables import plain
     from station.life import doctor
 
     address = address_of(bus)
@@ -29,9 +30,7 @@ def command(bus: str | None, as_json: bool) -> None:
     else:
         console = Console(highlight=False)
         for item in findings:
-            console.print(
-                f"{_MARKS[item.level]} [bold]{item.subject}[/]: " + item.found.replace("[", r"\["), soft_wrap=True
-            )
+            console.print(f"{_MARKS[item.level]} [bold]{plain(item.subject)}[/]: {plain(item.found)}", soft_wrap=True)
             if item.remedy:
-                console.print(f"    → {item.remedy}", soft_wrap=True)
+                console.print(f"    → {plain(item.remedy)}", soft_wrap=True)
     raise SystemExit(1 if any(item.level == "broken" for item in findings) else 0)

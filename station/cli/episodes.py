@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import msgspec
 
 from station.cli import check
 from station.cli.options import Verbs, data_option, json_option
+from station.printable import printable
+
+_LONGEST = 10_000  # characters of a line of a manifest
+
+if TYPE_CHECKING:
+    from station.episode.repair import Repaired
 
 
 @click.group("episodes", cls=Verbs)
 def command() -> None:
-    """List, show and check recorded episodes."""
+    """List, show, check and repair recorded episodes."""
 
 
 command.add_command(check.command, "check")
@@ -27,8 +34,11 @@ command.add_command(check.command, "check")
 def listing(task: str | None, data: Path | None, as_json: bool) -> None:
     """List the episodes of a data folder, oldest first."""
     from station.episode.folder import data_folder
+    from station.episode.left_open import offer
     from station.episode.listing import list_episodes
 
+    if (line := offer(data_folder(data))) is not None:
+        click.echo(f"station: {line}", err=True)
     rows = list_episodes(data, task=task)
     if as_json:
         click.echo(json.dumps(msgspec.to_builtins(rows)))
@@ -36,7 +46,7 @@ def listing(task: str | None, data: Path | None, as_json: bool) -> None:
     if not rows:
         click.echo(f"no episodes in {data_folder(data).absolute()}; record one, or name another folder with --data")
         return
-    from station.cli.tables import Column, print_table
+    from station.cli.tables import Column, plain, print_table
 
     columns = [
         Column("episode", "left"), Column("state", "left"), Column("verdict", "left"), Column("length"),
@@ -45,16 +55,16 @@ def listing(task: str | None, data: Path | None, as_json: bool) -> None:
     ]  # fmt: skip
     cells = [
         (
-            row.episode_id,
+            plain(row.episode_id),
             "discarded" if row.is_discarded else row.state,
-            row.problem or row.verdict or "unchecked",
+            plain(row.problem or row.verdict or "unchecked"),
             "" if row.seconds is None else f"{row.seconds:.1f} s",
             str(row.messages),
             str(row.lost),
             str(row.falls),
             {None: "–", True: "yes", False: "no"}[row.success],
             f"{row.size_bytes / 1e6:.1f} MB",
-            row.operator,
+            plain(row.operator),
         )
         for row in rows
     ]
@@ -79,4 +89,62 @@ def show(episode: str, data: Path | None, as_json: bool) -> None:
     if facts.torn:
         click.echo(f"# torn: {facts.torn}")
     facts.manifest.streams = facts.streams
-    click.echo(dump_manifest(facts.manifest).decode().rstrip())
+    lines = dump_manifest(facts.manifest).decode().rstrip().split("\n")
+    click.echo("\n".join(printable(line, _LONGEST) for line in lines))
+
+
+@command.command("repair")
+@click.argument("episode", required=False)
+@click.option("--all", "is_all", is_flag=True, help="Every episode that a dead recorder left open.")
+@click.option(
+    "--out", metavar="DIR", default=None, type=click.Path(file_okay=False, path_type=Path),
+    help="Put good episodes there and leave the torn ones alone.  [default: beside the torn file]",
+)  # fmt: skip
+@data_option
+@json_option
+def repair(episode: str | None, is_all: bool, out: Path | None, data: Path | None, as_json: bool) -> None:
+    """Make a good episode of a torn one: EPISODE, or `--all` that were left open.
+
+    Every whole chunk is kept; the torn file stays as it is, beside the good one, as signals.mcap.torn.
+    """
+    from station.episode.folder import data_folder, resolve
+    from station.episode.left_open import left_open
+    from station.errors import EpisodeError, UsageError
+
+    if (episode is None) != is_all:
+        raise UsageError("name one EPISODE to repair, or give --all")
+    folders = left_open(data_folder(data)) if episode is None else [_folder(resolve(episode, data))]
+    done: list[Repaired] = []
+    failed = False
+    for folder in folders:
+        try:
+            done.append(_repaired(folder, out, is_quiet=as_json))
+        except EpisodeError as error:
+            failed = True
+            click.echo(f"station: {error}", err=True)
+    if as_json:
+        click.echo(msgspec.json.encode(done))
+    elif not folders:
+        click.echo(f"no episode in {data_folder(data).absolute()} was left open: nothing to repair")
+    raise SystemExit(1 if failed else 0)
+
+
+def _folder(episode: Path) -> Path:
+    return episode.parent if episode.is_file() else episode
+
+
+def _repaired(folder: Path, out: Path | None, *, is_quiet: bool) -> Repaired:
+    """Repair one episode and say in a line what became of it."""
+    from station.episode.repair import repair
+
+    done = repair(folder, out=out)
+    words = {
+        "whole": "is whole: nothing to repair",
+        "closed": f"was whole but not closed: closed, {done.messages} messages",
+        "repaired": f"repaired: {done.messages} messages in {done.seconds or 0.0:.1f} s kept; "
+        f"cut {done.cut_bytes} bytes behind byte {done.cut_at}: {done.cut_messages} messages that had been safe, "
+        f"the last {done.cut_s:.1f} s; the torn file is {done.original}",
+    }
+    if not is_quiet:
+        click.echo(f"{done.episode_id} {words[done.state]}")
+    return done

@@ -12,7 +12,9 @@ import click
 
 from station.cli.options import Verbs
 from station.errors import StationError
+from station.printable import printable
 
+_LONGEST = 4000  # characters of an error; the name of a bad thing is cut where it is quoted
 _LEVELS = ("DEBUG", "INFO", "WARNING", "ERROR", "CRITICAL")
 
 VERBS = {
@@ -22,6 +24,8 @@ VERBS = {
     "status": "Show servers and their states, keys, rates and ages.",
     "doctor": "Find out why the robot does nothing, and what to do.",
     "estop": "Stop every robot on the bus; --reset releases.",
+    "arm": "Let targets go to a robot, with a gentle start.",
+    "disarm": "Send nothing to a robot any more.",
     "record": "Start, stop, mark or discard an episode.",
     "episodes": "List, show and check what has been recorded.",
     "check": "Measure an episode from its file, and judge it.",
@@ -62,7 +66,9 @@ def cli() -> None:
 def main() -> NoReturn:
     """Run the command line; every known error is one line on stderr and an exit code."""
     level = os.environ.get("STATION_LOG", "").upper()
-    logging.basicConfig(level=level if level in _LEVELS else "INFO", format="%(levelname).1s %(name)s: %(message)s")
+    logging.basicConfig(level=level if level in _LEVELS else "INFO")
+    for handler in logging.getLogger().handlers:
+        handler.setFormatter(_Formatter("%(levelname).1s %(name)s: %(message)s"))
     logging.captureWarnings(True)
     try:
         code = cli.main(prog_name="station", standalone_mode=False)
@@ -82,8 +88,15 @@ def main() -> NoReturn:
     sys.exit(code if isinstance(code, int) else 0)
 
 
+class _Formatter(logging.Formatter):
+    """Keeps a message to its line: it may quote what a stranger wrote on the bus."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802  the library's name
+        return printable(super().formatMessage(record), _LONGEST)
+
+
 def _complain(text: str) -> None:
-    click.echo(f"station: {text}", err=True)
+    click.echo(f"station: {printable(text, _LONGEST)}", err=True)
 
 
 def _show(error: click.ClickException) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,20 @@ from station.errors import UnknownName
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
+
+def _without_password(_context: click.Context, _option: click.Parameter, url: str | None) -> str | None:
+    """Warn of a password among the arguments; a URL that is none is told of where it is read."""
+    if url and re.match(r"^[^/]*//[^/@]*:[^/@]+@", url):
+        click.echo(
+            "station: a password in --bus shows in the process list of every user; "
+            f"put it into a file that ${addresses.PASSWORD_FILE_VARIABLE} names",
+            err=True,
+        )
+    return url
+
+
 bus_option: Decorator = click.option(
-    "--bus", metavar="URL", default=None,
+    "--bus", metavar="URL", default=None, callback=_without_password,
     help="redis://, rediss:// or unix:// address.  [default: $STATION_BUS, else this user's own socket]",
 )  # fmt: skip
 data_option: Decorator = click.option(

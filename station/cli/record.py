@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from station.cli.options import Verbs, address_of, bus_option, json_option
+from station.printable import printable
 
 _PATIENCE_S = 20.0  # a stop waits for the disk
 _DOUBT_S = 2.0  # where no recorder is heard: one on a machine with a wrong clock may be there all the same
@@ -72,7 +73,8 @@ def _ask(action: Any, bus: str | None, as_json: bool, **fields: Any) -> None:
     if as_json:
         click.echo(json.dumps(msgspec.to_builtins(ack)))
         return
-    click.echo(f"{_DONE[action]} {ack.episode_id}  {ack.path}")
+    click.echo(printable(f"{_DONE[action]} {ack.episode_id}  {ack.path}"))
     for name, value in ack.summary.items():
         if value is not None:
-            click.echo(f"  {name:16} {value:.1f}" if isinstance(value, float) else f"  {name:16} {value}")
+            shown = f"{value:.1f}" if isinstance(value, float) else str(value)
+            click.echo(printable(f"  {name:16} {shown}"))

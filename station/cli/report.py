@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rich.console import Console
 
-from station.cli.tables import Column, print_table
+from station.cli.tables import Column, plain, print_table
 from station.episode.quality import Quality, Spread, StepQuality, StreamQuality
 
 _COLOURS = {"good": "green", "usable": "yellow", "reject": "red"}
@@ -15,11 +15,11 @@ def print_quality(quality: Quality) -> None:
     console = Console(highlight=False)
     colour = _COLOURS[quality.verdict]
     console.print(
-        f"[bold]{quality.episode_id}[/]: [{colour}]{quality.verdict}[/]   {_headline(quality)}", soft_wrap=True
+        f"[bold]{plain(quality.episode_id)}[/]: [{colour}]{quality.verdict}[/]   {_headline(quality)}", soft_wrap=True
     )
     for reason in quality.reasons:
         console.print(
-            f"  [{_COLOURS[reason.verdict]}]{reason.verdict}[/] {reason.rule}: {_plain(reason.text)}", soft_wrap=True
+            f"  [{_COLOURS[reason.verdict]}]{reason.verdict}[/] {reason.rule}: {plain(reason.text)}", soft_wrap=True
         )
     console.print()
     _print_streams(quality.streams)
@@ -30,7 +30,7 @@ def print_quality(quality: Quality) -> None:
 
 def _headline(quality: Quality) -> str:
     lost = sum(stream.lost for stream in quality.streams)
-    tap = f"{quality.backend or 'unknown'} tap{'' if quality.is_lossless else ' (lossy)'}"
+    tap = f"{plain(quality.backend or 'unknown')} tap{'' if quality.is_lossless else ' (lossy)'}"
     return (
         f"{quality.duration_s:.1f} s, {quality.messages} messages, {lost} lost, {quality.falls} falls, "
         f"{quality.resets} resets, {quality.recorder_restarts} recorder restarts, {tap}"
@@ -45,8 +45,8 @@ def _print_streams(streams: list[StreamQuality]) -> None:
     ]
     rows = [
         (
-            item.key,
-            item.writer,
+            plain(item.key),
+            plain(item.writer),
             str(item.count),
             f"[red]{item.lost}[/]" if item.lost else ("0" if item.is_native else "–"),
             _unit(item.rate_hz, 1, "Hz"),
@@ -59,13 +59,13 @@ def _print_streams(streams: list[StreamQuality]) -> None:
 
 
 def _print_steps(console: Console, steps: StepQuality, *, lock_step: bool) -> None:
-    shares = ", ".join(f"{state} {share:.0%}" for state, share in steps.gate_shares.items())
-    text = f"[bold]{steps.robot}[/]: {steps.steps} policy steps, {steps.missing_steps} missing; gate: {shares}"
+    shares = ", ".join(f"{plain(state)} {share:.0%}" for state, share in steps.gate_shares.items())
+    text = f"[bold]{plain(steps.robot)}[/]: {steps.steps} policy steps, {steps.missing_steps} missing; gate: {shares}"
     console.print(text, soft_wrap=True)
     if steps.mean_joint_error_rad is not None:
         console.print(
             f"  mean joint error {steps.mean_joint_error_rad:.3f} rad over {steps.compared_steps} steps "
-            f"(worst {steps.worst_joint} {steps.worst_joint_error_rad:.3f} rad)"
+            f"(worst {plain(steps.worst_joint)} {steps.worst_joint_error_rad:.3f} rad)"
             + _height(steps.mean_root_height_error_m),
             soft_wrap=True,
         )
@@ -89,7 +89,3 @@ def _times(spread: Spread) -> tuple[str, str, str]:
 
 def _unit(value: float | None, scale: float, unit: str, *, digits: int = 1) -> str:
     return "–" if value is None else f"{value * scale:.{digits}f} {unit}"
-
-
-def _plain(text: str) -> str:
-    return text.replace("[", r"\[")

@@ -8,7 +8,7 @@ import msgspec
 
 from station.bus.stamp import boot_id
 
-_UINT64 = 1 << 64
+_INT64 = 1 << 63
 
 
 class Anchor(msgspec.Struct, frozen=True):
@@ -41,5 +41,5 @@ def take_anchor() -> Anchor:
 
 
 def is_storable(time_ns: int) -> bool:
-    """Whether a time fits the unsigned 64 bits of an MCAP record; a foreign stamp may hold anything."""
-    return 0 <= time_ns < _UINT64
+    """Whether a time fits an MCAP record and its readers' signed 64 bits; a foreign stamp may hold anything."""
+    return 0 <= time_ns < _INT64

@@ -32,6 +32,10 @@ class Answers:
         """Whether a request was seen before."""
         return asker in self._known
 
+    def remember(self, asker: str, answer: RecordAnswer | None = None) -> None:
+        """Count a request as seen, and answered so should it come again; None leaves it without an answer."""
+        self._remember(asker, answer)
+
     def give(self, answer: RecordAnswer) -> None:
         """Have an answer published."""
         self._remember(answer.id, answer)

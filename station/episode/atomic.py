@@ -32,6 +32,13 @@ def write_atomic(path: Path, data: bytes, *, sync: bool = True) -> None:
         sync_folder(path.parent)
 
 
+def remove_leftovers(*paths: Path) -> None:
+    """Remove the temporary files that a process left which was killed in `write_atomic`."""
+    for path in paths:
+        for leftover in path.parent.glob(f".{path.name}.*"):
+            leftover.unlink(missing_ok=True)
+
+
 def write_all(descriptor: int, data: bytes) -> None:
     """Write every byte; one call of the system may take fewer."""
     rest = memoryview(data)

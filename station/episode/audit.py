@@ -13,12 +13,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from station import registry
 from station.bus import codec, keys
 from station.episode import steps
 from station.episode.reader import EpisodeReader
 from station.episode.recorded_policy import load_policy, recorded_policy
 from station.episode.steps import Step
-from station.protocols import Floats32, Policy
+from station.protocols import CommandFormat, Floats32, Policy
 
 
 class Comparison(msgspec.Struct, kw_only=True):
@@ -67,7 +68,7 @@ class Audit(msgspec.Struct, kw_only=True):
         first_different: Number of the first step that differs, or None.
         observations: The same for observations derived again from recorded state and command.
         segments: Runs of steps without a missing one; derivation starts anew at each.
-        incomplete: Steps that lack an observation or an action.
+        incomplete: Steps that lack an observation or an action of a size that the policy has.
         seconds: Time that the audit took [s].
         recorded_s: Time from the first step to the last [s].
         speed_x_realtime: One by the other.
@@ -164,13 +165,18 @@ class _Run:
     _count: int = 0
     _before: Step | None = None
 
+    def __post_init__(self) -> None:
+        form: CommandFormat = registry.find("command", self.policy.spec.command)
+        self._command_size = len(form.default)
+
     def take(self, step: Step) -> None:
         """Compare one step."""
         number, self._count = self._count, self._count + 1
         self.first_ns = self.first_ns or step.at_ns
         self.last_ns = step.at_ns
         seen, done = step.values.get(keys.policy_obs(self.robot)), step.values.get(keys.policy_action(self.robot))
-        if seen is None or done is None:
+        spec = self.policy.spec
+        if seen is None or done is None or len(seen) != 4 * spec.observation_size or len(done) % 4:
             self.incomplete += 1
             self._before = None
             return
@@ -185,7 +191,7 @@ class _Run:
         self.segments += not is_next
         state = steps.robot_state(self.robot, step.values.get(keys.robot_state(self.robot), b""))
         used = step.values.get(keys.command_used(self.robot))
-        if state is None or used is None:
+        if state is None or used is None or len(used) != 8 * self._command_size:
             self.policy.restore(observation)
             return
         command = codec.parse_f64(used)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import mcap.records
 import msgspec
 
 from station.bus import stamp as stamps
@@ -45,12 +46,14 @@ class Channel:
         self.count = self.lost = self.repeated = self.last_sequence = 0
         self.first_ns = self.last_ns = self.longest_gap_ns = 0
 
-    def note(self, sequence: int, log_ns: int) -> None:
-        """Count one message."""
+    def note(self, sequence: int, log_ns: int) -> int:
+        """Count one message; return how many sequence numbers before it are missing."""
+        lost = 0
         if self.count:
             step = sequence - self.last_sequence
             if step > 1:
-                self.lost += step - 1
+                lost = step - 1
+                self.lost += lost
             elif step < 1:
                 self.repeated += 1
             self.longest_gap_ns = max(self.longest_gap_ns, log_ns - self.last_ns)
@@ -59,6 +62,7 @@ class Channel:
         self.count += 1
         self.last_ns = log_ns
         self.last_sequence = max(self.last_sequence, sequence) if self.count > 1 else sequence
+        return lost
 
     def metadata(self) -> dict[str, str]:
         """Return what stands in the MCAP channel record."""
@@ -97,6 +101,13 @@ class Channel:
             first_s=round((self.first_ns - start_ns) * _NANOSECONDS, 6) if self.count else None,
             last_s=round((self.last_ns - start_ns) * _NANOSECONDS, 6) if self.count else None,
         )
+
+
+def channel_from(record: mcap.records.Channel) -> Channel:
+    """Return the channel that a record of a file describes, with nothing counted yet."""
+    hexadecimal = record.metadata.get("key_hex", "")
+    key = bytes.fromhex(hexadecimal).decode("utf-8", "surrogateescape") if hexadecimal else record.topic
+    return Channel(record.id, key, record.metadata.get("source", ""), record.message_encoding)
 
 
 def encoding_of(value: bytes) -> str:

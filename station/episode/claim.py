@@ -11,6 +11,7 @@ from pathlib import Path
 from station.bus import keys
 from station.bus.address import runtime_folder
 from station.bus.client import Bus
+from station.bus.stamp import boot_id
 from station.errors import EpisodeError, Refused
 
 _LOCK = ".recorder.lock"
@@ -33,10 +34,10 @@ class Claim:
     def __init__(self, data: Path, bus: Bus) -> None:
         self._descriptors: list[int] = []
         try:
-            self._lock(_made(data) / _LOCK, f"data folder {data}", "give this one another --data")
+            before = self._lock(_made(data) / _LOCK, f"data folder {data}", "give this one another --data")
             name = f"recorder-{hashlib.sha256(str(bus.address).encode()).hexdigest()[:12]}.lock"
             self._lock(runtime_folder() / name, f"bus {bus.address}", "one is enough, it records every key")
-            self._listen(bus)
+            self._listen(bus, before)
         except BaseException:
             self.close()
             raise
@@ -53,22 +54,32 @@ class Claim:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _lock(self, path: Path, what: str, remedy: str) -> None:
+    def _lock(self, path: Path, what: str, remedy: str) -> str:
+        """Take a lock; returns the process that had it before."""
         try:
             descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
             raise EpisodeError(f"{what}: cannot be written: {error.strerror}; {remedy}") from error
         self._descriptors.append(descriptor)
-        if not _flocked(descriptor):
-            holder = os.pread(descriptor, 32, 0).decode("ascii", "replace").strip() or "unknown"
-            raise Refused(f"{what}: another recorder (pid {holder}) is at work; stop it first: {remedy}")
+        is_ours = _flocked(descriptor)
+        holder = os.pread(descriptor, 32, 0).decode("ascii", "replace").strip()
+        if not is_ours:
+            raise Refused(f"{what}: another recorder (pid {holder or 'unknown'}) is at work; stop it first: {remedy}")
         os.ftruncate(descriptor, 0)
         os.pwrite(descriptor, b"%d\n" % os.getpid(), 0)
+        return holder
 
     @staticmethod
-    def _listen(bus: Bus) -> None:
-        """Refuse when a recorder that shares neither folder nor machine with us speaks on the bus."""
-        if bus.get(keys.RECORDER) is None:
+    def _listen(bus: Bus, before: str) -> None:
+        """Refuse when a recorder that shares neither folder nor machine with us speaks on the bus.
+
+        What the process said that held our lock before need not be waited for: the kernel has told that it is dead.
+        """
+        said = bus.read([keys.RECORDER]).get(keys.RECORDER)
+        if said is None:
+            return
+        is_of_the_dead = said.stamp is not None and said.stamp.source.split(".")[1:3] == [before, boot_id()]
+        if is_of_the_dead and before != str(os.getpid()):
             return
         with bus.watch([keys.RECORDER]) as watch:
             heard = watch.wait(keys.RECORDER, after=None, timeout_s=_LISTEN_S)

@@ -18,6 +18,7 @@ LATEST = "latest"
 _SHORT_NAMES = {keys.TWIST2_ROBOT: "g1", keys.TWIST_ROBOT: "g1"}
 _NUMBERED = re.compile(r"\d{4}-\d\d-\d\d-.*-(\d+)")
 _LONGEST_SLUG = 48
+_LONGEST_TIME = 19  # digits of nanoseconds since 1970
 _SHOWN = 5
 
 
@@ -66,7 +67,7 @@ def find_episodes(data: Path | None = None) -> list[Path]:
     """Return the folders of all episodes of a data folder, oldest first."""
     base = data_folder(data)
     found = [folder for folder in base.glob("*/*/") if _is_episode(folder)]
-    return sorted(found, key=lambda folder: (_started(folder), folder.name))
+    return sorted(found, key=lambda folder: (started_ns(folder), folder.name))
 
 
 def resolve(episode: str | Path, data: Path | None = None) -> Path:
@@ -76,7 +77,8 @@ def resolve(episode: str | Path, data: Path | None = None) -> Path:
         EpisodeError: not found, or ambiguous; says what comes close.
     """
     path = Path(episode)
-    if path.is_file() or (path.is_dir() and _is_episode(path)):
+    is_there = os.path.exists(path)  # pathlib's raises for a name that is too long for any file
+    if is_there and (path.is_file() or (path.is_dir() and _is_episode(path))):
         return path
     base, name = data_folder(data), str(episode)
     episodes = find_episodes(base)
@@ -89,7 +91,7 @@ def resolve(episode: str | Path, data: Path | None = None) -> Path:
     if found:
         listed = ", ".join(folder.name for folder in found[:_SHOWN]) + (", …" if len(found) > _SHOWN else "")
         raise EpisodeError(f"episode {name!r}: {len(found)} episodes in {base} fit: {listed}; write more of the id")
-    if path.is_dir():
+    if is_there and path.is_dir():
         raise EpisodeError(f"{path}: no episode: expected {layout.SIGNALS} or {layout.ACTIVE} in it")
     known = [folder.name for folder in episodes]
     raise EpisodeError(
@@ -121,11 +123,12 @@ def _number(name: str) -> int:
     return int(match.group(1)) if match else 0
 
 
-def _started(folder: Path) -> int:
+def started_ns(folder: Path) -> int:
     """Return when an episode was started [ns since the epoch]: by its own clock, else by the age of its file."""
     for name in (layout.SIGNALS, layout.ACTIVE, layout.MANIFEST):
         file = folder / name
         if file.is_file():
             wall_ns = metadata_at_head(file, layout.ANCHOR_RECORD).get("wall_ns", "")
-            return int(wall_ns) if wall_ns.isdecimal() else file.stat().st_mtime_ns
+            is_time = wall_ns.isdecimal() and len(wall_ns) <= _LONGEST_TIME
+            return int(wall_ns) if is_time else file.stat().st_mtime_ns
     return 0

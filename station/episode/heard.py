@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 
-from station.bus import keys
+from station.bus import codec, keys
 from station.bus import stamp as stamps
 from station.episode.manifest import Manifest, Policy, Robot
 
@@ -14,6 +14,9 @@ SILENT_AFTER_S = 3.0
 """A server says something twice a second; one that was silent this long is gone, whatever it said last."""
 
 MAX_MOTIONS = 200
+MAX_SERVERS = 200
+MAX_BYTES = 1 << 20
+"""Of a value that goes into the manifest; a G1 server states 3 kB."""
 _SOURCE_PREFIX = keys.command_source("")
 _ROBOTS = (keys.TWIST2_ROBOT, keys.TWIST_ROBOT)
 
@@ -52,7 +55,9 @@ class Heard:
         facts = json_object(value)
         decoded = stamps.decode(stamp) if stamp is not None else None
         source = decoded.source if decoded else ""
-        if facts is None:
+        name = key.removeprefix(keys.SERVER_PREFIX).removeprefix(keys.CONFIG_PREFIX)
+        is_full = len(self._servers) + len(self._configurations) >= 2 * MAX_SERVERS
+        if facts is None or (is_full and name not in self._servers and name not in self._configurations):
             return
         if key.startswith(keys.SERVER_PREFIX):
             server = Server(str(facts.get("role", "")), str(facts.get("state", "")), source, mono_ns)
@@ -108,7 +113,13 @@ class Heard:
         return server is not None and server.source == self._configurations[name].source
 
 
-def note_motion(manifest: Manifest, key: str, value: bytes) -> bool:
+class HasMotions(Protocol):
+    """A manifest, or what will be part of one."""
+
+    motions: list[dict[str, Any]]
+
+
+def note_motion(manifest: HasMotions, key: str, value: bytes) -> bool:
     """Add what a ``command_source`` key says, once per motion file; return whether it was new."""
     facts = json_object(value)
     if facts is None or len(manifest.motions) >= MAX_MOTIONS:
@@ -126,11 +137,14 @@ def is_motion(key: str) -> bool:
 
 
 def json_object(value: bytes) -> dict[str, Any] | None:
-    """Return a JSON object from the bus, or None when the bytes are no such thing."""
+    """Return a JSON object from the bus, or None when the bytes are no such thing, or too much for a manifest."""
+    if len(value) > MAX_BYTES:
+        return None
     try:
-        return msgspec.json.decode(value, type=dict[str, Any])
+        found = msgspec.json.decode(value, type=dict[str, Any])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None
+    return found if codec.is_modest(found) else None
 
 
 def _policy(server: str, facts: dict[str, Any]) -> Policy:

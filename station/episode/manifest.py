@@ -13,6 +13,7 @@ from typing import Any, Literal
 import msgspec
 import yaml
 
+from station import safe_yaml
 from station.episode.atomic import write_atomic
 from station.episode.layout import MANIFEST
 from station.episode.manifest_parts import (
@@ -57,7 +58,6 @@ MAX_MARKS = 500
 
 State = Literal["recording", "finished", "failed"]
 
-_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
@@ -71,7 +71,8 @@ class Manifest(msgspec.Struct, kw_only=True):
         runbook: Steps and answers, who and when, as the supervisor gave them.
         events, marks: Bounded; what did not fit is counted beside them and stays in the signals.
         quality: What a later measurement (`check`) found; free form.
-        recovery: Notes of whoever repaired or resumed the episode.
+        recovery: A note for each time that a recorder took the episode up again (``kind: resumed``), or that a repair
+            closed it (``kind: repaired``): when, how long nobody recorded, what was cut.
         foreign: Keys of the document that we do not know; kept, and given back where they were.
     """
 
@@ -107,7 +108,7 @@ def load_manifest(path: Path) -> Manifest:
     """
     file = path / MANIFEST if path.is_dir() else path
     try:
-        data = file.read_bytes()
+        data = safe_yaml.read_bytes(file)
     except OSError as error:
         raise EpisodeError(
             f"{file}: cannot read the manifest: {error.strerror}; is this the folder of an episode?"
@@ -122,9 +123,9 @@ def parse_manifest(data: bytes, name: str) -> Manifest:
         EpisodeError: not YAML, or a field of the wrong type.
     """
     try:
-        document = yaml.load(data, Loader=_Loader)
-    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
-        raise EpisodeError(f"{name}: not YAML: {' '.join(str(error).split())[:200]}") from error
+        document = safe_yaml.load(data)
+    except safe_yaml.BadYaml as error:
+        raise EpisodeError(f"{name}: {error}") from None
     if not isinstance(document, dict):
         raise EpisodeError(f"{name}: expected a mapping with episode_id, task, …; came {type(document).__name__}")
     try:

@@ -128,11 +128,18 @@ class Mark(msgspec.Struct, kw_only=True):
 
 
 class Hole(msgspec.Struct, kw_only=True):
-    """A span of which writes are missing, or may be: seconds from the start, and why."""
+    """A span of which writes are missing, or may be.
+
+    Attributes:
+        from_s, to_s: From when to when [s from the start].
+        reason: Why.
+        lost: Writes that are missing there by the sequence numbers of those who number them; None until it is known.
+    """
 
     from_s: float
     to_s: float | None = None
     reason: str = ""
+    lost: int | None = None
 
 
 class QualityFlags(msgspec.Struct, kw_only=True):
@@ -167,7 +174,8 @@ class Recorder(msgspec.Struct, kw_only=True):
         lag_p50_ms, lag_p99_ms: From arrival of a write to its place in the file [ms].
         software: Version and revision of the recorder's code.
         config: Its configuration.
-        ended_by: Why the episode ended: ``stop``, ``discard``, ``shutdown``, ``bus-lost`` or a disk error.
+        ended_by: Why the episode ended: ``stop``, ``discard``, ``shutdown``, ``bus-lost``, ``killed`` (repaired)
+            or a disk error.
     """
 
     backend: str = ""

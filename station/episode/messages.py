@@ -40,6 +40,11 @@ class Channel(msgspec.Struct, frozen=True, kw_only=True):
         return self.source != ""
 
     @property
+    def is_bookkeeping(self) -> bool:
+        """Whether it holds the recorder's own list of stamps, not a key of the bus that somebody named like it."""
+        return self.topic == layout.STAMPS_TOPIC and self.writer == layout.RECORDER and not self.source
+
+    @property
     def is_deletion(self) -> bool:
         """Whether its (empty) messages say that the key was deleted or expired."""
         return self.encoding == layout.DELETED
@@ -85,7 +90,7 @@ def channel_of(record: mcap.records.Channel) -> Channel:
     text = metadata.get("contract", layout.NO_CONTRACT)
     try:
         contract = None if text == layout.NO_CONTRACT else msgspec.json.decode(text, type=Contract)
-    except msgspec.DecodeError:
+    except (msgspec.DecodeError, RecursionError):
         contract = None
     return Channel(
         id=record.id,

@@ -22,6 +22,7 @@ from station.errors import EpisodeError
 __all__ = ["Channel", "EpisodeReader", "Message", "Order", "StreamInfo", "Vectors", "open_episode"]
 
 Order = Literal["file", "log"]
+_DIGITS = 20  # of a channel's number, which has 16 bits
 
 
 class EpisodeReader:
@@ -175,9 +176,9 @@ class EpisodeReader:
             record = records.get(number)
             if record is None:
                 raise EpisodeError(f"{self.path}: a message of channel {number}, which nothing describes")
-            is_ours = record.topic == layout.STAMPS_TOPIC
-            is_chosen = bookkeeping if is_ours else (topics is None or record.topic in topics)
-            wanted[number] = channel_of(record) if is_chosen else None
+            channel = channel_of(record)
+            is_chosen = bookkeeping if channel.is_bookkeeping else (topics is None or record.topic in topics)
+            wanted[number] = channel if is_chosen else None
             return wanted[number]
 
         with self.path.open("rb") as file:
@@ -218,12 +219,14 @@ def _join_stamps(messages: Iterable[Message]) -> Iterator[Message]:
     waiting: deque[Message] = deque()
     lines: dict[int, deque[bytes]] = {}
     for message in messages:
-        if message.topic != layout.STAMPS_TOPIC:
+        if not message.channel.is_bookkeeping:
             waiting.append(message)
             continue
         for line in message.data.split(b"\n"):
             number, _, stamp = line.partition(b" ")
-            lines.setdefault(int(number), deque()).append(stamp)
+            if not number.isdigit():
+                raise EpisodeError(f"a list of stamps holds {line[:40]!r}, expected a channel's number and a stamp")
+            lines.setdefault(int(number[:_DIGITS]), deque()).append(stamp)
         while waiting and (not waiting[0].channel.is_native or lines.get(waiting[0].channel.id)):
             first = waiting.popleft()
             yield first._replace(stamp=lines[first.channel.id].popleft()) if first.channel.is_native else first

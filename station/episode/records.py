@@ -27,7 +27,12 @@ _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQIL")  # start, end, uncompressed size, CRC, length of the compression's name
 _MESSAGE_OP, _CHANNEL_OP = int(Opcode.MESSAGE), int(Opcode.CHANNEL)
 _HEAD_SIZE = 4096  # holds the header and the records of the clock and the episode many times over
-_LARGEST_CHUNK = 1 << 31  # a damaged header must not make us ask for all the memory there is
+# A damaged or malicious file must not make us ask for all the memory there is. The largest chunk that a recorder
+# writes is its pre-roll (256 MB by default) with the largest value that a bus of ours takes (64 MiB).
+_LARGEST_CHUNK = 384 << 20
+_LARGEST_RECORD = 64 << 20  # outside chunks: a manifest, an index
+_TIME_BITS = 63  # nanoseconds since 1970 that every reader's arithmetic takes
+_BROKEN = (EndOfFile, struct.error, ValueError, OverflowError)  # what a record that is none makes its readers raise
 
 
 class RawMessage(NamedTuple):
@@ -100,7 +105,7 @@ def _walk(file: BinaryIO, path: Path) -> Contents:
             return found._replace(cut_at=position)
         try:
             profile = _take(file, opcode, length, position, found)
-        except (EndOfFile, struct.error, ValueError):
+        except _BROKEN:
             return found._replace(cut_at=position)
         found = found if profile is None else found._replace(profile=profile)
         if opcode == Opcode.FOOTER:
@@ -128,6 +133,8 @@ def _take(file: BinaryIO, opcode: int, length: int, position: int, found: Conten
         start_ns, end_ns, *_ = _CHUNK.unpack(file.read(_CHUNK.size))
         found.chunks.append(ChunkPlace(position + _HEAD.size, length, start_ns, end_ns))
     elif opcode in (Opcode.HEADER, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT):
+        if length > _LARGEST_RECORD:
+            raise ValueError(f"a record of {length} bytes")
         stream = ReadDataStream(BytesIO(file.read(length)))
         if opcode == Opcode.HEADER:
             profile: str = Header.read(stream).profile
@@ -155,7 +162,7 @@ def metadata_at_head(path: Path, name: str) -> dict[str, str]:
         if opcode == Opcode.METADATA:
             try:
                 record = Metadata.read(ReadDataStream(BytesIO(head[position : position + length])))
-            except (EndOfFile, struct.error, ValueError):
+            except _BROKEN:
                 break
             if record.name == name:
                 return dict(record.metadata)
@@ -175,8 +182,9 @@ def read_chunk(file: BinaryIO, place: ChunkPlace) -> bytes:
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(file.read(place.length))))
         data = _decompress(chunk)
-    except (EndOfFile, struct.error, zstandard.ZstdError, ValueError) as error:
-        raise EpisodeError(f"the chunk at byte {place.offset} is damaged: {error or 'it ends too early'}") from error
+    except (*_BROKEN, zstandard.ZstdError, MemoryError) as error:
+        reason = str(error) or "it ends too early"
+        raise EpisodeError(f"the chunk at byte {place.offset} is damaged: {reason}") from error
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise EpisodeError(f"the chunk at byte {place.offset} is damaged: its checksum is wrong")
     return data
@@ -186,22 +194,41 @@ def _decompress(chunk: Chunk) -> bytes:
     if chunk.uncompressed_size > _LARGEST_CHUNK:
         raise ValueError(f"it claims {chunk.uncompressed_size} bytes")
     if chunk.compression == "zstd":
-        return zstandard.decompress(chunk.data, chunk.uncompressed_size)
+        # The library allocates what the frame says of itself, whatever bound it is given.
+        stated = zstandard.get_frame_parameters(chunk.data).content_size
+        if stated not in (chunk.uncompressed_size, zstandard.CONTENTSIZE_UNKNOWN):
+            raise ValueError(f"it claims {chunk.uncompressed_size} bytes and {stated}")
+        return zstandard.decompress(chunk.data, max(chunk.uncompressed_size, 1))
     if chunk.compression == "":
         return bytes(chunk.data)
     raise ValueError(f"it is compressed with {chunk.compression!r}, expected zstd or nothing")
 
 
 def parse_chunk(data: bytes, channels: dict[int, Channel]) -> Iterator[RawMessage]:
-    """Iterate over the messages of a chunk; channels that it defines are put into `channels`."""
+    """Iterate over the messages of a chunk; channels that it defines are put into `channels`.
+
+    Raises:
+        EpisodeError: a record of it is none, or reaches beyond its end.
+    """
+    try:
+        yield from _parse_chunk(data, channels)
+    except _BROKEN as error:
+        raise EpisodeError(f"a chunk holds a damaged record: {str(error) or 'it ends too early'}") from error
+
+
+def _parse_chunk(data: bytes, channels: dict[int, Channel]) -> Iterator[RawMessage]:
     position, size = 0, len(data)
     unpack_head, unpack_message, head_size, fixed = _HEAD.unpack_from, _MESSAGE.unpack_from, _HEAD.size, _MESSAGE.size
     while position < size:
         opcode, length = unpack_head(data, position)
         position += head_size
         end = position + length
+        if end > size:
+            raise ValueError(f"{length} bytes where {size - position} are left")
         if opcode == _MESSAGE_OP:
             number, sequence, log_ns, publish_ns = unpack_message(data, position)
+            if (log_ns | publish_ns) >> _TIME_BITS:
+                raise ValueError("a time of a message is beyond the year 2262")
             yield RawMessage(number, sequence, log_ns, publish_ns, data[position + fixed : end])
         elif opcode == _CHANNEL_OP:
             channel = Channel.read(ReadDataStream(BytesIO(data[position:end])))

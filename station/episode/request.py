@@ -6,8 +6,11 @@ from typing import Any, Literal
 
 import msgspec
 
+from station.bus import codec
 from station.episode.manifest_parts import Operator
 from station.errors import Refused
+
+_MAX_BYTES = 1 << 20  # the answers of a long runbook take some kB
 
 Action = Literal["start", "stop", "mark", "discard"]
 
@@ -72,6 +75,7 @@ class RecorderState(msgspec.Struct, frozen=True, kw_only=True):
         queued: Writes that wait for the disk.
         backend: The tap in use.
         lag_ms, lag_p99_ms: From arrival of a write to its place in the file: median and 99th percentile [ms].
+        restarts: How often a recorder took this episode up again.
         error: Why the last episode could not be written on, "" otherwise.
     """
 
@@ -85,6 +89,7 @@ class RecorderState(msgspec.Struct, frozen=True, kw_only=True):
     backend: str = ""
     lag_ms: float | None = None
     lag_p99_ms: float | None = None
+    restarts: int = 0
     error: str = ""
 
 
@@ -94,17 +99,24 @@ def parse_request(data: bytes) -> RecordRequest:
     Raises:
         Refused: it is none; says why.
     """
+    if len(data) > _MAX_BYTES:
+        raise Refused(f"not a record request: {len(data)} bytes, expected at most {_MAX_BYTES}")
     try:
-        return msgspec.json.decode(data, type=RecordRequest)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        request = msgspec.json.decode(data, type=RecordRequest)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise Refused(f"not a record request: {error}") from error
+    if not (codec.is_modest(request.operator) and codec.is_modest(request.runbook)):
+        raise Refused("not a record request: operator and runbook hold more than a manifest takes")
+    return request
 
 
 def request_id(data: bytes) -> str | None:
     """Return the id of what may be no valid request otherwise, so that even a refusal finds its asker."""
+    if len(data) > _MAX_BYTES:
+        return None
     try:
         return msgspec.json.decode(data, type=_OnlyId).id
-    except (msgspec.DecodeError, UnicodeDecodeError):
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from station.bus.tap import Write
+    from station.bus.tap import Position, Write
 
 
 class Ring:
@@ -21,7 +21,7 @@ class Ring:
     def __init__(self, seconds: float, max_bytes: int = 256 * 1024 * 1024) -> None:
         self._span_ns = int(seconds * 1e9)
         self._max_bytes = max_bytes
-        self._batches: deque[tuple[Sequence[Write], int]] = deque()
+        self._batches: deque[tuple[Sequence[Write], int, Position | None]] = deque()
         self._bytes = 0
 
     @property
@@ -29,12 +29,17 @@ class Ring:
         """Bytes of the values that are kept."""
         return self._bytes
 
-    def add(self, writes: Sequence[Write]) -> None:
-        """Keep writes, in the order of their arrival; the sequence must not change afterwards."""
+    def add(self, writes: Sequence[Write], before: Position | None = None) -> None:
+        """Keep writes, in the order of their arrival; the sequence must not change afterwards.
+
+        Args:
+            writes: What arrived.
+            before: A place of the tap that none of them lies before.
+        """
         if not writes or not self._span_ns:
             return
         size = sum(len(write.value) if write.value is not None else 0 for write in writes)
-        self._batches.append((writes, size))
+        self._batches.append((writes, size, before))
         self._bytes += size
         oldest_ns = writes[-1].mono_ns - self._span_ns
         while self._batches and (self._bytes > self._max_bytes or self._batches[0][0][-1].mono_ns < oldest_ns):
@@ -43,7 +48,12 @@ class Ring:
     def since(self, mono_ns: int) -> list[Write]:
         """Return what is kept of the span that ends at a monotonic instant [ns], oldest first."""
         oldest_ns = mono_ns - self._span_ns
-        return [write for writes, _ in self._batches for write in writes if write.mono_ns >= oldest_ns]
+        return [write for writes, _, _ in self._batches for write in writes if write.mono_ns >= oldest_ns]
+
+    def place(self, mono_ns: int) -> Position | None:
+        """Return the tap's place before everything that `since` returns; None when nothing is kept, or no place."""
+        oldest_ns = mono_ns - self._span_ns
+        return next((before for writes, _, before in self._batches if writes[-1].mono_ns >= oldest_ns), None)
 
     def clear(self) -> None:
         """Forget everything: after a hole, what came before it must not pass for what came just before."""

@@ -77,7 +77,7 @@ def _lossy_tap(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
 
 def _holes(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
     if quality.holes:
-        yield "usable", f"{quality.holes} hole(s) after {quality.recorder_restarts} restart(s) of the recorder"
+        yield "reject", f"{quality.holes} hole(s) after {quality.recorder_restarts} restart(s) of the recorder"
 
 
 def _gap(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:

@@ -2,70 +2,31 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import mcap.records
 from mcap.writer import CompressionType, Writer
 
 from station.episode import layout
 from station.episode.anchor import Anchor, is_storable
-from station.episode.atomic import write_all
-from station.episode.channels import MAX_CHANNELS, Channel, encoding_of, source_of
+from station.episode.channels import MAX_CHANNELS, Channel, channel_from, encoding_of, source_of
+from station.episode.checkpoint import MOST_CHANNELS, Checkpoint, counters
+from station.episode.disk import Disk
+from station.episode.lag import Lag
+from station.episode.progress import Gap, Totals
+from station.episode.recount import MOST_GAPS, STAMPS_NUMBER, Recount
+from station.episode.retell import Retelling, is_told
+from station.episode.salvage import salvage
+from station.episode.tail import closing_bytes
+from station.errors import EpisodeError
 
 if TYPE_CHECKING:
     from station.bus.tap import Write
 
 _NO_LIMIT = 1 << 62  # the library must not cut chunks itself: one chunk is one flush, with the stamps of its messages
 _SEQUENCE_MASK = 0xFFFFFFFF
-
-
-class Disk:
-    """The output of the MCAP library: collects, and writes everything in one call when flushed.
-
-    So a failing disk shows in `flush` only, and a process killed between two flushes leaves whole chunks.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
-        self._parts: list[bytes] = []
-        self._position = 0
-        self.written = 0
-
-    def write(self, data: bytes) -> int:
-        """Keep bytes until the next flush."""
-        if data:
-            self._parts.append(data)
-            self._position += len(data)
-        return len(data)
-
-    def tell(self) -> int:
-        """Return the position that the next byte will have."""
-        return self._position
-
-    def flush(self) -> None:
-        """Hand everything to the system.
-
-        Raises:
-            OSError: the disk is full or gone; what of this flush was written is cut off again where possible.
-        """
-        data = b"".join(self._parts)
-        self._parts.clear()
-        try:
-            write_all(self._descriptor, data)
-        except OSError:
-            os.ftruncate(self._descriptor, self.written)
-            raise
-        self.written += len(data)
-
-    def sync(self) -> None:
-        """Wait until the data are on the disk."""
-        os.fdatasync(self._descriptor)
-
-    def close(self) -> None:
-        """Release the file; what was not flushed is lost."""
-        os.close(self._descriptor)
 
 
 class SignalsFile:
@@ -76,32 +37,79 @@ class SignalsFile:
         messages: Messages in the file, flushed or not; the recorder's own bookkeeping is not counted.
         refused: Writes that could not be kept, because there were too many channels.
         pending_bytes: Size of the values since the last flush.
+        gaps: Where sequence numbers of a writer are missing; the first ones, if there are very many.
+        retelling: What the messages tell.
     """
 
-    def __init__(self, path: Path, anchor: Anchor, facts: Mapping[str, str], manifest: bytes) -> None:
+    def __init__(self, disk: Disk, anchor: Anchor) -> None:
+        """Take a file that is open at its end; `create` and `reopen` make one."""
+        self._anchor = anchor
+        self._disk = disk
+        self._by_stamp: dict[tuple[str, bytes], Channel] = {}
+        self._foreign: dict[tuple[str, bool], Channel] = {}
+        self._stamps: list[bytes] = []
+        self._last_log_ns = anchor.wall_ns
+        self._records: list[mcap.records.Channel] = []
+        self._is_reopened = False
+        self.channels: list[Channel] = []
+        self.gaps: list[Gap] = []
+        self.retelling = Retelling(anchor)
+        self._told: set[int] = set()  # channels that the retelling wants
+        self.messages = self.refused = self.pending_bytes = self._synced_messages = 0
+        self._writer = Writer(disk, chunk_size=_NO_LIMIT, compression=CompressionType.ZSTD)
+
+    @classmethod
+    def create(cls, path: Path, anchor: Anchor, facts: Mapping[str, str], manifest: bytes) -> SignalsFile:
         """Create the file and put the clock, the facts and the manifest at its head.
 
         Raises:
             OSError: the disk refused it, or the file exists.
         """
-        self._anchor = anchor
-        self._disk = Disk(path)
-        self._by_stamp: dict[tuple[str, bytes], Channel] = {}
-        self._foreign: dict[tuple[str, bool], Channel] = {}
-        self._stamps: list[bytes] = []
-        self._last_log_ns = anchor.wall_ns
-        self.channels: list[Channel] = []
-        self.messages = self.refused = self.pending_bytes = self._synced_messages = 0
-        self._writer = Writer(self._disk, chunk_size=_NO_LIMIT, compression=CompressionType.ZSTD)
-        self._writer.start(layout.PROFILE, library="teleop-station")
+        made = cls(Disk(path), anchor)
+        writer = made._writer
+        writer.start(layout.PROFILE, library="teleop-station")
         clock = {"wall_ns": str(anchor.wall_ns), "mono_ns": str(anchor.mono_ns), "boot": anchor.boot}
-        self._writer.add_metadata(layout.ANCHOR_RECORD, clock)
-        self._writer.add_metadata(layout.EPISODE_RECORD, dict(facts))
-        self._attach(manifest)
-        self._stamps_channel = self._writer.register_channel(
-            layout.STAMPS_TOPIC, layout.TEXT, 0, {"source": "", "writer": "recorder", "contract": layout.NO_CONTRACT}
+        writer.add_metadata(layout.ANCHOR_RECORD, clock)
+        writer.add_metadata(layout.EPISODE_RECORD, dict(facts))
+        made._attach(manifest)
+        made._register(
+            layout.STAMPS_TOPIC, layout.TEXT, {"source": "", "writer": "recorder", "contract": layout.NO_CONTRACT}
         )
-        self.sync()
+        made.sync()
+        return made
+
+    @classmethod
+    def reopen(
+        cls, path: Path, anchor: Anchor, *, size: int | None = None, checkpoint: Checkpoint | None = None
+    ) -> SignalsFile:
+        """Go on behind the last whole chunk of a file that was never finished; its counters are those of the file.
+
+        Args:
+            path: The file. It is cut there; a second attempt after a crash in between finds the same.
+            anchor: Its clock.
+            size: Go on behind this byte and nowhere else; None for wherever the last whole chunk ends.
+            checkpoint: What is known of its first bytes; None has all of it read.
+
+        Raises:
+            OSError: the disk refused it.
+            EpisodeError: it is damaged before `size`.
+        """
+        recount = Recount(anchor, checkpoint)
+        if checkpoint is None:
+            found = salvage(path, recount.take, size=size)
+        else:
+            known = [counted.record for counted in checkpoint.channels]
+            found = salvage(path, recount.take, size=size, start=checkpoint.size, channels=known)
+        if size is not None and (found.kept_to != size or found.missing_indexes):
+            raise EpisodeError(f"{path}: damaged at byte {found.kept_to} of {size} that were safe")
+        made = cls(Disk(path, keep=found.kept_to), anchor)
+        made._is_reopened = True
+        if found.missing_indexes:
+            made._disk.write(found.missing_indexes)
+            made._disk.flush()
+            made._disk.sync()
+        made._adopt(found.channels, recount)
+        return made
 
     @property
     def size(self) -> int:
@@ -112,6 +120,35 @@ class SignalsFile:
     def unsynced_messages(self) -> int:
         """Messages that are not on the disk yet."""
         return self.messages - self._synced_messages
+
+    def totals(self, dropped: int = 0, lag: Lag | None = None) -> Totals:
+        """Return the counters; `dropped` writes never came here, and `lag` is the writer's."""
+        counted = [channel for channel in self.channels if channel.count]
+        return Totals(
+            messages=self.messages,
+            bytes=self.size,
+            dropped=dropped + self.refused,
+            first_ns=min((channel.first_ns for channel in counted), default=0),
+            last_ns=max((channel.last_ns for channel in counted), default=0),
+            streams=[channel.stream(self._anchor.wall_ns) for channel in list(self.channels)],
+            gaps=list(self.gaps),
+            lag_p50_ms=lag.percentile_ms(50) if lag else None,
+            lag_p99_ms=lag.percentile_ms(99) if lag else None,
+        )
+
+    def checkpoint(self) -> Checkpoint | None:
+        """Return what is known of the file as far as it is flushed; None where that is too much."""
+        if len(self.channels) > MOST_CHANNELS:
+            return None
+        known = {channel.id: channel for channel in self.channels}
+        return Checkpoint(
+            size=self.size,
+            messages=self.messages,
+            last_log_ns=self._last_log_ns,
+            channels=[counters(record, known.get(record.id)) for record in self._records],
+            gaps=self.gaps,
+            told=self.retelling.told,
+        )
 
     def add(self, write: Write) -> None:
         """Put one write into the open chunk."""
@@ -134,7 +171,7 @@ class SignalsFile:
         """
         if self._stamps:
             log_ns = self._last_log_ns
-            self._writer.add_message(self._stamps_channel, log_ns, b"\n".join(self._stamps), log_ns)
+            self._writer.add_message(STAMPS_NUMBER, log_ns, b"\n".join(self._stamps), log_ns)
             self._stamps.clear()
         self._writer.flush()
         self._disk.sync()
@@ -150,7 +187,11 @@ class SignalsFile:
         self.sync()
         self._attach(manifest)
         self._writer.add_metadata(layout.SUMMARY_RECORD, dict(summary))
-        self._writer.finish()
+        if self._is_reopened:  # the library knows only what was written since
+            self._disk.flush()
+            self._disk.write(closing_bytes(self._disk.path, self._records))
+        else:
+            self._writer.finish()
         self._disk.flush()
         self._disk.sync()
 
@@ -193,8 +234,12 @@ class SignalsFile:
         self._put(channel, channel.last_sequence + 1, value or b"", log_ns, log_ns)
 
     def _put(self, channel: Channel, sequence: int, value: bytes, log_ns: int, publish_ns: int) -> None:
-        channel.note(sequence, log_ns)
+        before_ns = channel.last_ns
+        if (lost := channel.note(sequence, log_ns)) and len(self.gaps) < MOST_GAPS:
+            self.gaps.append(Gap(before_ns, log_ns, lost))
         self._writer.add_message(channel.id, log_ns, value, publish_ns, sequence & _SEQUENCE_MASK)
+        if channel.id in self._told:
+            self.retelling.note(channel.key, value, log_ns)
         self.messages += 1
         self.pending_bytes += len(value) + 64
 
@@ -210,9 +255,35 @@ class SignalsFile:
     def _new_channel(self, key: str, source: str, encoding: str) -> Channel | None:
         if len(self.channels) >= MAX_CHANNELS:
             return None
-        channel = Channel(len(self.channels) + 2, key, source, encoding)  # the stamps have number 1
-        number = self._writer.register_channel(channel.topic, encoding, 0, channel.metadata())
+        channel = Channel(len(self.channels) + 1 + STAMPS_NUMBER, key, source, encoding)
+        number = self._register(channel.topic, encoding, channel.metadata())
         if number != channel.id:
             raise RuntimeError(f"MCAP channel {number}, expected {channel.id}")
         self.channels.append(channel)
         return channel
+
+    def _register(self, topic: str, encoding: str, metadata: dict[str, str]) -> int:
+        number: int = self._writer.register_channel(topic, encoding, 0, metadata)
+        if is_told(topic, encoding):
+            self._told.add(number)
+        self._records.append(mcap.records.Channel(number, topic, encoding, metadata, 0))
+        return number
+
+    def _adopt(self, records: Mapping[int, mcap.records.Channel], recount: Recount) -> None:
+        """Take over channels and counters of the file; a channel keeps its number, its count and what describes it."""
+        stamps = {"source": "", "writer": "recorder", "contract": layout.NO_CONTRACT}
+        first = mcap.records.Channel(STAMPS_NUMBER, layout.STAMPS_TOPIC, layout.TEXT, stamps, 0)
+        for number, record in sorted({STAMPS_NUMBER: first, **records}.items()):
+            if self._register(record.topic, record.message_encoding, record.metadata) != number:
+                raise EpisodeError(f"{self._disk.path}: nothing describes its channel {len(self._records)}")
+            if number == STAMPS_NUMBER:
+                continue
+            channel = recount.channels.get(number) or channel_from(record)
+            self.channels.append(channel)
+            if channel.source:
+                self._by_stamp[channel.key, channel.source.encode()] = channel
+            else:
+                self._foreign[channel.key, channel.encoding == layout.DELETED] = channel
+        self.gaps, self.retelling = recount.gaps, recount.retelling
+        self.messages = self._synced_messages = recount.messages
+        self._last_log_ns = recount.last_log_ns or self._anchor.wall_ns

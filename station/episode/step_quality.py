@@ -21,6 +21,7 @@ from station.protocols import Floats
 
 _STAGES = contracts.TIMING_STAGES
 _FIRST_STAGE = 2  # after tick and command_seq
+_LARGEST = 1 << 62  # so that the difference of two times fits 64 bits too
 _TRACKING = "tracking"
 _PLAYING = "playing"
 
@@ -59,7 +60,7 @@ class StepMeter:
         """Take a step."""
         self._times.append(step.at_ns)
         self._numbers[step.source].append(step.number)
-        gate = _json(step.values.get(keys.command_gate(self.robot)))
+        gate = _object(step.values.get(keys.command_gate(self.robot)))
         self._gates.append(str(gate.get("state", "")))
         for name in ("clamped", "refused"):
             if isinstance(gate.get(name), int):
@@ -111,19 +112,20 @@ class StepMeter:
 
     def _take_timing(self, step: Step) -> None:
         numbers = _json(step.values.get(keys.policy_timing(self.robot)))
-        if isinstance(numbers, list) and len(numbers) == _FIRST_STAGE + len(_STAGES):
-            self._timings.append([int(number) for number in numbers])
+        is_whole = isinstance(numbers, list) and len(numbers) == _FIRST_STAGE + len(_STAGES)
+        if is_whole and all(type(number) is int and abs(number) < _LARGEST for number in numbers):
+            self._timings.append(numbers)
             self._timed_gates.append(self._gates[-1])
 
     def _take_pose(self, step: Step) -> None:
         for key in (keys.sim_qpos(self.robot), keys.robot_state(self.robot)):
             data = step.values.get(key)
-            if data is not None and len(data) == 8 * len(self._layouts.get(key, ())):
+            if data and len(data) == 8 * len(self._layouts.get(key, ())):
                 self._poses[key] += data
                 self._pose_times[key].append(step.at_ns)
 
     def _is_playing(self, step: Step) -> bool:
-        source = _json(step.before.get(keys.command_source(self.robot)))
+        source = _object(step.before.get(keys.command_source(self.robot)))
         # A foreign writer states no phase; its commands are meant from the first to the last.
         return not source or source.get("phase", _PLAYING) == _PLAYING
 
@@ -199,6 +201,11 @@ def _gate_shares(times_ns: NDArray[np.int64], gates: list[str]) -> tuple[dict[st
 
 def _missing(numbers: array[int]) -> int:
     return max(numbers) - min(numbers) + 1 - len(set(numbers))
+
+
+def _object(data: bytes | None) -> dict[str, Any]:
+    value = _json(data)
+    return value if isinstance(value, dict) else {}
 
 
 def _json(data: bytes | None) -> Any:

@@ -5,53 +5,47 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from datetime import datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from station.bus import keys
-from station.episode import manifest as manifests
-from station.episode.anchor import Anchor
-from station.episode.heard import is_motion, json_object, note_motion
-from station.episode.manifest import Event, Hole, Manifest, Mark
-from station.episode.progress import Totals, WriterOptions
+from station.episode.closing import close_manifest
+from station.episode.heard import is_motion, note_motion
+from station.episode.manifest import Hole, Manifest
+from station.episode.progress import Totals
 from station.episode.request import RecordAnswer, RecorderState
+from station.episode.retell import note_event, note_mark
 from station.episode.writer import EpisodeWriter
 
 if TYPE_CHECKING:
     from station.bus.tap import Position, Write
 
 _SAVE_EVERY_S = 1.0
-_LONGEST_EVENT = 8192  # bytes; a longer one stands in the signals, the manifest says how long
-_EVENT_FIELDS = ("name", "severity", "source", "wall_ns", "detail")
 
 
 class Take:
     """From the start request to the closed file. Belongs to one thread; the writer's own thread does the work.
 
     Args:
-        folder: Folder of the episode, already made.
-        anchor: Clock of the episode; its instant is the start.
-        manifest: What is known before the first message.
-        start_id: Id of the request that is to be answered once the file is open.
-        options: How to write.
+        writer: Writes the file.
+        manifest: What is known so far.
+        start_id: Id of the request that is to be answered once the file is open; None when there is none.
 
     Attributes:
-        start_id: Id of the request that is to be answered once the file is open; None when it has been.
+        folder, anchor: Folder of the episode, and its clock, whose instant is the start.
+        start_id: As above; None when it has been answered.
         end_ids, discard_ids: Ids of those that are to be answered once the file is closed.
         has_dropped: Whether a full queue has been complained about.
     """
 
-    def __init__(
-        self, folder: Path, anchor: Anchor, manifest: Manifest, *, start_id: str, options: WriterOptions
-    ) -> None:
-        self.folder = folder
-        self.anchor = anchor
+    def __init__(self, writer: EpisodeWriter, manifest: Manifest, *, start_id: str | None = None) -> None:
+        self.writer = writer
+        self.folder = writer.folder
+        self.anchor = writer.anchor
         self.manifest = manifest
-        self.start_id: str | None = start_id
+        self.start_id = start_id
         self.end_ids: list[str] = []
         self.discard_ids: list[str] = []
         self.has_dropped = False
-        self.writer = EpisodeWriter(folder, anchor=anchor, manifest=manifest, options=options)
         self._is_dirty = False
         self._saved_at = time.monotonic()
 
@@ -62,39 +56,38 @@ class Take:
 
     def begin(self, preroll: Sequence[Write]) -> None:
         """Put in what came before the start."""
-        if preroll:
-            self.manifest.timing.preroll_s = round((self.anchor.mono_ns - preroll[0].mono_ns) * 1e-9, 6)
+        if preroll and not self.manifest.timing.preroll_s:
+            self.manifest.timing.preroll_s = max(0.0, -self._at_s(preroll[0].mono_ns))
         for write in preroll:
             self.note(write)
-        self.writer.put(preroll, is_live=False)
+        self.writer.put(preroll, is_live=False, is_whole=False)
 
-    def put(self, writes: Sequence[Write], position: Position | None) -> int:
-        """Put in what arrived; return how many writes had to be dropped."""
-        return self.writer.put(writes, position=position) if writes else 0
+    def put(
+        self, writes: Sequence[Write], position: Position | None, *, is_whole: bool = True, is_live: bool = True
+    ) -> int:
+        """Put in what arrived, as `EpisodeWriter.put`; return how many writes had to be dropped."""
+        return self.writer.put(writes, position=position, is_whole=is_whole, is_live=is_live)
 
     def note(self, write: Write) -> None:
         """Take from an event or a command's source what belongs into the manifest."""
         if write.value is None:
             return
         if write.key == keys.EVENT:
-            self._note_event(write.value, write.mono_ns)
+            note_event(self.manifest, write.value, self._at_s(write.mono_ns))
+            self._is_dirty = True
         elif is_motion(write.key):
             self._is_dirty |= note_motion(self.manifest, write.key, write.value)
 
     def mark(self, label: str, mono_ns: int, success: bool | None) -> bool:
         """Mark an instant; False when there are too many marks already."""
-        if len(self.manifest.marks) >= manifests.MAX_MARKS:
-            return False
-        self.manifest.marks.append(Mark(at_s=self._at_s(mono_ns), label=label))
-        if success is not None:
-            self.manifest.quality_flags.success = success
-        self._is_dirty = True
-        return True
+        is_noted = note_mark(self.manifest, label, self._at_s(mono_ns), success)
+        self._is_dirty |= is_noted
+        return is_noted
 
     def hole(self, from_ns: int, to_ns: int, reason: str) -> None:
         """Note that writes between two instants [ns, monotonic] may be missing."""
         self.manifest.holes.append(Hole(from_s=self._at_s(from_ns), to_s=self._at_s(to_ns), reason=reason))
-        self._is_dirty = True
+        self.writer.save_manifest(self.manifest)  # the file does not tell of it: safe before what follows
 
     def touch(self) -> None:
         """Have the manifest saved soon: somebody changed it."""
@@ -126,6 +119,7 @@ class Take:
             state="recording", episode_id=self.episode_id, path=str(self.folder), messages=writer.messages,
             bytes=writer.size, dropped=writer.dropped, queued=writer.queued, backend=backend,
             lag_ms=writer.lag.percentile_ms(50), lag_p99_ms=writer.lag.percentile_ms(99), error=writer.error,
+            restarts=self.manifest.recorder.restarts,
         )  # fmt: skip
 
     def summary(self) -> dict[str, Any]:
@@ -156,33 +150,8 @@ class Take:
         return RecordAnswer(id=asker, ok=not reason, episode_id=self.episode_id, path=path, reason=reason)
 
     def _closed(self, totals: Totals) -> Manifest:
-        manifest = self.manifest
-        manifest.state = "finished"
-        manifest.streams = totals.streams
-        recorder = manifest.recorder
-        recorder.messages, recorder.bytes, recorder.dropped = totals.messages, totals.bytes, totals.dropped
-        recorder.lag_p50_ms, recorder.lag_p99_ms = totals.lag_p50_ms, totals.lag_p99_ms
-        return manifest
-
-    def _note_event(self, value: bytes, mono_ns: int) -> None:
-        facts = json_object(value) or {"name": "undecodable", "severity": "warning"}
-        event = Event(
-            at_s=self._at_s(mono_ns),
-            name=str(facts.get("name", "unnamed")),
-            severity=str(facts.get("severity", "info")),
-            source=str(facts.get("source", "")),
-            numbers=_numbers(facts) if len(value) <= _LONGEST_EVENT else {"bytes": len(value)},
-        )
-        if mono_ns >= self.anchor.mono_ns:
-            flags = self.manifest.quality_flags
-            flags.falls += event.name == "fall"
-            flags.operator_reset |= event.name == "operator-reset"
-            flags.estop |= event.name == "estop"
-        if len(self.manifest.events) < manifests.MAX_EVENTS:
-            self.manifest.events.append(event)
-        else:
-            self.manifest.events_not_listed += 1
-        self._is_dirty = True
+        close_manifest(self.manifest, self.anchor, totals)
+        return self.manifest
 
     def _at_s(self, mono_ns: int) -> float:
         return round((mono_ns - self.anchor.mono_ns) * 1e-9, 6)
@@ -191,10 +160,3 @@ class Take:
 def iso(wall_ns: int) -> str:
     """Return a wall time [ns since the epoch] as ISO 8601 with milliseconds and the local offset."""
     return datetime.fromtimestamp(wall_ns * 1e-9).astimezone().isoformat(timespec="milliseconds")
-
-
-def _numbers(facts: dict[str, Any]) -> dict[str, Any]:
-    """Return the detail of an event, and whatever a foreign writer put beside it."""
-    beside = {name: value for name, value in facts.items() if name not in _EVENT_FIELDS}
-    detail = facts.get("detail", {})
-    return {**beside, **(detail if isinstance(detail, dict) else {"detail": detail})}

@@ -15,6 +15,7 @@ from station.errors import EpisodeError
 
 _decode_list = msgspec.json.Decoder(list[float]).decode
 _decode_integer = msgspec.json.Decoder(int).decode
+_INT64 = 1 << 63
 _TYPES: dict[str, Any] = {"json-vector": np.float64, "f64": np.float64, "f32": np.float32, "integer": np.int64}
 
 
@@ -73,6 +74,7 @@ def _json_vector(data: bytes) -> list[float] | None:
 
 def _integer(data: bytes) -> list[int] | None:
     try:
-        return [_decode_integer(data)]
+        value = _decode_integer(data)
     except (msgspec.DecodeError, UnicodeDecodeError):
         return None
+    return [value] if -_INT64 <= value < _INT64 else None

@@ -15,10 +15,13 @@ import msgspec
 
 from station.episode import layout
 from station.episode.anchor import Anchor
-from station.episode.atomic import sync_folder, write_atomic
+from station.episode.atomic import sync_folder
+from station.episode.closing import summary_record
+from station.episode.disk import why_not
 from station.episode.lag import Lag
+from station.episode.ledger import Ledger
 from station.episode.manifest import Manifest, dump_manifest, save_manifest, snapshot
-from station.episode.progress import ResumePoint, Totals, WriterOptions
+from station.episode.progress import Totals, WriterOptions
 from station.episode.signals import SignalsFile
 from station.errors import EpisodeError
 
@@ -42,10 +45,21 @@ class _Batch(msgspec.Struct, frozen=True):
     size: int
     position: Position | None
     is_live: bool
+    is_whole: bool
 
 
 class EpisodeWriter:
     """Writes one episode into its folder. Every method returns at once, except `wait`.
+
+    Args:
+        folder: The episode's folder, already made.
+        anchor: Clock of the file.
+        manifest: What is known before the first write.
+        options: How to write.
+        start_id: Id of the request that began the episode, for whoever takes it up again.
+        place: Where the tap stood before the first write, for the same.
+        reopened: The file of an episode that is taken up again; None makes a new one.
+        dropped: How many writes the episode lacks already.
 
     A disk that is full or gone never raises here: `state` becomes ``failed`` and `error` says why in one line, what
     comes later is counted as dropped, and the ``.active`` file keeps every flush that succeeded.
@@ -57,13 +71,14 @@ class EpisodeWriter:
     """
 
     def __init__(
-        self, folder: Path, *, anchor: Anchor, manifest: Manifest, options: WriterOptions | None = None
-    ) -> None:
+        self, folder: Path, *, anchor: Anchor, manifest: Manifest, options: WriterOptions | None = None,
+        start_id: str = "", place: Position | None = None, reopened: SignalsFile | None = None, dropped: int = 0,
+    ) -> None:  # fmt: skip
         self.folder = folder
         self.anchor = anchor
         self.state: WriterState = "opening"
         self.error = ""
-        self.dropped = 0
+        self.dropped = dropped
         self.lag = Lag()
         self._options = options or WriterOptions()
         self._queue: deque[_Batch] = deque()
@@ -75,18 +90,24 @@ class EpisodeWriter:
         task, started = manifest.task.name, manifest.timing.started
         self._facts = {"episode_id": manifest.episode_id, "task": task, "started": started}
         self._closing: Closing | None = None
-        self._signals: SignalsFile | None = None
-        self._position: Position | None = None
+        self._signals = reopened
+        self._ledger = Ledger(folder, manifest.episode_id, anchor, start_id)
+        self._position = place
+        self._is_whole = True  # the position is that of the last write; never flushed in between
         self._thread = threading.Thread(target=self._run, name=f"writer {manifest.episode_id}", daemon=True)
         self._thread.start()
 
-    def put(self, writes: Sequence[Write], *, position: Position | None = None, is_live: bool = True) -> int:
+    def put(
+        self, writes: Sequence[Write], *, position: Position | None = None, is_live: bool = True, is_whole: bool = True
+    ) -> int:
         """Queue writes in the order of their arrival; return how many were dropped because the queue is full.
 
         Args:
             writes: What the tap returned; not to be changed afterwards.
             position: The tap's position after the last of them; saved once they are on the disk.
             is_live: False for the pre-roll, whose age says nothing about the writer.
+            is_whole: False when more must follow before the position is known; nothing is flushed until then, since
+                a recorder that is killed and resumes at a position must find exactly what came before it.
         """
         size = sum(len(write[1]) if write[1] is not None else 0 for write in writes)
         with self._wake:
@@ -100,7 +121,7 @@ class EpisodeWriter:
             self._queued_writes += len(writes)
             self._queued_bytes += size
             was_idle = not self._queue
-            self._queue.append(_Batch(writes, size, position, is_live))
+            self._queue.append(_Batch(writes, size, position, is_live, is_whole))
             if was_idle:
                 self._wake.notify()
         return 0
@@ -139,13 +160,20 @@ class EpisodeWriter:
         """Writes that wait for the disk."""
         return self._queued_writes
 
+    @property
+    def is_congested(self) -> bool:
+        """Whether the queue is half full."""
+        return (
+            2 * self._queued_writes > self._options.queue_writes or 2 * self._queued_bytes > self._options.queue_bytes
+        )
+
     def _run(self) -> None:
         try:
             self._open()
             self._work()
             self._close()
         except (OSError, EpisodeError) as error:
-            self._fail(_reason(error, self.folder))
+            self._fail(why_not(error, self.folder))
         finally:
             if self.state not in ("finished", "failed"):  # our own fault; Python prints where
                 self._fail("internal error, see the log")
@@ -153,10 +181,18 @@ class EpisodeWriter:
                 self._signals.close()
 
     def _open(self) -> None:
+        if self._signals is None:
+            self._ledger.note(
+                self._position, None, self.dropped
+            )  # before all else: what is there without it has nobody to go on with it
         manifest = self._next_manifest()
         data = save_manifest(manifest, self.folder) if manifest else b""
-        self._signals = SignalsFile(self.folder / layout.ACTIVE, self.anchor, self._facts, data)
-        sync_folder(self.folder)
+        if self._signals is None:
+            self._signals = SignalsFile.create(self.folder / layout.ACTIVE, self.anchor, self._facts, data)
+            sync_folder(self.folder)
+        else:
+            self.state = "open"
+        self._ledger.note(self._position, self._signals, self.dropped)
 
     def _work(self) -> None:
         """Write batches until asked to finish; flush by size, by time, and once after the first batch."""
@@ -164,23 +200,25 @@ class EpisodeWriter:
         deadline = time.monotonic()
         while True:
             batches, is_closing = self._next_batches(deadline if signals.pending_bytes else None)
+            if (manifest := self._next_manifest()) is not None:  # before what follows it: a hole, then the writes
+                save_manifest(manifest, self.folder)
             for batch in batches:
                 self._write(signals, batch)
-                if signals.pending_bytes >= self._options.flush_bytes:
+                if signals.pending_bytes >= self._options.flush_bytes and self._is_whole:
                     deadline = self._flush(signals)
-            if signals.pending_bytes and time.monotonic() >= deadline:
+            if signals.pending_bytes and time.monotonic() >= deadline and self._is_whole:
                 deadline = self._flush(signals)
-            if self.state == "opening" and batches:
+            if self.state == "opening" and batches and self._is_whole:
                 self.state = "open"
-            if (manifest := self._next_manifest()) is not None:
-                save_manifest(manifest, self.folder)
             if is_closing:
                 return
 
     def _write(self, signals: SignalsFile, batch: _Batch) -> None:
         for write in batch.writes:
             signals.add(write)
-        self._position = batch.position or self._position
+        self._is_whole = batch.is_whole
+        if batch.is_whole:
+            self._position = batch.position
         with self._wake:
             self._queued_writes -= len(batch.writes)
             self._queued_bytes -= batch.size
@@ -188,17 +226,9 @@ class EpisodeWriter:
             self.lag.note(time.monotonic_ns() - batch.writes[0][3])
 
     def _flush(self, signals: SignalsFile) -> float:
-        """Bring everything to the disk and say so in the resume file; return when the next flush is due."""
+        """Bring everything to the disk and say so in the ledger; return when the next flush is due."""
         signals.sync()
-        point = ResumePoint(
-            episode_id=self._episode_id,
-            position=self._position,
-            size=signals.size,
-            messages=signals.messages,
-            anchor=self.anchor,
-            wall_ns=time.time_ns(),
-        )
-        write_atomic(self.folder / layout.RESUME, msgspec.json.encode(point), sync=False)
+        self._ledger.note(self._position, signals, self.dropped)
         return time.monotonic() + self._options.flush_s
 
     def _close(self) -> None:
@@ -210,40 +240,24 @@ class EpisodeWriter:
         if closing is None:
             raise RuntimeError("closing an episode that nobody asked to finish")
         manifest = closing(totals)
-        summary = {
-            "messages": str(totals.messages),
-            "dropped": str(totals.dropped),
-            "lost": str(sum(stream.lost for stream in totals.streams)),
-            "streams": msgspec.json.encode(totals.streams).decode(),
-        }
-        signals.finish(dump_manifest(manifest), summary)
+        signals.finish(dump_manifest(manifest), summary_record(totals))
         (self.folder / layout.ACTIVE).rename(self.folder / layout.SIGNALS)
         sync_folder(self.folder)
         manifest.recorder.bytes = signals.size
         save_manifest(manifest, self.folder)
-        (self.folder / layout.RESUME).unlink(missing_ok=True)
+        self._ledger.remove()
         self.state = "finished"
 
     def totals(self) -> Totals:
         """Return the counters of the file; exact once the state is ``finished`` or ``failed``."""
-        signals = self._signals
-        channels = list(signals.channels) if signals else []
-        counted = [channel for channel in channels if channel.count]
-        return Totals(
-            messages=signals.messages if signals else 0,
-            bytes=signals.size if signals else 0,
-            dropped=self.dropped + (signals.refused if signals else 0),
-            first_ns=min((channel.first_ns for channel in counted), default=0),
-            last_ns=max((channel.last_ns for channel in counted), default=0),
-            streams=[channel.stream(self.anchor.wall_ns) for channel in channels],
-            lag_p50_ms=self.lag.percentile_ms(50),
-            lag_p99_ms=self.lag.percentile_ms(99),
-        )
+        if self._signals is None:
+            return Totals(dropped=self.dropped)
+        return self._signals.totals(self.dropped, self.lag)
 
     def _next_batches(self, deadline: float | None) -> tuple[list[_Batch], bool]:
         """Wait for work, at most until the deadline; return the batches and whether they are the last."""
         with self._wake:
-            if not self._has_work():
+            if not (self._queue or self._closing is not None or self._manifest is not None):
                 self._wake.wait(None if deadline is None else max(0.0, deadline - time.monotonic()))
         if self._queued_writes < _HURRY_WRITES and self._closing is None:
             time.sleep(_LINGER_S)
@@ -251,9 +265,6 @@ class EpisodeWriter:
             batches = list(self._queue)
             self._queue.clear()
             return batches, self._closing is not None
-
-    def _has_work(self) -> bool:
-        return bool(self._queue) or self._closing is not None or self._manifest is not None
 
     def _next_manifest(self) -> Manifest | None:
         with self._wake:
@@ -281,10 +292,5 @@ class EpisodeWriter:
         except EpisodeError as error:
             log.error("%s", error)
             with contextlib.suppress(OSError):  # of an episode that could not even begin, leave nothing; else keep all
+                self._ledger.remove()
                 self.folder.rmdir()
-
-
-def _reason(error: OSError | EpisodeError, folder: Path) -> str:
-    if isinstance(error, OSError):
-        return f"{error.strerror or error} ({error.filename or folder}); free the disk, then start a new episode"
-    return str(error)

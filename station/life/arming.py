@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
+from station.life.gate import Gate
+from station.life.inlet import Inlet
 from station.protocols import JointTargets
 
 State = Literal["disarmed", "arming", "armed"]
 
 RAMP_S = 2.0
 """Time from limp to full stiffness [s]: long enough for a person to see a limb go the wrong way."""
+
+_ROUNDING = 1e-9  # a hundred ticks of 0.02 s are two seconds
+_LONGEST_TICK_S = 0.1  # a clock that leaps makes no robot stiff at once
 
 
 class Arming:
@@ -23,7 +29,8 @@ class Arming:
     def __init__(self, *, is_armed: bool, ramp_s: float = RAMP_S) -> None:
         self._starts_armed = is_armed
         self._ramp_s = ramp_s
-        self._since_s: float | None = None
+        self._ramped_s = 0.0
+        self._now_s = 0.0
         self._state: State = "disarmed"
         self.restart()
 
@@ -35,16 +42,15 @@ class Arming:
     def arm(self, now_s: float) -> None:
         """Begin to ramp up; no effect when armed or arming."""
         if self._state == "disarmed":
-            self._state, self._since_s = "arming", now_s
+            self._state, self._ramped_s, self._now_s = "arming", 0.0, now_s
 
     def disarm(self) -> None:
         """Send nothing from now on."""
-        self._state, self._since_s = "disarmed", None
+        self._state = "disarmed"
 
     def restart(self) -> None:
         """Return to the state of the start."""
         self._state = "armed" if self._starts_armed else "disarmed"
-        self._since_s = None
 
     def apply(self, targets: JointTargets, now_s: float) -> JointTargets | None:
         """Return the targets with the stiffness of this instant; None when nothing may be sent.
@@ -53,10 +59,27 @@ class Arming:
         """
         if self._state == "disarmed":
             return None
-        if self._state == "armed" or self._since_s is None:
+        if self._state == "armed":
             return targets
-        fraction = max(0.0, (now_s - self._since_s) / self._ramp_s) if self._ramp_s > 0 else 1.0
-        if fraction >= 1.0:
+        self._pass_time(now_s)
+        fraction = self._ramped_s / self._ramp_s if self._ramp_s > 0 else 1.0
+        if fraction >= 1.0 - _ROUNDING:
             self._state = "armed"
             return targets
         return JointTargets(targets.q, targets.kp * fraction, targets.kd)
+
+    def _pass_time(self, now_s: float) -> None:
+        if math.isfinite(now_s):
+            self._ramped_s += min(max(0.0, now_s - self._now_s), _LONGEST_TICK_S)
+            self._now_s = now_s
+
+
+def why_not_arm(gate: Gate, inlet: Inlet, now_s: float) -> str:
+    """Return why a robot may not be armed now, or "". Where no command comes it is asked to stand, and may be."""
+    if gate.state == "stopped":
+        return f"the emergency stop is latched ({gate.reason}); release it first: station estop --reset"
+    if inlet.refusal is not None and inlet.is_refusing(now_s, gate.config.return_after_s):
+        return f"commands come and are refused ({inlet.refusal.kind}: {inlet.refusal.text}); mend their writer"
+    if gate.state in ("holding", "returning"):
+        return f"the command is stale ({gate.reason}); wait until the robot is asked to stand, or mend its writer"
+    return ""

@@ -13,6 +13,7 @@ import msgspec
 
 from station import assets
 from station.bus.client import Bus
+from station.bus.protection import REMEDY, look
 from station.errors import NotReady
 
 _BYTES_PER_GB = 1e9
@@ -32,7 +33,13 @@ class Check(Protocol):
 
 
 class BusCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The server answers."""
+    """The server answers, and strangers cannot reach it.
+
+    Attributes:
+        allow_open: Whether it may be open to the network without a password: on a cable that nobody else is on.
+    """
+
+    allow_open: bool = False
 
     def run(self, bus: Bus, _data: Path) -> str:
         """Ask it who it is."""
@@ -41,7 +48,11 @@ class BusCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         elapsed_ms = (time.monotonic() - started) * 1e3
         fields = dict(line.split(":", 1) for line in info.splitlines() if ":" in line)
         version = fields.get("valkey_version") or fields.get("redis_version", "?")
-        return f"{bus.address} answers in {elapsed_ms:.1f} ms (server {version})"
+        found = f"{bus.address} answers in {elapsed_ms:.1f} ms (server {version})"
+        protection = look(bus)
+        if protection.verdict == "open" and not self.allow_open:
+            raise NotReady(f"bus {bus.address}: {protection.found}; {REMEDY}")
+        return found if protection.verdict == "closed" else f"{found}, {protection.found}"
 
 
 class AssetsCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -13,20 +13,14 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from station.errors import ConfigError
-from station.life.arming import Arming
+from station.life.arming import RAMP_S, Arming, why_not_arm
 from station.life.events import Severity
 from station.life.gate import Decision, Gate, GateConfig
 from station.life.inlet import CommandSample, Inlet
-from station.protocols import (
-    CommandFormat,
-    Fall,
-    Floats,
-    Floats32,
-    JointTargets,
-    Policy,
-    Robot,
-    RobotState,
-)
+from station.life.slew import Bounds
+from station.life.slewing import Slewing
+from station.life.writers import spoken
+from station.protocols import CommandFormat, Fall, Floats, Floats32, JointTargets, Policy, Robot, RobotState
 
 _UPRIGHT_AGAIN_S = 1.0  # a fallen robot bounces; a fall is over when it has stood this long
 
@@ -102,13 +96,16 @@ class ControlStep:
     ) -> None:
         _check_fit(robot, policy, form)
         self.robot, self.policy = robot, policy
-        self.gate = Gate(form.default, gate)
+        config = gate or GateConfig()
+        self.gate = Gate(form.default, config, Bounds.of(form, config.rate_factor))
         self.inlet = Inlet(form)
         self.arming = Arming(is_armed=is_armed)
         self._tick = 0
         self._is_down = False
         self._stood_since_s = 0.0
         self._refusing: str | None = None
+        self._rival = ""  # why somebody else's command was refused in this step
+        self._slewing = Slewing(form)
         self._action_is_bad = False
         self._happenings: list[Happening] = []
 
@@ -131,7 +128,7 @@ class ControlStep:
         action = self.policy.act(observation)
         inferred_ns = time.monotonic_ns()
         targets = self._targets(action, state, decision)
-        allowed = self.arming.apply(targets, now_s)
+        allowed = self._allowed(targets, now_s)
         sent_ns = time.monotonic_ns()  # before `write`, which in a simulation also runs the physics
         sent = _nothing(targets) if allowed is None else self.robot.write(allowed)
         good = self.inlet.good
@@ -169,22 +166,66 @@ class ControlStep:
         self._note("robot-reset", "warning", reason=reason)
         self._start_over()
 
+    def arm(self, now_s: float, who: str = "") -> str:
+        """Begin to arm the robot; return why not, or ""."""
+        refusal = self._why_not_arm(now_s)
+        if refusal:
+            self._note("arm-refused", "warning", who=who, reason=refusal)
+        elif self.arming.state == "disarmed":
+            self.arming.arm(now_s)
+            self._note("arming", "warning", who=who, ramp_s=RAMP_S)
+        return refusal
+
+    def disarm(self, who: str = "") -> None:
+        """Send nothing to the robot from the next step on."""
+        if self.arming.state != "disarmed":
+            self.arming.disarm()
+            self._note("disarmed", "warning", who=who)
+
+    def refuse_rivals(self, count: int, reason: str) -> None:
+        """Count commands that came from others than who is obeyed, before the step that they came for."""
+        self.inlet.refused["second-writer"] += count
+        self._rival = f"second-writer: {reason}"
+
+    def _why_not_arm(self, now_s: float) -> str:
+        if self.arming.state != "disarmed" and self.gate.state != "stopped":
+            return ""
+        if refusal := why_not_arm(self.gate, self.inlet, now_s):
+            return refusal
+        if self._action_is_bad:
+            return "the policy's output is not finite"
+        return "the robot has fallen; put it on its feet" if self._is_down else ""
+
     def _start_over(self) -> None:
         self.policy.reset()
-        self.arming.restart()
         self._is_down = False
         if isinstance(self.robot, Resettable):
             self.robot.reset()
+            self.arming.restart()
+        else:
+            self.arming.disarm()  # however it started: stiffness must not come back at once
+
+    def _allowed(self, targets: JointTargets, now_s: float) -> JointTargets | None:
+        was_arming = self.arming.state == "arming"
+        allowed = self.arming.apply(targets, now_s)
+        if was_arming and self.arming.state == "armed":
+            self._note("armed", "warning")
+        return allowed
 
     def _decide(self, sample: CommandSample | None, now_s: float) -> Decision:
-        inlet = self.inlet
+        inlet, before = self.inlet, self.inlet.good
         if inlet.take(sample):
             self._note_refusal()
-        refusal = "" if inlet.refusal is None else f"{inlet.refusal.kind}: {inlet.refusal.text}"
+        if before is not None and inlet.good is not None and before.source != inlet.good.source:
+            self.gate.change_hands(f"{spoken(inlet.good.source)} commands in place of {spoken(before.source)}")
+        refusal = self._rival if inlet.refusal is None else f"{inlet.refusal.kind}: {inlet.refusal.text}"
+        self._rival = ""
         decision = self.gate.step(now_s, inlet.vector, inlet.age_s(now_s), refusal=refusal)
         for change in decision.transitions:
             severity: Severity = "warning" if change.after in ("holding", "returning") else "info"
             self._note("gate", severity, **{"from": change.before, "to": change.after, "reason": change.reason})
+        for name, detail in self._slewing.note(decision.limited, now_s):
+            self._note(name, "warning", **detail)
         return decision
 
     def _targets(self, action: Floats32, state: RobotState, decision: Decision) -> JointTargets:

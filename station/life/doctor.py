@@ -12,16 +12,18 @@ from station import registry
 from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.sample import Sample
+from station.bus.server_options import LARGEST_VALUE
 from station.bus.watch import Watch
 from station.episode.request import RecorderState
 from station.errors import BusError, StationError, UnknownName
 from station.life import estop
-from station.life.findings import Finding, machine
+from station.life.findings import Finding, bus_access, machine
 from station.life.server import Health, read_health
 from station.life.supervisor import log_folder
 from station.protocols import CommandFormat
 
 _LOOK_S = 1.0
+_SETTINGS = ("notify-keyspace-events", "maxmemory-policy", "proto-max-bulk-len")
 _GATE_REMEDIES = {
     "waiting": "the robot stands until a fresh, valid command comes; see the command key above",
     "holding": "the command stopped coming a moment ago; see the command key above",
@@ -69,10 +71,9 @@ def _server_settings(bus: Bus) -> Iterator[Finding]:
     fields = dict(line.split(":", 1) for line in info.splitlines() if ":" in line)
     version = fields.get("valkey_version") or fields.get("redis_version", "?")
     yield Finding("ok", "bus", f"{bus.address}, server {version}, up {fields.get('uptime_in_seconds', '?')} s")
+    yield bus_access(bus)
     try:
-        settings = {
-            name: _setting(bus, name) for name in ("notify-keyspace-events", "bind", "requirepass", "maxmemory-policy")
-        }
+        settings = {name: _setting(bus, name) for name in _SETTINGS}
     except BusError as error:
         yield Finding(
             "warning", "bus settings", str(error), "allow CONFIG GET, or look at the server's settings yourself"
@@ -82,11 +83,9 @@ def _server_settings(bus: Bus) -> Iterator[Finding]:
         yield Finding(
             "warning", "bus notifications", "off; readers poll", "a low-level server switches them on by itself"
         )
-    is_open = any(word in ("*", "0.0.0.0", "::") for word in settings["bind"].replace("-", "").split())
-    has_port = bus.address.socket is None
-    if is_open and has_port and not settings["requirepass"]:
-        yield Finding("broken", "bus access", "open to the network without a password: anybody can move the robot",
-                      "bind it to 127.0.0.1, or set requirepass and $STATION_BUS_PASSWORD")  # fmt: skip
+    if int(settings["proto-max-bulk-len"] or 0) > LARGEST_VALUE:
+        yield Finding("warning", "bus values", f"of up to {int(settings['proto-max-bulk-len']) >> 20} MiB are taken, "
+                      "which every reader must then hold", "CONFIG SET proto-max-bulk-len 64mb")  # fmt: skip
     if settings["maxmemory-policy"] != "noeviction":
         yield Finding("warning", "bus memory", f"policy {settings['maxmemory-policy']} may drop a command key",
                       "CONFIG SET maxmemory-policy noeviction")  # fmt: skip
@@ -215,7 +214,7 @@ def _gate(watch: Watch, key: str) -> Iterator[Finding]:
     yield Finding("warning" if remedy else "ok", "gate", f"{gate.state}: {gate.reason}".rstrip(": "), remedy)
     if gate.arming == "disarmed":
         yield Finding("broken", "arming", "disarmed: the policy runs, and nothing is sent to the robot",
-                      "when everybody is clear: station estop --reset --arm")  # fmt: skip
+                      "when everybody is clear: station arm")  # fmt: skip
 
 
 def _recorder(bus: Bus, servers: list[Health]) -> Iterator[Finding]:

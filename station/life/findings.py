@@ -11,6 +11,8 @@ from typing import Literal
 import msgspec
 
 from station import assets
+from station.bus.client import Bus
+from station.bus.protection import REMEDY, look
 
 _PACKAGES = ("teleop-station", "mujoco", "onnxruntime", "numpy", "redis", "mcap", "rerun-sdk")
 
@@ -29,6 +31,15 @@ class Finding(msgspec.Struct, frozen=True):
     subject: str
     found: str
     remedy: str = ""
+
+
+def bus_access(bus: Bus) -> Finding:
+    """Look at who can reach a bus."""
+    protection = look(bus)
+    level: Literal["ok", "warning", "broken"] = (
+        "ok" if protection.verdict == "closed" else "broken" if protection.verdict == "open" else "warning"
+    )
+    return Finding(level, "bus access", protection.found, "" if level == "ok" else REMEDY)
 
 
 def machine() -> Iterator[Finding]:

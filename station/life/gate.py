@@ -6,8 +6,10 @@
        │                  ▼  │                    ▼  │
        └──blend done── returning ◄──still stale── holding          stopped: from anywhere, left only by `reset`
 
-A command that comes back while holding is followed at once if it was followed before; from returning, or when the
-blend had not ended, it is entered again. What is a good command is decided before, in `station.life.inlet`.
+A command that comes back while holding is followed at once if it was followed before; from returning, when the blend
+had not ended, or when somebody else gives it, it is entered again. What is a good command is decided before, in
+`station.life.inlet`. Whatever the state, no element moves faster than its rate (`station.life.slew`): a command that
+jumps is caught up with. Only `reset` jumps, to standing: there a robot starts anew.
 """
 
 from __future__ import annotations
@@ -19,9 +21,14 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from station.life.slew import Bounds
+from station.life.writers import Rule
 from station.protocols import Floats
 
 _ROUNDING = 1e-9  # five ticks of 0.02 s are 100 ms
+_LONGEST_TICK_S = 0.1  # a clock that leaps takes a blend no further than this
+_LATEST_S = 1e12  # beyond, a clock's ticks are lost in rounding
+_SLACK_S = 0.02  # a command may arrive between the reading of the clock and of the command
 
 State = Literal["waiting", "entering", "tracking", "holding", "returning", "stopped"]
 
@@ -34,21 +41,28 @@ class GateConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         hold_after_s: Age of the newest good command beyond which it is held rather than followed [s].
         return_after_s: Age beyond which the robot is taken back to standing [s].
         blend_out_s: Time from the held command to standing [s].
+        rate_factor: Times the greatest rates of the command format; less moves more gently.
+        rivals: Whom to obey when two write the command: ``keep-first`` refuses the second until the first has been
+            silent for longer than `return_after_s`; ``newest`` gives way to whoever begins to write.
 
     Raises:
-        ValueError: a time that is not positive and finite, or returning before holding.
+        ValueError: a number that is not positive and finite, or returning before holding.
     """
 
     blend_in_s: float = 1.0
     hold_after_s: float = 0.1
     return_after_s: float = 0.3
     blend_out_s: float = 2.0
+    rate_factor: float = 1.0
+    rivals: Rule = "keep-first"
 
     def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
+        for name in ("blend_in_s", "hold_after_s", "return_after_s", "blend_out_s"):
             value = getattr(self, name)
             if not (0.0 < value < math.inf):
                 raise ValueError(f"{name} must be a positive time in seconds, got {value}")
+        if not (0.0 < self.rate_factor < math.inf):
+            raise ValueError(f"rate_factor must be a positive number, got {self.rate_factor}")
         if self.return_after_s < self.hold_after_s:
             raise ValueError(
                 f"return_after_s ({self.return_after_s}) must not be less than hold_after_s ({self.hold_after_s})"
@@ -70,10 +84,11 @@ class Decision:
 
     Attributes:
         state: State after this tick.
-        vector: Command for the policy, shape (m,); always finite.
+        vector: Command for the policy, shape (m,); always finite and within its bounds.
         reason: Why it is in this state.
         age_s: Age of the newest good command [s]; infinite when there is none.
         transitions: Changes since the last tick, in order.
+        limited: Indices of the elements that would have moved faster than their rate.
     """
 
     state: State
@@ -81,6 +96,7 @@ class Decision:
     reason: str
     age_s: float
     transitions: tuple[Transition, ...]
+    limited: tuple[int, ...] = ()
 
 
 class Gate:
@@ -89,18 +105,29 @@ class Gate:
     Args:
         default: The command that asks the robot to stand, shape (m,).
         config: Its times.
+        bounds: Range and rate of each element; None bounds nothing.
+
+    Raises:
+        ConfigError: an element cannot be back at its default within `GateConfig.blend_out_s`.
     """
 
-    def __init__(self, default: Floats, config: GateConfig | None = None) -> None:
+    def __init__(self, default: Floats, config: GateConfig | None = None, bounds: Bounds | None = None) -> None:
         self.config = config or GateConfig()
         self._default = np.array(default, dtype=np.float64)
+        self._bounds = bounds
+        if bounds is not None:
+            bounds.expect_back_within(self._default, self.config.blend_out_s)
         self._state: State = "waiting"
         self._reason = "no command yet"
         self._vector = self._default.copy()
         self._start = self._vector  # where a blend began
         self._since_s = 0.0
         self._is_entered = False  # whether the blend into the command has ended
+        self._new_hands = ""  # why the next command is entered again
         self._transitions: list[Transition] = []
+        self._now_s: float | None = None
+        self._passed_s = 0.0  # since the last tick, as far as it counts
+        self._limited: tuple[int, ...] = ()
 
     @property
     def state(self) -> State:
@@ -116,15 +143,19 @@ class Gate:
         """Advance to an instant and return what the policy gets.
 
         Args:
-            now_s: The instant, on any clock that does not run backwards [s].
+            now_s: The instant [s]. Where the clock runs backwards or is no number, no time passes; where it leaps, a
+                tick's worth.
             command: The newest good command, shape (m,), or None.
             age_s: Its age [s]; infinite when unknown. Ignored without a command.
             refusal: Why something newer was refused, or "".
         """
-        if command is None or not np.isfinite(command).all():
+        now_s = self._pass_time(now_s)
+        self._limited = ()
+        if command is None or command.shape != self._default.shape or not np.isfinite(command).all():
             command, age_s = None, math.inf
+        elif not age_s >= -_SLACK_S:  # from the future, or not a number: nothing is known of it
+            age_s = math.inf
         why = refusal or _staleness(age_s)
-        # Written so that an age that is not a number counts as old.
         if self._state == "stopped":
             pass
         elif command is not None and age_s <= self.config.hold_after_s + _ROUNDING:
@@ -135,38 +166,70 @@ class Gate:
             self._go_home(now_s, why)
         transitions, self._transitions = tuple(self._transitions), []
         reason = refusal if refusal and self._state == "waiting" else self._reason
-        return Decision(self._state, self._vector.copy(), reason, age_s, transitions)
+        return Decision(self._state, self._vector.copy(), reason, age_s, transitions, self._limited)
+
+    def change_hands(self, reason: str) -> None:
+        """Enter the next good command again: somebody else gives it."""
+        self._new_hands = reason
 
     def stop(self, reason: str) -> None:
         """Latch the stop; the output stays what it was."""
-        self._move("stopped", 0.0, reason)
+        self._move("stopped", self._now_s or 0.0, reason)
 
     def reset(self, reason: str = "reset by the operator") -> None:
         """Leave the stop, and any other state: wait for a command, output standing."""
         self._vector = self._default.copy()
         self._is_entered = False
-        self._move("waiting", 0.0, reason)
+        self._move("waiting", self._now_s or 0.0, reason)
 
     def _follow(self, now_s: float, command: Floats) -> None:
         if self._state in ("waiting", "returning") or (self._state == "holding" and not self._is_entered):
             self._move("entering", now_s, "a good command came")
+        elif self._new_hands:
+            self._enter_again(now_s)
         elif self._state == "holding":
             self._move("tracking", now_s, "a good command came")
+        self._new_hands = ""
         fraction = self._fraction(now_s, self.config.blend_in_s) if self._state == "entering" else 1.0
-        self._vector = self._start + fraction * (command - self._start) if fraction < 1.0 else np.array(command)
+        self._approach(self._start + fraction * (command - self._start) if fraction < 1.0 else command)
         if fraction >= 1.0 and self._state == "entering":
             self._is_entered = True
             self._move("tracking", now_s, "blend done")
+
+    def _enter_again(self, now_s: float) -> None:
+        self._move("entering", now_s, self._new_hands)
+        self._since_s, self._start = now_s, self._vector  # also when it was entering: `_move` does nothing then
 
     def _go_home(self, now_s: float, why: str) -> None:
         if self._state == "waiting":
             return
         self._move("returning", now_s, why)
         fraction = self._fraction(now_s, self.config.blend_out_s)
-        self._vector = self._start + fraction * (self._default - self._start)
-        if fraction >= 1.0:
-            self._vector = self._default.copy()
+        self._approach(self._start + fraction * (self._default - self._start) if fraction < 1.0 else self._default)
+        if fraction >= 1.0 and not self._limited:
             self._move("waiting", now_s, "standing again")
+
+    def _approach(self, wanted: Floats) -> None:
+        """Go to a vector, as far as its bounds let it."""
+        if self._bounds is None:
+            self._vector = np.array(wanted)
+            return
+        self._vector = self._bounds.step(self._vector, wanted, self._passed_s)
+        self._limited = tuple(np.flatnonzero(self._vector != wanted).tolist())
+
+    def _pass_time(self, now_s: float) -> float:
+        """Take note of how much time a tick counts for; return the instant, or the last one when it is none."""
+        if not abs(now_s) < _LATEST_S:
+            self._passed_s = 0.0
+            return self._now_s or 0.0
+        before = now_s if self._now_s is None else self._now_s
+        passed_s = now_s - before
+        self._passed_s = min(max(passed_s, 0.0), _LONGEST_TICK_S)
+        self._since_s += passed_s - self._passed_s  # what does not count is no part of a blend
+        if self._now_s is None:
+            self._since_s += now_s
+        self._now_s = now_s
+        return now_s
 
     def _move(self, state: State, now_s: float, reason: str) -> None:
         """Change state; a blend starts from the present output."""

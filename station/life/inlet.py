@@ -12,9 +12,10 @@ import numpy as np
 from station.bus import codec, contracts
 from station.protocols import CommandFormat, Floats
 
-RefusalKind = Literal["not-json", "wrong-length", "not-finite", "out-of-range"]
+RefusalKind = Literal["not-json", "wrong-length", "not-finite", "out-of-range", "second-writer"]
 
 _LONGEST_BYTES = 16384  # 35 numbers take 1 kB; parsing a megabyte would cost the loop its deadline
+_SLACK_S = 0.02  # a clock that was read before a command came makes it seem to come from the future
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +51,7 @@ def check_command(data: bytes, form: CommandFormat) -> Checked | Refusal:
     if len(vector) != size:
         return Refusal("wrong-length", f"{len(vector)} values, expected {size}")
     if not np.isfinite(vector).all():
-        return Refusal("not-finite", f"{_name(form, int(np.argmin(np.isfinite(vector))))} is not finite")
+        return Refusal("not-finite", f"{element_name(form, int(np.argmin(np.isfinite(vector))))} is not finite")
     beyond = (vector < form.lower - form.margin) | (vector > form.upper + form.margin)
     if beyond.any():
         return Refusal("out-of-range", _describe(vector, int(np.argmax(beyond)), form))
@@ -68,6 +69,7 @@ class CommandSample:
         written_ns, arrived_ns: When it was written and when it arrived, on this machine's monotonic clock; 0 when
             unknown, as `written_ns` for a foreign writer.
         seq: Sequence number of its write; 0 for a foreign writer.
+        source: Who wrote it, as in its stamp; "" when nobody asks.
     """
 
     value: bytes
@@ -75,6 +77,7 @@ class CommandSample:
     written_ns: int = 0
     arrived_ns: int = 0
     seq: int = 0
+    source: str = ""
 
 
 @dataclass
@@ -100,6 +103,8 @@ class Inlet:
     refused: Counter[str] = field(default_factory=Counter)
     clamped: int = 0
     clamped_samples: int = 0
+    _asked_s: float | None = None  # when the age of `good` was last asked for
+    _least_s: float = 0.0  # how old it must be by the time that has passed here
 
     def take(self, sample: CommandSample | None) -> bool:
         """Take up the newest sample; return whether it is one that was not seen before."""
@@ -114,17 +119,31 @@ class Inlet:
         self.refusal, self.good, self.vector = None, sample, checked.vector
         self.clamped = checked.clamped
         self.clamped_samples += bool(checked.clamped)
+        self._asked_s, self._least_s = None, 0.0
         return True
 
     def forget(self) -> None:
         """Let no earlier command be followed any more; the counters stay."""
         self.good = self.vector = None
 
+    def is_refusing(self, now_s: float, within_s: float) -> bool:
+        """Whether the newest sample was refused and came within a time [s]."""
+        if self.refusal is None or self.sample is None or self.sample.arrived_s is None:
+            return False
+        return now_s - self.sample.arrived_s <= within_s
+
     def age_s(self, now_s: float) -> float:
-        """Return the age of the newest good command [s]; infinite when there is none or it is unknown."""
-        if self.good is None or self.good.arrived_s is None:
+        """Return the age of the newest good command [s]; infinite when there is none or it is unknown.
+
+        It never grows by less than the time between the calls: a clock that jumps back makes no command young again.
+        """
+        if self.good is None or self.good.arrived_s is None or not math.isfinite(self.good.arrived_s):
             return math.inf
-        return now_s - self.good.arrived_s
+        if math.isfinite(now_s):
+            self._least_s += max(0.0, now_s - self._asked_s) if self._asked_s is not None else 0.0
+            self._asked_s = now_s
+        age_s = now_s - self.good.arrived_s
+        return age_s if age_s >= self._least_s - _SLACK_S else self._least_s
 
 
 def _kind_of_unreadable(data: bytes) -> RefusalKind:
@@ -137,7 +156,8 @@ def _kind_of_unreadable(data: bytes) -> RefusalKind:
     return "not-finite" if is_numbers else "not-json"
 
 
-def _name(form: CommandFormat, index: int) -> str:
+def element_name(form: CommandFormat, index: int) -> str:
+    """Return the name of an element of a command."""
     contract = contracts.contract(form.key)
     names = contract.names if contract is not None else ()
     return names[index] if len(names) == len(form.default) else f"element {index}"
@@ -145,4 +165,4 @@ def _name(form: CommandFormat, index: int) -> str:
 
 def _describe(vector: Floats, index: int, form: CommandFormat) -> str:
     low, high = form.lower[index] - form.margin[index], form.upper[index] + form.margin[index]
-    return f"{_name(form, index)} is {vector[index]:.4g}, allowed {low:.4g} to {high:.4g}"
+    return f"{element_name(form, index)} is {vector[index]:.4g}, allowed {low:.4g} to {high:.4g}"

@@ -10,18 +10,21 @@ import logging
 import math
 import time
 from collections.abc import Callable, Mapping
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from station.bus import codec, keys
 from station.bus.sample import Sample
-from station.bus.watch import Watch
-from station.life import estop
+from station.life import arm_request, estop
+from station.life.arm_request import ArmAnswer
 from station.life.control import ControlStep, Happening, StepRecord
+from station.life.inbox import CommandWatch, Inbox
 from station.life.inlet import CommandSample
 from station.life.loop import Rate
-from station.life.rivals import FOREIGN, Rivals
 from station.life.server import Life
+from station.life.writers import News, Writers, spoken
 from station.protocols import RobotState
 
 log = logging.getLogger(__name__)
@@ -29,43 +32,6 @@ log = logging.getLogger(__name__)
 _REPORT_S = 0.5
 
 StateValues = Callable[[RobotState], Mapping[str, bytes]]
-
-
-class Inbox:
-    """The newest command of a watch, as the control step wants it, and who writes it.
-
-    Args:
-        watch: Watches the key.
-        key: The command's key.
-    """
-
-    def __init__(self, watch: Watch, key: str) -> None:
-        self._watch, self._key = watch, key
-        self._rivals = Rivals()
-        self.seen: Sample | None = None
-        self._command: CommandSample | None = None
-        self.rivals: tuple[str, ...] = ()
-
-    def newest(self, now_s: float | None = None) -> CommandSample | None:
-        """Return the newest command, the same object as long as nothing new came.
-
-        Args:
-            now_s: When a command that is new counts as arrived, on the gate's clock [s]; None for its real arrival
-                on the monotonic clock.
-        """
-        sample = self._watch.latest(self._key)
-        if sample is not None and sample is not self.seen:
-            self.seen = sample
-            self._command = _command(sample, now_s)
-            writer = sample.stamp.source if sample.stamp is not None else FOREIGN
-            if sample.arrived_ns is not None:
-                self.rivals = self._rivals.see(writer, sample.arrived_ns * 1e-9) or self.rivals
-        return self._command
-
-    def take_rivals(self) -> tuple[str, ...]:
-        """Return writers newly found to compete for the key, once."""
-        rivals, self.rivals = self.rivals, ()
-        return rivals
 
 
 class LowLevelLoop:
@@ -91,9 +57,12 @@ class LowLevelLoop:
         self._life, self._control, self._state_values = life, control, state_values
         self._period_s, self._reset_after_s = period_s, reset_after_s
         self._suffix, self._key = control.inlet.form.robot, control.inlet.form.key
-        self._watch = life.bus.watch([self._key, keys.ESTOP])
-        self._inbox = Inbox(self._watch, self._key)
+        self._watch = CommandWatch(life.bus.address, [self._key, keys.ESTOP, keys.ARM], key=self._key)
+        config = control.gate.config
+        self._inbox = Inbox(self._watch, self._key, Writers(config.rivals, config.return_after_s))
         self._estop_seen: Sample | None = None
+        self._arm_seen = self._watch.latest(keys.ARM)  # a request from before our time is none
+        self._arm_answer: ArmAnswer | None = None
         self._fell_at_s: float | None = None
         self._falls = 0
         self._said_s = -math.inf
@@ -131,7 +100,7 @@ class LowLevelLoop:
         while not self._life.stopping:
             now_s = tick * self._period_s
             state = self._sense()
-            has_come = self._await_command(patience_s)
+            has_come = self._await_command(patience_s, now_s)
             started = started or has_come
             patience_s = timeout_s if has_come or not started else self._period_s
             was_told = self._obey(now_s)
@@ -142,12 +111,13 @@ class LowLevelLoop:
                 elapsed_s = time.monotonic() - began_s
                 self._report(rate_hz=tick / elapsed_s)
 
-    def _await_command(self, patience_s: float) -> bool:
-        """Wait for a command newer than the last; return early, False, when asked to stop in either sense."""
+    def _await_command(self, patience_s: float, now_s: float) -> bool:
+        """Wait for a command newer than the last; return early, False, when asked for something else."""
         end_s = time.monotonic() + patience_s
-        while not self._life.stopping and self._watch.latest(keys.ESTOP) is self._estop_seen:
+        while not self._life.stopping and not self._is_asked():
             left_s = end_s - time.monotonic()
-            if self._watch.wait(self._key, after=self._inbox.seen, timeout_s=max(0.0, min(left_s, self._period_s))):
+            wait_s = max(0.0, min(left_s, self._period_s))
+            if self._watch.wait(self._key, after=self._inbox.seen, timeout_s=wait_s) and self._inbox.has_come(now_s):
                 return True
             if left_s <= 0:
                 return False
@@ -158,8 +128,33 @@ class LowLevelLoop:
         self._publish(self._state_values(state))
         return state
 
+    def _is_asked(self) -> bool:
+        stop, arm = self._watch.latest(keys.ESTOP), self._watch.latest(keys.ARM)
+        return stop is not self._estop_seen or arm is not self._arm_seen
+
     def _obey(self, now_s: float) -> bool:
-        """Do what the emergency stop's key asks for; return whether it says something new."""
+        """Do what an operator asks for; return whether something was newly asked."""
+        is_told = self._obey_stop(now_s)
+        return self._obey_arm(now_s) or is_told
+
+    def _obey_arm(self, now_s: float) -> bool:
+        sample = self._watch.latest(keys.ARM)
+        if sample is self._arm_seen:
+            return False
+        self._arm_seen = sample
+        request = arm_request.read(sample.value) if sample is not None and sample.arrived_ns is not None else None
+        if request is None or request.server not in ("", self._life.name):
+            return False
+        who = ", ".join(word for word in (request.who, request.reason) if word)
+        refused = ""
+        if request.action == "arm":
+            refused = self._control.arm(now_s, who)
+        else:
+            self._control.disarm(who)
+        self._arm_answer = ArmAnswer(id=request.id, action=request.action, refused=refused)
+        return True
+
+    def _obey_stop(self, now_s: float) -> bool:
         sample = self._watch.latest(keys.ESTOP)
         if sample is self._estop_seen:
             return False
@@ -173,18 +168,30 @@ class LowLevelLoop:
         if sample.arrived_ns is not None:  # a reset from before our time is none
             self._control.reset(request.reason)
             if request.arm:
-                self._control.arming.arm(now_s)
+                self._control.arm(now_s, request.reason)
         return True
 
     def _act(self, state: RobotState, command: CommandSample | None, now_s: float) -> None:
+        writers = self._inbox.writers
+        if refused := self._inbox.take_refused():
+            self._control.refuse_rivals(refused, writers.refusal)
         record = self._control.step(state, command, now_s)
-        self._publish(result_values(self._suffix, record, self._control))
+        self._publish(result_values(self._suffix, record, self._control, self._arm_answer))
         for happening in record.happenings:
             self._say(happening)
-        rivals = self._inbox.take_rivals()
-        if rivals:
-            self._life.event("second-writer", severity="warning", key=self._key, writers=list(rivals))
+        for news in writers.take_news(now_s):
+            self._tell_of_writers(news)
         self._see_to_fall(record, now_s)
+
+    def _tell_of_writers(self, news: News) -> None:
+        detail: dict[str, Any] = {"key": self._key, "writers": list(news.writers), "obeyed": spoken(news.obeyed)}
+        if news.kind == "handover":
+            self._life.event("command-handover", **detail, reason=news.reason)
+        elif news.kind == "alone":
+            self._life.event("second-writer", **detail, ended=True, writes_refused=news.refused)
+        else:
+            others = [spoken(writer) for writer in news.writers if writer != news.obeyed]
+            self._life.event("second-writer", severity="warning", **detail, refused=others)
 
     def _see_to_fall(self, record: StepRecord, now_s: float) -> None:
         if any(happening.name == "fall" for happening in record.happenings):
@@ -216,21 +223,27 @@ class LowLevelLoop:
         control, inlet = self._control, self._control.inlet
         self._life.report(
             gate=control.gate.state, gate_reason=control.gate.reason, arming=control.arming.state,
+            command_writer=self._inbox.writers.obeyed and spoken(self._inbox.writers.obeyed),
             refused=dict(inlet.refused), clamped=inlet.clamped_samples, falls=self._falls, **loop,
         )  # fmt: skip
 
 
-def result_values(suffix: str, record: StepRecord, control: ControlStep) -> dict[str, bytes]:
-    """Return what a step publishes after its targets were sent, by key."""
+def result_values(
+    suffix: str, record: StepRecord, control: ControlStep, answer: ArmAnswer | None = None
+) -> dict[str, bytes]:
+    """Return what a step publishes after its targets were sent, by key; with the answer to the last request to arm."""
     decision, sent = record.decision, record.sent
-    gate = {
+    gate: dict[str, Any] = {
         "state": decision.state,
         "reason": decision.reason,
         "age_s": decision.age_s if math.isfinite(decision.age_s) else None,
         "clamped": control.inlet.clamped,
         "refused": control.inlet.refused.total(),
         "arming": control.arming.state,
+        "limited": len(decision.limited),
     }
+    if answer is not None:
+        gate["arm"] = msgspec.structs.asdict(answer)
     return {
         keys.policy_obs(suffix): codec.f32(record.observation),
         keys.policy_action(suffix): codec.f32(record.action),
@@ -239,16 +252,3 @@ def result_values(suffix: str, record: StepRecord, control: ControlStep) -> dict
         keys.command_used(suffix): codec.f64(decision.vector),
         keys.policy_timing(suffix): codec.json_vector((record.tick, record.command_seq, *record.timing_ns)),
     }
-
-
-def _command(sample: Sample, now_s: float | None) -> CommandSample:
-    arrived_ns, mark = sample.arrived_ns, sample.stamp
-    at_s = None if arrived_ns is None else arrived_ns * 1e-9 if now_s is None else now_s
-    is_ours = mark is not None and mark.is_from_this_boot
-    return CommandSample(
-        value=sample.value,
-        arrived_s=at_s,
-        written_ns=mark.mono_ns if mark is not None and is_ours else 0,
-        arrived_ns=arrived_ns or 0,
-        seq=mark.seq if mark is not None else 0,
-    )

@@ -13,11 +13,13 @@ from typing import Any
 import msgspec
 
 from station import config, registry
+from station.bus.client import Bus
 from station.errors import ConfigError, did_you_mean
+from station.life import arm_request
 from station.life.checks import KINDS, Check
 from station.life.server import ServerKind
 
-_STEP_KINDS = ("check", "confirm", "start", "note")
+_STEP_KINDS = ("check", "confirm", "start", "note", "arm", "disarm")
 
 
 class CheckStep(msgspec.Struct, frozen=True, kw_only=True):
@@ -28,6 +30,31 @@ class CheckStep(msgspec.Struct, frozen=True, kw_only=True):
 
     def __str__(self) -> str:
         return f"check {self.check} {_chosen(self.what)}".rstrip()  # type: ignore[arg-type]  # every one is a Struct
+
+
+class Arming(msgspec.Struct, frozen=True, kw_only=True):
+    """What a step asks for that arms or disarms the robot of a server; "" for every low-level server."""
+
+    action: arm_request.Action
+    server: str = ""
+    within_s: float = arm_request.WITHIN_S
+
+    def run(self, bus: Bus, _data: Path) -> str:
+        """Ask for it and wait until it is done.
+
+        Raises:
+            NotReady: nobody answered in time.
+            Refused: the server said no.
+        """
+        done = arm_request.ask(bus, self.action, server=self.server, reason="runbook", within_s=self.within_s)
+        return "; ".join(f"{name} {arm_request.story(self.action, states)}" for name, states in done.items())
+
+
+class ArmStep(CheckStep, frozen=True, kw_only=True):
+    """The robot is armed or disarmed; a check, in that it may fail and is answered by the station."""
+
+    def __str__(self) -> str:
+        return f"{self.check} {self.what.server}".rstrip() if isinstance(self.what, Arming) else self.check
 
 
 class ConfirmStep(msgspec.Struct, frozen=True, kw_only=True):
@@ -125,6 +152,7 @@ def load(path: Path, sets: Sequence[str] = ()) -> Runbook:
             raise ConfigError(f"{path}: starts server {name!r} {names.count(name)} times; expected once")
     changes = config.overrides(sets, servers=names)
     steps = tuple(_step(raw, changes, f"{path} step {n}") for n, raw in enumerate(file.steps, 1))
+    _expect_started_before_armed(steps, str(path))
     return Runbook(
         name=file.runbook,
         robot=file.robot,
@@ -147,6 +175,8 @@ def _step(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], wher
         return _start(raw, changes, where)
     if kind == "check":
         return _check(raw, where)
+    if kind in ("arm", "disarm"):
+        return _arm(raw, kind, where)
     if kind == "confirm":
         return config.build(ConfirmStep, raw, where=where)
     return config.build(NoteStep, raw, where=where)
@@ -178,6 +208,29 @@ def _check(raw: Mapping[str, Any], where: str) -> CheckStep:
     arguments = {key: value for key, value in raw.items() if key != "check"}
     what: Any = config.build(KINDS[name], arguments, where=f"{where} (check {name})")
     return CheckStep(check=name, what=what)
+
+
+def _arm(raw: Mapping[str, Any], action: str, where: str) -> ArmStep:
+    known = (action, "within")
+    for key in raw:
+        if key not in known:
+            raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(key, known)}; known: {', '.join(known)}")
+    within_s = config.seconds(raw.get("within", arm_request.WITHIN_S), where=f"{where}: within")
+    values = {"action": action, "server": raw[action] or "", "within_s": within_s}
+    return ArmStep(check=action, what=config.build(Arming, values, where=f"{where} ({action})"))
+
+
+def _expect_started_before_armed(steps: Sequence[Step], where: str) -> None:
+    started: list[str] = []
+    for number, step in enumerate(steps, 1):
+        if isinstance(step, StartStep):
+            started.append(step.start)
+        name = step.what.server if isinstance(step, ArmStep) and isinstance(step.what, Arming) else ""
+        if name and name not in started:
+            raise ConfigError(
+                f"{where} step {number}: {step}{did_you_mean(name, started)}: no step before it starts that server; "
+                f"started by then: {', '.join(started) or 'none'}"
+            )
 
 
 def _stop_order(file: _File, names: Sequence[str], where: str) -> tuple[str, ...]:

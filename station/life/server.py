@@ -6,6 +6,7 @@ sees to the rest: heartbeat, events, signals, the supervisor's leash, and a last
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import logging
 import os
@@ -19,10 +20,13 @@ from typing import Any, Literal
 
 import msgspec
 
+from station.bus import address as addresses
 from station.bus import codec, keys, stamp
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.errors import Refused, StationError
+from station.bus.credentials import for_role
+from station.bus.protection import look
+from station.errors import BusError, Refused, StationError
 from station.life import events, leash
 from station.life.events import Severity
 
@@ -86,7 +90,7 @@ class Health(msgspec.Struct, kw_only=True):
             return False
         try:
             os.kill(self.pid, 0)
-        except ProcessLookupError:
+        except (ProcessLookupError, OverflowError):  # a number that no process has
             return True
         except PermissionError:  # it lives, as another user
             return False
@@ -198,8 +202,9 @@ def serve(kind: ServerKind, config: msgspec.Struct, *, address: BusAddress | Non
         Refused: a live server already has this name.
     """
     name = name or kind.name
-    with Bus(address, name=name) as bus:
+    with Bus(for_role(address or addresses.default(), kind.role), name=name) as bus:
         _claim(bus, name)
+        _warn_of_strangers(bus)
         life = Life(kind, name, bus, _config_hash(config))
         _on_signals(life)
         reason = "stopped"
@@ -240,6 +245,13 @@ def _claim(bus: Bus, name: str) -> None:
                 f"server {name!r} is already running on {bus.address} (pid {health.pid} on {health.host}); "
                 "stop it first, or start this one under another --name"
             )
+
+
+def _warn_of_strangers(bus: Bus) -> None:
+    with contextlib.suppress(BusError):  # the bus is being lost: a later look will tell
+        protection = look(bus)
+        if protection.verdict == "open":
+            log.warning("bus %s: %s", bus.address, protection.found)
 
 
 def _config_hash(config: msgspec.Struct) -> str:

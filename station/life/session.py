@@ -13,11 +13,12 @@ from typing import Any, Protocol
 import msgspec
 
 from station.bus.client import Bus
-from station.episode import remote
+from station.episode import left_open, remote
 from station.episode.request import RecordAnswer
 from station.errors import BusError, ConfigError, NotReady, Refused, StationError
 from station.life.event_feed import EventFeed
 from station.life.events import Severity
+from station.life.restarts import Restarts
 from station.life.runbook import CheckStep, ConfirmStep, NoteStep, Runbook, StartStep, Step
 from station.life.server import Health, read_health
 from station.life.supervisor import Supervisor, how_it_ended
@@ -123,6 +124,8 @@ class Session:
             Refused: a server of this runbook already runs on the bus.
         """
         self._refuse_a_second_station()
+        if (line := left_open.offer(self._data)) is not None:
+            self._face.say(line, "warning")
         with EventFeed(self._bus) as feed:
             try:
                 self._start_all(feed, stop)
@@ -146,7 +149,7 @@ class Session:
     def _start_all(self, feed: EventFeed, stop: threading.Event) -> None:
         if not self._runbook.robot_is_real:
             for server in self._runbook.servers:
-                self._supervisor.spawn(server.start, server.config)
+                self._spawn(server)
         for step in self._runbook.steps:
             if stop.is_set():
                 raise NotReady("asked to stop before everything had started")
@@ -175,12 +178,16 @@ class Session:
 
     def _start(self, step: StartStep, stop: threading.Event) -> str:
         if step.start not in self._supervisor.children:
-            self._supervisor.spawn(step.start, step.config)
+            self._spawn(step)
         self._supervisor.wait_for(step.start, "inactive", step.ready_within_s, stop=stop)
         self._supervisor.activate(step.start)
         health = self._supervisor.wait_for(step.start, "active", step.ready_within_s, stop=stop)
         took_s = time.monotonic() - self._supervisor.children[step.start].started_s
         return f"active after {took_s:.1f} s, pid {health.pid}"
+
+    def _spawn(self, step: StartStep) -> None:
+        restarts = Restarts() if step.kind.role == _RECORDER else None
+        self._supervisor.spawn(step.start, step.config, restarts=restarts)
 
     def _confirm(self, step: ConfirmStep) -> str:
         if self._is_unattended:

@@ -2,12 +2,15 @@
 
 A child loads everything and then waits, inactive, for its leash to say "go" (`station.life.leash`); so the slow part
 of a start runs in parallel and the order of a runbook still holds. A child that dies takes nothing silently with it:
-its last words are kept. When the supervisor itself is killed, every leash breaks and the children finish by themselves.
+its last words are kept. A recorder that dies is started again (`station.life.restarts`), since its episode waits for
+it; whatever moves a robot is not. When the supervisor itself is killed, every leash breaks and the children finish by
+themselves.
 """
 
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import signal
 import subprocess
@@ -25,12 +28,16 @@ from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.errors import NotReady
-from station.life import leash
+from station.life import events, leash
+from station.life.restarts import RESTARTS_VARIABLE, Restarts
 from station.life.server import Health, State, decode_health
+
+log = logging.getLogger(__name__)
 
 _STOP_S = 15.0  # a command server blends for 2 s, a recorder closes its episode; then the child is killed
 _HURRY_S = 5.0  # a blend and a flush to the disk still fit
 _LOOK_S = 0.01
+_NURSE_S = 0.05
 _PROGRESS: dict[State, int] = {"unconfigured": 0, "inactive": 1, "active": 2}
 
 
@@ -42,6 +49,9 @@ class Child(msgspec.Struct):
     go: int
     log: Path
     started_s: float
+    arguments: list[str]
+    restarts: Restarts | None = None
+    is_wanted: bool = True
 
 
 class Supervisor:
@@ -58,26 +68,40 @@ class Supervisor:
         self._folder = folder
         self._environment = dict(environment or {})
         self.children: dict[str, Child] = {}
+        self._lock = threading.RLock()  # around what is done to a child
+        self._nurse: threading.Thread | None = None
+        self._closed = threading.Event()
 
-    def spawn(self, name: str, config: msgspec.Struct, *, server: str = "") -> None:
-        """Start the process of a server; it loads and then waits to be activated."""
-        reading, writing = os.pipe()
-        os.set_inheritable(reading, True)
+    def spawn(self, name: str, config: msgspec.Struct, *, server: str = "", restarts: Restarts | None = None) -> None:
+        """Start the process of a server; it loads and then waits to be activated.
+
+        With `restarts`, a process that dies after it was active is started again, as often as those allow.
+        """
         self._folder.mkdir(parents=True, exist_ok=True)
         log = self._folder / f"{name}.log"
+        log.unlink(missing_ok=True)
         arguments = ["serve", server or name, "--name", name, "--config-json", _json(config)]
-        with log.open("wb") as output:
+        process, go = self._launch(arguments, log, 0)
+        self.children[name] = Child(name, process, go, log, time.monotonic(), arguments, restarts)
+        if restarts is not None and self._nurse is None:
+            self._nurse = threading.Thread(target=self._look_after, name="supervisor", daemon=True)
+            self._nurse.start()
+
+    def _launch(self, arguments: list[str], log: Path, restarts: int) -> tuple[subprocess.Popen[bytes], int]:
+        reading, writing = os.pipe()
+        os.set_inheritable(reading, True)
+        with log.open("ab") as output:
             process = subprocess.Popen(
                 [sys.executable, "-m", "station", *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 pass_fds=(reading,),
-                env=self._child_environment(reading),
+                env=self._child_environment(reading) | {RESTARTS_VARIABLE: str(restarts)},
                 start_new_session=True,  # Ctrl-C in the terminal is ours to hear; the children stop in our order
             )
         os.close(reading)
-        self.children[name] = Child(name, process, writing, log, time.monotonic())
+        return process, writing
 
     def wait_for(self, name: str, state: State, timeout_s: float, *, stop: threading.Event | None = None) -> Health:
         """Wait until a child says that it is in a state, or beyond.
@@ -108,8 +132,11 @@ class Supervisor:
 
     def activate(self, name: str) -> None:
         """Let a loaded child begin its work."""
+        child = self.children[name]
+        if child.restarts is not None:
+            child.restarts.is_armed = True
         with contextlib.suppress(BrokenPipeError):  # it has just died; whoever looks next will say so
-            os.write(self.children[name].go, b"go\n")
+            os.write(child.go, b"go\n")
 
     def health(self, name: str) -> Health | None:
         """Return what a child last said of itself; None before its first word."""
@@ -118,9 +145,51 @@ class Supervisor:
         return health if health is not None and health.pid == self.children[name].process.pid else None
 
     def ended(self) -> dict[str, int]:
-        """Return the exit codes of the children that have ended."""
-        codes = {name: child.process.poll() for name, child in self.children.items()}
+        """Return the exit codes of the children that have ended, and are not to be started again."""
+        with self._lock:
+            codes = {name: child.process.poll() for name, child in self.children.items() if not self._may_return(child)}
         return {name: code for name, code in codes.items() if code is not None}
+
+    @staticmethod
+    def _may_return(child: Child) -> bool:
+        code = child.process.poll()
+        return child.restarts is not None and child.is_wanted and code is not None and child.restarts.allow(code)
+
+    def _look_after(self) -> None:
+        """Start again what died and may."""
+        while not self._closed.wait(_NURSE_S):
+            with self._lock:
+                for child in list(self.children.values()):
+                    if child.restarts is not None and child.is_wanted:
+                        self._look_at(child, child.restarts)
+
+    def _look_at(self, child: Child, restarts: Restarts) -> None:
+        code, now_s = child.process.poll(), time.monotonic()
+        if code is None:
+            return
+        if not restarts.has_noted(child.process.pid):
+            restarts.note(child.process.pid, now_s - child.started_s)
+            self._tell(child, restarts, code)
+            child.started_s = now_s
+        if restarts.allow(code) and now_s - child.started_s >= restarts.delay_s:
+            os.close(child.go)
+            child.process, child.go = self._launch(child.arguments, child.log, restarts.count)
+            child.started_s = now_s
+            with contextlib.suppress(BrokenPipeError):
+                os.write(child.go, b"go\n")
+
+    def _tell(self, child: Child, restarts: Restarts, code: int) -> None:
+        """Say as an event what happened to a child, and what becomes of it."""
+        how = how_it_ended(code)
+        if restarts.allow(code):
+            event = events.make(
+                "supervisor", "server-restarted", "warning", server=child.name, reason=how, restarts=restarts.count,
+                delay_s=restarts.delay_s,
+            )  # fmt: skip
+        else:
+            event = events.make("supervisor", "server-given-up", "error", server=child.name, reason=restarts.why(how))
+        self._bus.publish({keys.EVENT: event.encode()})
+        events.write_log(log, event)
 
     def stop(self, name: str, timeout_s: float = _STOP_S) -> int:
         """Ask a child to finish, wait, kill it if it does not; return its exit code.
@@ -128,6 +197,8 @@ class Supervisor:
         Interrupted in its wait, it leaves the child to the next call.
         """
         child = self.children[name]
+        with self._lock:
+            child.is_wanted = False
         if child.process.poll() is None:
             child.process.terminate()
         try:
@@ -142,6 +213,9 @@ class Supervisor:
     def stop_all(self) -> None:
         """Stop whatever still runs: all at once and soon, since whoever comes here has no time for an order."""
         deadline = time.monotonic() + _HURRY_S
+        self._closed.set()
+        if self._nurse is not None:
+            self._nurse.join()
         try:
             for child in self.children.values():
                 child.process.terminate()

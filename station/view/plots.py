@@ -5,6 +5,7 @@ Limbs are columns and each joint has its row, so left and right stand side by si
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -49,6 +50,7 @@ def save_run(run: Run, path: Path) -> Path:
     """Like `save_plot`, of a run that has been read."""
     if run.commanded is None and run.measured is None:
         raise StationError(f"{run.episode_id}: no plot, it holds neither a command nor a state with joints")
+    logging.getLogger("matplotlib").setLevel(logging.WARNING)  # else the first plot of a machine tells of its fonts
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -184,6 +184,6 @@ def test_a_robot_that_is_disarmed(patient: tuple[Home, BusAddress]) -> None:
         wait_until(lambda: bus.get(gate) is not None)
         found = findings(home)["arming"]
         assert found["level"] == "broken"
-        assert found["remedy"] == "when everybody is clear: station estop --reset --arm"
+        assert found["remedy"] == "when everybody is clear: station arm"
         assert home.run("estop", "--reset", "--arm").returncode == 0
         wait_until(lambda: codec.parse_json(bus.get(gate) or b"{}")["arming"] != "disarmed")

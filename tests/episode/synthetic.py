@@ -215,6 +215,6 @@ def walk(builder: EpisodeBuilder, *, seconds: float = 2.0, rate_hz: float = 50.0
 def _is_json(value: bytes) -> bool:
     try:
         json.loads(value)
-    except ValueError:
+    except (ValueError, RecursionError):
         return False
     return True

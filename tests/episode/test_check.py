@@ -278,7 +278,7 @@ CASES: dict[str, tuple[Callable[[EpisodeBuilder], None], dict[str, Any], str]] =
     "dropped": (_plain(), {"recorder": {**LOSSLESS, "dropped": 1}}, "usable"),
     "disordered": (_disorder, {}, "usable"),
     "lossy-tap": (_plain(), {"recorder": {"backend": "poll"}}, "usable"),
-    "holes": (_plain(), {"recorder": {**LOSSLESS, "restarts": 1}, "holes": [{"from_s": 0.5}]}, "usable"),
+    "holes": (_plain(), {"recorder": {**LOSSLESS, "restarts": 1}, "holes": [{"from_s": 0.5}]}, "reject"),
     "gap": (lambda builder: _silence(builder, 2.0), {}, "reject"),
     "slow": (_plain(rate_hz=30.0), {}, "usable"),
     "rival-writers": (_rival, {}, "reject"),

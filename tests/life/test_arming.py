@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+import pytest
 
 from station.life.arming import RAMP_S, Arming
 from station.protocols import JointTargets
@@ -32,11 +35,22 @@ def test_arming_ramps_the_stiffness_up_over_two_seconds_with_full_damping() -> N
 def test_arming_again_does_not_begin_the_ramp_anew() -> None:
     arming = Arming(is_armed=False)
     arming.arm(0.0)
-    arming.apply(TARGETS, 1.0)
-    arming.arm(1.0)
-    sent = arming.apply(TARGETS, 1.5)
+    for tick in range(1, 76):
+        if tick == 50:
+            arming.arm(tick * 0.02)
+        sent = arming.apply(TARGETS, tick * 0.02)
     assert sent is not None
-    assert sent.kp[0] == 75.0
+    np.testing.assert_allclose(sent.kp, 75.0)
+
+
+@pytest.mark.parametrize("odd_s", [1e9, -1e9, math.nan, math.inf])
+def test_no_clock_however_odd_makes_a_robot_stiff_at_once(odd_s: float) -> None:
+    arming = Arming(is_armed=False)
+    arming.arm(5.0)
+    sent = [arming.apply(TARGETS, now_s) for now_s in (5.0, 5.02, odd_s, 5.04, 5.06)]
+    stiffness = [targets.kp[0] for targets in sent if targets is not None]
+    assert np.diff(stiffness).min() >= 0.0
+    assert np.diff(stiffness).max() <= 100.0 * 0.1 / RAMP_S + 1e-9
 
 
 def test_disarming_works_at_once_and_restart_returns_to_the_state_of_the_start() -> None:

@@ -103,7 +103,7 @@ class Bench:
         self.sample: CommandSample | None = None
         self.told: list[Happening] = []
 
-    def step(self, value: bytes | None = None, **known: int) -> StepRecord:
+    def step(self, value: bytes | None = None, **known: Any) -> StepRecord:
         self.tick += 1
         if value is not None:
             self.sample = CommandSample(value, arrived_s=self.tick * DT, **known)
@@ -232,6 +232,84 @@ def test_an_armed_robot_grows_stiff_over_two_seconds() -> None:
     assert stiffness[0] == pytest.approx(0.5)
     assert stiffness[-1] == 50.0
     assert np.diff(stiffness).max() <= 0.5 + 1e-9
+
+
+def test_who_asks_to_arm_is_told_why_not_or_how_long_it_takes() -> None:
+    bench = Bench(is_armed=False)
+    for _ in range(5):
+        bench.step(b"garbage")
+    assert bench.control.arm(bench.tick * DT, "ada").startswith("commands come and are refused (not-json: ")
+    bench.track()
+    for _ in range(10):
+        bench.step()
+    assert bench.control.arm(bench.tick * DT).startswith("the command is stale (the newest good command is ")
+    bench.step(_command())
+    assert bench.control.arm(bench.tick * DT, "ada") == ""
+    for _ in range(101):
+        bench.step(_command())
+    assert bench.control.arm(bench.tick * DT) == "", "armed already"
+    bench.control.disarm("ada")
+    bench.control.disarm("ada")
+    bench.step(_command())
+    told = [h.name for h in bench.told if "arm" in h.name]
+    assert told == ["arm-refused", "arm-refused", "arming", "armed", "disarmed"]
+
+
+def test_a_robot_that_has_fallen_or_a_policy_that_gives_no_numbers_is_not_armed() -> None:
+    bench = Bench(is_armed=False)
+    bench.robot.fall = Fall(1.2, ())
+    bench.step()
+    assert bench.control.arm(bench.tick * DT) == "the robot has fallen; put it on its feet"
+    bench = Bench(is_armed=False)
+    bench.policy.is_broken = True
+    bench.step()
+    assert bench.control.arm(bench.tick * DT) == "the policy's output is not finite"
+
+
+def test_a_command_that_jumps_is_slewed_and_told_when_that_begins_and_when_it_has_ended() -> None:
+    bench = Bench()
+    bench.track(_command(0.0))
+    before = 0.0
+    for _ in range(40):
+        knee = bench.step(_command(2.5)).sent.q[3]
+        assert knee - before <= 20.0 * DT + 1e-6
+        before = knee
+    assert before == pytest.approx(2.5)
+    told = [(h.severity, h.detail) for h in bench.told if h.name == "command-slewed"]
+    assert told == [
+        ("warning", {"elements": ["left_knee_pos"]}),
+        ("warning", {"ended": True, "ticks": 6, "elements": ["left_knee_pos"]}),
+    ]
+
+
+def test_a_command_of_somebody_else_is_entered_with_a_blend() -> None:
+    bench = Bench()
+    for _ in range(60):
+        bench.step(_command(0.0), source="a.1.boot.x")
+    record = bench.step(_command(2.5), source="b.2.boot.x")
+    assert record.decision.state == "entering"
+    assert record.sent.q[3] == pytest.approx(0.0)
+    assert record.decision.reason.startswith("b (pid 2 on another machine, boot boot) commands in place of a (pid 1")
+
+
+def test_refused_commands_of_others_are_counted_and_are_the_reason_once_the_first_is_silent() -> None:
+    bench = Bench()
+    bench.track()
+    for _ in range(10):
+        bench.control.refuse_rivals(2, "a is obeyed")
+        record = bench.step()
+    assert bench.control.inlet.refused["second-writer"] == 20
+    assert (record.decision.state, record.decision.reason) == ("holding", "second-writer: a is obeyed")
+
+
+def test_after_a_stop_a_real_robot_needs_arming_again_however_it_started() -> None:
+    bench = Bench(is_armed=True)
+    bench.track()
+    bench.control.stop("button")
+    assert bench.step().sent.kd.any()
+    bench.control.reset("operator")
+    assert bench.control.arming.state == "disarmed"
+    assert Bench(IdealSimulation()).control.arming.state == "armed"
 
 
 def test_after_a_stop_a_real_robot_needs_arming_again() -> None:

@@ -172,7 +172,7 @@ def test_a_vector_given_out_does_not_change_later() -> None:
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
 def test_a_time_that_is_not_positive_and_finite_is_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
-        GateConfig(**{name: value})
+        GateConfig(**{name: value})  # type: ignore[arg-type]  # all that are given here are numbers
 
 
 def test_returning_before_holding_is_refused() -> None:

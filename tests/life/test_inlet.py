@@ -107,3 +107,37 @@ def test_a_command_of_unknown_arrival_is_infinitely_old() -> None:
     assert inlet.age_s(5.0) == math.inf
     inlet.take(CommandSample(_text(), arrived_s=None))
     assert inlet.age_s(5.0) == math.inf
+
+
+def test_a_clock_that_jumps_back_makes_no_command_young_again() -> None:
+    inlet = Inlet(FORM)
+    inlet.take(CommandSample(_text(), arrived_s=10.0))
+    assert inlet.age_s(10.0) == 0.0
+    assert inlet.age_s(10.25) == pytest.approx(0.25)
+    assert inlet.age_s(4.0) == pytest.approx(0.25)
+    assert inlet.age_s(4.1) == pytest.approx(0.35)
+    assert inlet.age_s(math.nan) == pytest.approx(0.35)
+    assert inlet.age_s(10.5) == pytest.approx(6.75), "time that passed here counts, in doubt as too old"
+
+
+def test_a_command_that_comes_a_moment_after_the_clock_was_read_is_fresh() -> None:
+    inlet = Inlet(FORM)
+    inlet.take(CommandSample(_text(), arrived_s=10.0005))
+    assert inlet.age_s(10.0) == pytest.approx(-0.0005)
+
+
+@pytest.mark.parametrize("arrived_s", [math.nan, math.inf, -math.inf])
+def test_a_command_whose_arrival_is_no_number_is_infinitely_old(arrived_s: float) -> None:
+    inlet = Inlet(FORM)
+    inlet.take(CommandSample(_text(), arrived_s=arrived_s))
+    assert inlet.age_s(5.0) == math.inf
+
+
+def test_refusing_is_what_it_does_now_and_not_what_it_did_once() -> None:
+    inlet = Inlet(FORM)
+    assert not inlet.is_refusing(1.0, within_s=0.3)
+    inlet.take(CommandSample(b"[1]", arrived_s=1.0))
+    assert inlet.is_refusing(1.2, within_s=0.3)
+    assert not inlet.is_refusing(1.4, within_s=0.3)
+    inlet.take(CommandSample(b"[1]", arrived_s=None))
+    assert not inlet.is_refusing(1.0, within_s=0.3)

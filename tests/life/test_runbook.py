@@ -10,7 +10,7 @@ from servers.motion import MotionConfig
 from station.errors import BadFile, StationError
 from station.life import runbook
 from station.life.checks import DiskCheck
-from station.life.runbook import CheckStep, ConfirmStep, StartStep
+from station.life.runbook import Arming, CheckStep, ConfirmStep, StartStep
 
 GOOD = """
 runbook: test
@@ -47,6 +47,16 @@ def test_steps_come_out_typed_and_in_order(tmp_path: Path) -> None:
     assert book.stop_order == ("motion",)
 
 
+def test_a_robot_is_armed_and_disarmed_by_steps_that_follow_the_start_of_its_server(tmp_path: Path) -> None:
+    steps = GOOD.replace("  - note", "  - arm: motion\n    within: 4s\n  - disarm: motion\n  - arm:\n  - note")
+    *_, arm, disarm, every, _ = load(tmp_path, steps).steps
+    assert [str(step) for step in (arm, disarm, every)] == ["arm motion", "disarm motion", "arm"]
+    assert isinstance(arm, CheckStep)
+    assert arm.what == Arming(action="arm", server="motion", within_s=4.0)
+    assert isinstance(every, CheckStep)
+    assert every.what == Arming(action="arm", server="")
+
+
 def test_set_options_change_a_servers_configuration(tmp_path: Path) -> None:
     book = load(tmp_path, GOOD, "motion.motion=b.pkl", "motion.loop=true")
     assert book.servers[0].config == MotionConfig(motion="b.pkl", rate_hz=25.0, loop=True)
@@ -56,6 +66,10 @@ def test_set_options_change_a_servers_configuration(tmp_path: Path) -> None:
     ("old", "new", "message"),
     [
         ("- start: motion", "- start: moton", "unknown server 'moton' (did you mean 'motion'?)"),
+        ("- confirm:", "- arm: motion\n  - confirm:", "step 2: arm motion: no step before it starts that server"),
+        ("- note:", "- arm: moton\n  - note:", "step 4: arm moton (did you mean 'motion'?): no step before it starts"),
+        ("- note:", "- arm: motion\n    wihin: 1s\n  - note:", "unknown key 'wihin' (did you mean 'within'?)"),
+        ("- note:", "- arm: [1]\n  - note:", "step 4 (arm): "),
         ("min_free_gb", "min_fre_gb", "step 1 (check disk): unknown key 'min_fre_gb' (did you mean 'min_free_gb'?)"),
         ("check: disk\n    min_free_gb: 1", "check: ping", "step 1 (check ping): missing key host"),
         ("- confirm:", "- confrim:", "step 2: unknown step 'confrim' (did you mean 'confirm'?)"),

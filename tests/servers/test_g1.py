@@ -114,7 +114,8 @@ def test_a_stock_commander_is_followed_and_when_it_falls_silent_the_robot_stands
         assert log.gate()["state"] == "waiting"
         with StockCommander(bus_server):
             wait_until(lambda: log.gate()["state"] == "tracking")
-        wait_until(lambda: log.gate()["state"] == "waiting")
+        # The event of a change is written after the tick that shows it.
+        wait_until(lambda: [event.detail["to"] for event in log.events("gate")][-1:] == ["waiting"])
     changes = [(event.detail["from"], event.detail["to"]) for event in log.events("gate")]
     assert changes[:2] == [("waiting", "entering"), ("entering", "tracking")]
     assert changes[-3:] == [("tracking", "holding"), ("holding", "returning"), ("returning", "waiting")]

@@ -231,6 +231,7 @@ def test_a_bus_that_is_restarted_leaves_a_hole_that_is_noted(
     manifest = load_manifest(Path(ended.path or ""))
     assert ended.episode_id == begun.episode_id
     assert "could not go on where it was" in manifest.holes[0].reason
+    assert manifest.holes[0].lost is not None
     assert ended.summary["holes"] == 1
     assert len(numbers(Path(ended.path or ""))) == 100
 

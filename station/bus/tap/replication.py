@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections import deque
 
 from station.bus.address import BusAddress
 from station.bus.connection import Connection, ConnectionLost
@@ -41,7 +42,7 @@ class ReplicationTap:
         selected = resume.db if resume is not None and resume.db is not None and self.resumed else address.db
         self._stream = Stream(db=address.db, offset=self._link.offset, selected_db=selected)
         self._consumed = self._place()
-        self._waiting: list[Write] = []  # came while we were arming
+        self._waiting: deque[tuple[list[Write], Position]] = deque()  # came while we were arming, each with its end
         try:
             self._arm()
         except BaseException:
@@ -53,13 +54,20 @@ class ReplicationTap:
         """Commands of others so far that changed a key without carrying its whole value (APPEND, INCR, HSET …)."""
         return self._stream.not_mirrored
 
+    @property
+    def is_catching_up(self) -> bool:
+        """Whether the next `read` returns what had waited at the server before this tap was there."""
+        return self.resumed is True and bool(self._waiting)
+
     def read(self, timeout_s: float) -> list[Write]:
         """Return what arrived, in order; empty when nothing came in time."""
+        if self._waiting:
+            writes, self._consumed = self._waiting.popleft()
+            return writes
         deadline = time.monotonic() + timeout_s
-        writes, self._waiting = self._waiting, []
-        while not writes:
+        while True:
             writes = self._receive(max(0.0, deadline - time.monotonic()))
-            if time.monotonic() >= deadline:
+            if writes or time.monotonic() >= deadline:
                 break
         self._consumed = self._place()
         return writes
@@ -93,7 +101,8 @@ class ReplicationTap:
         progress_at = time.monotonic()
         while self._stream.probe != token:
             before = self._stream.offset
-            self._waiting += self._receive(0.1)
+            if writes := self._receive(0.1):
+                self._waiting.append((writes, self._place()))
             now = time.monotonic()
             if self._stream.offset != before:
                 progress_at = now

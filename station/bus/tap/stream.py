@@ -21,6 +21,8 @@ log = logging.getLogger(__name__)
 Command = list[bytes]
 
 _KNOWN_KEYS_LIMIT = 100_000
+_MOST_REPORTS = 50
+_LONGEST_KEY = 4096  # bytes; names are remembered, and the server takes some as long as values
 # Commands that arrive on the link and change no value of a string key.
 _SILENT = frozenset(
     b"PING MULTI EXEC EXPIRE EXPIREAT PEXPIRE PEXPIREAT PERSIST PUBLISH SPUBLISH SCRIPT FUNCTION".split()
@@ -49,7 +51,8 @@ class Stream:
         selected_db: Database selected there.
         probe: Value of the last probe key that came by.
         wants_answer: Whether the server asked for an acknowledgement; whoever sends it resets this.
-        not_mirrored: Commands that changed a key without carrying its whole value (APPEND, INCR, HSET …).
+        not_mirrored: Commands that changed a key without carrying its whole value (APPEND, INCR, HSET …), or one with a
+            name of kilobytes.
     """
 
     def __init__(self, *, db: int, offset: int, selected_db: int) -> None:
@@ -138,18 +141,25 @@ class Stream:
     def _on_other(self, command: Command) -> None:
         if self.selected_db != self._db:
             return
+        shown = b" ".join(part[:80] for part in command[:2])[:80]
+        why = b"%b does not carry the whole value of its key; write with SET instead" % shown
+        self._complain(command[0].upper(), why)
+
+    def _complain(self, what: bytes, why: bytes) -> None:
+        """Count a write that cannot be mirrored, and say so the first time."""
         self.not_mirrored += 1
-        name = command[0].upper()
-        if name not in self._reported:
-            self._reported.add(name)
-            shown = b" ".join(command[:2])[:80].decode("utf-8", "backslashreplace")
-            log.warning("not mirrored: %s does not carry the whole value of its key; write with SET instead", shown)
+        if what not in self._reported and len(self._reported) < _MOST_REPORTS:
+            self._reported.add(what)
+            log.warning("not mirrored: %s", why.decode("utf-8", "backslashreplace"))
 
     def _put(self, key: bytes, value: bytes | None, stamp: bytes | None) -> None:
         if self.selected_db != self._db:
             return
         if key == PROBE:
             self.probe = value or self.probe  # keep it when it expires
+            return
+        if len(key) > _LONGEST_KEY:
+            self._complain(b"long key", b"a key of %d bytes; %d are the most that is kept" % (len(key), _LONGEST_KEY))
             return
         name = self._names.get(key)
         if name is None:

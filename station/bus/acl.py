@@ -1,0 +1,87 @@
+"""Who may do what on a shared bus: one user per role, as the access control list that Redis 7 and Valkey read.
+
+A command server cannot say where the robot is, a low-level server cannot give commands, a recorder reads everything
+and writes nothing but its own bookkeeping, a viewer writes nothing at all. Nobody may change the server's settings,
+run scripts or delete the keys of others. The default user, whom a stranger is, is off.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+from collections.abc import Mapping
+
+from station.bus import keys
+
+_ANY = "*"
+_READ = (
+    "+ping +select +hello +reset +client|setname +client|setinfo +acl|whoami +time +info +config|get "
+    "+get +mget +exists +type +strlen +ttl +pttl +scan +dbsize "
+    "+subscribe +psubscribe +unsubscribe +punsubscribe"
+)
+_WRITE = "+set +mset"
+_HEALTH = (keys.server(_ANY), keys.server_config(_ANY), keys.EVENT)
+_COMMANDS = (
+    keys.action_body(_ANY), keys.action_hand(_ANY, _ANY), keys.action_neck(_ANY), keys.T_ACTION, keys.CONTROLLER_DATA,
+    keys.action_mimic(_ANY), keys.action_hands(_ANY), keys.command_source(_ANY),
+)  # fmt: skip
+_STATES = (
+    keys.state_body(_ANY), keys.state_hand(_ANY, _ANY), keys.state_neck(_ANY), keys.T_STATE, keys.state_hands(_ANY),
+    keys.robot_state(_ANY), keys.policy_obs(_ANY), keys.policy_action(_ANY), keys.policy_timing(_ANY),
+    keys.target(_ANY), keys.sim_qpos(_ANY), keys.command_gate(_ANY), keys.command_used(_ANY),
+)  # fmt: skip
+_SIGNALS = (
+    keys.MOTION_START_SIGNAL,
+    keys.MOTION_EXIT_SIGNAL,
+)  # a robot's remote sets them, a motion server resets them
+_BUTTONS = (keys.ESTOP, keys.ARM, keys.RECORD)  # of a device that commands
+
+WRITES: dict[str, tuple[str, ...]] = {
+    "command": (*_COMMANDS, *_SIGNALS, *_HEALTH, *_BUTTONS),
+    "low-level": (*_STATES, *_SIGNALS, *_HEALTH, keys.ESTOP),
+    "recorder": (*_HEALTH, keys.RECORDER, keys.RECORD_ACK, keys.TAP_PROBE),
+    "sensor": (keys.CONTROLLER_DATA, *_HEALTH, keys.ESTOP),
+    "viewer": (),
+    "operator": (*_COMMANDS, *_SIGNALS, *_BUTTONS, keys.EVENT, keys.MOTION_CONTROL),
+}
+"""Patterns of the keys that each role may write, stamps left out; an e-stop may come from all who can move or sense."""
+
+_MORE = {"recorder": "+psync +replconf +del", "operator": "+del"}
+_PLACEHOLDER = "PASSWORD-OF-{role}"
+
+
+def new_passwords() -> dict[str, str]:
+    """Return a new password for each role; what `rules` prints of it is only its hash."""
+    return {role: secrets.token_urlsafe(24) for role in WRITES}
+
+
+def rules(hashes: Mapping[str, str]) -> str:
+    """Return the list, one user a line; any other user, the default one included, is refused.
+
+    Args:
+        hashes: SHA-256 of the password by role, in hex; a role without one gets a placeholder to be replaced.
+    """
+    lines = ["user default reset off"]
+    lines += [_user(role, hashes.get(role)) for role in WRITES]
+    return "\n".join(lines) + "\n"
+
+
+def sha256(password: str) -> str:
+    """Return the hash of a password as the list has it."""
+    return hashlib.sha256(password.encode()).hexdigest()
+
+
+def _user(role: str, digest: str | None) -> str:
+    password = f"#{digest}" if digest else ">" + _PLACEHOLDER.format(role=role)
+    patterns = [name for key in WRITES[role] for name in _with_stamp(key)]
+    writing = f"{_WRITE} {_MORE.get(role, '')}".split() if patterns else []
+    keyspace = [f"%W~{pattern}" for pattern in patterns]
+    return " ".join(
+        ["user", role, "reset", "on", password, "resetchannels", "&__keyspace@*__:*", "%R~*", *keyspace, "-@all",
+         *_READ.split(), *writing]
+    )  # fmt: skip
+
+
+def _with_stamp(key: str) -> tuple[str, ...]:
+    """Return a pattern and that of its stamps; one that ends in a star has them in itself."""
+    return (key,) if key.endswith(_ANY) else (key, keys.stamp(key))

@@ -1,0 +1,145 @@
+"""Asking for a robot to be armed or disarmed: JSON on ``station:arm``, answered in each robot's ``command_gate``."""
+
+from __future__ import annotations
+
+import getpass
+import secrets
+import time
+from collections.abc import Iterator
+from typing import Any, Literal
+
+import msgspec
+
+from station.bus import codec, keys
+from station.bus.client import Bus
+from station.bus.watch import Watch
+from station.errors import NotReady, Refused
+from station.life.server import Health, read_health
+
+Action = Literal["arm", "disarm"]
+
+WITHIN_S = 10.0
+"""Longest wait for a robot to be armed [s]: its ramp, and a low-level loop that is late."""
+
+
+class ArmRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is asked for.
+
+    Attributes:
+        action: What to do.
+        id: Found again in the answer.
+        server: Name of the low-level server; "" for every one.
+        who, reason: For the recording.
+    """
+
+    action: Action
+    id: str = ""
+    server: str = ""
+    who: str = ""
+    reason: str = ""
+
+
+class ArmAnswer(msgspec.Struct, frozen=True, kw_only=True):
+    """What came of a request; `refused` says why nothing was done, or is ""."""
+
+    id: str
+    action: Action
+    refused: str = ""
+
+
+class _Gate(msgspec.Struct):
+    state: str = ""
+    arming: str = ""
+    arm: ArmAnswer | None = None
+
+
+class _Stated(msgspec.Struct):
+    robot: str
+
+
+def read(data: bytes) -> ArmRequest | None:
+    """Return the request that bytes from the bus hold, or None when they hold none."""
+    try:
+        return codec.parse_struct(data, ArmRequest)
+    except codec.BadValue:
+        return None
+
+
+def ask(
+    bus: Bus, action: Action, *, server: str = "", reason: str = "", within_s: float = WITHIN_S
+) -> dict[str, list[str]]:
+    """Arm or disarm and wait until it is done; return the states that each server went through, by name.
+
+    Args:
+        bus: The bus that the low-level servers run on.
+        action: What to do.
+        server: Name of the low-level server; "" for every one that runs.
+        reason: Why, for the recording.
+        within_s: Longest wait [s].
+
+    Raises:
+        NotReady: no such server runs, the bus did not take the request, or a server did not answer.
+        Refused: a server said no; with its reason.
+    """
+    robots = {health.name: _robot(bus, health) for health in _low_level(bus, server)}
+    wanted = ArmRequest(action=action, id=secrets.token_hex(4), server=server, who=getpass.getuser(), reason=reason)
+    deadline_s = time.monotonic() + within_s
+    with bus.watch([keys.command_gate(robot) for robot in robots.values()]) as watch:
+        if not bus.publish({keys.ARM: codec.json_object(wanted)}):
+            raise NotReady(f"{action}: the bus {bus.address} did not take the request ({bus.last_error})")
+        return {name: _follow(watch, name, robot, wanted, deadline_s) for name, robot in robots.items()}
+
+
+def story(action: Action, states: list[str]) -> str:
+    """Return in words what a server went through."""
+    if action == "disarm":
+        return "disarmed: its policy runs, nothing is sent to the robot"
+    return "armed, at full stiffness" if "arming" in states else "armed already"
+
+
+def _low_level(bus: Bus, server: str) -> Iterator[Health]:
+    found = [health for health in read_health(bus) if health.is_alive and health.role == "low-level"]
+    chosen = [health for health in found if server in ("", health.name)]
+    if not chosen:
+        others = f" (there are: {', '.join(health.name for health in found)})" if found else ""
+        raise NotReady(
+            f"no low-level server {server + ' ' if server else ''}runs on {bus.address}{others}; start a station first"
+        )
+    yield from chosen
+
+
+def _robot(bus: Bus, health: Health) -> str:
+    try:
+        return codec.parse_struct(bus.get(keys.server_config(health.name)) or b"", _Stated).robot
+    except codec.BadValue as error:
+        raise NotReady(f"server {health.name!r} has not stated which robot it drives yet ({error})") from None
+
+
+def _follow(watch: Watch, name: str, robot: str, wanted: ArmRequest, deadline_s: float) -> list[str]:
+    """Wait until a server has done what was asked for."""
+    seen: list[str] = []
+    newest: Any = None
+    key = keys.command_gate(robot)
+    while (left_s := deadline_s - time.monotonic()) > 0:
+        newest = watch.wait(key, after=newest, timeout_s=left_s) or newest
+        gate = _gate(newest.value) if newest is not None else None
+        if gate is None or gate.arm is None or gate.arm.id != wanted.id:
+            continue
+        if gate.arm.refused:
+            raise Refused(f"{name} is not {wanted.action}ed: {gate.arm.refused}")
+        if gate.arming not in seen[-1:]:
+            seen.append(gate.arming)
+        if wanted.action == "arm" and gate.state == "stopped":
+            raise Refused(f"{name} was stopped while it was arming; release the stop, then arm again")
+        if gate.arming == f"{wanted.action}ed":
+            return seen
+        if gate.arming == "disarmed" and "arming" in seen:
+            raise Refused(f"{name} was disarmed while it was arming; see its events")
+    raise NotReady(f"{name}: no answer in time; does its loop run? `station doctor` tells")
+
+
+def _gate(data: bytes) -> _Gate | None:
+    try:
+        return codec.parse_struct(data, _Gate)
+    except codec.BadValue:
+        return None

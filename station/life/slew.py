@@ -1,0 +1,55 @@
+"""How far a command may move in a tick: within its range, and no faster than its rate. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from station.errors import ConfigError
+from station.protocols import CommandFormat, Floats
+
+LONGEST_TICK_S = 0.04
+"""A tick stands for no more than this [s]: after a stall the robot would get the whole of it as one kick."""
+
+_UNLIMITED = 1e12  # in place of infinity, of which nothing is no number
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bounds:
+    """Where a command vector may be and how fast it may get there; each of shape (m,).
+
+    Attributes:
+        lower, upper: Range of each element.
+        rate: Greatest change of each element per second.
+    """
+
+    lower: Floats
+    upper: Floats
+    rate: Floats
+
+    @classmethod
+    def of(cls, form: CommandFormat, factor: float = 1.0) -> Bounds:
+        """Return the bounds of a format, its rates times a factor."""
+        return cls(form.lower, form.upper, np.minimum(form.rate * factor, _UNLIMITED))
+
+    def step(self, before: Floats, wanted: Floats, passed_s: float) -> Floats:
+        """Return what comes nearest to a vector after some time; the very vector when it is within bounds."""
+        most = self.rate * min(max(passed_s, 0.0), LONGEST_TICK_S)
+        moved: Floats = np.clip(np.clip(wanted, before - most, before + most), self.lower, self.upper)
+        return moved
+
+    def expect_back_within(self, default: Floats, blend_s: float) -> None:
+        """See that no element is too slow to be back at its default after a blend.
+
+        Raises:
+            ConfigError: one is.
+        """
+        farthest = np.maximum(default - self.lower, self.upper - default)
+        if (farthest > self.rate * blend_s).any():
+            slowest = int(np.argmax(farthest - self.rate * blend_s))
+            raise ConfigError(
+                f"gate: element {slowest} needs more than blend_out_s ({blend_s:g} s) to return to standing: it may be "
+                f"{farthest[slowest]:.3g} away and change by {self.rate[slowest]:.3g} a second; raise rate_factor or "
+                "blend_out_s"
+            )

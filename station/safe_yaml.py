@@ -1,0 +1,122 @@
+"""YAML from anybody: plain data of a bounded size, or one line that says why not.
+
+A document is looked at as a stream of events before anything is built of it, so neither a page of aliases that stands
+for gigabytes nor ten thousand brackets cost more than reading them.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import yaml
+
+_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+# What the constructor of tagged and of odd values raises beside YAMLError: "!!bool maybe", a month 13, 5000 digits.
+_ODD = (ValueError, KeyError, IndexError, AttributeError, TypeError, OverflowError, RecursionError)
+_PLAIN_TAG = "tag:yaml.org,2002:"
+_ENDLESS_NUMBER = re.compile(r"[-+0-9a-fA-FxX:_.]{200,}")  # hours of arithmetic in base 60; a SHA-512 has 128
+
+
+class Bounds(msgspec.Struct, frozen=True, kw_only=True):
+    """What a document may be.
+
+    Attributes:
+        size: Bytes (or characters) of it; a manifest of an hour with 500 events takes 0.2 MB.
+        values: Scalars, lists and mappings in it, with every alias counted as what it stands for.
+        depth: Lists and mappings within each other.
+    """
+
+    size: int = 8_000_000
+    values: int = 200_000
+    depth: int = 50
+
+
+DEFAULT = Bounds()
+
+
+class BadYaml(ValueError):
+    """A text that is no YAML, or more than the bounds allow; the message is one short line that begins "not YAML"."""
+
+    def __init__(self, problem: str, place: str = "") -> None:
+        super().__init__(f"not YAML{place}: {problem}")
+
+
+class _Open(NamedTuple):
+    """A list or mapping whose end has not come: its anchor, and how many values there were before it."""
+
+    anchor: str | None
+    before: int
+
+
+def load(text: str | bytes, bounds: Bounds = DEFAULT) -> Any:
+    """Return the plain data of a document.
+
+    Raises:
+        BadYaml: not YAML, not plain data, or beyond the bounds.
+    """
+    if len(text) > bounds.size:
+        raise BadYaml(f"more than {bounds.size} bytes")
+    try:
+        _survey(text, bounds)
+        return yaml.load(text, Loader=_Loader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or getattr(error, "reason", None) or error
+        raise BadYaml(_short(str(problem)), place) from None
+    except BadYaml:
+        raise
+    except _ODD as error:
+        raise BadYaml(f"a value that cannot be read ({_short(str(error) or type(error).__name__)})") from None
+
+
+def read_bytes(path: Path, bounds: Bounds = DEFAULT) -> bytes:
+    """Return the bytes of a file, of one that is too large only as many as make `load` refuse it.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    with path.open("rb") as file:
+        return file.read(bounds.size + 1)
+
+
+def _survey(text: str | bytes, bounds: Bounds) -> None:
+    """Count what the document would become, without building it."""
+    count, waiting, sizes = 0, list[_Open](), dict[str, int]()
+    for event in yaml.parse(text, Loader=_Loader):
+        if isinstance(event, yaml.AliasEvent):
+            name = event.anchor or ""
+            if any(outer.anchor == name for outer in waiting):
+                raise BadYaml(f"alias {name[:20]!r} stands within what it names")
+            count += sizes.get(name, 1)
+        elif isinstance(event, (yaml.ScalarEvent, yaml.CollectionStartEvent)):
+            _check_value(event)
+            count += 1
+            if isinstance(event, yaml.CollectionStartEvent):
+                waiting.append(_Open(event.anchor, count - 1))
+            elif event.anchor is not None:
+                sizes[event.anchor] = 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = waiting.pop()
+            if anchor is not None:
+                sizes[anchor] = count - before
+        if count > bounds.values:
+            raise BadYaml(f"more than {bounds.values} values, aliases counted as what they stand for")
+        if len(waiting) > bounds.depth:
+            raise BadYaml(f"lists and mappings more than {bounds.depth} deep")
+
+
+def _check_value(event: Any) -> None:
+    tag = event.tag
+    if tag is not None and tag != "!" and (not tag.startswith(_PLAIN_TAG) or tag.startswith(_PLAIN_TAG + "python")):
+        raise BadYaml(f"tag {_short(tag)!r}, expected plain data")
+    is_text = not isinstance(event, yaml.ScalarEvent) or (tag is None and not event.implicit[0])
+    if not is_text and _ENDLESS_NUMBER.fullmatch(event.value):
+        raise BadYaml(f"a number of {len(event.value)} characters")
+
+
+def _short(text: str) -> str:
+    return " ".join(text.split())[:120]

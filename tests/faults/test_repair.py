@@ -1,0 +1,250 @@
+"""Everything killed at once: what is torn becomes good, what was torn stays beside it, and it is said what was cut."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from station.bus import codec, keys
+from station.bus.tap import Write
+from station.episode.anchor import take_anchor
+from station.episode.left_open import left_open, offer
+from station.episode.manifest import Manifest, Task, Timing, load_manifest, save_manifest
+from station.episode.progress import WriterOptions
+from station.episode.reader import EpisodeReader, open_episode
+from station.episode.records import ChunkPlace
+from station.episode.repair import repair
+from station.episode.writer import EpisodeWriter
+from station.errors import EpisodeError
+from tests.episode.writes import Native, foreign
+from tests.waiting import wait_until
+
+BODY = keys.action_body()
+FLUSHES, PER_FLUSH = 6, 12
+
+
+class Episode:
+    """A small real episode: the bytes of its file, where its chunks lie, and what each message holds."""
+
+    def __init__(self, folder: Path) -> None:
+        self.anchor = take_anchor()
+        timing = Timing(anchor=self.anchor, started="2026-11-21T10:00:00+00:00")
+        self.manifest = Manifest(episode_id=folder.name, task=Task(name="walk"), timing=timing)
+        writer = EpisodeWriter(
+            folder, anchor=self.anchor, manifest=self.manifest, options=WriterOptions(flush_bytes=1), start_id="s"
+        )
+        g1, written = Native(), 0
+        for _ in range(FLUSHES):
+            batch = [g1.write(BODY, codec.json_vector([float(n)] * 35)) for n in range(PER_FLUSH)]
+            batch += [foreign("stock", b"%d" % written), foreign("stock", None), g1.event("fall")]
+            writer.put(batch)
+            written += len(batch)
+            wait_until(lambda n=written: writer.messages == n and (folder / "resume.json").exists())  # type: ignore[misc]
+        writer.finish(lambda totals: self.manifest)
+        assert writer.wait(30.0)
+        self.data = (folder / "signals.mcap").read_bytes()
+        reader = EpisodeReader(folder / "signals.mcap")
+        self.chunks: list[ChunkPlace] = reader._contents.chunks
+        self.messages = [(m.topic, m.data, m.sequence, m.log_ns, m.stamp) for m in reader.messages(stamps=True)]
+        self.per_chunk = len(self.messages) // len(self.chunks)
+
+    def whole_before(self, byte: int) -> int:
+        """Messages in the chunks that end at or before a byte."""
+        return self.per_chunk * sum(place.offset + place.length <= byte for place in self.chunks)
+
+    def torn(self, folder: Path, data: bytes) -> Path:
+        """Put a torn file with its manifest into a folder."""
+        folder.mkdir(parents=True, exist_ok=True)
+        for file in folder.iterdir():
+            file.unlink()
+        (folder / "signals.mcap.active").write_bytes(data)
+        save_manifest(msgspec.structs.replace(self.manifest, episode_id=folder.name, state="recording"), folder)
+        return folder
+
+
+@pytest.fixture(scope="module")
+def episode(tmp_path_factory: pytest.TempPathFactory) -> Episode:
+    return Episode(tmp_path_factory.mktemp("e"))
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("data") / "walk" / "2026-11-21-g1-walk-0001"
+
+
+def assert_good(folder: Path, episode: Episode, kept: int) -> None:
+    """The file is whole for us and for the library, and holds exactly the first messages."""
+    reader = open_episode(folder)
+    assert (reader.torn, reader.is_active, reader.manifest.state) == (None, False, "finished")
+    found = [(m.topic, m.data, m.sequence, m.log_ns, m.stamp) for m in reader.messages(stamps=True)]
+    assert found == episode.messages[:kept]
+    assert reader.manifest.recorder.messages == kept == sum(stream.count for stream in reader.manifest.streams)
+    assert reader.manifest.quality_flags.falls == kept // episode.per_chunk
+    with reader.path.open("rb") as file:
+        library = make_reader(file, validate_crcs=True)
+        assert library.get_summary().statistics.message_count == kept + kept // episode.per_chunk
+        assert sum(1 for _ in library.iter_messages(log_time_order=False)) == kept + kept // episode.per_chunk
+        assert sum(1 for _ in library.iter_messages(topics=[BODY])) == kept // episode.per_chunk * PER_FLUSH
+
+
+@settings(max_examples=40, deadline=None)
+@given(cut=st.integers(0, 1 << 30))
+def test_a_file_cut_at_any_byte_becomes_one_that_holds_exactly_the_whole_chunks_before_it(
+    episode: Episode, bench: Path, cut: int
+) -> None:
+    torn = episode.data[: cut % len(episode.data)]
+    folder = episode.torn(bench, torn)
+    done = repair(folder)
+    kept = episode.whole_before(len(torn))
+    assert_good(folder, episode, kept)
+    assert (folder / "signals.mcap.torn").read_bytes() == torn
+    assert (done.state, done.messages, done.original) == ("repaired", kept, str(folder / "signals.mcap.torn"))
+    assert done.cut_at + done.cut_bytes == len(torn)
+
+
+@settings(max_examples=40, deadline=None)
+@given(bit=st.integers(0, 1 << 40), cut=st.none() | st.integers(0, 1 << 30))
+def test_a_bit_that_flipped_costs_what_stands_behind_it_and_nothing_before(
+    episode: Episode, bench: Path, bit: int, cut: int | None
+) -> None:
+    end = len(episode.data) if cut is None else episode.chunks[-1].offset + cut % episode.chunks[-1].length
+    first = episode.chunks[0].offset
+    data = bytearray(episode.data[:end])
+    place = first + bit // 8 % (end - first)
+    data[place] ^= 1 << bit % 8
+    folder = episode.torn(bench, bytes(data))
+    done = repair(folder)
+    found = [(m.topic, m.data, m.sequence, m.log_ns, m.stamp) for m in open_episode(folder).messages(stamps=True)]
+    assert found == episode.messages[: len(found)]
+    assert len(found) >= episode.whole_before(place)
+    if done.state == "repaired":
+        assert_good(folder, episode, len(found))
+        assert (folder / "signals.mcap.torn").read_bytes() == data
+
+
+def test_a_second_repair_changes_nothing(episode: Episode, tmp_path: Path) -> None:
+    folder = episode.torn(tmp_path / "e", episode.data[: episode.chunks[3].offset + 9])
+    assert repair(folder).state == "repaired"
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    assert repair(folder).state == "whole"
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+    assert set(before) == {"manifest.yaml", "signals.mcap", "signals.mcap.torn"}
+
+
+def test_out_leaves_the_torn_episode_as_it_is(episode: Episode, tmp_path: Path) -> None:
+    folder = episode.torn(tmp_path / "e", episode.data[: episode.chunks[3].offset])
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    done = repair(folder, out=tmp_path / "out")
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
+    assert (done.path, done.original) == (str(tmp_path / "out" / "e"), str(folder / "signals.mcap.active"))
+    assert_good(Path(done.path), episode, 3 * episode.per_chunk)
+
+
+def test_a_finished_file_that_was_damaged_later_is_repaired_too(episode: Episode, tmp_path: Path) -> None:
+    folder = episode.torn(tmp_path / "e", episode.data[:-5])
+    (folder / "signals.mcap.active").rename(folder / "signals.mcap")
+    assert repair(folder).original == str(folder / "signals.mcap.torn")
+    assert_good(folder, episode, len(episode.messages))
+
+
+def test_without_a_manifest_the_one_at_the_head_of_the_file_will_do(episode: Episode, tmp_path: Path) -> None:
+    folder = episode.torn(tmp_path / "e", episode.data[: episode.chunks[3].offset])
+    (folder / "manifest.yaml").unlink()
+    repair(folder)
+    assert_good(folder, episode, 3 * episode.per_chunk)
+    assert load_manifest(folder).task.name == "walk"
+
+
+def test_what_is_no_recording_is_refused_and_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "signals.mcap.active").write_bytes(b"something else entirely")
+    save_manifest(Manifest(episode_id="e", timing=Timing(anchor=take_anchor())), tmp_path)
+    with pytest.raises(EpisodeError, match="not an MCAP file"):
+        repair(tmp_path)
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["manifest.yaml", "signals.mcap.active"]
+
+
+def test_an_episode_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "walk" / "e"
+    folder.mkdir(parents=True)
+    writer = EpisodeWriter(folder, anchor=take_anchor(), manifest=Manifest(episode_id="e"))
+    writer.put([Write("k", b"1", None, time.monotonic_ns())])
+    wait_until(lambda: writer.state == "open")
+    assert left_open(tmp_path) == []
+    with pytest.raises(EpisodeError, match="being written just now"):
+        repair(folder)
+    writer.finish(lambda totals: Manifest(episode_id="e", state="finished"))
+    assert writer.wait(30.0)
+
+
+KILLED_AT = """
+import os, sys
+from pathlib import Path
+from station.episode.repair import repair
+step, seen = int(sys.argv[2]), 0
+
+def count(event, arguments):
+    global seen
+    if event in ("os.rename", "os.link", "os.remove", "open") and sys.argv[1] in str(arguments[0]):
+        seen += 1
+        if seen == step:
+            os.kill(os.getpid(), 9)
+
+sys.addaudithook(count)
+repair(Path(sys.argv[1]))
+"""
+
+
+def test_a_repair_that_is_killed_at_any_step_is_done_by_the_next_one(episode: Episode, tmp_path: Path) -> None:
+    torn = episode.data[: episode.chunks[4].offset + 100]
+    step, code = 0, -signal.SIGKILL
+    while code == -signal.SIGKILL:
+        step += 1
+        folder = episode.torn(tmp_path / "e", torn)
+        code = subprocess.run([sys.executable, "-c", KILLED_AT, str(folder), str(step)], check=False).returncode
+        repair(folder)
+        assert_good(folder, episode, 4 * episode.per_chunk)
+        assert (folder / "signals.mcap.torn").read_bytes() == torn
+        assert sorted(file.name for file in folder.iterdir() if not file.name.startswith(".")) == [
+            "manifest.yaml", "signals.mcap", "signals.mcap.torn",
+        ]  # fmt: skip
+    assert code == 0
+    assert step > 8
+
+
+def test_the_command_repairs_all_and_says_what_was_cut(episode: Episode, tmp_path: Path) -> None:
+    names = [f"2026-11-21-g1-walk-000{n}" for n in (1, 2)]
+    for number, name in enumerate(names):
+        episode.torn(tmp_path / "walk" / name, episode.data[: episode.chunks[2 + number].offset + 50])
+    line = offer(tmp_path)
+    assert line is not None
+    assert "2 episodes" in line
+    assert line.endswith(f"station episodes repair --all --data {tmp_path}")
+    listed = station("episodes", "list", "--data", str(tmp_path))
+    assert line in listed.stderr
+    done = station("episodes", "repair", "--all", "--data", str(tmp_path))
+    assert done.returncode == 0
+    assert f"{names[0]} repaired: {2 * episode.per_chunk} messages" in done.stdout
+    assert f"the torn file is {tmp_path / 'walk' / names[1] / 'signals.mcap.torn'}" in done.stdout
+    again = station("episodes", "repair", "--all", "--data", str(tmp_path))
+    assert (again.returncode, "nothing to repair" in again.stdout) == (0, True)
+    one = station("episodes", "repair", names[0], "--data", str(tmp_path), "--json")
+    assert [found["state"] for found in json.loads(one.stdout)] == ["whole"]
+    (tmp_path / "walk" / names[0] / "signals.mcap").write_bytes(b"ruined")
+    assert station("episodes", "repair", names[0], "--data", str(tmp_path)).returncode == 1
+    assert station("episodes", "repair", "--data", str(tmp_path)).returncode == 2
+
+
+def station(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "station", *arguments], capture_output=True, text=True, timeout=60, check=False
+    )

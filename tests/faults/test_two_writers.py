@@ -1,0 +1,194 @@
+"""Two commanders on one key, as real processes: the robot follows one, and everybody hears of both."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from station.bus import codec, keys
+from station.bus.address import BusAddress
+from station.bus.tap import Write
+from station.life.events import Event, decode
+from station.life.slew import LONGEST_TICK_S
+from station.protocols import Floats
+from tests.servers.g1_station import FORM, LIGHT, ROBOT, G1Process, Log, StockCommander, logged
+from tests.waiting import wait_until
+
+COMMAND = FORM.key
+SOON = 10  # writes of a 50 Hz commander in 200 ms
+HOST = socket.gethostname()
+
+
+@contextmanager
+def commander(address: BusAddress, name: str, motion: str, *others: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A motion server of ours that plays for ever."""
+    sets = (f"motion={motion}", "loop=true", "enter_s=0.1", "leave_s=0.1", *others)
+    words = [word for setting in sets for word in ("--set", setting)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "station", "serve", "motion", "--bus", address.url, "--name", name, *words],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=dict(os.environ),
+    )  # fmt: skip
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def is_of(write: Write, name: str) -> bool:
+    return write.key == COMMAND and bool(write.stamp) and f" {name}.".encode() in (write.stamp or b"")
+
+
+def writes_of(log: Log, name: str) -> list[Write]:
+    return [write for write in list(log.writes) if is_of(write, name)]
+
+
+def told_by_robot(log: Log) -> list[Event]:
+    """What the low-level server says of rivals; our motion server says so of its own key too."""
+    return [event for event in log.events("second-writer") if event.source == "g1"]
+
+
+def used(log: Log) -> Floats:
+    return np.array([codec.parse_f64(value) for value in log.values(keys.command_used(ROBOT))])
+
+
+def expect_no_kick(log: Log) -> None:
+    """No tick moved an element by more than its rate allows for the longest tick there is."""
+    assert (np.abs(np.diff(used(log), axis=0)) <= FORM.rate * LONGEST_TICK_S + 1e-9).all()
+
+
+def heard_before_told(log: Log, name: str) -> int:
+    """Writes of a commander that were on the bus before the robot's first word of rivals."""
+    count = 0
+    for write in list(log.writes):
+        event = decode(write.value) if write.key == keys.EVENT and write.value else None
+        if event is not None and (event.name, event.source) == ("second-writer", "g1"):
+            break
+        count += is_of(write, name)
+    return count
+
+
+def test_the_second_of_two_motion_servers_is_refused_and_takes_over_when_the_first_is_killed(
+    bus_server: BusAddress,
+) -> None:
+    with (
+        logged(bus_server) as log,
+        G1Process(bus_server, *LIGHT),
+        commander(bus_server, "first", "builtin:stand") as first,
+    ):
+        wait_until(lambda: log.gate()["state"] == "tracking")
+        with commander(bus_server, "second", "builtin:wave") as second:
+            wait_until(lambda: told_by_robot(log))
+            told = told_by_robot(log)[0].detail
+            wait_until(lambda: len(writes_of(log, "second")) > 150)
+            assert heard_before_told(log, "second") <= SOON
+            assert told["obeyed"] == f"first (pid {first.pid} on {HOST})"
+            assert told["refused"] == [f"second (pid {second.pid} on {HOST})"]
+            assert [source.split(".")[:2] for source in told["writers"]] == [
+                ["first", str(first.pid)], ["second", str(second.pid)]
+            ]  # fmt: skip
+            firsts = {write.value for write in writes_of(log, "first")}
+            obeyed = [codec.parse_json_vector(value) for value in firsts if value is not None]
+            assert log.gate()["state"] == "tracking"
+            assert log.gate()["refused"] > 100
+            for vector in used(log)[-50:]:
+                assert min(np.abs(vector - other).max() for other in obeyed) < 1e-9
+            first.send_signal(signal.SIGKILL)
+            wait_until(lambda: log.events("command-handover"))
+            wait_until(lambda: log.gate()["state"] == "tracking")
+            handover = log.events("command-handover")[0].detail
+            assert handover["obeyed"] == f"second (pid {second.pid} on {HOST})"
+            assert handover["reason"] == f"first (pid {first.pid} on {HOST}) has been silent"
+            wait_until(lambda: [event for event in told_by_robot(log) if event.detail.get("ended")])
+    changes = [(event.detail["from"], event.detail["to"]) for event in log.events("gate")]
+    assert ("holding", "tracking") not in changes, "who takes over is entered with a blend"
+    expect_no_kick(log)
+    assert not log.events("fall")
+
+
+def test_a_stock_script_beside_our_motion_server_is_refused_and_called_foreign(bus_server: BusAddress) -> None:
+    far = FORM.default.copy()
+    far[6 + 15] = 1.5
+    with (
+        logged(bus_server) as log,
+        G1Process(bus_server, *LIGHT),
+        commander(bus_server, "ours", "builtin:stand") as ours,
+    ):
+        wait_until(lambda: log.gate()["state"] == "tracking")
+        with StockCommander(bus_server, lambda _: far):
+            wait_until(lambda: told_by_robot(log))
+            wait_until(lambda: log.gate()["refused"] > 50)
+        told = told_by_robot(log)[0].detail
+        assert told["obeyed"] == f"ours (pid {ours.pid} on {HOST})"
+        assert told["refused"] == ["a foreign writer"]
+        assert "foreign" in told["writers"]
+    assert not log.events("command-handover")
+    assert np.abs(used(log)[:, 6 + 15] - far[6 + 15]).min() > 0.5, "never on the way there"
+
+
+def test_in_lock_step_only_the_commands_of_who_is_obeyed_are_used(bus_server: BusAddress) -> None:
+    with (
+        logged(bus_server) as log,
+        G1Process(bus_server, *LIGHT, "pace=command"),
+        commander(bus_server, "ours", "builtin:walk-forward", "pace=state"),
+    ):
+        wait_until(lambda: log.gate()["state"] == "tracking")
+        with StockCommander(bus_server):
+            wait_until(lambda: told_by_robot(log))
+            wait_until(lambda: log.gate()["refused"] > 20)
+            timing = [codec.parse_json_vector(value) for value in log.values(keys.policy_timing(ROBOT))]
+    sequence = np.array(timing)[:, 1]
+    assert (sequence > 0).all(), "a foreign command has no number"
+    assert (np.diff(sequence) >= 0).all()
+    assert not log.events("command-handover")
+
+
+def test_our_motion_server_beside_a_stock_script_is_refused(bus_server: BusAddress) -> None:
+    with logged(bus_server) as log, G1Process(bus_server, *LIGHT), StockCommander(bus_server):
+        wait_until(lambda: log.gate()["state"] == "tracking")
+        with commander(bus_server, "ours", "builtin:wave") as ours:
+            wait_until(lambda: told_by_robot(log))
+            wait_until(lambda: log.gate()["refused"] > 50)
+            told = told_by_robot(log)[0].detail
+            assert told["obeyed"] == "a foreign writer"
+            assert told["refused"] == [f"ours (pid {ours.pid} on {HOST})"]
+            assert log.gate()["state"] == "tracking"
+
+
+def test_whoever_begins_last_is_obeyed_where_that_is_configured(bus_server: BusAddress) -> None:
+    with (
+        logged(bus_server) as log,
+        G1Process(bus_server, *LIGHT, "gate.rivals=newest"),
+        commander(bus_server, "first", "builtin:stand"),
+    ):
+        wait_until(lambda: log.gate()["state"] == "tracking")
+        with commander(bus_server, "second", "builtin:wave") as second:
+            wait_until(lambda: log.events("command-handover"))
+            wait_until(lambda: log.events("second-writer"))
+            wait_until(lambda: log.gate()["refused"] > 50)
+            (handover,) = log.events("command-handover")
+            assert handover.detail["obeyed"] == f"second (pid {second.pid} on {HOST})"
+            assert handover.detail["reason"] == "it began to write last"
+    assert ("tracking", "entering") in [(event.detail["from"], event.detail["to"]) for event in log.events("gate")]
+    expect_no_kick(log)
+
+
+def test_a_stock_script_in_place_of_our_motion_server_is_followed_and_no_rival(bus_server: BusAddress) -> None:
+    with logged(bus_server) as log, G1Process(bus_server, *LIGHT):
+        with commander(bus_server, "ours", "builtin:stand") as ours:
+            wait_until(lambda: log.gate()["state"] == "tracking")
+            ours.send_signal(signal.SIGTERM)
+            assert ours.wait(30) == 0
+        with StockCommander(bus_server):
+            wait_until(lambda: log.events("command-handover"))
+            wait_until(lambda: log.gate()["state"] == "tracking")
+        (handover,) = log.events("command-handover")
+        assert handover.detail["obeyed"] == "a foreign writer"
+    assert not log.events("second-writer")
