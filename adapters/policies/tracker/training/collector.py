@@ -147,6 +147,9 @@ class Collector:
         self._noise[robot] = rng.uniform(0, 1) if rng.random() < 0.7 else 0.0
         self._bias[robot] = self._noise[robot] * rng.uniform(-0.5, 0.5, FRAME)
         self._late[robot] = rng.uniform(0, config.late_steps) if rng.random() < 0.5 else 0.0
+        if config.undisturbed and rng.random() < config.undisturbed:
+            for disturbance in (self._pushes, self._noise, self._bias, self._late):
+                disturbance[robot] = 0.0
         self._tick[robot] = 0
         self._tutor.forget(robot)
         self._seen.clear(robot)

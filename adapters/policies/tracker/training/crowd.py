@@ -61,7 +61,7 @@ class Crowd:
         bodies = []
         for number in range(config.bodies):
             path = models[1] if len(models) > 1 and number % 4 == 3 else models[0]
-            bodies.append(_varied(path, kp, kd, config, rng, is_nominal=number < 2))
+            bodies.append(_varied(path, kp, kd, config, rng, is_nominal=number < config.nominal))
         self._models = [bodies[robot % len(bodies)] for robot in range(config.robots)]
         self._data = [mujoco.MjData(model) for model in self._models]
         self._substeps = round(CONTROL_DT_S / config.physics_dt_s)

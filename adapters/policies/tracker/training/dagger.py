@@ -13,8 +13,9 @@ import torch
 
 from adapters.policies.tracker.policy import ACTIONS, OBSERVATION
 from adapters.policies.tracker.training.collector import Act, Collector, Score
-from adapters.policies.tracker.training.network import Student
+from adapters.policies.tracker.training.network import Student, load_onnx
 from adapters.policies.tracker.training.recipe import Recipe
+from station import assets
 from station.protocols import Floats32
 
 _AVERAGE = 0.999  # of the weights, over gradient steps: the averaged student drives more steadily than the newest
@@ -43,7 +44,10 @@ class Learner:
     def __init__(self, recipe: Recipe, device: str) -> None:
         torch.manual_seed(recipe.seed)
         self._recipe, self._device = recipe, device
-        self._student = Student(OBSERVATION, recipe.hidden, ACTIONS).to(device)
+        self._student = Student(OBSERVATION, recipe.hidden, ACTIONS)
+        if recipe.start:
+            load_onnx(self._student, assets.resolve(recipe.start))
+        self._student.to(device)
         self.average = copy.deepcopy(self._student)
         weights = [p for p in self._student.parameters() if p.requires_grad]
         self._optimizer = torch.optim.Adam(weights, lr=recipe.learning_rate)
@@ -58,8 +62,8 @@ class Learner:
         return self._size
 
     def add(self, observations: Floats32, labels: Floats32) -> None:
-        """Remember labelled steps; the first ones also give the scale of the inputs."""
-        if not self._size:
+        """Remember labelled steps; the first ones give the scale of the inputs, unless a network brought it along."""
+        if not self._size and not self._recipe.start:
             self._student.measure(observations)
             self.average.measure(observations)
         end = self._size + len(labels)
@@ -107,7 +111,7 @@ def train(recipe: Recipe, learner: Learner, collector: Collector, on_round: Call
     started_s = time.perf_counter()
     for number in range(1, recipe.rounds + 1):
         collector.student, collector.teacher = Score(), Score()
-        act: Act | None = learner.act if len(learner) else None
+        act: Act | None = learner.act if len(learner) or recipe.start else None
         learner.add(*collector.collect(recipe.steps_per_round, act))
         loss = learner.learn(recipe.batches_per_round)
         elapsed_s = time.perf_counter() - started_s

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import onnx
 import torch
+from google.protobuf.message import DecodeError
 from onnx import TensorProto, helper, numpy_helper
 
+from station.errors import BadFile
 from station.protocols import Floats32
 
 _OPSET = 17
@@ -48,6 +50,28 @@ class Student(torch.nn.Module):  # type: ignore[misc]
         """Return raw actions, shape (batch, outputs)."""
         # Clamped: a value far from all that was seen must not take the whole network with it.
         return self.layers(torch.clamp((observation - self.mean) * self.scale, -8.0, 8.0))
+
+
+def load_onnx(student: Student, path: Path) -> None:
+    """Take mean, scale and weights from a file that `save_onnx` wrote.
+
+    Raises:
+        BadFile: no such file, no ONNX, or a network of other sizes.
+    """
+    try:
+        graph = onnx.load(path).graph
+        arrays = {item.name: torch.from_numpy(numpy_helper.to_array(item).copy()) for item in graph.initializer}
+        student.load_state_dict({name: arrays[_name_of(name)] for name in student.state_dict()})
+    except (OSError, KeyError, ValueError, RuntimeError, DecodeError) as error:
+        raise BadFile(f"{path}: not a network of this recipe's sizes: {' '.join(str(error).split())[:160]}") from error
+
+
+def _name_of(name: str) -> str:
+    """Name in the ONNX file of a parameter: layers.0.weight is w0, layers.2.bias is b1."""
+    if not name.startswith("layers."):
+        return name
+    _, layer, kind = name.split(".")
+    return f"{kind[0]}{int(layer) // 2}"
 
 
 def save_onnx(student: Student, path: Path, metadata: dict[str, str]) -> None:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import msgspec
 
+SHARES = {"recorded": 0.30, "gait": 0.24, "builtin": 0.12, "posture": 0.14, "arms": 0.12, "stand": 0.08}
+"""How often each kind of streams is drawn."""
+
 
 class Crowd(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The simulated robots that collect data side by side.
@@ -12,6 +15,8 @@ class Crowd(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         robots: Their number.
         teacher_drives: Share of them that the teacher drives itself, so that its own states stay in the data.
         bodies: Different bodies among them (masses, gains, friction), dealt out in turn.
+        nominal: How many of these are as their file says.
+        undisturbed: Share of the episodes without pushes, delays and noise.
         physics_dt_s: Physics step [s].
         episode_s: Longest episode [s].
         mass_spread, gain_spread: Greatest relative change of each link's mass, and of each joint's gains.
@@ -27,6 +32,8 @@ class Crowd(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     robots: int = 96
     teacher_drives: float = 0.1
     bodies: int = 24
+    nominal: int = 2
+    undisturbed: float = 0.0
     physics_dt_s: float = 0.002
     episode_s: float = 16.0
     mass_spread: float = 0.1
@@ -45,11 +52,13 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     Attributes:
         seed: Of everything that is drawn.
+        start: A network to go on from, the ONNX file of a run before; "" begins with random weights.
         teacher: Checkpoint of TWIST2's family whose actions are the labels.
         calm: How far from home the arms are that the teacher sees, over how far they are; see `training.tutor`.
         meshed_model: A second robot model for every fourth body, or "".
         motions: Recorded motions that commands are drawn from.
         mirrored: Those of `motions` whose mirror image is drawn from as well; the others' are held back.
+        shares: How often each kind of streams is drawn; together 1.
         speeds: Each motion is played at a speed drawn from here.
         made: Number of walks, and of rows of postures, that are made to draw from.
         rounds: Of collecting and learning.
@@ -63,11 +72,13 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """
 
     seed: int = 7
+    start: str = ""
     teacher: str = "twist2:ckpts/twist2_1017_20k.onnx"
     calm: float = 0.25
     meshed_model: str = "twist2:g1/g1_sim2sim_29dof.xml"
     motions: tuple[str, ...] = tuple(f"twist2:motions/0807_yanjie_walk_00{number}.pkl" for number in range(1, 7))
     mirrored: tuple[int, ...] = (1, 2, 4, 5)
+    shares: dict[str, float] = msgspec.field(default_factory=lambda: dict(SHARES))
     speeds: tuple[float, ...] = (0.85, 1.0, 1.0, 1.1)
     made: int = 250
     rounds: int = 150

@@ -5,8 +5,6 @@ A stream is what a command server would send; `training.gated` then does to it w
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from adapters.commands.twist2 import FORMAT
@@ -26,21 +24,8 @@ ARMS = np.array([HEAD + i for i, name in enumerate(G1_29) if any(p in name for p
 Stream = Floats
 
 
-class Share(NamedTuple):
-    """Of a kind of streams: how often it is drawn, and how often its arms are moved about besides."""
-
-    drawn: float
-    moves_arms: float
-
-
-SHARES = {
-    "recorded": Share(0.30, 0.2),
-    "gait": Share(0.24, 0.25),
-    "builtin": Share(0.12, 0.0),
-    "posture": Share(0.14, 0.5),
-    "arms": Share(0.12, 1.0),
-    "stand": Share(0.08, 0.0),
-}
+MOVES_ARMS = {"recorded": 0.2, "gait": 0.25, "builtin": 0.0, "posture": 0.5, "arms": 1.0, "stand": 0.0}
+"""Of each kind of streams: how often its arms are moved about besides."""
 
 
 def stream_of(motion: Motion) -> Stream:
@@ -66,14 +51,16 @@ class Streams:
             "posture": [_postures(rng) for _ in range(recipe.made)],
         }
         self._pools: dict[str, list[Stream]] = pools | {"arms": [_standing()], "stand": [_standing()]}
-        self._names = list(SHARES)
+        self._names, self._shares = list(recipe.shares), list(recipe.shares.values())
+        if unknown := [name for name in self._names if name not in self._pools]:
+            raise ConfigError(f"recipe: shares: unknown kind {unknown[0]!r}; known: {', '.join(self._pools)}")
 
     def draw(self, rng: np.random.Generator) -> tuple[str, Stream]:
         """Return a stream and its kind; in some the arms are moved about, whatever the legs do."""
-        kind = str(rng.choice(self._names, p=[SHARES[name].drawn for name in self._names]))
+        kind = str(rng.choice(self._names, p=self._shares))
         pool = self._pools[kind]
         stream = pool[int(rng.integers(len(pool)))]
-        if rng.random() < SHARES[kind].moves_arms:
+        if rng.random() < MOVES_ARMS[kind]:
             stream = stream.copy()
             reach = float(rng.choice([0.5, 1.0]))
             stream[:, ARMS] = wandering(rng, len(stream), ARMS, start=stream[0, ARMS], reach=reach)
