@@ -242,6 +242,7 @@ def test_a_value_beyond_the_limit_never_enters_our_bus(tmp_path_factory: pytest.
         connection.call("SET", "fits", b"x" * (1 << 20))
         with pytest.raises(BusError):
             connection.call("SET", "a", b"x" * ((1 << 20) + 1))
+        connection.close()
         connection = Connection(server.address, timeout_s=5.0)
         with pytest.raises(BusError):
             connection.call("SETRANGE", "fits", 1 << 20, b"more")
