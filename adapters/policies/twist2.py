@@ -9,7 +9,7 @@ the start. Wire facts: amazon-far/TWIST2, `server_low_level_g1_sim.py`, and the 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -40,8 +40,8 @@ inertia and a torque clip of 4 N m. The robot needs "real" (gear friction eats a
 """
 
 
-class Twist2Policy:
-    """Implements `station.protocols.Policy`.
+class FramePolicy:
+    """What TWIST2's policy and ours, which follows the same command, have in common: frames, gains, targets.
 
     The arithmetic, so that an audit can repeat it bit for bit: differences and scalings in float64, each rounded once
     to float32 when it enters the frame; the network in float32; targets in float64.
@@ -51,22 +51,28 @@ class Twist2Policy:
         wrist_gains: Which set of `WRIST_GAINS` the wrists get.
 
     Raises:
-        BadFile: missing, not ONNX, or not of TWIST2's sizes.
+        BadFile: missing, not ONNX, or not of this family's sizes.
         ConfigError: no such set of gains.
     """
+
+    NAME: ClassVar[str]
+    KEPT: ClassVar[int]
+    """Frames that the history keeps."""
+    INPUTS: ClassVar[int]
+    """Numbers in an observation."""
 
     def __init__(self, checkpoint: Path, *, wrist_gains: WristGains = "sim") -> None:
         if wrist_gains not in WRIST_GAINS:
             raise ConfigError(f"wrist_gains {wrist_gains!r}: expected one of {', '.join(WRIST_GAINS)}")
         path = Path(checkpoint)
-        self._network = OnnxNetwork(path, inputs=OBSERVATION, outputs=ACTIONS)
+        self._network = OnnxNetwork(path, inputs=self.INPUTS, outputs=ACTIONS)
         kp, kd = gains(*WRIST_GAINS[wrist_gains])
         self._spec = PolicySpec(
-            name="twist2", checkpoint=path, sha256=sha256(path), runtime=self._network.runtime, rate_hz=50.0,
+            name=self.NAME, checkpoint=path, sha256=sha256(path), runtime=self._network.runtime, rate_hz=50.0,
             command="twist2", joint_names=G1_29, default_q=DEFAULT_Q, kp=kp, kd=kd,
-            observation_size=OBSERVATION, action_size=ACTIONS,
+            observation_size=self.INPUTS, action_size=ACTIONS,
         )  # fmt: skip
-        self._history = FrameHistory(PAST, FRAME)
+        self._history = FrameHistory(self.KEPT, FRAME)
         self._action: Floats32 = np.zeros(ACTIONS, dtype=np.float32)
         self._restored: Floats32 | None = None
 
@@ -81,23 +87,6 @@ class Twist2Policy:
         self._action = np.zeros(ACTIONS, dtype=np.float32)
         self._restored = None
 
-    def observe(self, state: RobotState, command: Floats) -> Floats32:
-        """Return the observation, shape (1432,).
-
-        Args:
-            state: Of the 29 joints.
-            command: TWIST2's body command, shape (35,).
-        """
-        if self._restored is not None:  # the output of the restored step is part of this observation
-            self.act(self._restored)
-        observation = np.empty(OBSERVATION, dtype=np.float32)
-        frame = observation[:FRAME]
-        write_frame(frame, state, command, self._action)
-        observation[FRAME:-COMMAND] = self._history.flat
-        observation[-COMMAND:] = frame[:COMMAND]
-        self._history.push(frame)
-        return observation
-
     def act(self, observation: Floats32) -> Floats32:
         """Return the raw output of the network, shape (29,), before clipping."""
         self._action = self._network(observation)
@@ -107,6 +96,32 @@ class Twist2Policy:
     def targets(self, action: Floats32, command: Floats) -> JointTargets:
         """Return default + 0.5 x the output clipped to ±10; nothing of the command bypasses the network."""
         return JointTargets(offsets(action), self._spec.kp, self._spec.kd)
+
+    def _frame(self, state: RobotState, command: Floats) -> Floats32:
+        """Return the frame of this step, shape (127,)."""
+        if self._restored is not None:  # the output of the restored step is part of this frame
+            self.act(self._restored)
+        frame = np.empty(FRAME, dtype=np.float32)
+        write_frame(frame, state, command, self._action)
+        return frame
+
+
+class Twist2Policy(FramePolicy):
+    """Implements `station.protocols.Policy`."""
+
+    NAME, KEPT, INPUTS = "twist2", PAST, OBSERVATION
+
+    def observe(self, state: RobotState, command: Floats) -> Floats32:
+        """Return the observation, shape (1432,).
+
+        Args:
+            state: Of the 29 joints.
+            command: TWIST2's body command, shape (35,).
+        """
+        frame = self._frame(state, command)
+        observation = np.concatenate([frame, self._history.flat, frame[:COMMAND]])
+        self._history.push(frame)
+        return observation
 
     def restore(self, observation: Floats32) -> None:
         """Take up the history that a recorded observation, shape (1432,), shows.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from subprocess import CompletedProcess
@@ -24,6 +26,7 @@ DEMO = ("demo", "--for", "1s", *SHORT)
 def bare() -> Iterator[Home]:
     """A place without upstream data."""
     with new_home() as made:
+        made.environment["PATH"] = f"{Path(sys.executable).parent}:{made.environment['PATH']}"
         yield made.without("STATION_ASSETS")
 
 
@@ -75,8 +78,21 @@ def test_what_to_try_next_is_said_last(done: CompletedProcess[str], episode: Pat
     assert episode.is_dir()
     title, *tries = done.stdout[done.stdout.index("next:") :].splitlines()
     assert title == "next:"
+    assert [line.split()[:2] for line in tries if line.startswith("  station ")] == [
+        ["station", verb] for verb in ("view", "rehearse", "demo", "demo", "up")
+    ]
     assert len(tries) == 5
-    assert all(line.startswith("  station ") for line in tries)
+
+
+def test_a_shell_that_does_not_know_station_is_told_first_how_to(home: Home) -> None:
+    """As after `make demo`: its environment was made, and not entered."""
+    home.environment |= {"PATH": os.defpath, "MUJOCO_GL": "bogus"}
+    done = home.without("STATION_ASSETS").run(*DEMO)
+    assert done.returncode == 0, done.stderr
+    _, *tries = done.stdout[done.stdout.index("next:") :].splitlines()
+    assert tries[0].startswith("  . ")
+    assert tries[0].endswith("put `station` on the path")
+    assert len(tries) == 6
 
 
 def test_pictures_of_an_episode_are_drawn_again_on_demand(bare: Home, episode: Path, tmp_path: Path) -> None:
