@@ -10,9 +10,11 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from adapters.robots import model_cache
 from adapters.robots.g1 import mjcf
+from adapters.robots.g1.addresses import Addresses
 from adapters.robots.g1.joints import select
 from adapters.robots.picture import Camera, Picture
 from station.assets import sha256
@@ -60,7 +62,8 @@ class MujocoG1:
         self._model = model_cache.load(self._path, mjcf.prepare, salt=mjcf.salt())
         self._model.opt.timestep = physics_dt_s
         self._data = mujoco.MjData(self._model)
-        self._find_addresses()
+        self._at = Addresses(self._model)
+        self._may_touch = _feet(self._model)
         self._kp, self._kd = np.zeros(len(G1_29)), np.zeros(len(G1_29))
         self._camera: Camera | None = None
         self.reset()
@@ -74,7 +77,7 @@ class MujocoG1:
     @property
     def qpos(self) -> Floats:
         """Ground truth: root position [m], root quaternion wxyz, 29 joints [rad]; shape (36,)."""
-        return np.concatenate([self._data.qpos[self._root_q], self._data.qpos[self._q]])
+        return np.concatenate([self._data.qpos[self._at.root_q], self._data.qpos[self._at.q]])
 
     @property
     def time_s(self) -> float:
@@ -89,21 +92,21 @@ class MujocoG1:
     def reset(self) -> None:
         """Put the robot back on its feet, at rest, in the start pose."""
         mujoco.mj_resetData(self._model, self._data)
-        self._data.qpos[self._root_q] = (*START_ROOT_POS, 1.0, 0.0, 0.0, 0.0)
-        self._data.qpos[self._q] = START_Q
-        self._data.ctrl[self._u] = START_Q
+        self._data.qpos[self._at.root_q] = (*START_ROOT_POS, 1.0, 0.0, 0.0, 0.0)
+        self._data.qpos[self._at.q] = START_Q
+        self._data.ctrl[self._at.u] = START_Q
         mujoco.mj_forward(self._model, self._data)
 
     def read(self) -> RobotState:
         """Return the state of the simulation; the gyro is free of noise and filters."""
         qpos, qvel = self._data.qpos, self._data.qvel
-        root = qpos[self._root_q]
+        root = qpos[self._at.root_q]
         return RobotState(
             mono_ns=time.monotonic_ns(),
-            q=qpos[self._q],
-            dq=qvel[self._v],
+            q=qpos[self._at.q],
+            dq=qvel[self._at.v],
             quat_wxyz=root[3:].copy(),
-            gyro=qvel[self._gyro],  # MuJoCo keeps the angular velocity of a free joint in the body's own frame
+            gyro=qvel[self._at.root_v[3:]],  # MuJoCo keeps the angular velocity of a free joint in the body's own frame
             root_pos=root[:3].copy(),
         )
 
@@ -116,7 +119,7 @@ class MujocoG1:
         if not (np.isfinite(targets.q).all() and np.isfinite(targets.kp).all() and np.isfinite(targets.kd).all()):
             raise ValueError("joint targets must be finite")
         self._set_gains(targets.kp, targets.kd)
-        self._data.ctrl[self._u] = targets.q
+        self._data.ctrl[self._at.u] = targets.q
         mujoco.mj_step(self._model, self._data, self._steps)
         if self._viewer is not None:
             self._viewer.sync()
@@ -125,14 +128,14 @@ class MujocoG1:
     def push(self, velocity_step: Floats) -> None:
         """Add to the linear velocity of the pelvis in the world, shape (3,) [m/s]; joints keep their speeds, so the
         whole body moves off at once."""
-        self._data.qvel[self._linear] += velocity_step
+        self._data.qvel[self._at.root_v[:3]] += velocity_step
 
     def fallen(self) -> Fall | None:
         """Return why the robot counts as fallen: a root beyond `FALL_TILT_RAD`, or ground under anything but the feet.
 
         Seen at the end of a control period: a touch that begins and ends within one is not.
         """
-        tilt_rad = float(tilt(self._data.qpos[self._root_q][3:]))
+        tilt_rad = float(tilt(self._data.qpos[self._at.root_q][3:]))
         touching = self._touching()
         if any(self._data.warning[kind].number for kind in _BAD_STATE):  # MuJoCo has then put the model back to zero
             return Fall(tilt_rad=math.pi, contacts=("unstable simulation",))
@@ -150,7 +153,7 @@ class MujocoG1:
             "control_dt_s": float(self._model.opt.timestep) * self._steps,
             "torque_clip_nm": list(mjcf.TORQUE_CLIP_NM),
             "pd": "engine servo, explicit (Euler)",
-            "has_hands": False,
+            "has_hands": any("_hand_" in self._model.joint(joint).name for joint in range(self._model.njnt)),
         }
 
     def render(self, width: int = 640, height: int = 480, camera: str | None = None) -> Picture:
@@ -178,26 +181,12 @@ class MujocoG1:
             self._camera.close()
             self._camera = None
 
-    def _find_addresses(self) -> None:
-        model = self._model
-        joints = [model.joint(joint.mjcf_name) for joint in select(G1_29)]
-        self._q = np.array([joint.qposadr[0] for joint in joints])
-        self._v = np.array([joint.dofadr[0] for joint in joints])
-        servo_of = {int(model.actuator_trnid[u, 0]): u for u in range(model.nu)}
-        self._u = np.array([servo_of[joint.id] for joint in joints])
-        free = model.body(mjcf.ROOT_BODY).jntadr[0]
-        self._root_q = np.arange(7) + model.jnt_qposadr[free]
-        self._linear = np.arange(3) + model.jnt_dofadr[free]
-        self._gyro = np.arange(3, 6) + model.jnt_dofadr[free]
-        feet = {body for body in range(model.nbody) if model.body(body).name.endswith(mjcf.FOOT_SUFFIX)}
-        self._may_touch = np.array([_is_part_of(model, body, feet) for body in range(model.nbody)])
-
     def _set_gains(self, kp: Floats, kd: Floats) -> None:
         if np.array_equal(kp, self._kp) and np.array_equal(kd, self._kd):
             return
-        self._model.actuator_gainprm[self._u, 0] = kp
-        self._model.actuator_biasprm[self._u, 1] = -np.asarray(kp)
-        self._model.actuator_biasprm[self._u, 2] = -np.asarray(kd)
+        self._model.actuator_gainprm[self._at.u, 0] = kp
+        self._model.actuator_biasprm[self._at.u, 1] = -np.asarray(kp)
+        self._model.actuator_biasprm[self._at.u, 2] = -np.asarray(kd)
         self._kp, self._kd = np.array(kp), np.array(kd)
 
     def _touching(self) -> tuple[str, ...]:
@@ -220,6 +209,12 @@ def _whole_steps(control_dt_s: float, physics_dt_s: float) -> int:
             "a whole number of times, for example 0.001 or 0.002"
         )
     return steps
+
+
+def _feet(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Which bodies may touch the ground: the feet and what hangs on them; shape (nbody,)."""
+    feet = {body for body in range(model.nbody) if model.body(body).name.endswith(mjcf.FOOT_SUFFIX)}
+    return np.array([_is_part_of(model, body, feet) for body in range(model.nbody)])
 
 
 def _is_part_of(model: mujoco.MjModel, body: int, roots: set[int]) -> bool:

@@ -13,7 +13,8 @@ from adapters.policies.twist2 import DEFAULT_Q, OBSERVATION, Twist2Policy
 from station.assets import resolve
 from station.errors import BadFile, ConfigError
 from station.protocols import Floats, Floats32, RobotState
-from station.rotations import normalized, roll_pitch_yaw
+from station.rotations import roll_pitch_yaw
+from tests.adapters.policies.inputs import inputs
 
 CHECKPOINT = "twist2/ckpts/twist2_1017_20k.onnx"
 ANOTHER = Path(tracker.__file__).with_name("tracker.onnx")
@@ -22,21 +23,6 @@ ANOTHER = Path(tracker.__file__).with_name("tracker.onnx")
 @pytest.fixture
 def policy(assets: Path) -> Twist2Policy:
     return Twist2Policy(assets / CHECKPOINT)
-
-
-def _inputs(count: int, seed: int = 0) -> list[tuple[RobotState, Floats]]:
-    random = np.random.default_rng(seed)
-
-    def state() -> RobotState:
-        return RobotState(
-            mono_ns=0,
-            q=DEFAULT_Q + random.normal(size=29) * 0.1,
-            dq=random.normal(size=29),
-            quat_wxyz=normalized(np.array([1.0, 0, 0, 0]) + random.normal(size=4) * 0.1),
-            gyro=random.normal(size=3),
-        )
-
-    return [(state(), random.normal(size=35) * 0.2) for _ in range(count)]
 
 
 class _AsTheFactsSay:
@@ -61,7 +47,7 @@ class _AsTheFactsSay:
 @pytest.mark.assets
 def test_observations_equal_the_facts_bit_for_bit_over_fifteen_steps(policy: Twist2Policy) -> None:
     plain = _AsTheFactsSay()
-    for state, command in _inputs(15):
+    for state, command in inputs(15):
         observation = policy.observe(state, command)
         assert observation.dtype == np.float32
         assert observation.shape == (OBSERVATION,) == (1432,)
@@ -71,7 +57,7 @@ def test_observations_equal_the_facts_bit_for_bit_over_fifteen_steps(policy: Twi
 
 @pytest.mark.assets
 def test_the_first_observation_has_no_past_whatever_was_loaded_or_run_before(policy: Twist2Policy) -> None:
-    (state, command), *more = _inputs(5)
+    (state, command), *more = inputs(5)
     first = policy.observe(state, command)
     assert not first[98:1397].any()
     action = policy.act(first)
@@ -87,8 +73,8 @@ def test_the_first_observation_has_no_past_whatever_was_loaded_or_run_before(pol
 @pytest.mark.parametrize("at", [0, 1, 12])
 def test_a_restored_policy_goes_on_bit_for_bit(policy: Twist2Policy, assets: Path, at: int, is_run: bool) -> None:
     other = Twist2Policy(assets / CHECKPOINT)
-    other.act(other.observe(*_inputs(1, seed=9)[0]))
-    for step, (state, command) in enumerate(_inputs(at + 12)):
+    other.act(other.observe(*inputs(1, seed=9)[0]))
+    for step, (state, command) in enumerate(inputs(at + 12)):
         observation = policy.observe(state, command)
         if step == at:
             other.restore(observation)
@@ -103,7 +89,7 @@ def test_a_restored_policy_goes_on_bit_for_bit(policy: Twist2Policy, assets: Pat
 
 @pytest.mark.assets
 def test_an_observation_is_the_callers_own(policy: Twist2Policy) -> None:
-    (state, command), (next_state, next_command) = _inputs(2)
+    (state, command), (next_state, next_command) = inputs(2)
     observation = policy.observe(state, command)
     kept = observation.copy()
     policy.act(observation)

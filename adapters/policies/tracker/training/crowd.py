@@ -13,7 +13,7 @@ import numpy as np
 from adapters.policies.tracker.training import recipe
 from adapters.robots import model_cache
 from adapters.robots.g1 import mjcf
-from adapters.robots.g1.joints import select
+from adapters.robots.g1.addresses import Addresses
 from adapters.robots.g1.mujoco_g1 import START_Q, START_ROOT_POS
 from station.bus.joints import G1_29
 from station.protocols import Floats
@@ -65,7 +65,7 @@ class Crowd:
         self._models = [bodies[robot % len(bodies)] for robot in range(config.robots)]
         self._data = [mujoco.MjData(model) for model in self._models]
         self._substeps = round(CONTROL_DT_S / config.physics_dt_s)
-        self._places = [_Places(model) for model in self._models]
+        self._at = [_addresses(model) for model in self._models]
         self._pool = ThreadPoolExecutor(threads)
         chunks = np.array_split(np.arange(config.robots), threads * 4)
         self._chunks = [chunk.tolist() for chunk in chunks if len(chunk)]
@@ -77,16 +77,16 @@ class Crowd:
 
     def restart(self, robot: int) -> None:
         """Put a robot back on its feet, at rest."""
-        model, data, places = self._models[robot], self._data[robot], self._places[robot]
+        model, data, at = self._models[robot], self._data[robot], self._at[robot]
         mujoco.mj_resetData(model, data)
-        data.qpos[places.root_q] = (*START_ROOT_POS, 1.0, 0.0, 0.0, 0.0)
-        data.qpos[places.q] = START_Q
-        data.ctrl[places.u] = START_Q
+        data.qpos[at.root_q] = (*START_ROOT_POS, 1.0, 0.0, 0.0, 0.0)
+        data.qpos[at.q] = START_Q
+        data.ctrl[at.u] = START_Q
         mujoco.mj_forward(model, data)
 
     def push(self, robot: int, velocity: Floats) -> None:
         """Change the velocity of a root in the world's plane at once, by shape (2,) [m/s]."""
-        self._data[robot].qvel[self._places[robot].root_v[:2]] += velocity
+        self._data[robot].qvel[self._at[robot].root_v[:2]] += velocity
 
     def read(self) -> States:
         """Return the states of all."""
@@ -106,7 +106,7 @@ class Crowd:
 
         def advance(robots: list[int]) -> None:
             for robot in robots:
-                model, data, u = self._models[robot], self._data[robot], self._places[robot].u
+                model, data, u = self._models[robot], self._data[robot], self._at[robot].u
                 old = round(late[robot] * self._substeps)
                 if old:
                     data.ctrl[u] = before[robot]
@@ -122,19 +122,12 @@ class Crowd:
         self._pool.shutdown()
 
 
-class _Places:
-    """Where the parts of a G1 stand in the arrays of one model."""
-
-    def __init__(self, model: mujoco.MjModel) -> None:
-        joints = [model.joint(joint.mjcf_name) for joint in select(G1_29)]
-        self.q = np.array([joint.qposadr[0] for joint in joints])
-        servo_of = {int(model.actuator_trnid[u, 0]): u for u in range(model.nu)}
-        self.u = np.array([servo_of[joint.id] for joint in joints])
-        free = model.body(mjcf.ROOT_BODY).jntadr[0]
-        self.root_q = np.arange(7) + model.jnt_qposadr[free]
-        self.root_v = np.arange(6) + model.jnt_dofadr[free]
-        if self.q.tolist() != list(range(7, 36)) or self.root_q[0] != 0:  # `Crowd.read` takes rows whole
-            raise ValueError("expected the root first, then the 29 joints in Unitree's motor order")
+def _addresses(model: mujoco.MjModel) -> Addresses:
+    """Return where a G1's parts stand in a model, in which nothing else may come first."""
+    found = Addresses(model)
+    if found.q.tolist() != list(range(7, 36)) or found.root_q[0] != 0:  # `Crowd.read` takes rows whole
+        raise ValueError("expected the root first, then the 29 joints in Unitree's motor order")
+    return found
 
 
 def _varied(
@@ -144,7 +137,7 @@ def _varied(
     model = model_cache.load(path, mjcf.prepare, salt=mjcf.salt())
     model.opt.timestep = config.physics_dt_s
     gains = np.ones(len(G1_29)) if is_nominal else 1 + rng.uniform(-1, 1, len(G1_29)) * config.gain_spread
-    u = _Places(model).u
+    u = _addresses(model).u
     model.actuator_gainprm[u, 0] = kp * gains
     model.actuator_biasprm[u, 1] = -kp * gains
     model.actuator_biasprm[u, 2] = -kd * gains

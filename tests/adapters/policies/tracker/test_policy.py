@@ -12,8 +12,8 @@ import pytest
 from adapters.policies.tracker.policy import OBSERVATION, TrackerPolicy
 from adapters.policies.twist2 import DEFAULT_Q
 from station.errors import BadFile, ConfigError
-from station.protocols import Floats, RobotState
-from station.rotations import normalized, roll_pitch_yaw
+from station.rotations import roll_pitch_yaw
+from tests.adapters.policies.inputs import inputs
 
 CHECKPOINT = Path(__file__).parents[4] / "adapters/policies/tracker/tracker.onnx"
 
@@ -23,25 +23,10 @@ def policy() -> TrackerPolicy:
     return TrackerPolicy(CHECKPOINT)
 
 
-def _inputs(count: int, seed: int = 0) -> list[tuple[RobotState, Floats]]:
-    random = np.random.default_rng(seed)
-
-    def state() -> RobotState:
-        return RobotState(
-            mono_ns=0,
-            q=DEFAULT_Q + random.normal(size=29) * 0.1,
-            dq=random.normal(size=29),
-            quat_wxyz=normalized(np.array([1.0, 0, 0, 0]) + random.normal(size=4) * 0.1),
-            gyro=random.normal(size=3),
-        )
-
-    return [(state(), random.normal(size=35) * 0.2) for _ in range(count)]
-
-
 def test_an_observation_is_the_five_newest_frames_oldest_first(policy: TrackerPolicy) -> None:
     frames = deque([np.zeros(127, np.float32)] * 5, maxlen=5)
     action = np.zeros(29, np.float32)
-    for state, command in _inputs(8):
+    for state, command in inputs(8):
         observation = policy.observe(state, command)
         speeds = state.dq * 0.05
         speeds[[4, 5, 10, 11]] = 0.0
@@ -55,7 +40,7 @@ def test_an_observation_is_the_five_newest_frames_oldest_first(policy: TrackerPo
 
 
 def test_after_a_reset_all_is_as_at_the_start(policy: TrackerPolicy) -> None:
-    (state, command), *more = _inputs(5)
+    (state, command), *more = inputs(5)
     first = policy.observe(state, command)
     assert not first[:508].any()
     action = policy.act(first)
@@ -70,8 +55,8 @@ def test_after_a_reset_all_is_as_at_the_start(policy: TrackerPolicy) -> None:
 @pytest.mark.parametrize("at", [0, 1, 7])
 def test_a_restored_policy_goes_on_bit_for_bit(policy: TrackerPolicy, at: int, is_run: bool) -> None:
     other = TrackerPolicy(CHECKPOINT)
-    other.act(other.observe(*_inputs(1, seed=9)[0]))
-    for step, (state, command) in enumerate(_inputs(at + 7)):
+    other.act(other.observe(*inputs(1, seed=9)[0]))
+    for step, (state, command) in enumerate(inputs(at + 7)):
         observation = policy.observe(state, command)
         if step == at:
             other.restore(observation)
@@ -85,7 +70,7 @@ def test_a_restored_policy_goes_on_bit_for_bit(policy: TrackerPolicy, at: int, i
 
 
 def test_an_observation_is_the_callers_own(policy: TrackerPolicy) -> None:
-    (state, command), (next_state, next_command) = _inputs(2)
+    (state, command), (next_state, next_command) = inputs(2)
     observation = policy.observe(state, command)
     kept = observation.copy()
     policy.act(observation)
