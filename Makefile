@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test check format bench clean
+.PHONY: demo test check format bench soak clean
 
 demo: $(VENV)/.installed   ## run the main job once and print the report
 	@$(BIN)/station demo
@@ -22,6 +22,10 @@ format: $(VENV)/.installed-test
 
 bench: $(VENV)/.installed-test   ## measure, and write docs/performance.md's table
 	$(BIN)/python -m benchmarks --write
+
+MINUTES ?= 60
+soak: $(VENV)/.installed-test   ## break a whole station for an hour, under load; prints figures as JSON
+	$(BIN)/python -m tests.faults.soak --minutes $(MINUTES)
 
 clean:
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache

@@ -14,7 +14,7 @@ from benchmarks import report, upstream
 from benchmarks.harness import Benchmark, Settings
 from station.errors import did_you_mean
 
-MODULES = ("bus", "wake", "loop", "recorder", "effect", "sim", "inference", "reading", "startup")
+MODULES = ("bus", "wake", "loop", "estop", "recorder", "effect", "sim", "inference", "reading", "startup")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -24,9 +24,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in options.names:
         if name not in MODULES:
             parser.error(f"no benchmark {name!r}{did_you_mean(name, MODULES)}; there are {', '.join(MODULES)}")
-    settings = Settings(quick=options.quick)
+    settings = Settings(quick=options.quick, minutes=options.minutes)
     console, sections = Console(width=options.width), {}
-    command = " ".join(["python -m benchmarks", *options.names, *(["--quick"] if options.quick else [])])
+    chosen = [*(["--quick"] if options.quick else []), *([f"--minutes {options.minutes:g}"] if options.minutes else [])]
+    command = " ".join(["python -m benchmarks", *options.names, *chosen])
     for name in options.names or MODULES:
         benchmark: Benchmark = importlib.import_module(f"benchmarks.{name}").BENCHMARK
         if benchmark.needs_assets and (problem := upstream.problem()):
@@ -45,6 +46,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("names", nargs="*", metavar="NAME",
                         help=f"what to measure: {', '.join(MODULES)}; all by default")  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="show that everything works; the figures mean little")
+    parser.add_argument("--minutes", type=float, default=0.0, metavar="N",
+                        help="also run the recorder for so long, to see whether its memory grows")  # fmt: skip
     parser.add_argument("--write", action="store_true", help="write the tables into docs/performance.md")
     parser.add_argument("--page", type=Path, default=report.PAGE, help=argparse.SUPPRESS)
     parser.add_argument("--width", type=int, default=None, help=argparse.SUPPRESS)

@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks import commands, processes, traffic, upstream
 from benchmarks.harness import Benchmark, Rounds, Row, Settings, Target, alternate, compare, p50, p99
-from benchmarks.recorder import recorder, wait_active
+from benchmarks.recorded import recorder, wait_active
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus

@@ -38,9 +38,11 @@ class Settings:
 
     Attributes:
         quick: Whether to show only that everything works; its figures mean little.
+        minutes: How long to run what is there to see whether something grows [min]; 0 leaves it out.
     """
 
     quick: bool = False
+    minutes: float = 0.0
 
     def pick(self, full: float, quick: float) -> float:
         """Return the one or the other."""

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from benchmarks import processes, stock, traffic
+from benchmarks import endurance, processes, stock, traffic
 from benchmarks.harness import Benchmark, Rounds, Row, Settings, Target, alternate, compare, mean, p50, p99
-from station.bus import keys
+from benchmarks.recorded import recorder
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.episode import remote
 from station.episode.reader import open_episode
-
-_SMALL_PER_S, _IMAGE_MB_PER_S = 10_000.0, 30.0
-_READY_S = 30.0
 
 METHOD = """\
 Writers publish 10,000 small values (180 B of JSON, ten keys) and 455 incompressible pictures of 66 kB (30 MB) a second
@@ -28,7 +23,8 @@ at once, through the real bus into the real recorder process. *Lost*: sequence n
 the finished file does not hold. *Lag*: from the writer's clock before the write to the recorder's at its arrival, over
 every message in the file; it stands under each message's log time. *CPU*: the recorder process while the load runs,
 writing to disk included. Baseline: the same load, looked at by the stock recorder's pattern, a pipeline of GETs 30
-times a second."""
+times a second. *Growth*, with `--minutes N`: the slope of the recorder's resident memory over the last three quarters
+of one episode of that length under the same load; what the disk holds of it is given back on the way."""
 
 
 class Take(msgspec.Struct):
@@ -67,30 +63,8 @@ def run(settings: Settings) -> list[Row]:
         compare("lag p50", "ms", of("o", "lag_ms"), by=p50),
         compare("lag p99", "ms", of("o", "lag_ms"), by=p99, target=Target(limit=50)),
         compare("memory gained over the second half", "MB", of("o", "grown_mb"), target=Target(limit=20)),
+        *(endurance.rows(settings.minutes) if settings.minutes else []),
     ]  # fmt: skip
-
-
-@contextlib.contextmanager
-def recorder(address: BusAddress, data: Path) -> Iterator[int]:
-    """Run the real recorder on a bus; yields its process id when it is ready."""
-    environment = {"STATION_BUS": address.url, "STATION_DATA": str(data), "XDG_RUNTIME_DIR": str(data)}
-    log = data / "recorder.log"
-    with processes.station("serve", "recorder", environment=environment, log=log) as process:
-        wait_active(address, "recorder", process.pid, log)
-        yield process.pid
-
-
-def wait_active(address: BusAddress, name: str, pid: int, log: Path) -> None:
-    """Wait until a server says that it is active."""
-    deadline = time.monotonic() + _READY_S
-    with Bus(address, name="bench") as line:
-        while time.monotonic() < deadline:
-            data = line.get(keys.server(name))
-            health = msgspec.json.decode(data) if data else {}
-            if health.get("pid") == pid and health.get("state") == "active":
-                return
-            time.sleep(0.02)
-    raise RuntimeError(f"{name} was not active within {_READY_S:.0f} s; it said: {log.read_text()[-2000:]}")
 
 
 def _ours(seconds: float) -> Take:
@@ -121,8 +95,8 @@ def _poll(stop: processes.Stop, port: int, names: tuple[str, ...]) -> int:
 
 def _load(address: BusAddress, seconds: float, pid: int) -> tuple[tuple[dict[str, int], float], dict[str, Any]]:
     """Write for so long; return what was written and how long it took, and what a process used meanwhile."""
-    small = processes.Beside(traffic.write_small, address, _SMALL_PER_S)
-    images = processes.Beside(traffic.write_images, address, _IMAGE_MB_PER_S)
+    small = processes.Beside(traffic.write_small, address, traffic.SMALL_PER_S)
+    images = processes.Beside(traffic.write_images, address, traffic.IMAGE_MB_PER_S)
     began_s, began_cpu_s = time.monotonic(), processes.cpu_s(pid)
     time.sleep(seconds / 2)
     half_mb = processes.resident_mb(pid)

@@ -11,6 +11,7 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.life.loop import Rate
 
+SMALL_PER_S, IMAGE_MB_PER_S = 10_000.0, 30.0
 SMALL_KEYS = tuple(f"bench_state_{index}" for index in range(10))
 IMAGE_KEYS = tuple(f"bench_image_{index}" for index in range(3))
 IMAGE_BYTES = 66_000

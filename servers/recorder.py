@@ -13,14 +13,17 @@ import msgspec
 
 from station.bus import codec, keys
 from station.bus import stamp as stamps
-from station.bus.tap import Tap, Write, open_tap
+from station.bus.client import Bus
+from station.bus.tap import Tap, Write, open_tap, why_not_resumed
 from station.config import to_plain
 from station.episode.claim import Claim
 from station.episode.folder import data_folder
+from station.episode.heap import give_back_large_blocks
 from station.episode.heritage import Heritage
 from station.episode.options import RecordingOptions
 from station.episode.progress import WriterOptions
 from station.episode.recording import Recording
+from station.episode.request import RecorderState
 from station.episode.resume import as_written
 from station.errors import BusError
 from station.life.server import Life, ServerKind
@@ -31,9 +34,10 @@ log = logging.getLogger(__name__)
 _READ_S = 0.02  # how long a due answer may wait for a write that does not come
 _STATE_PERIOD_S = 0.5
 _ANSWER_SPACING_S = 0.02  # two answers at once would overwrite each other before the first asker has read
-_RETRY_S = 0.2
+_RETRY_S = 0.05  # what a bus that is restarted at once costs an episode
 _DRAIN_S = 2.0  # a healthy tap is less than 10 ms behind
 _CLOSE_S = 8.0  # a supervisor kills after 15 s, its own death after 10
+_MANY_MINUTES = 20
 _SWITCH_S = 0.001  # Python's 5 ms between threads would stand in the arrival times
 
 
@@ -47,9 +51,12 @@ class RecorderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         preroll_mb: Bound of the memory for that [MB].
         backend: Tap to use; None probes for the best.
         flush_s: Time between two flushes to the disk [s]: what a power cut loses.
-        flush_kb: Size that makes a flush come sooner [kB].
-        queue_mb: What may wait for a slow disk [MB]; beyond it writes are dropped and counted.
-        min_free_mb: Free disk space below which no episode starts [MB].
+        flush_kb: Size that makes a flush come sooner [kB]: a bound of the memory.
+        queue_mb: What may wait for a slow disk [MB]; beyond, images go before signals, and all is counted per key.
+        min_free_mb: Free disk space that is left alone [MB]: no episode starts that would need it, and one that comes
+            to it is ended, whole.
+        planned_s: Time that must fit on the disk where a start request plans none [s].
+        warn_minutes: Warn when the disk ends an episode within this time [min], and at each half of it.
         resume_s: How long an episode stays open while the bus is gone [s].
         take_up_s: How long after its recorder was killed an episode is taken up again with a hole [s], where the server
             no longer has what was written meanwhile; where it has, there is no limit.
@@ -61,15 +68,19 @@ class RecorderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     preroll_mb: float = 256.0
     backend: Literal["replication", "notifications", "poll"] | None = None
     flush_s: float = 0.5
-    flush_kb: float = 256.0
+    flush_kb: float = 8192.0
     queue_mb: float = 128.0
     min_free_mb: float = 500.0
+    planned_s: float = 60.0
+    warn_minutes: float = 10.0
     resume_s: float = 5.0
     take_up_s: float = 60.0
 
     def __post_init__(self) -> None:
         """Refuse what cannot work."""
-        for name in ("preroll_s", "preroll_mb", "min_free_mb", "resume_s", "take_up_s"):
+        for name in (
+            "preroll_s", "preroll_mb", "min_free_mb", "planned_s", "warn_minutes", "resume_s", "take_up_s",
+        ):  # fmt: skip
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
         for name in ("flush_s", "flush_kb", "queue_mb"):
@@ -84,6 +95,8 @@ class RecorderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             preroll_s=self.preroll_s,
             preroll_bytes=int(self.preroll_mb * 1e6),
             min_free_mb=self.min_free_mb,
+            planned_s=self.planned_s,
+            warn_minutes=self.warn_minutes,
             task=self.task,
             writer=WriterOptions(
                 flush_s=self.flush_s, flush_bytes=int(self.flush_kb * 1e3), queue_bytes=int(self.queue_mb * 1e6)
@@ -96,8 +109,10 @@ def main(config: RecorderConfig, life: Life) -> int:
     """Run until asked to stop; an open episode is then closed."""
     options = config.options
     sys.setswitchinterval(_SWITCH_S)
-    with Claim(options.data, life.bus):
+    give_back_large_blocks()
+    with Claim(options.data, life.bus) as claim:
         recorder = _Recorder(config, options, life)
+        recorder.recording.claim = claim.renew
         try:
             life.configured(recorder.facts())
             if not life.ready() and not recorder.recording.is_recording:
@@ -142,7 +157,9 @@ class _Recorder:
         """Take in what arrived, and say what is due."""
         is_late = getattr(self._tap, "is_catching_up", False)
         try:
-            writes = self._tap.read(_READ_S)
+            # What waited for us so long can wait until the disk has caught up.
+            must_wait = is_late and self.recording.is_congested and not self._life.stop_event.wait(_READ_S)
+            writes = [] if must_wait else self._tap.read(_READ_S)
         except BusError as error:
             self._tap_again(error)
             return
@@ -150,9 +167,9 @@ class _Recorder:
         if writes:
             writes = as_written(writes, self._written_ns) if is_late else writes
             self._written_ns = writes[-1].mono_ns
+            if not is_late:  # what waited came all at once, and says nothing of the rate
+                self.recording.room.note(writes)
             self.recording.feed(writes, self._tap.position(), is_live=not is_late)
-        if is_late and self.recording.is_congested:  # what waited at the server can wait a little longer
-            self._life.stop_event.wait(_READ_S)
         self.recording.not_mirrored(getattr(self._tap, "not_mirrored", 0))
         self.recording.poll()
         self._speak()
@@ -221,7 +238,7 @@ class _Recorder:
             self._life.bus.publish({keys.RECORDER: codec.json_object(state)})
             self._life.report(
                 recording=state.episode_id, backend=state.backend, lag_ms=state.lag_ms, lag_p99_ms=state.lag_p99_ms,
-                dropped=state.dropped, restarts=state.restarts,
+                dropped=state.dropped, restarts=state.restarts, minutes_left=_shown(state),
             )  # fmt: skip
 
     def _say_notices(self) -> None:
@@ -233,11 +250,14 @@ class _Recorder:
         """Open another tap where the lost one was; an episode waits for it, though not for ever."""
         position = self._tap.position()
         self._tap.close()
-        self._life.event("tap-lost", severity="warning", reason=str(error))
+        self._life.event("tap-lost", severity="warning", reason=_bare(error, self._life.bus))
         deadline = time.monotonic() + self._config.resume_s
         while not self._life.stopping:
             try:
-                self._tap = open_tap(self._life.bus.address, resume=position, backend=self._config.backend)
+                # One that is coming up refuses for a moment; only one that goes on to do so costs the lossless tap.
+                is_early = self._tap.is_lossless and time.monotonic() <= deadline
+                backend = self._config.backend or (self._tap.backend if is_early else None)
+                self._tap = open_tap(self._life.bus.address, resume=position, backend=backend)
                 break
             except BusError:  # still gone; the loss was said above, its end is said below
                 if time.monotonic() > deadline:
@@ -250,12 +270,24 @@ class _Recorder:
         seconds = round((now_ns - self._heard_ns) * 1e-9, 3)
         self.recording.retapped(self._tap.backend, self._tap.is_lossless)
         if self._tap.resumed:
-            self._life.event("tap-resumed", seconds=seconds)
+            self._life.event("tap-resumed", severity="warning", seconds=seconds, reason=_bare(error, self._life.bus))
         else:
+            why = why_not_resumed(position, self._tap.position())
             self.recording.placed(self._tap.position())
-            self.recording.hole(self._heard_ns, now_ns, f"the tap was lost ({error}) and could not go on where it was")
-            self._life.event("tap-hole", severity="warning", seconds=seconds)
+            self.recording.hole(self._heard_ns, now_ns, f"the tap could not go on where it was: {why}")
+            self._life.event("tap-hole", severity="warning", seconds=seconds, reason=why)
             self._catch_up()
+
+
+def _shown(state: RecorderState) -> float | None:
+    """Return the minutes left of an episode as a person reads them: whole ones, where there are many."""
+    left = state.minutes_left if state.episode_id else None
+    return left if left is None or left < _MANY_MINUTES else round(left)
+
+
+def _bare(error: BusError, bus: Bus) -> str:
+    """Return what happened to the tap, without the address of the bus."""
+    return str(error).removeprefix(f"bus {bus.address}: ")
 
 
 KIND = ServerKind(

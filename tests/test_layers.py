@@ -22,17 +22,19 @@ HEAVY = ("matplotlib", "mujoco", "onnxruntime", "pooch", "rerun", "torch")
 
 WHAT_ADAPTERS_NEED = {
     "station.assets", "station.bus.codec", "station.bus.contracts", "station.bus.joints", "station.bus.keys",
-    "station.errors", "station.protocols", "station.registry", "station.rotations",
-    "station.window",
+    "station.errors", "station.operator.deadman", "station.operator.device", "station.operator.driver",
+    "station.operator.reading", "station.protocols", "station.registry", "station.rotations", "station.window",
 }  # fmt: skip
 """Facts, formats and how to find things: no connection, no loop, no process, no episode."""
 
-NO_VERBS = {"__init__", "face", "main", "options", "report", "tables"}
+NO_VERBS = {"__init__", "face", "keyboard", "main", "options", "report", "stop_key", "tables"}
 """Modules of `station.cli` that verbs share."""
 
 A_KEY = re.compile(
     r"(action_(body|hand|neck|mimic)|state_(body|hand|neck)|robot_state|policy_(obs|action|timing)|target|sim_qpos"
-    r"|command_(gate|used|source))_(?=$|\{|g1|unitree)|^station:\S|^t_(action|state)$|^controller_data$"
+    r"|command_(gate|used|source))_(?=$|\{|g1|unitree)"
+    r"|^operator_(status|controls|head|left|right|body_(pos|quat)|hand_(left|right)|twist|joints)_(?=$|\{)"
+    r"|^station:\S|^t_(action|state)$|^controller_data$"
     r"|^motion_(start|exit)_signal$|" + keys.TWIST2_ROBOT
 )
 NO_KEYS = {("station/episode/layout.py", "station:recorder:stamps")}

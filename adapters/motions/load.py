@@ -1,8 +1,9 @@
 """From a file, by whatever reader its suffix is registered under, to a clip that a robot may follow.
 
 A reference may end in what is to be done to the motion: ``#mirror`` (left becomes right), ``#speed=1.2`` (that much
-faster), or both, as ``#mirror#speed=1.2``. So a changed motion can be named wherever a motion can, and a manifest that
-names it says how it came about.
+faster), ``#retarget=1.75`` (as a person of 1.75 m does it, tracked and retargeted frame by frame), or several, as
+``#mirror#speed=1.2``. So a changed motion can be named wherever a motion can, and a manifest that names it says how it
+came about.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from station.protocols import Motion
 
 log = logging.getLogger(__name__)
 
-_CHANGES = re.compile(r"(#(mirror|speed=[^/#]*))+$")  # any other "#" belongs to the name of a file
+_CHANGES = re.compile(r"(#(mirror|(speed|retarget)=[^/#]*))+$")  # any other "#" belongs to the name of a file
 
 
 def load(reference: str | os.PathLike[str], *, holes: Holes = "refuse", fps: float | None = None) -> Motion:
@@ -68,12 +69,19 @@ def _clip(plain: str, holes: Holes, fps: float | None) -> Clip:
 def _changed(motion: Motion, change: str) -> Motion:
     if change == "mirror":
         return mirrored(motion)
-    text = change.removeprefix("speed=")
+    what, _, text = change.partition("=")
     try:
-        speed = float(text)
+        value = float(text)
     except ValueError:
-        raise UsageError(f"{motion.name}#{change}: speed is {text!r}; expected a number, for example 1.2") from None
-    return retimed(motion, speed)
+        example = {"speed": "1.2", "retarget": "1.75, the height of a person in metres"}[what]
+        raise UsageError(
+            f"{motion.name}#{change}: {what} is {text!r}; expected a number, for example {example}"
+        ) from None
+    if what == "retarget":
+        from adapters.retarget.played import imitated
+
+        return imitated(motion, value)
+    return retimed(motion, value)
 
 
 def _read(plain: str, fps: float | None) -> RawMotion:

@@ -10,6 +10,7 @@ from urllib.parse import SplitResult, parse_qs, quote, unquote, urlsplit
 
 import msgspec
 
+from station.bus import password_file
 from station.errors import ConfigError
 
 ENVIRONMENT_VARIABLE = "STATION_BUS"
@@ -128,9 +129,8 @@ def _login(parts: SplitResult) -> tuple[str | None, str | None]:
 
 def _login_of(file: Path, user: str | None) -> tuple[str | None, str]:
     """Return the user, or the one that is meant where none is named, with the password that a file has for them."""
-    from station.bus.credentials import read_file
 
-    passwords = read_file(file)
+    passwords = password_file.read(file)
     for name in [user] if user else [DEFAULT_USER, "", *sorted(passwords)[:1]]:
         if name in passwords:
             return name or None, passwords[name]
@@ -158,14 +158,9 @@ def own() -> BusAddress:
     One that is open to the network too asks everybody for a password, and has left it in a file beside the socket.
     """
     socket = runtime_folder() / "bus.sock"
-    file = password_file(socket)
+    file = password_file.beside(socket)
     user, password = _login_of(file, None) if file.exists() else (None, None)
     return BusAddress(socket=str(socket), username=user, password=password)
-
-
-def password_file(socket: Path) -> Path:
-    """Return where a server of ours leaves the password that it asks for."""
-    return socket.with_suffix(".password")
 
 
 def default() -> BusAddress:

@@ -16,6 +16,7 @@ from station.bus import address as addresses
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
 from station.bus.connection import Argument, Connection, ConnectionLost
+from station.bus.outage import Outages
 from station.bus.sample import Sample
 from station.bus.watch import Watch
 from station.errors import BusError
@@ -23,7 +24,8 @@ from station.errors import BusError
 log = logging.getLogger(__name__)
 
 _STALL_S = 5.0  # a busy machine may hold a server up for a moment; one silent for longer is taken for frozen
-_RETRY_S = 0.1  # a restarted local server is back within 25 ms; ten tries a second cost nothing
+_SILENT_S = 0.5  # a silence worth telling of: a gate has begun to return by then, and no busy machine is that slow
+_RETRY_S = 0.05  # a restarted local server is back within 25 ms, and a gate returns after 300; a try costs 0.1 ms
 
 
 class Bus:
@@ -34,6 +36,10 @@ class Bus:
         name: Name that stands in every stamp this object writes.
         timeout_s: Longest wait for any answer [s].
 
+    Attributes:
+        connections: How often this object was connected; one more means that the server may have forgotten us.
+        outages: What this process suffered from the bus, its watches included.
+
     Raises:
         BusError: the server cannot be reached or refuses us.
     """
@@ -43,6 +49,8 @@ class Bus:
         self.source = stamp.new_source(name)
         self.lost_writes = 0
         self.last_error = ""
+        self.connections = 1
+        self.outages = Outages()
         self._timeout_s = timeout_s
         self._lock = threading.Lock()
         self._closed = threading.Event()
@@ -50,6 +58,8 @@ class Bus:
         self._frames: dict[str, tuple[bytes, bytes]] = {}
         self._unanswered: deque[int] = deque()  # keys per write whose answer is owed
         self._heard_s = time.monotonic()  # when the server last answered, or owed nothing
+        self._looks_in_vain = 0  # for answers that are owed, since the server was last heard
+        self._refused, self._refused_s = 0, 0.0  # writes in a row that were answered with an error, and since when
         self._connection: Connection | None = Connection(self.address, timeout_s=max(timeout_s, 1.0))
         self._connection.set_timeout(timeout_s)
 
@@ -122,7 +132,7 @@ class Bus:
 
     def watch(self, wanted: Sequence[str]) -> Watch:
         """Return a watch that keeps the newest value of each key at hand; close it after use."""
-        return Watch(self.address, wanted)
+        return Watch(self.address, wanted, outages=self.outages)
 
     def call(self, *arguments: Argument) -> Any:
         """Send any request and return its answer.
@@ -189,49 +199,90 @@ class Bus:
         Raises:
             ConnectionLost: answers are owed, and none has come for too long.
         """
-        errors = [answer for answer in answers if isinstance(answer, hiredis.ReplyError)]
+        refusals = [answer for answer in answers if isinstance(answer, hiredis.ReplyError)]
         for answer in answers:
             count = self._unanswered.popleft()
             if isinstance(answer, hiredis.ReplyError):
                 self.lost_writes += count
-        if errors:
-            self._complain(str(errors[-1]))
+                self._refuse(count, answer)
+            elif self._refused:
+                self._end_refusals()
         now_s = time.monotonic()
         if answers or not connection.owed:
-            self._heard_s = now_s
+            # One that was looked for in vain: where we ourselves were stopped, nobody looked.
+            if now_s - self._heard_s > _SILENT_S and self._looks_in_vain:
+                self.outages.note("bus-silent", _ns(self._heard_s))
+            self._heard_s, self._looks_in_vain = now_s, 0
         elif now_s - self._heard_s > _STALL_S:
             connection.close()
             raise ConnectionLost(f"bus {self.address}: no answer for {_STALL_S:g} s")
-        return bool(errors)
+        else:
+            self._looks_in_vain += 1
+        return bool(refusals)
+
+    def _refuse(self, count: int, answer: hiredis.ReplyError) -> None:
+        """Take note of writes that the server does not take: it is full, loading, or not for us to write."""
+        if not self._refused:
+            self._refused_s = time.monotonic()
+        self._refused += count
+        self._complain(f"bus {self.address} refuses writes: {answer}")
+
+    def _end_refusals(self) -> None:
+        log.info("bus %s: takes writes again; %d were refused", self.address, self._refused)
+        self.outages.note(
+            "bus-refused", _ns(self._refused_s), refused=self._refused, reason=self._bare(self.last_error)
+        )
+        self._refused, self.last_error = 0, ""
 
     def _lose(self, error: BusError) -> None:
         """Take note of a lost connection and look for it in the background; called with the lock held."""
+        began_s = self._heard_s if self._unanswered else time.monotonic()
+        lost = sum(self._unanswered)  # the server may have taken some: counted as lost, to be honest
+        before = self.lost_writes
         self._connection = None
-        self.lost_writes += sum(self._unanswered)  # the server may have taken some: counted as lost, to be honest
+        self.lost_writes += lost
         self._unanswered.clear()
         self._complain(str(error))
         if not self._closed.is_set():
-            threading.Thread(target=self._reconnect, name="bus-reconnect", daemon=True).start()
+            threading.Thread(
+                target=self._reconnect,
+                args=(_ns(began_s), before, self._bare(str(error))),
+                name="bus-reconnect",
+                daemon=True,
+            ).start()
 
-    def _reconnect(self) -> None:
-        while not self._closed.wait(_RETRY_S):
+    def _reconnect(self, began_ns: int, lost_before: int, reason: str) -> None:
+        """Connect again: at once, where only the connection was cut, or as soon as there is a server."""
+        while not self._closed.is_set():
             try:
                 fresh = Connection(self.address, timeout_s=self._timeout_s)
             except BusError as error:
                 self._complain(str(error))
+                self._closed.wait(_RETRY_S)
                 continue
             with self._lock:
                 if self._closed.is_set():
                     fresh.close()
-                else:
-                    self._connection, self.last_error, self._heard_s = fresh, "", time.monotonic()
-                    log.info("bus %s: back", self.address)
+                    return
+                self._connection, self.last_error, self._heard_s = fresh, "", time.monotonic()
+                self.connections += 1
+                lost = self.lost_writes - lost_before
+                self.outages.note("bus-back", began_ns, lost_writes=lost, reason=reason)
+                log.info("bus %s: back; %d writes were lost", self.address, lost)
             return
+
+    def _bare(self, reason: str) -> str:
+        """Return a reason without the address, which is the same for everybody who hears of it."""
+        return reason.removeprefix(f"bus {self.address}").lstrip(": ")
 
     def _complain(self, reason: str) -> None:
         if reason != self.last_error:
             self.last_error = reason
             log.warning("%s", reason)
+
+
+def _ns(monotonic_s: float) -> int:
+    return round(monotonic_s * 1e9)
 
 
 def _bulk(text: str) -> bytes:

@@ -21,6 +21,8 @@ _READ_SIZE = 1 << 16
 _MOST_UNSENT = 8 << 20  # bytes; a G1 server fills them in 13 s
 _CONNECT_TIMEOUT_S = 0.5  # a TCP handshake may cross a lab network; a unix socket answers at once
 
+_KEEP_ALIVE = (("TCP_KEEPIDLE", 2), ("TCP_KEEPINTVL", 1), ("TCP_KEEPCNT", 3))  # a peer that is gone is known after 5 s
+
 Argument = bytes | str | int
 
 
@@ -192,11 +194,6 @@ class Connection:
         with contextlib.suppress(OSError):  # it is gone already
             self._socket.shutdown(socket.SHUT_RDWR)
 
-    def wake(self) -> None:
-        """End a wait that another thread is in, as if the server had closed the connection."""
-        with contextlib.suppress(OSError):  # closed already
-            self._socket.shutdown(socket.SHUT_RDWR)
-
     def close(self) -> None:
         """Close the connection; a second call does nothing."""
         self._socket.close()
@@ -239,6 +236,7 @@ class Connection:
         stream = socket.create_connection(address, timeout=max(self._timeout_s, _CONNECT_TIMEOUT_S))
         try:
             stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            _keep_alive(stream)
             return self._wrap(stream) if self.address.tls else stream
         except OSError:
             stream.close()
@@ -263,6 +261,14 @@ class Connection:
             _checked_login(self.send_packed(pack("AUTH", *login))[0], address)
         reply = self.send_packed(pack("SELECT", address.db))[0]
         _checked_login(reply, address)
+
+
+def _keep_alive(stream: socket.socket) -> None:
+    """Have the kernel find out that a peer is gone that said nothing: unplugged, or its machine lost its power."""
+    stream.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in _KEEP_ALIVE:
+        if hasattr(socket, name):  # each system has some of them
+            stream.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 def _checked(reply: Any) -> Any:

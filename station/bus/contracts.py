@@ -52,7 +52,7 @@ class Contract(msgspec.Struct, frozen=True, kw_only=True):
 
 def contract(key: str) -> Contract | None:
     """Return the contract of a key, or None for a key that nobody has described."""
-    return _catalogue().get(key) or _by_prefix(key)
+    return _catalogue().get(key) or _by_prefix(key) or _of_operator(key)
 
 
 def contracts() -> tuple[Contract, ...]:
@@ -203,6 +203,39 @@ def _by_prefix(key: str) -> Contract | None:
     for prefix, note in _PREFIXES.items():
         if key.startswith(prefix):
             return Contract(key=key, family="station", role="control", codec="json", note=note)
+    return None
+
+
+_POSE = elements((("x", "y", "z"), "m"), (("qw", "qx", "qy", "qz"), ""))
+_TWIST = elements((("vx", "vy", "vz", "wx", "wy", "wz"), ""))
+_BODY_POS = elements((tuple(f"{name}_{axis}" for name in joints.SMPL_24 for axis in "xyz"), "m"))
+_BODY_QUAT = elements((tuple(f"{name}_q{axis}" for name in joints.SMPL_24 for axis in "wxyz"), ""))
+_HAND = tuple(Element(f"{name}_{item.name}", item.unit) for name in joints.HAND_26 for item in _POSE)
+_WORLD = "the operator's world: x forward, y left, z up"
+
+_OPERATOR: dict[str, tuple[Codec, tuple[Element, ...], str]] = {
+    keys.operator_status(""): ("json", (), "live, stale or lost, and why; counts of new samples and of repetitions"),
+    keys.operator_controls(""): ("json", (), "number by name: axes -1 to 1, triggers 0 to 1, buttons 0 or 1"),
+    keys.operator_head(""): ("f64", _POSE, _WORLD),
+    keys.operator_left(""): ("f64", _POSE, _WORLD),
+    keys.operator_right(""): ("f64", _POSE, _WORLD),
+    keys.operator_body_pos(""): ("f64", _BODY_POS, _WORLD),
+    keys.operator_body_quat(""): ("f64", _BODY_QUAT, f"{_WORLD}; a bone's orientation stands at its upper joint"),
+    keys.operator_hand_left(""): ("f64", _HAND, _WORLD),
+    keys.operator_hand_right(""): ("f64", _HAND, _WORLD),
+    keys.operator_twist(""): ("f64", _TWIST, "-1 to 1 of full deflection; x forward, y left, z up"),
+    keys.operator_joints(""): ("f64", (), "joint positions of the leader [rad], then its gripper from 0 to 1"),
+}
+"""Codec, elements and note by the beginning of a key; the name of the device server follows."""
+
+
+def _of_operator(key: str) -> Contract | None:
+    for prefix, (codec, items, note) in _OPERATOR.items():
+        if key.startswith(prefix) and not keys.is_stamp(key):
+            rate_hz = 100.0 if prefix == keys.operator_status("") else None  # samples come as the device gives them
+            return Contract(
+                key=key, family="station", role="sensor", codec=codec, elements=items, rate_hz=rate_hz, note=note
+            )
     return None
 
 

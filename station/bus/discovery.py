@@ -10,18 +10,22 @@ from pathlib import Path
 from station.bus import address as addresses
 from station.bus.address import BusAddress
 from station.bus.connection import Connection, ConnectionLost
-from station.bus.redis_server import RedisServer, ServerOptions
+from station.bus.keeper import KeptServer, OnRestart
+from station.bus.server_options import ServerOptions
 
 log = logging.getLogger(__name__)
 
 
 @contextmanager
-def found_or_started(named: BusAddress | None, *, tcp_port: int | None = None) -> Iterator[BusAddress]:
-    """Give the address of a server that answers; one that we start ends with the block.
+def found_or_started(
+    named: BusAddress | None, *, tcp_port: int | None = None, on_restart: OnRestart | None = None
+) -> Iterator[BusAddress]:
+    """Give the address of a server that answers; one that we start is kept alive, and ends with the block.
 
     Args:
         named: The bus that the user named; it must answer. None takes this user's own, started when it is not there.
         tcp_port: Loopback port to open beside the socket of a server that we start, for stock scripts.
+        on_restart: Called, in another thread, when a server that we started had to be started again.
 
     Raises:
         BusError: the named bus does not answer or refuses us, or no server could be started.
@@ -36,7 +40,7 @@ def found_or_started(named: BusAddress | None, *, tcp_port: int | None = None) -
     else:
         yield address
         return
-    with RedisServer.start(own_options(tcp_port)) as server:
+    with KeptServer.start(own_options(tcp_port), on_restart) as server:
         yield server.address
 
 

@@ -109,6 +109,62 @@ def command_source(robot: str) -> str:
     return f"command_source_{robot}"
 
 
+# -- Ours, per input device: what an operator does, in FLU and SI units, whatever the device --------------------------
+def operator_status(device: str) -> str:
+    """Whether the device is live, why not, and what its newest sample holds; written every tick."""
+    return f"operator_status_{device}"
+
+
+def operator_controls(device: str) -> str:
+    """Buttons, triggers, sticks and keys by name."""
+    return f"operator_controls_{device}"
+
+
+def operator_head(device: str) -> str:
+    """Pose of the headset."""
+    return f"operator_head_{device}"
+
+
+def operator_left(device: str) -> str:
+    """Pose of the left controller, or of what the left hand holds."""
+    return f"operator_left_{device}"
+
+
+def operator_right(device: str) -> str:
+    """Pose of the right controller, or of what the right hand holds."""
+    return f"operator_right_{device}"
+
+
+def operator_body_pos(device: str) -> str:
+    """Positions of the operator's 24 body joints."""
+    return f"operator_body_pos_{device}"
+
+
+def operator_body_quat(device: str) -> str:
+    """Orientations of the operator's 24 body joints."""
+    return f"operator_body_quat_{device}"
+
+
+def operator_hand_left(device: str) -> str:
+    """Poses of the 26 joints of the operator's left hand."""
+    return f"operator_hand_left_{device}"
+
+
+def operator_hand_right(device: str) -> str:
+    """Poses of the 26 joints of the operator's right hand."""
+    return f"operator_hand_right_{device}"
+
+
+def operator_twist(device: str) -> str:
+    """Deflection of a six-axis device."""
+    return f"operator_twist_{device}"
+
+
+def operator_joints(device: str) -> str:
+    """Joint positions of a leader arm."""
+    return f"operator_joints_{device}"
+
+
 # -- Ours, of the station ----------------------------------------------------------------------------------------
 ESTOP = "station:estop"
 ARM = "station:arm"

@@ -23,8 +23,8 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from station.bus import credentials
-from station.bus.address import BusAddress, password_file
+from station.bus import password_file
+from station.bus.address import BusAddress
 from station.bus.connection import Connection
 from station.bus.server_options import ServerOptions, address_of, arguments, secret_settings
 from station.errors import BusError
@@ -47,8 +47,9 @@ class RedisServer:
     included). So start it from the main thread, or from one that lives as long as the server is needed.
     """
 
-    def __init__(self, process: subprocess.Popen[bytes], address: BusAddress) -> None:
+    def __init__(self, process: subprocess.Popen[bytes], address: BusAddress, log_path: Path) -> None:
         self._process = process
+        self._log_path = log_path
         self.address = address
         self._socket_identity = _identity(Path(address.socket)) if address.socket is not None else None
 
@@ -71,7 +72,7 @@ class RedisServer:
             try:
                 _wait_until_it_answers(process, address, options, log_path)
                 _be_punctual(process.pid)
-                return cls(process, address)
+                return cls(process, address, log_path)
             except BaseException:
                 process.kill()
                 process.wait()
@@ -86,6 +87,12 @@ class RedisServer:
     def is_running(self) -> bool:
         """Whether the process is alive."""
         return self._process.poll() is None
+
+    @property
+    def ending(self) -> str:
+        """How the process ended, with its last words where it had any; "" while it is alive."""
+        status = self._process.poll()
+        return "" if status is None else _how(status) + (f"; {_last_words(self._log_path)}" if status > 0 else "")
 
     def stop(self) -> None:
         """Stop the server and remove its socket; a second call does nothing."""
@@ -117,7 +124,7 @@ class RedisServer:
         if self.address.socket is None:
             return
         path = Path(self.address.socket)
-        file, password = password_file(path), self.address.password
+        file, password = password_file.beside(path), self.address.password
         with contextlib.suppress(OSError):  # none was left, or it is gone already
             if password is not None and file.read_text().endswith(password + "\n"):
                 file.unlink()
@@ -157,12 +164,12 @@ def _leave_password(options: ServerOptions) -> None:
     """Tell this user's other processes the password of the server that is about to start, or that it has none."""
     if options.socket is None:
         return
-    file = password_file(options.socket)
+    file = password_file.beside(options.socket)
     user, password = options.own_login
     if password is None:
         file.unlink(missing_ok=True)
     else:
-        credentials.write_file(file, {user or "": password})
+        password_file.write(file, {user or "": password})
 
 
 def _spawn(binary: Path, options: ServerOptions, log_path: Path) -> subprocess.Popen[bytes]:
@@ -273,8 +280,11 @@ def _dead(status: int, options: ServerOptions, log_path: Path) -> BusError:
             f"TCP port {options.tcp_port} of this machine is in use (another Redis?); stop that one, "
             f"choose another port, or use it with --bus redis://localhost:{options.tcp_port}"
         )
-    how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
-    return BusError(f"bus server {how} while starting; {_last_words(log_path)}")
+    return BusError(f"bus server {_how(status)} while starting; {_last_words(log_path)}")
+
+
+def _how(status: int) -> str:
+    return f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
 
 
 def _last_words(log_path: Path) -> str:

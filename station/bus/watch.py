@@ -16,13 +16,14 @@ from collections.abc import Sequence
 
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
-from station.bus.connection import Connection, pack
+from station.bus.connection import Connection, ConnectionLost, pack
+from station.bus.outage import Outages
 from station.bus.sample import Sample
 from station.errors import BusError
 
 log = logging.getLogger(__name__)
 
-_RETRY_S = 0.1
+_RETRY_S = 0.05
 _POLL_S = 0.002  # where a server refuses notifications: five looks within one period of a 100 Hz writer
 _TIMEOUT_S = 0.25
 _IDLE_S = 1.0  # a silent link is probed this often, so that a frozen server is noticed
@@ -30,10 +31,26 @@ NEEDED_EVENTS = "K$gx"
 
 
 class Watch:
-    """Slots with the newest value of some keys, filled by a thread of its own that reconnects by itself."""
+    """Slots with the newest value of some keys, filled by a thread of its own that reconnects by itself.
 
-    def __init__(self, address: BusAddress, wanted: Sequence[str]) -> None:
+    After a cut every key is read again, since nobody told us of what was written meanwhile: what changed is taken up as
+    of unknown age, what was deleted stays in its slot with the age that it has.
+
+    Args:
+        address: Where the bus is.
+        wanted: Keys to watch.
+        outages: Account of the process, in which a cut is noted; None for none.
+
+    Attributes:
+        is_connected: Whether it hears at present.
+        connections: How often it began to hear; one more means that the server may have been restarted.
+    """
+
+    def __init__(self, address: BusAddress, wanted: Sequence[str], *, outages: Outages | None = None) -> None:
         self._address = address
+        self._outages = outages
+        self._cut_ns: int | None = None  # since when we hear nothing
+        self._last_error = ""
         self._keys = tuple(dict.fromkeys(wanted))
         self._slots: dict[str, Sample] = {}
         self._newest_mark: dict[str, stamp.Stamp | None] = {}
@@ -41,6 +58,7 @@ class Watch:
         self._closed = threading.Event()
         self._armed = threading.Event()
         self.is_connected = False
+        self.connections = 0
         self._events: Connection | None = None
         self._thread = threading.Thread(target=self._run, name="bus-watch", daemon=True)
         self._thread.start()
@@ -87,9 +105,13 @@ class Watch:
             try:
                 self._follow()
             except BusError as error:
-                if self.is_connected and not self._closed.is_set():
+                was_connected, self.is_connected = self.is_connected, False
+                if str(error) != self._last_error and not self._closed.is_set():
+                    self._last_error = str(error)
                     log.warning("watch: %s", error)
-                self.is_connected = False
+                if was_connected:
+                    self._cut_ns = self._cut_ns or time.monotonic_ns()
+                    continue  # where only the connection was cut, the next one works at once
                 self._closed.wait(_RETRY_S)
 
     def _follow(self) -> None:
@@ -112,14 +134,18 @@ class Watch:
         channels = [prefix + name for key in self._keys for name in (key, keys.stamp(key))]
         events.send("SUBSCRIBE", *channels)
         for _ in channels:
-            events.receive(_TIMEOUT_S)
+            _check_subscribed(events)
         self._fill_at_start(reader)
+        heard_ns = time.monotonic_ns()
         while not self._closed.is_set():
             try:
                 message = events.receive(_IDLE_S)
             except TimeoutError:
+                self._cut_ns = heard_ns
                 reader.call("PING")  # raises when the server is frozen or gone
+                self._cut_ns, heard_ns = None, time.monotonic_ns()
                 continue
+            heard_ns = time.monotonic_ns()
             touched: Counter[str] = Counter()
             while message is not False:
                 touched[message[1].decode("utf-8", "surrogateescape")[len(prefix) :]] += 1
@@ -142,6 +168,10 @@ class Watch:
                 known = self._slots.get(key)
                 if value is not None and (known is None or (known.value, known.stamp) != (value, mark)):
                     self._slots[key] = Sample(key, value, mark, None)
+        if self._cut_ns is not None and self._outages is not None:
+            self._outages.note("watch-back", self._cut_ns)
+        self._cut_ns, self._last_error = None, ""
+        self.connections += 1
         self.is_connected = True
         self._armed.set()
 
@@ -174,6 +204,20 @@ class Watch:
             raise BusError(f"bus {self._address}: {values}")
         marks = (stamp.decode(mark) if mark else None for mark in values[1::2])
         return dict(zip(wanted, zip(values[::2], marks, strict=True), strict=True))
+
+
+def _check_subscribed(events: Connection) -> None:
+    """Take the answer to one subscription.
+
+    Raises:
+        BusError: it was refused, or did not come: a watch that goes on would hear nothing for ever.
+    """
+    try:
+        answer = events.receive(_TIMEOUT_S)
+    except TimeoutError as error:
+        raise ConnectionLost(f"bus {events.address}: no answer to a subscription in time") from error
+    if isinstance(answer, Exception):
+        raise BusError(f"bus {events.address} refuses subscriptions: {answer}")
 
 
 def enable_notifications(connection: Connection) -> bool:

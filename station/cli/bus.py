@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 import click
 
 from station.cli.options import Verbs, address_of, bus_option, json_option
-from station.errors import BusError, UsageError
+from station.errors import UsageError
 
 if TYPE_CHECKING:
-    from station.bus.redis_server import RedisServer, ServerOptions
+    from station.bus.keeper import KeptServer
+    from station.bus.server_options import ServerOptions
 
 _STOCK_PORT = 6379
 
@@ -33,17 +34,17 @@ def command() -> None:
               help="Users, and what each may do, in place of one password; see `station bus acl`.")  # fmt: skip
 def start(tcp_port: int | None, bind: str | None, acl_file: Path | None) -> None:
     """Run a bus in this terminal until it is interrupted."""
-    from station.bus.redis_server import RedisServer
+    from station.bus.keeper import KeptServer
 
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     options = _options(tcp_port, bind, acl_file)
-    with RedisServer.start(options) as server:
+    with KeptServer.start(options, on_restart=lambda text: click.echo(text, err=True)) as server:
         _introduce(server, options)
         while not stop.wait(0.5):
-            if not server.is_running:
-                raise BusError(f"bus {server.address}: its server (pid {server.pid}) has died; start it again")
+            if server.error is not None:
+                raise server.error
 
 
 def _options(tcp_port: int | None, bind: str | None, acl_file: Path | None) -> ServerOptions:
@@ -74,14 +75,15 @@ def _options(tcp_port: int | None, bind: str | None, acl_file: Path | None) -> S
     )
 
 
-def _introduce(server: RedisServer, options: ServerOptions) -> None:
-    from station.bus.address import PASSWORD_FILE_VARIABLE, password_file
+def _introduce(server: KeptServer, options: ServerOptions) -> None:
+    from station.bus import password_file
+    from station.bus.address import PASSWORD_FILE_VARIABLE
 
     click.echo(f"bus {server.address} (pid {server.pid}); every station command of yours finds it by itself")
     if options.bind is not None and options.socket is not None:
         click.echo(f"other machines: redis://{options.bind}:{options.tcp_port}/0, in clear text, with a password")
         if options.acl_file is None:
-            file = password_file(options.socket)
+            file = password_file.beside(options.socket)
             click.echo(f"  it is in {file}; copy that file and name the copy in ${PASSWORD_FILE_VARIABLE}")
         click.echo("  stock scripts give no password: they do not work on this bus")
     elif options.tcp_port is not None:
@@ -97,12 +99,12 @@ def _introduce(server: RedisServer, options: ServerOptions) -> None:
 def acl(passwords: Path | None, hashes: tuple[str, ...]) -> None:
     """Print the access control list of a shared bus, with a user per role (Redis 7 or Valkey)."""
     from station.bus import acl as lists
-    from station.bus.credentials import write_file
+    from station.bus import password_file
 
     digests = dict(_hash(option) for option in hashes)
     if passwords is not None:
         made = {role: password for role, password in lists.new_passwords().items() if role not in digests}
-        write_file(passwords, made)
+        password_file.write(passwords, made)
         digests |= {role: lists.sha256(password) for role, password in made.items()}
     click.echo(lists.rules(digests), nl=False)
     missing = [role for role in lists.WRITES if role not in digests]

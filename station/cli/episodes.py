@@ -60,7 +60,7 @@ def listing(task: str | None, data: Path | None, as_json: bool) -> None:
             plain(row.problem or row.verdict or "unchecked"),
             "" if row.seconds is None else f"{row.seconds:.1f} s",
             str(row.messages),
-            str(row.lost),
+            f"{row.lost}, {row.dropped} dropped" if row.dropped else str(row.lost),
             str(row.falls),
             {None: "–", True: "yes", False: "no"}[row.success],
             f"{row.size_bytes / 1e6:.1f} MB",

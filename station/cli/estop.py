@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import getpass
-
 import click
 
-from station.bus import codec, keys
-from station.bus.client import Bus
 from station.cli.options import address_of, bus_option
-from station.errors import BusError, UsageError
+from station.errors import NotReady, UsageError
+from station.life.stop_button import StopButton
 
 
 @click.command("estop")
@@ -25,10 +22,15 @@ def command(reset: bool, arm: bool, reason: str, bus: str | None) -> None:
     """Stop every robot on the bus: its joints are damped until --reset. `SET station:estop 1` does the same."""
     if arm and not reset:
         raise UsageError("--arm: expected together with --reset; a stop arms nothing")
-    with Bus(address_of(bus), name="estop", timeout_s=1.0) as line:
-        request = {"stop": not reset, "who": getpass.getuser(), "reason": reason} | ({"arm": True} if arm else {})
-        if not line.publish({keys.ESTOP: codec.json_object(request)}):
-            raise BusError(f"bus {line.address}: the stop was NOT taken ({line.last_error}); use the robot's own stop")
-    click.echo(
-        "e-stop released" if reset else "e-stop: every robot on this bus is damped; `station estop --reset` releases"
-    )
+    with StopButton(address_of(bus)) as button:
+        if reset:
+            button.release(reason, arm=arm)
+            click.echo("e-stop released")
+            return
+        button.press(reason)
+        robots = button.robots()
+        if left := button.unstopped():
+            said = ", ".join(f"{name} ({state})" for name, state in left.items())
+            raise NotReady(f"the bus has the stop, but not every robot obeys: {said}; use the robot's own stop")
+    said = "every robot on this bus is damped" if robots else "latched, but no robot runs on this bus"
+    click.echo(f"e-stop: {said}; `station estop --reset` releases")

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import logging
-import select
 import sys
-import termios
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import TracebackType
 
-import click
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.markup import escape
 
 from station.bus.client import Bus
+from station.cli import stop_key
+from station.cli.keyboard import Keyboard
+from station.cli.stop_key import StopKey
 from station.errors import BusError
 from station.life.events import Severity
 from station.life.server import Health
+from station.life.stop_button import StopButton
 from station.view import progress_panel
 from station.view.progress import ProgressReader
 from station.view.table import plain, render_servers
@@ -28,17 +29,21 @@ from station.view.table import plain, render_servers
 _REFRESH_HZ = 8
 _LOOK_S = 0.5  # without a screen
 _TELL_S = 10.0  # without a screen, while the same is being played
-_LISTEN_S = 0.05
+_AGAIN = ("r", "R")
 _LONGEST = 200  # characters of something that happened; the log and the episode have the rest
 _MARKS: dict[Severity, str] = {"info": "[cyan]·[/]", "warning": "[yellow]![/]", "error": "[red]✗[/]"}
 
 
 class TerminalFace:
-    """Prints steps and events to stderr; a real terminal has a footer below them that tells how the run is going.
+    """Prints steps and events to stderr; a real terminal has a footer below them that tells how the run is going, and
+    keys: for the emergency stop, at any time, and for what a session offers.
 
     Args:
         stop: Ends a question without an answer when it is set.
         is_brief: For somebody who looks on: no table of the servers, and lines of progress where there is no screen.
+
+    Attributes:
+        estop_directly: What the emergency stop's key does beside writing it to the bus.
     """
 
     def __init__(self, stop: threading.Event, *, is_brief: bool = False) -> None:
@@ -51,16 +56,43 @@ class TerminalFace:
         self._told, self._told_s, self._looked_s = "", 0.0, 0.0
         self._log = _Log(self)
         self._handlers: list[logging.Handler] = []
+        self._stop_key: StopKey | None = None
+        self.estop_directly: Callable[[], None] = lambda: None
+        self._keyboard = Keyboard(self._act_at_once, self._look_after_stop, self._echo)
+        self._offered = ""
 
     @contextmanager
     def watching(self, bus: Bus, names: Sequence[str]) -> Iterator[None]:
-        """Show, until the end of the block, how the run of some servers on a bus is going."""
+        """Show, until the end of the block, how the run of some servers on a bus is going, and listen to the keys."""
         self._names, self._progress = names, ProgressReader(bus, names)
         try:
-            yield
+            with StopButton(bus.address, name="stop-key") as button, self._keyboard:
+                self._stop_key = StopKey(button, self._stop_directly, self.say)
+                if self._keyboard.is_there and not self._console.is_terminal:
+                    self.say(stop_key.HINT)
+                yield
         finally:
+            self._stop_key = None
             self._end_footer()
             self._progress = None
+
+    @property
+    def is_attended(self) -> bool:
+        """Whether a person is at the terminal."""
+        return self._keyboard.is_there
+
+    def offer(self, restart: str) -> None:
+        """Show that a key starts some servers again, or no more."""
+        self._offered = restart
+        while self._keyboard.take():  # what was typed before the offer does not take it
+            pass
+
+    def take_restart(self) -> bool:
+        """Whether that key was pressed since the last call."""
+        found = False
+        while key := self._keyboard.take():
+            found = found or key in _AGAIN
+        return found and bool(self._offered)
 
     def __enter__(self) -> TerminalFace:
         root = logging.getLogger()
@@ -96,16 +128,14 @@ class TerminalFace:
     def confirm(self, sentence: str) -> bool:
         """Ask a person; without one at the terminal, and when interrupted, the answer is no."""
         self._end_footer()
-        if not sys.stdin.isatty():
+        if not self._keyboard.is_there:
             self.say("nobody is here to answer; use --yes in simulation", "error")
             return False
-        termios.tcflush(sys.stdin, termios.TCIFLUSH)  # what was typed before the question is no answer to it
-        click.echo(f"? {sentence} [y/N]: ", nl=False, err=True)
-        while not self._stop.is_set():
-            if select.select([sys.stdin], [], [], _LISTEN_S)[0]:
-                return sys.stdin.readline().strip().lower() in ("y", "yes")
-        click.echo(err=True)
-        return False
+        self._echo(f"? {sentence} [y/N] ({stop_key.HINT}): ")
+        answer = self._keyboard.ask(self._stop)
+        if self._stop.is_set():
+            self._echo("\n")
+        return not self._stop.is_set() and answer.strip().lower() in ("y", "yes")
 
     def show(self, health: list[Health]) -> None:
         """Show how the run goes; the footer looks for itself, more often than it is told."""
@@ -136,14 +166,45 @@ class TerminalFace:
 
     def _footer(self) -> RenderableType:
         """Return what stands below the lines; called by a thread of the terminal's."""
-        if self._progress is None:
-            return f"[dim]… {escape(self._step)}[/]" if self._step else ""
+        return Group(*self._progress_lines(), self._key_line())
+
+    def _progress_lines(self) -> Iterator[RenderableType]:
         try:
-            seen = self._progress.look()
+            seen = self._progress.look() if self._progress is not None else None
         except BusError:  # the session tells of it
-            return f"[dim]… {escape(self._step)}[/]" if self._step else ""
-        panel = progress_panel.panel(seen, self._names, self._step)
-        return panel if self._is_brief else Group(panel, "", render_servers(seen.servers))
+            seen = None
+        if seen is None:
+            yield f"[dim]… {escape(self._step)}[/]" if self._step else ""
+            return
+        yield progress_panel.panel(seen, self._names, self._step)
+        if not self._is_brief:
+            yield from ("", render_servers(seen.servers))
+        if seen.robot is not None and seen.robot.gate == "stopped":
+            yield "[bold red]EMERGENCY STOP is latched; release it with: station estop --reset[/]"
+
+    def _key_line(self) -> RenderableType:
+        if not self._keyboard.is_there:
+            return ""
+        again = f"[bold yellow]r: start {escape(self._offered)} again[/] · " if self._offered else ""
+        return f"{again}[bold]{stop_key.HINT}[/] · Ctrl-C: take down"
+
+    def _act_at_once(self, key: str, is_typing: bool) -> bool:
+        """Stop the robots if that is what a key asks for; in an answer such as "yes" an e is a letter."""
+        if self._stop_key is None or key not in stop_key.KEYS or (is_typing and key != " "):
+            return False
+        self._stop_key.press()
+        return True
+
+    def _stop_directly(self) -> None:
+        self.estop_directly()
+
+    def _look_after_stop(self) -> None:
+        if self._stop_key is not None:
+            self._stop_key.try_again()
+
+    def _echo(self, text: str) -> None:
+        sys.stderr.write(text)
+        sys.stderr.flush()
 
     def _end_footer(self) -> None:
         if self._live is not None:

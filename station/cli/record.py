@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from station import config
 from station.cli.options import Verbs, address_of, bus_option, json_option
 from station.printable import printable
 
@@ -25,12 +26,16 @@ def command() -> None:
 @click.option("--task", default="", help="Name of the task; episodes of a task share a folder.")
 @click.option("--instruction", default="", help="Language instruction.")
 @click.option("--operator", default="", help="Who operates.  [default: your login name]")
+@click.option("--planned", metavar="DURATION", default=None, help="Refuse when the disk cannot hold this long (2min).")
 @bus_option
 @json_option
-def start(task: str, instruction: str, operator: str, bus: str | None, as_json: bool) -> None:
+def start(
+    task: str, instruction: str, operator: str, planned: str | None, bus: str | None, as_json: bool
+) -> None:  # fmt: skip
     """Begin an episode."""
     person = {"id": operator or getpass.getuser()}
-    _ask("start", bus, as_json, task=task, instruction=instruction, operator=person)
+    planned_s = None if planned is None else config.seconds(planned, where="--planned")
+    _ask("start", bus, as_json, task=task, instruction=instruction, operator=person, planned_s=planned_s)
 
 
 @command.command("stop")

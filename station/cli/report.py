@@ -5,8 +5,18 @@ from __future__ import annotations
 from rich.console import Console
 
 from station.cli.tables import Column, plain, print_table
-from station.episode.quality import Quality, Spread, StepQuality, StreamQuality
+from station.episode.quality import Interruption, Quality, Spread, StepQuality, StreamQuality
 
+_MOST_ROWS = 20
+_KINDS = {
+    "bus-silent": ("silent once", "silent {} times"),
+    "bus-lost": ("lost once", "lost {} times"),
+    "bus-refused": ("refused writes once", "refused writes {} times"),
+    "watch-cut": ("unheard by a server once", "unheard by servers {} times"),
+    "tap-cut": ("recording link cut once and resumed,", "recording link cut {} times and resumed"),
+    "hole": ("1 hole in the recording,", "{} holes in the recording"),
+    "recorder-restart": ("recorder restarted once, away", "recorder restarted {} times"),
+}
 _COLOURS = {"good": "green", "usable": "yellow", "reject": "red"}
 
 
@@ -21,6 +31,7 @@ def print_quality(quality: Quality) -> None:
         console.print(
             f"  [{_COLOURS[reason.verdict]}]{reason.verdict}[/] {reason.rule}: {plain(reason.text)}", soft_wrap=True
         )
+    _print_interruptions(console, quality)
     console.print()
     _print_streams(quality.streams)
     for steps in quality.steps:
@@ -30,11 +41,49 @@ def print_quality(quality: Quality) -> None:
 
 def _headline(quality: Quality) -> str:
     lost = sum(stream.lost for stream in quality.streams)
+    dropped = f", {quality.dropped} dropped" if quality.dropped else ""
     tap = f"{plain(quality.backend or 'unknown')} tap{'' if quality.is_lossless else ' (lossy)'}"
     return (
-        f"{quality.duration_s:.1f} s, {quality.messages} messages, {lost} lost, {quality.falls} falls, "
+        f"{quality.duration_s:.1f} s, {quality.messages} messages, {lost} lost{dropped}, {quality.falls} falls, "
         f"{quality.resets} resets, {quality.recorder_restarts} recorder restarts, {tap}"
     )
+
+
+def _print_interruptions(console: Console, quality: Quality) -> None:
+    """Print what became of the bus and of the recorder's link to it, a line each."""
+    found = quality.interruptions
+    if not found:
+        console.print("\n[dim]bus: no interruption[/]")
+        return
+    console.print(f"\n[bold]bus[/]: {_summary(found)}", soft_wrap=True)
+    columns = [*map(Column, ("at", "lasted", "lost")), Column("what", "left"), Column("told by", "left")]
+    rows = [
+        (
+            f"{item.at_s:.2f} s",
+            "to the end" if item.seconds is None else f"{item.seconds:.2f} s",
+            "–" if item.lost is None else f"[red]{item.lost}[/]" if item.lost else "0",
+            plain(f"{item.kind}: {item.reason}" if item.reason else item.kind),
+            plain(", ".join(item.told_by)),
+        )
+        for item in found[:_MOST_ROWS]
+    ]
+    print_table(columns, rows, indent=2)
+    if len(found) > _MOST_ROWS:
+        console.print(f"  [dim]… and {len(found) - _MOST_ROWS} more; --json has all[/]")
+
+
+def _summary(found: list[Interruption]) -> str:
+    """Say in a line what the interruptions were, and what they cost."""
+    words = []
+    for kind, (one, several) in _KINDS.items():
+        items = [item for item in found if item.kind == kind]
+        if items:
+            lost = sum(item.lost or 0 for item in items)
+            cost = "" if all(item.lost is None for item in items) else f" ({lost} writes lost)"
+            longest = max(item.seconds or 0.0 for item in items)
+            how = f"{one} for" if len(items) == 1 else f"{several.format(len(items))}, longest"
+            words.append(f"{how} {longest:.2f} s{cost}")
+    return "; ".join(words)
 
 
 def _print_streams(streams: list[StreamQuality]) -> None:

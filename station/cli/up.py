@@ -70,9 +70,14 @@ def run(
 
     named = addresses.parse(bus) if bus else None
     names = [step.start for step in book.servers]
-    with _stop_on_signals() as stop, TerminalFace(stop, is_brief=is_brief) as face, found_or_started(named) as address:
+    with (
+        _stop_on_signals() as stop,
+        TerminalFace(stop, is_brief=is_brief) as face,
+        found_or_started(named, on_restart=lambda text: face.say(text, "warning")) as address,
+    ):
         with Bus(address, name="supervisor", timeout_s=1.0) as line, face.watching(line, names):
             supervisor = Supervisor(line, log_folder(address), {"STATION_DATA": str(data.absolute())})
+            face.estop_directly = supervisor.estop
             session = Session(book, line, supervisor, face, data=data, recording=recording, is_unattended=unattended)
             try:
                 code = session.run(stop, for_s=for_s)
@@ -93,6 +98,7 @@ def _summary(episode: RecordAnswer) -> str:
     shown = f"{episode.episode_id}"
     if counted:
         shown += f": {counted['seconds']:.1f} s, {counted['messages']} messages, {counted['lost']} lost"
+        shown += f", {counted['dropped']} dropped" if counted["dropped"] else ""
     return shown
 
 
@@ -100,10 +106,14 @@ def print_plan(book: Runbook) -> None:
     """Print the steps of a runbook."""
     click.echo(f"{book.name} · {book.description}" if book.description else book.name)
     for number, step in enumerate(book.steps, 1):
-        within = f"  (ready within {step.ready_within_s:g} s)" if isinstance(step, StartStep) else ""
+        within = f"  (ready within {step.ready_within_s:g} s{_fate(step)})" if isinstance(step, StartStep) else ""
         click.echo(f"{number:3}. {step}{within}")
     click.echo(f"at the end, stop: {', '.join(step.start for step in reversed(book.servers)) or 'nothing'}")
     click.echo(f"on failure, stop: {', '.join(book.stop_order) or 'nothing'}")
+
+
+def _fate(step: StartStep) -> str:
+    return "" if step.if_it_dies == "ask" else f"; if it dies: {step.if_it_dies}"
 
 
 @contextmanager

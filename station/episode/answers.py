@@ -7,13 +7,14 @@ from collections import deque
 from station.episode.request import RecordAnswer
 
 _REMEMBERED = 64
+_MOST_DUE = 256  # of a flood of requests the newest are answered: whoever sent the others has stopped waiting
 
 
 class Answers:
     """Queue of answers, with a memory of the newest requests."""
 
     def __init__(self) -> None:
-        self._due: deque[RecordAnswer] = deque()
+        self._due: deque[RecordAnswer] = deque(maxlen=_MOST_DUE)
         self._known: dict[str, RecordAnswer | None] = {}
 
     def is_new(self, asker: str | None) -> bool:

@@ -12,10 +12,11 @@ from station.bus.contracts import Contract, contract
 from station.episode import layout
 from station.episode.manifest import Stream
 
-MAX_CHANNELS = 60_000
-"""The number of a channel has 16 bits; a client that invents keys must not break the file."""
+MAX_CHANNELS = 16_000
+"""A client that invents keys must fill neither the memory nor the file; each channel takes about 2 kB of both."""
 
 _NANOSECONDS = 1e-9
+_LARGEST_JSON = 1 << 20
 
 
 class Channel:
@@ -25,7 +26,8 @@ class Channel:
         id: Number in the file.
         key, source, encoding: As in `station.episode.manifest.Stream`.
         shares_clock: Whether the source's monotonic clock is ours, so that its stamps fall on our time line.
-        count, lost, repeated: Messages; sequence numbers missing between them; messages that did not advance.
+        count, lost, repeated: Messages; sequence numbers missing between them, whoever lost or dropped them; messages
+            that did not advance.
         last_sequence: Newest sequence number; of a foreign writer our own count.
         first_ns, last_ns: First and newest log time [ns].
         longest_gap_ns: Longest time between two log times [ns].
@@ -74,16 +76,16 @@ class Channel:
 
     @property
     def topic(self) -> str:
-        """The key as valid text; bytes of it that are no UTF-8 are written as escapes."""
-        return self.key.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+        """The key as `topic_of` writes it."""
+        return topic_of(self.key)
 
     @property
     def writer(self) -> str:
         """Name of the server that writes it, or ``foreign``."""
         return self.source.split(".", 1)[0] if self.source else layout.FOREIGN
 
-    def stream(self, start_ns: int) -> Stream:
-        """Return the manifest's entry, times relative to `start_ns`."""
+    def stream(self, start_ns: int, dropped: tuple[int, int] = (0, 0)) -> Stream:
+        """Return the manifest's entry: times relative to `start_ns`; how many writes, and bulky ones, were dropped."""
         span = (self.last_ns - self.first_ns) * _NANOSECONDS
         several = self.count > 1
         return Stream(
@@ -94,13 +96,20 @@ class Channel:
             contract=self.contract is not None,
             encoding=self.encoding,
             count=self.count,
-            lost=self.lost,
+            lost=max(0, self.lost - dropped[0]),
+            dropped=dropped[0],
+            dropped_bulky=dropped[1],
             repeated=self.repeated,
             rate_hz=round((self.count - 1) / span, 3) if several and span > 0 else None,
             longest_gap_s=round(self.longest_gap_ns * _NANOSECONDS, 6) if several else None,
             first_s=round((self.first_ns - start_ns) * _NANOSECONDS, 6) if self.count else None,
             last_s=round((self.last_ns - start_ns) * _NANOSECONDS, 6) if self.count else None,
         )
+
+
+def topic_of(key: str) -> str:
+    """Return a key as valid text; bytes of it that are no UTF-8 are written as escapes."""
+    return key.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
 
 
 def channel_from(record: mcap.records.Channel) -> Channel:
@@ -111,7 +120,9 @@ def channel_from(record: mcap.records.Channel) -> Channel:
 
 
 def encoding_of(value: bytes) -> str:
-    """Return the encoding of a channel whose first value this is."""
+    """Return the encoding of a channel whose first value this is; megabytes are not parsed to learn that."""
+    if len(value) > _LARGEST_JSON:
+        return layout.BYTES
     try:
         json.loads(value)
     except (ValueError, RecursionError):

@@ -11,8 +11,8 @@ from typing import Any
 import msgspec
 
 from station.bus import codec, keys
-from station.episode import falls, steps, stream_quality
-from station.episode.manifest import Manifest, load_manifest, save_manifest
+from station.episode import falls, interruptions, steps, stream_quality
+from station.episode.manifest import MAX_STREAMS, Manifest, load_manifest, save_manifest
 from station.episode.quality import FallSeen, Limits, Quality
 from station.episode.reader import EpisodeReader, Message
 from station.episode.rules import judge
@@ -36,7 +36,8 @@ def check(reader: EpisodeReader, limits: Limits | None = None) -> Quality:
     for message in reader.messages():
         counter.feed(message)
         if message.topic == keys.EVENT:
-            events.append(((message.log_ns - start_ns) * 1e-9, _event(message)))
+            event = _event(message)
+            events.append(((message.log_ns - start_ns) * 1e-9 - interruptions.late_s(event), event))
         for robot, joiner in joiners.items():
             step = joiner.feed(message)
             if step is not None:
@@ -61,7 +62,8 @@ def write_measured(folder: Path, quality: Quality) -> Manifest:
             "stop the recording and check again (an episode whose recorder was killed keeps its manifest as it is)"
         )
     manifest = load_manifest(folder)
-    manifest.quality = {"measured_at": datetime.now(UTC).isoformat(), **msgspec.to_builtins(quality)}
+    listed = msgspec.structs.replace(quality, streams=quality.streams[:MAX_STREAMS])  # as the manifest's own
+    manifest.quality = {"measured_at": datetime.now(UTC).isoformat(), **msgspec.to_builtins(listed)}
     save_manifest(manifest, folder)
     return manifest
 
@@ -86,10 +88,12 @@ def _assemble(
     start_ns: int,
 ) -> Quality:
     manifest, flags, recorder = reader.manifest, reader.manifest.quality_flags, reader.manifest.recorder
-    streams = counter.streams(start_ns)
+    drops = reader.drops()
+    streams = counter.streams(start_ns, drops)
     names = Counter(str(event.get("name", "")) for _, event in events)
     reported = [_fall(at_s, event) for at_s, event in events if event.get("name") == "fall"]
     seen = falls.merged(reported, [fall for meter in meters.values() for fall in meter.falls()])
+    found = interruptions.find(events, manifest)
     return Quality(
         episode_id=reader.episode_id,
         duration_s=max((s.last_s for s in streams), default=0.0) - min((s.first_s for s in streams), default=0.0),
@@ -101,11 +105,13 @@ def _assemble(
         falls_seen=seen,
         resets=names["operator-reset"],
         estops=names["estop"],
-        # A lost bus hears no event: what tells of it is its return, or the end of the episode.
-        bus_lost=names["bus-lost"] + names["bus-back"] + (recorder.ended_by == "bus-lost"),
+        interruptions=found,
+        bus_lost=sum(item.kind == "bus-lost" for item in found),
         events=dict(sorted(names.items())),
         recorder_restarts=recorder.restarts,
-        dropped=recorder.dropped,
+        dropped=max(recorder.dropped, drops.total),
+        dropped_bulky=drops.bulky,
+        dropped_keys=drops.by_key(20),
         holes=len(manifest.holes),
         backend=recorder.backend,
         is_lossless=recorder.is_lossless,

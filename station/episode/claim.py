@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import hashlib
 import os
@@ -32,14 +33,39 @@ class Claim:
     """
 
     def __init__(self, data: Path, bus: Bus) -> None:
+        self._data = data
         self._descriptors: list[int] = []
         try:
-            before = self._lock(_made(data) / _LOCK, f"data folder {data}", "give this one another --data")
+            before = self._lock_data()
             name = f"recorder-{hashlib.sha256(str(bus.address).encode()).hexdigest()[:12]}.lock"
             self._lock(runtime_folder() / name, f"bus {bus.address}", "one is enough, it records every key")
             self._listen(bus, before)
         except BaseException:
             self.close()
+            raise
+
+    def renew(self) -> None:
+        """See that the data folder is still ours: one that was removed, or whose disk was changed, is claimed anew.
+
+        Raises:
+            Refused: another recorder has claimed it meanwhile.
+            EpisodeError: it cannot be made, or written.
+        """
+        ours = os.fstat(self._descriptors[0])
+        try:
+            if os.path.samestat(os.stat(self._data / _LOCK), ours):
+                return
+        except OSError:  # it is not there: made again below, or that says why it cannot be
+            pass
+        former, self._descriptors = self._descriptors, []
+        try:
+            self._lock_data()
+            self._descriptors += former[1:]
+            os.close(former[0])
+        except (Refused, EpisodeError):
+            for descriptor in self._descriptors:
+                os.close(descriptor)
+            self._descriptors = former
             raise
 
     def close(self) -> None:
@@ -54,6 +80,9 @@ class Claim:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _lock_data(self) -> str:
+        return self._lock(_made(self._data) / _LOCK, f"data folder {self._data}", "give this one another --data")
+
     def _lock(self, path: Path, what: str, remedy: str) -> str:
         """Take a lock; returns the process that had it before."""
         try:
@@ -65,8 +94,9 @@ class Claim:
         holder = os.pread(descriptor, 32, 0).decode("ascii", "replace").strip()
         if not is_ours:
             raise Refused(f"{what}: another recorder (pid {holder or 'unknown'}) is at work; stop it first: {remedy}")
-        os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, b"%d\n" % os.getpid(), 0)
+        with contextlib.suppress(OSError):  # the disk is full: the lock holds, only nobody reads whose it is
+            os.ftruncate(descriptor, 0)
+            os.pwrite(descriptor, b"%d\n" % os.getpid(), 0)
         return holder
 
     @staticmethod

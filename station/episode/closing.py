@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from station.episode.anchor import Anchor
-from station.episode.manifest import Manifest
+from station.episode.manifest import MAX_STREAMS, Manifest
 from station.episode.progress import Gap, Totals
 
 
@@ -30,7 +30,8 @@ def measure_holes(manifest: Manifest, anchor: Anchor, gaps: list[Gap]) -> None:
 def close_manifest(manifest: Manifest, anchor: Anchor, totals: Totals) -> None:
     """Put the counters of the closed file into its manifest."""
     manifest.state = "finished"
-    manifest.streams = totals.streams
+    manifest.streams = totals.streams[:MAX_STREAMS]
+    manifest.streams_not_listed = len(totals.streams) - len(manifest.streams)
     recorder = manifest.recorder
     recorder.messages, recorder.bytes, recorder.dropped = totals.messages, totals.bytes, totals.dropped
     recorder.lag_p50_ms, recorder.lag_p99_ms = totals.lag_p50_ms, totals.lag_p99_ms
@@ -55,7 +56,7 @@ def summary_of(manifest: Manifest) -> dict[str, Any]:
         "preroll_s": manifest.timing.preroll_s,
         "messages": recorder.messages,
         "bytes": recorder.bytes,
-        "streams": len(manifest.streams),
+        "streams": len(manifest.streams) + manifest.streams_not_listed,
         "foreign_streams": sum(not stream.source for stream in manifest.streams),
         "lost": sum(stream.lost for stream in manifest.streams),
         "dropped": recorder.dropped,

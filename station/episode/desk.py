@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,9 +15,10 @@ from station.episode.answers import Answers
 from station.episode.folder import new_folder
 from station.episode.heard import Heard
 from station.episode.manifest import Manifest, Recorder, Task, Timing, load_manifest, save_manifest
-from station.episode.options import Notice, RecordingOptions, no_space
+from station.episode.options import Notice, RecordingOptions
 from station.episode.request import RecordAnswer, RecorderState, RecordRequest, parse_request, request_id
 from station.episode.ring import Ring
+from station.episode.room import Room
 from station.episode.take import Take, iso
 from station.episode.writer import EpisodeWriter
 from station.errors import EpisodeError, Refused
@@ -27,6 +28,10 @@ from station.software import software
 if TYPE_CHECKING:
     from station.bus.tap import Position, Write
 
+_MOST_CLOSING = 8  # each holds a queue and a thread until the disk lets go of it
+_MOST_NOTICES = 256  # that wait; of a flood of requests, each of which is refused, the newest are told
+_NONE = "no episode is being recorded"
+
 
 class Desk:
     """What is recorded now, what is being closed, and who waits for an answer.
@@ -35,13 +40,17 @@ class Desk:
         answers: Answers that are to be published; the owner takes them out.
         notices: Events that are to be published, likewise.
         tap: What the manifest says of the tap in use: backend, losslessness, address of the bus.
+        room: Whether the disk has room for an episode; to be told what is written on the bus.
+        claim: Called before an episode begins; raises `Refused` where the data folder is another recorder's by now.
     """
 
     def __init__(self, options: RecordingOptions, tap: Recorder) -> None:
         self.options = options
         self.answers = Answers()
-        self.notices: deque[Notice] = deque()
+        self.notices: deque[Notice] = deque(maxlen=_MOST_NOTICES)
         self.tap = tap
+        self.room = Room(options)
+        self.claim: Callable[[], None] = lambda: None
         self._heard = Heard()
         self._ring = Ring(options.preroll_s, options.preroll_bytes)
         self._position: Position | None = None  # of the tap, behind what it returned so far
@@ -58,8 +67,15 @@ class Desk:
         if take is not None:
             take.save_if_due()
             self._answer_start(take)
+            for name, severity, numbers in take.writer.news():
+                self._notice(name, severity, episode_id=take.episode_id, **numbers)
             if take.writer.state == "failed":
                 self._give_up(take)
+            elif self.room.is_used_up:
+                self._end_in_time(take)
+        size = self._take.writer.size if self._take is not None else None
+        for news in self.room.follow(size):
+            self._notice(news.name, news.severity, **self._which(), **news.numbers)
         for closing in [closing for closing in self._closing if closing.is_over]:
             self._closing.remove(closing)
             self._answer_start(closing)
@@ -101,14 +117,17 @@ class Desk:
         for take in self._closing:
             take.writer.wait(max(0.0, deadline - time.monotonic()))
         self.poll()
+        self.room.close()
         return not self._closing
 
     def state(self) -> RecorderState:
         """Return what the recorder is doing now."""
         take = self._take
         if take is None:
-            return RecorderState(state="idle", backend=self.tap.backend, error=self._last_error)
-        return take.state(self.tap.backend)
+            found = RecorderState(state="idle", backend=self.tap.backend, error=self._last_error)
+        else:
+            found = take.state(self.tap.backend)
+        return msgspec.structs.replace(found, free_mb=self.room.free_mb, minutes_left=self.room.minutes_left)
 
     def _request(self, write: Write) -> None:
         if write.value is None:
@@ -131,11 +150,14 @@ class Desk:
     def _start(self, request: RecordRequest, mono_ns: int) -> None:
         if self._take is not None:
             raise Refused(f"already recording {self._take.episode_id}; stop it first")
-        reason = self._heard.missing_configuration(time.monotonic_ns()) or no_space(
-            self.options.data, self.options.min_free_mb
-        )
+        if len(self._closing) >= _MOST_CLOSING:
+            raise Refused(
+                f"{len(self._closing)} episodes are still being closed: the disk does not keep up; wait for it"
+            )
+        reason = self._heard.missing_configuration(time.monotonic_ns()) or self.room.refusal(request.planned_s)
         if reason is not None:
             raise Refused(reason)
+        self.claim()
         task = request.task or self.options.task
         folder = new_folder(self.options.data, task, self._heard.robot)
         clock = take_anchor()
@@ -158,6 +180,7 @@ class Desk:
         )  # fmt: skip
         self._take = Take(writer, manifest, start_id=request.id)
         self._take.begin(preroll)
+        self.room.begin()
         self._last_error = ""
 
     def _stop(self, request: RecordRequest, mono_ns: int) -> None:
@@ -183,7 +206,7 @@ class Desk:
             take.end_ids.append(request.id)
             self._end(take, "discard", mono_ns)
         elif self._closing:
-            self._closing[-1].discard_ids.append(request.id)
+            self._closing[-1].discard_ids = [*self._closing[-1].discard_ids[-_MOST_NOTICES:], request.id]
         else:
             self.answers.give(self._discard_last(request.id))
 
@@ -199,13 +222,20 @@ class Desk:
 
     def _present(self, action: str) -> Take:
         if self._take is None:
-            raise Refused(f"nothing to {action}: no episode is being recorded; `station record start` begins one")
+            why = f"the last one ended by itself: {self._last_error}" if self._last_error else _NONE
+            raise Refused(f"nothing to {action}: {why}; `station record start` begins one")
         return self._take
 
     def _end(self, take: Take, ended_by: str, mono_ns: int) -> None:
         self._take = None
         self._closing.append(take)
         take.finish(ended_by, mono_ns)
+
+    def _end_in_time(self, take: Take) -> None:
+        """End an episode while the disk has room for its last words."""
+        self._last_error = f"episode {take.episode_id}: {self.room.used_up}"
+        self._notice("disk-full", "error", episode_id=take.episode_id, reason=self.room.used_up)
+        self._end(take, "disk-full", time.monotonic_ns())
 
     def _give_up(self, take: Take) -> None:
         self._take = None
@@ -235,7 +265,13 @@ class Desk:
         for asker in take.end_ids:
             self.answers.give(msgspec.structs.replace(take.answer(asker, reason=failed), summary=summary))
         for asker in take.discard_ids:
-            self.answers.give(self._discard_last(asker))
+            try:
+                self.answers.give(self._discard_last(asker))
+            except EpisodeError as error:
+                self.answers.give(take.answer(asker, reason=str(error)))
+
+    def _which(self) -> dict[str, Any]:
+        return {"episode_id": self._take.episode_id} if self._take is not None else {}
 
     def _notice(self, name: str, severity: Severity, **numbers: Any) -> None:
         self.notices.append(Notice(name, severity, numbers))

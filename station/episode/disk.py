@@ -3,18 +3,35 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 from pathlib import Path
 
+from station.episode import layout
 from station.episode.atomic import write_all
 from station.errors import EpisodeError
+
+_BALLAST = f".{layout.MANIFEST}.ballast"  # so named, it goes with the manifest's leftovers when a recorder was killed
+_BALLAST_BYTES = 256 * 1024  # that of a demo has 30 kB, and 500 events, the most it lists, are 100 more
+
+_REMEDIES = {
+    errno.ENOSPC: "free the disk",
+    errno.EDQUOT: "free some of your quota",
+    errno.ENOENT: "it was removed, renamed or unmounted while it was written: bring the folder back",
+    errno.ENOTDIR: "it was removed, renamed or unmounted while it was written: bring the folder back",
+    errno.ESTALE: "it was removed, renamed or unmounted while it was written: bring the folder back",
+    errno.EROFS: "make the disk writable",
+    errno.EACCES: "make the folder writable",
+    errno.EIO: "look after the disk",
+}
 
 
 class Disk:
     """The output of the MCAP library: collects, and writes everything in one call when flushed.
 
-    So a failing disk shows in `flush` only, and a process killed between two flushes leaves whole chunks.
+    So a failing disk shows in `flush` only, and a process killed between two flushes leaves whole chunks. Beside the
+    file some room is held back until it is closed, in which a manifest can say that the disk is full.
     """
 
     def __init__(self, path: Path, *, keep: int | None = None) -> None:
@@ -33,6 +50,8 @@ class Disk:
         if keep is not None:
             os.ftruncate(self._descriptor, keep)
             os.lseek(self._descriptor, keep, os.SEEK_SET)
+        self._identity = _identity(os.fstat(self._descriptor))
+        _hold_back(path.parent)
 
     def write(self, data: bytes) -> int:
         """Keep bytes until the next flush."""
@@ -49,14 +68,18 @@ class Disk:
         """Hand everything to the system.
 
         Raises:
-            OSError: the disk is full or gone; what of this flush was written is cut off again where possible.
+            OSError: the disk is full, or the file no longer stands where it was made and would vanish once closed; what
+                of this flush was written is cut off again where possible.
         """
         data = b"".join(self._parts)
         self._parts.clear()
+        if _identity(os.stat(self.path)) != self._identity:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self.path))
         try:
             write_all(self._descriptor, data)
         except OSError:
-            os.ftruncate(self._descriptor, self.written)
+            with contextlib.suppress(OSError):  # a torn chunk at the end is cut by whoever reads it
+                os.ftruncate(self._descriptor, self.written)
             raise
         self.written += len(data)
 
@@ -66,7 +89,29 @@ class Disk:
 
     def close(self) -> None:
         """Release the file; what was not flushed is lost."""
-        os.close(self._descriptor)
+        with contextlib.suppress(OSError):  # a bad disk has said so when it was synced
+            os.close(self._descriptor)
+        give_back(self.path.parent)
+
+
+def _identity(status: os.stat_result) -> tuple[int, int]:
+    return status.st_dev, status.st_ino
+
+
+def _hold_back(folder: Path) -> None:
+    """Occupy some room on the disk, as a file."""
+    with contextlib.suppress(OSError):  # where there is none, the next flush says so
+        descriptor = os.open(folder / _BALLAST, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            os.posix_fallocate(descriptor, 0, _BALLAST_BYTES)
+        finally:
+            os.close(descriptor)
+
+
+def give_back(folder: Path) -> None:
+    """Free the room that was held back for the last words of an episode."""
+    with contextlib.suppress(OSError):  # it went with its folder, or its disk cannot be written
+        (folder / _BALLAST).unlink(missing_ok=True)
 
 
 def is_being_written(path: Path) -> bool:
@@ -86,6 +131,7 @@ def is_being_written(path: Path) -> bool:
 
 def why_not(error: OSError | EpisodeError, folder: Path) -> str:
     """Say in a line why an episode cannot be written, and what to do."""
-    if isinstance(error, OSError):
-        return f"{error.strerror or error} ({error.filename or folder}); free the disk, then start a new episode"
-    return str(error)
+    cause = error.__cause__ if isinstance(error, EpisodeError) else error
+    remedy = _REMEDIES.get(cause.errno or 0, "look after the disk") if isinstance(cause, OSError) else ""
+    what = f"{error.strerror or error} ({error.filename or folder})" if isinstance(error, OSError) else str(error)
+    return f"{what}; {remedy}, then start a new episode" if remedy else what

@@ -17,6 +17,7 @@ MAX_MOTIONS = 200
 MAX_SERVERS = 200
 MAX_BYTES = 1 << 20
 """Of a value that goes into the manifest; a G1 server states 3 kB."""
+_LARGEST_MOTION = 64 * 1024
 _SOURCE_PREFIX = keys.command_source("")
 _ROBOTS = (keys.TWIST2_ROBOT, keys.TWIST_ROBOT)
 
@@ -121,7 +122,7 @@ class HasMotions(Protocol):
 
 def note_motion(manifest: HasMotions, key: str, value: bytes) -> bool:
     """Add what a ``command_source`` key says, once per motion file; return whether it was new."""
-    facts = json_object(value)
+    facts = json_object(value) if len(value) <= _LARGEST_MOTION else None
     if facts is None or len(manifest.motions) >= MAX_MOTIONS:
         return False
     identity = (key, facts.get("file"), facts.get("sha256"))

@@ -34,4 +34,7 @@ NO_CONTRACT = "none"
 ANCHOR_RECORD = "station.anchor"
 EPISODE_RECORD = "station.episode"
 SUMMARY_RECORD = "station.summary"
+DROPPED_RECORD = "station.dropped"
+"""What was dropped so far, per key and writer; the last such record counts, and there is none where nothing was."""
+
 MANIFEST_MEDIA_TYPE = "application/yaml"

@@ -31,7 +31,7 @@ class Ledger:
         self._start_id = start_id
         self._due = time.monotonic() + EVERY_S
 
-    def note(self, position: Position | None, signals: SignalsFile | None, dropped: int) -> None:
+    def note(self, position: Position | None, signals: SignalsFile | None) -> None:
         """Say how far the file is safe, right after a flush; None for a file that is not there yet.
 
         Raises:
@@ -45,7 +45,8 @@ class Ledger:
             anchor=self._anchor,
             wall_ns=time.time_ns(),
             mono_ns=time.monotonic_ns(),
-            dropped=dropped + (signals.refused if signals else 0),
+            dropped=signals.drops.total if signals else 0,
+            drops=list(signals.drops) if signals else [],
             start_id=self._start_id,
         )
         save_resume_point(point, self._folder)

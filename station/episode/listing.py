@@ -27,6 +27,7 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
         task, robot, operator, started: As in the manifest; "" where unknown.
         seconds: Length from start to stop; None while unknown.
         messages, lost, size_bytes: Messages, sequence numbers lost over all streams, and size of the signals.
+        dropped: Writes that the recorder could not keep; not among the lost.
         success, falls, is_discarded: Quality flags.
         verdict: What the last check said, "" before one.
         problem: Why it is broken, "" otherwise.
@@ -42,6 +43,7 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
     seconds: float | None = None
     messages: int = 0
     lost: int = 0
+    dropped: int = 0
     size_bytes: int = 0
     success: bool | None = None
     falls: int = 0
@@ -81,6 +83,7 @@ def _row(folder: Path, *, is_live: bool) -> EpisodeRow:
         seconds=manifest.timing.duration_s,
         messages=manifest.recorder.messages or (point.messages if point else 0),
         lost=sum(stream.lost for stream in manifest.streams),
+        dropped=manifest.recorder.dropped,
         size_bytes=size,
         success=flags.success,
         falls=flags.falls,

@@ -55,6 +55,7 @@ __all__ = [
 VERSION = 1
 MAX_EVENTS = 500
 MAX_MARKS = 500
+MAX_STREAMS = 2000  # a reader takes 200 000 values of YAML
 
 State = Literal["recording", "finished", "failed"]
 
@@ -69,6 +70,7 @@ class Manifest(msgspec.Struct, kw_only=True):
         servers: What every server stated on ``station:config:<name>``, by server name.
         motions: First statement of each motion file on a ``command_source`` key, with that key.
         runbook: Steps and answers, who and when, as the supervisor gave them.
+        streams: Bounded; of a client that invents keys, the first ones, and how many more are in the signals.
         events, marks: Bounded; what did not fit is counted beside them and stays in the signals.
         quality: What a later measurement (`check`) found; free form.
         recovery: A note for each time that a recorder took the episode up again (``kind: resumed``), or that a repair
@@ -87,6 +89,7 @@ class Manifest(msgspec.Struct, kw_only=True):
     servers: dict[str, dict[str, Any]] = {}
     cameras: list[dict[str, Any]] = []
     streams: list[Stream] = []
+    streams_not_listed: int = 0
     timing: Timing = msgspec.field(default_factory=Timing)
     runbook: dict[str, Any] = {}
     recorder: Recorder = msgspec.field(default_factory=Recorder)
@@ -136,15 +139,13 @@ def parse_manifest(data: bytes, name: str) -> Manifest:
     return manifest
 
 
-def save_manifest(manifest: Manifest, path: Path) -> bytes:
-    """Write a manifest so that either the old or the new one survives a crash; return the bytes written.
-
-    `path` is the file or the folder of the episode.
+def save_manifest(manifest: Manifest, folder: Path) -> bytes:
+    """Write an episode's manifest so that either the old or the new one survives a crash; return the bytes written.
 
     Raises:
         EpisodeError: the disk refused it.
     """
-    file = path / MANIFEST if path.is_dir() else path
+    file = folder / MANIFEST
     data = dump_manifest(manifest)
     try:
         write_atomic(file, data)

@@ -68,7 +68,10 @@ class Stream(msgspec.Struct, kw_only=True):
         contract: Whether the key has one; its text is in the MCAP channel.
         encoding: ``json``, ``application/octet-stream``, or ``application/x-deleted``.
         count: Messages in the file.
-        lost: Sequence numbers of this source that are not in the file, between its first and its last.
+        lost: Sequence numbers of this source that are not in the file, between its first and its last, without as many
+            as the recorder dropped.
+        dropped: Writes that the recorder saw and did not keep, because the disk was too slow.
+        dropped_bulky: How many of those were images or other bulky values, which go first.
         repeated: Messages whose sequence number did not grow.
         rate_hz: Mean rate between the first and the last message; None for fewer than two.
         longest_gap_s: Longest time between two messages [s]; None for fewer than two.
@@ -83,6 +86,8 @@ class Stream(msgspec.Struct, kw_only=True):
     encoding: str = ""
     count: int = 0
     lost: int = 0
+    dropped: int = 0
+    dropped_bulky: int = 0
     repeated: int = 0
     rate_hz: float | None = None
     longest_gap_s: float | None = None
@@ -169,13 +174,13 @@ class Recorder(msgspec.Struct, kw_only=True):
         bus: Address of the bus, without credentials.
         restarts: How often a recorder took this episode up again.
         messages, bytes: Messages in the file, and its size on disk.
-        dropped: Writes that arrived and could not be kept (full queue, failed disk).
+        dropped: Writes that arrived and could not be kept (full queue, failed disk, too many keys).
         not_mirrored: Commands that changed a key without carrying its whole value (APPEND, HSET, …), by anybody.
         lag_p50_ms, lag_p99_ms: From arrival of a write to its place in the file [ms].
         software: Version and revision of the recorder's code.
         config: Its configuration.
-        ended_by: Why the episode ended: ``stop``, ``discard``, ``shutdown``, ``bus-lost``, ``killed`` (repaired)
-            or a disk error.
+        ended_by: Why the episode ended: ``stop``, ``discard``, ``shutdown``, ``bus-lost``, ``disk-full``, ``killed``
+            (repaired) or a disk error.
     """
 
     backend: str = ""

@@ -11,6 +11,7 @@ from station.bus.tap import Position
 from station.episode import layout
 from station.episode.anchor import Anchor
 from station.episode.atomic import write_atomic
+from station.episode.drops import Dropped
 from station.episode.manifest import Stream
 
 
@@ -19,12 +20,12 @@ class WriterOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
     Attributes:
         flush_s: Longest time between two flushes to the disk [s]: what a power cut loses.
-        flush_bytes: Size of the values that makes a flush come sooner.
-        queue_writes, queue_bytes: Bounds of the queue; beyond them writes are dropped and counted.
+        flush_bytes: Size of the values that makes a flush come sooner: a bound of the memory.
+        queue_writes, queue_bytes: Bounds of the queue, see `station.episode.queue.WriteQueue`.
     """
 
     flush_s: float = 0.5
-    flush_bytes: int = 256 * 1024
+    flush_bytes: int = 8 * 1024 * 1024
     queue_writes: int = 200_000
     queue_bytes: int = 128 * 1024 * 1024
 
@@ -71,7 +72,8 @@ class ResumePoint(msgspec.Struct, frozen=True, kw_only=True):
         messages: Messages in the file at that moment.
         anchor: Clock of the file's log times.
         wall_ns, mono_ns: When it was written, on both clocks [ns].
-        dropped: Writes so far that arrived and could not be kept.
+        dropped: Writes before that position that arrived and could not be kept.
+        drops: The same per key and writer.
         start_id: Id of the request that began the episode.
     """
 
@@ -83,6 +85,7 @@ class ResumePoint(msgspec.Struct, frozen=True, kw_only=True):
     wall_ns: int
     mono_ns: int = 0
     dropped: int = 0
+    drops: list[Dropped] = []
     start_id: str = ""
 
 

@@ -29,7 +29,9 @@ class StreamQuality(msgspec.Struct, frozen=True, kw_only=True):
         role: Role by the recorded contract, or ``unknown``.
         is_native: Whether its writes are numbered, so that a loss would show.
         count: Messages in the file.
-        lost: Sequence numbers missing between the least and the greatest; always 0 for a foreign writer.
+        lost: Sequence numbers missing between the least and the greatest, without as many as the recorder dropped;
+            always 0 for a foreign writer.
+        dropped, dropped_bulky: As in `station.episode.manifest.Stream`.
         repeated: Messages whose number was there already.
         out_of_order: Messages whose number is smaller than that of the message before.
         rate_hz: Mean rate [Hz]; None for fewer than two messages.
@@ -55,6 +57,8 @@ class StreamQuality(msgspec.Struct, frozen=True, kw_only=True):
     longest_gap_s: float | None
     first_s: float
     last_s: float
+    dropped: int = 0
+    dropped_bulky: int = 0
 
 
 class RivalWriters(msgspec.Struct, frozen=True):
@@ -81,6 +85,29 @@ class FallSeen(msgspec.Struct, frozen=True, kw_only=True):
     tilt_rad: float | None
     seen_by: Literal["event", "pose"]
     contacts: list[str] = []
+
+
+class Interruption(msgspec.Struct, frozen=True, kw_only=True):
+    """A time in which the bus, or somebody's line to it, was not as it should be.
+
+    Attributes:
+        kind: ``bus-silent``: the bus owed answers, and gave them afterwards. ``bus-lost``: servers had no connection.
+            ``bus-refused``: writes were answered with an error. ``watch-cut``: a server did not hear what was written.
+            ``tap-cut``: the recorder was cut off, and went on where it was. ``hole``: it could not, and writes are
+            missing or may be. ``recorder-restart``: it was killed, and another took the episode up.
+        at_s: When it began, from the start of the episode [s].
+        seconds: How long it lasted [s]; None where it did not end.
+        lost: Writes that it cost; None where nobody can tell.
+        told_by: Servers that told of it.
+        reason: Why, as they said.
+    """
+
+    kind: Literal["bus-silent", "bus-lost", "bus-refused", "watch-cut", "tap-cut", "hole", "recorder-restart"]
+    at_s: float
+    seconds: float | None = None
+    lost: int | None = None
+    told_by: list[str] = []
+    reason: str = ""
 
 
 class StepQuality(msgspec.Struct, frozen=True, kw_only=True):
@@ -143,10 +170,14 @@ class Quality(msgspec.Struct, kw_only=True):
         rivals: Command keys with several writers at once.
         falls: Number of falls, by event or by pose.
         falls_seen: Each of them.
-        resets, estops, bus_lost: Number of such events.
+        resets, estops: Number of such events.
+        interruptions: Of the bus and of the lines to it, in order; what several servers tell of is one.
+        bus_lost: Number of those in which the bus was lost.
         events: Number of events by name.
         recorder_restarts: How often a recorder took the episode up again.
         dropped: Writes that the recorder saw and could not keep.
+        dropped_bulky: How many of them were images or other bulky values.
+        dropped_keys: The keys that they were of, those that lost most first, with how many.
         holes: Spans of which writes are missing, as the recorder stated them.
         backend, is_lossless: The tap that was used, and whether it can promise every write.
         lock_step: Whether commands waited for states, so that times say nothing of the control.
@@ -168,10 +199,13 @@ class Quality(msgspec.Struct, kw_only=True):
     falls_seen: list[FallSeen] = []
     resets: int = 0
     estops: int = 0
+    interruptions: list[Interruption] = []
     bus_lost: int = 0
     events: dict[str, int] = {}
     recorder_restarts: int = 0
     dropped: int = 0
+    dropped_bulky: int = 0
+    dropped_keys: dict[str, int] = {}
     holes: int = 0
     backend: str = ""
     is_lossless: bool = False

@@ -12,6 +12,7 @@ import msgspec
 from station.bus import codec
 from station.episode import layout
 from station.episode.anchor import Anchor
+from station.episode.drops import Drops, drops_of
 from station.episode.folder import resolve, signals_file
 from station.episode.manifest import Manifest, load_manifest, parse_manifest
 from station.episode.messages import Channel, Message, StreamInfo, Vectors, channel_of
@@ -143,6 +144,10 @@ class EpisodeReader:
     def metadata(self) -> dict[str, dict[str, str]]:
         """Return the metadata records of the file by name, the last of each name."""
         return dict(self._contents.metadata)
+
+    def drops(self) -> Drops:
+        """Return what the recorder dropped, as the file itself says; of an unfinished one that may be seconds old."""
+        return drops_of(self._contents.metadata.get(layout.DROPPED_RECORD))
 
     def _read_manifest(self) -> Manifest:
         file = self.folder / layout.MANIFEST

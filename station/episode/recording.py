@@ -132,14 +132,8 @@ class Recording(Desk):
         self, writes: Sequence[Write], position: Position | None, *, is_whole: bool = True, is_live: bool = True
     ) -> None:
         self._ring.add(writes, self._position)
-        if self._take is None:
-            return
-        dropped = self._take.put(writes, position, is_whole=is_whole, is_live=is_live)
-        if dropped and not self._take.has_dropped:
-            self._take.has_dropped = True
-            self._notice(
-                "recorder-dropping", "error", episode_id=self._take.episode_id, queued=self._take.writer.queued
-            )
+        if self._take is not None:
+            self._take.put(writes, position, is_whole=is_whole, is_live=is_live)
 
     def _note(self, write: Write) -> None:
         if self._take is not None:

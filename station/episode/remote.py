@@ -11,9 +11,11 @@ from station.bus.client import Bus
 from station.episode.request import Action, RecordAnswer, RecordRequest
 from station.errors import NotReady, Refused
 
+_LOOK_S = 0.2  # how soon a request is sent again to a bus that was restarted and forgot it
+
 
 def ask(bus: Bus, action: Action, *, timeout_s: float = 20.0, **fields: Any) -> RecordAnswer:
-    """Send a request and wait for its answer.
+    """Send a request and wait for its answer; a bus that is cut or restarted meanwhile is told again.
 
     Args:
         bus: The bus that the recorder listens on.
@@ -26,17 +28,24 @@ def ask(bus: Bus, action: Action, *, timeout_s: float = 20.0, **fields: Any) -> 
         Refused: the recorder said no; with its reason.
     """
     wanted = RecordRequest(id=secrets.token_hex(6), action=action, **fields)
+    request, sent_on = {keys.RECORD: codec.json_object(wanted)}, 0
     deadline = time.monotonic() + timeout_s
     with bus.watch([keys.RECORD_ACK]) as watch:
-        if not bus.publish({keys.RECORD: codec.json_object(wanted)}):
-            raise NotReady(f"record {action}: the bus {bus.address} did not take the request: {bus.last_error}")
         newest = None
         while (remaining := deadline - time.monotonic()) > 0:
-            sample = watch.wait(keys.RECORD_ACK, after=newest, timeout_s=remaining)
+            if watch.connections != sent_on:  # its id keeps it from being done twice
+                if bus.publish(request):
+                    sent_on = watch.connections
+                elif bus.is_connected:
+                    raise NotReady(f"record {action}: the bus {bus.address} did not take the request: {bus.last_error}")
+            sample = watch.wait(keys.RECORD_ACK, after=newest, timeout_s=min(remaining, _LOOK_S))
+            sample = sample or watch.latest(keys.RECORD_ACK)  # came while nobody told us: without age, yet with our id
             answer = _decode(sample.value) if sample else None
             if answer is not None and answer.id == wanted.id:
                 return _accepted(action, answer)
             newest = sample or newest
+    if not sent_on:
+        raise NotReady(f"record {action}: the bus {bus.address} has been gone for {timeout_s:g} s: {bus.last_error}")
     raise NotReady(
         f"record {action}: no recorder answered within {timeout_s:g} s; start one with `station serve recorder`"
     )

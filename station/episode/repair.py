@@ -16,6 +16,7 @@ from station.episode.atomic import remove_leftovers, sync_folder
 from station.episode.checkpoint import Told
 from station.episode.closing import close_manifest, summary_record
 from station.episode.disk import is_being_written
+from station.episode.drops import Drops, drops_of, larger
 from station.episode.folder import signals_file
 from station.episode.left_open import is_left_open
 from station.episode.manifest import Manifest, dump_manifest, load_manifest, parse_manifest, save_manifest
@@ -154,7 +155,7 @@ def _repair(folder: Path, source: Path, target: Path) -> Repaired:
     try:
         with copy.open("xb") as output:
             salvaged = salvage(source, _nothing, output=output)
-        signals = _opened(copy, anchor, manifest)
+        signals = _opened(copy, anchor, manifest, Drops(point.drops if point else ()))
         try:
             done = _close(source, salvaged, signals, anchor, manifest, point)
         finally:
@@ -184,10 +185,10 @@ def _clock(source: Path, manifest: Manifest, point: ResumePoint | None) -> Ancho
         ) from None
 
 
-def _opened(copy: Path, anchor: Anchor, manifest: Manifest) -> SignalsFile:
+def _opened(copy: Path, anchor: Anchor, manifest: Manifest, drops: Drops) -> SignalsFile:
     """Open what was saved; where not even its head was whole, with a head made from the manifest."""
-    if copy.stat().st_size and layout.EPISODE_RECORD in walk(copy).metadata:
-        return SignalsFile.reopen(copy, anchor)
+    if copy.stat().st_size and layout.EPISODE_RECORD in (found := walk(copy).metadata):
+        return SignalsFile.reopen(copy, anchor, drops=larger(drops, drops_of(found.get(layout.DROPPED_RECORD))))
     copy.unlink(missing_ok=True)
     facts = {"episode_id": manifest.episode_id, "task": manifest.task.name, "started": manifest.timing.started}
     return SignalsFile.create(copy, anchor, facts, dump_manifest(manifest))
@@ -199,7 +200,7 @@ def _close(
 ) -> Repaired:  # fmt: skip
     """Close the file and its manifest, with a note of what was cut."""
     state, told = source.stat(), signals.retelling.told
-    totals = signals.totals(dropped=max(point.dropped if point else 0, manifest.recorder.dropped))
+    totals = signals.totals(dropped=max(signals.drops.total, point.dropped if point else 0, manifest.recorder.dropped))
     verdict = manifest.quality_flags if manifest.state == "finished" else None  # somebody may have discarded it since
     signals.retelling.apply(manifest, totals.first_ns)
     manifest.quality_flags = verdict or manifest.quality_flags

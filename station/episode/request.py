@@ -11,6 +11,7 @@ from station.episode.manifest_parts import Operator
 from station.errors import Refused
 
 _MAX_BYTES = 1 << 20  # the answers of a long runbook take some kB
+_LONGEST_S = 30 * 24 * 3600.0
 
 Action = Literal["start", "stop", "mark", "discard"]
 
@@ -25,6 +26,8 @@ class RecordRequest(msgspec.Struct, frozen=True, kw_only=True):
         task, instruction: For ``start``: short name of the task, and what to do in words.
         operator: For ``start``: ``interface``, ``id``, and anything else worth keeping.
         runbook: For ``start``: steps and answers of the runbook.
+        planned_s: For ``start``: how long it is to be [s]; refused where the disk cannot hold that. None for what the
+            recorder's configuration says, which is a minute.
         label: For ``mark``: what happened; for ``discard``: why.
         success: For ``stop`` and ``mark``: the operator's verdict, None for none.
     """
@@ -35,6 +38,7 @@ class RecordRequest(msgspec.Struct, frozen=True, kw_only=True):
     instruction: str = ""
     operator: dict[str, Any] = {}
     runbook: dict[str, Any] = {}
+    planned_s: float | None = None
     label: str = ""
     success: bool | None = None
 
@@ -76,7 +80,10 @@ class RecorderState(msgspec.Struct, frozen=True, kw_only=True):
         backend: The tap in use.
         lag_ms, lag_p99_ms: From arrival of a write to its place in the file: median and 99th percentile [ms].
         restarts: How often a recorder took this episode up again.
-        error: Why the last episode could not be written on, "" otherwise.
+        free_mb: Free space of the disk [MB]; None where unknown.
+        minutes_left: How long this episode (when idle: one that began now) may go on until the disk ends it [min]; None
+            where unknown, or where nothing is written.
+        error: Why the last episode ended by itself, "" otherwise.
     """
 
     state: Literal["idle", "recording"]
@@ -90,6 +97,8 @@ class RecorderState(msgspec.Struct, frozen=True, kw_only=True):
     lag_ms: float | None = None
     lag_p99_ms: float | None = None
     restarts: int = 0
+    free_mb: float | None = None
+    minutes_left: float | None = None
     error: str = ""
 
 
@@ -107,6 +116,8 @@ def parse_request(data: bytes) -> RecordRequest:
         raise Refused(f"not a record request: {error}") from error
     if not (codec.is_modest(request.operator) and codec.is_modest(request.runbook)):
         raise Refused("not a record request: operator and runbook hold more than a manifest takes")
+    if request.planned_s is not None and not 0 <= request.planned_s <= _LONGEST_S:
+        raise Refused(f"not a record request: planned_s is {request.planned_s}, expected 0 to {_LONGEST_S:.0f} seconds")
     return request
 
 

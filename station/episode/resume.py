@@ -18,6 +18,7 @@ from station.bus import stamp as stamps
 from station.episode import layout
 from station.episode.atomic import remove_leftovers
 from station.episode.checkpoint import load_checkpoint
+from station.episode.drops import Drops
 from station.episode.manifest import Hole, Manifest, load_manifest, parse_manifest
 from station.episode.options import RecordingOptions
 from station.episode.progress import ResumePoint, Totals, load_resume_point
@@ -123,7 +124,7 @@ def take_up(found: Unfinished, options: RecordingOptions, *, place: Position | N
     if point.size:
         kept = point.size if is_exact else None
         known = load_checkpoint(folder, min(size, point.size))
-        signals = SignalsFile.reopen(active, point.anchor, size=kept, checkpoint=known)
+        signals = SignalsFile.reopen(active, point.anchor, size=kept, checkpoint=known, drops=Drops(point.drops))
     else:
         active.unlink(missing_ok=True)  # its head was not written yet, or not whole
     retelling, totals = (signals.retelling, signals.totals()) if signals else (Retelling(point.anchor), Totals())
@@ -131,7 +132,7 @@ def take_up(found: Unfinished, options: RecordingOptions, *, place: Position | N
     _note(found, size, totals, is_exact=is_exact)
     writer = EpisodeWriter(
         folder, anchor=point.anchor, manifest=manifest, options=options.writer, start_id=point.start_id, place=place,
-        reopened=signals, dropped=point.dropped,
+        reopened=signals,
     )  # fmt: skip
     is_awaited = is_exact and not point.messages
     take = Take(writer, manifest, start_id=point.start_id if not point.messages else None)

@@ -11,30 +11,33 @@ from typing import Any
 import msgspec
 from mcap.records import Channel
 
-from station.bus import keys
+from station.bus import codec, keys
 from station.episode import layout
 from station.episode import manifest as manifests
 from station.episode.anchor import Anchor
 from station.episode.checkpoint import Told
-from station.episode.heard import is_motion, json_object, note_motion
+from station.episode.heard import MAX_SERVERS, is_motion, json_object, note_motion
 from station.episode.manifest import Event, Manifest, Mark
 from station.episode.records import RawMessage
 from station.episode.request import RecordRequest, parse_request, request_id
 from station.errors import Refused
 
 _LONGEST_EVENT = 8192  # bytes; a longer one stands in the signals, the manifest says how long
+_MOST_NUMBERS = 100  # likewise: a manifest that holds too many values cannot be read any more
+_MOST_REQUESTS = 256  # the newest; a request is sent again for some seconds at most
 _EVENT_FIELDS = ("name", "severity", "source", "wall_ns", "detail")
 
 
 def note_event(manifest: Manifest | Told, value: bytes, at_s: float) -> None:
     """Put an event into a manifest; `at_s` is its arrival from the start of the episode [s]."""
     facts = json_object(value) or {"name": "undecodable", "severity": "warning"}
+    is_short = len(value) <= _LONGEST_EVENT and codec.is_modest(facts, values=_MOST_NUMBERS)
     event = Event(
         at_s=at_s,
         name=str(facts.get("name", "unnamed")),
         severity=str(facts.get("severity", "info")),
         source=str(facts.get("source", "")),
-        numbers=_numbers(facts) if len(value) <= _LONGEST_EVENT else {"bytes": len(value)},
+        numbers=_numbers(facts) if is_short else {"bytes": len(value)},
     )
     if at_s >= 0:
         flags = manifest.quality_flags
@@ -88,7 +91,9 @@ class Retelling:
         elif is_motion(key):
             note_motion(self.told, key, value)
         elif (facts := json_object(value)) is not None:
-            self.told.servers[key.removeprefix(keys.CONFIG_PREFIX)] = facts
+            name = key.removeprefix(keys.CONFIG_PREFIX)
+            if name in self.told.servers or len(self.told.servers) < MAX_SERVERS:
+                self.told.servers[name] = facts
 
     def apply(self, manifest: Manifest, first_ns: int) -> None:
         """Have a manifest say what the messages say: it was saved before, or after, what the file holds.
@@ -110,6 +115,7 @@ class Retelling:
         if asker is None or asker in self.told.requests or at_s < 0:
             return
         self.told.requests.append(asker)
+        del self.told.requests[:-_MOST_REQUESTS]
         try:
             request = parse_request(value)
         except Refused:  # it was refused then as well

@@ -10,12 +10,17 @@ if TYPE_CHECKING:
     from station.bus.tap import Position, Write
 
 
+_WRITE_BYTES = 300  # of a write with its stamp, beside its value
+_PARTS = 4
+
+
 class Ring:
     """Writes of the last seconds, bounded by time and by bytes; what falls out at the old end is meant to.
 
     Args:
         seconds: How far back it reaches [s]; 0 keeps nothing.
-        max_bytes: Bound of the values' size; with fast cameras on the bus it reaches less far back.
+        max_bytes: Bound of its memory; with fast cameras on the bus it reaches less far back. A value of more than a
+            quarter of that is not kept: everything before it would have to go.
     """
 
     def __init__(self, seconds: float, max_bytes: int = 256 * 1024 * 1024) -> None:
@@ -26,7 +31,7 @@ class Ring:
 
     @property
     def size(self) -> int:
-        """Bytes of the values that are kept."""
+        """Bytes that are kept."""
         return self._bytes
 
     def add(self, writes: Sequence[Write], before: Position | None = None) -> None:
@@ -38,7 +43,13 @@ class Ring:
         """
         if not writes or not self._span_ns:
             return
-        size = sum(len(write.value) if write.value is not None else 0 for write in writes)
+        size = sum([len(write.value) for write in writes if write.value is not None])
+        if size > self._max_bytes // _PARTS:
+            writes = [write for write in writes if len(write.value or b"") <= self._max_bytes // _PARTS]
+            size = sum(len(write.value or b"") for write in writes)
+        if not writes:
+            return
+        size += _WRITE_BYTES * len(writes)
         self._batches.append((writes, size, before))
         self._bytes += size
         oldest_ns = writes[-1].mono_ns - self._span_ns

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from station.episode.quality import Limits, Quality, Reason, StepQuality, StreamQuality, Verdict
+from station.episode.quality import Interruption, Limits, Quality, Reason, StepQuality, StreamQuality, Verdict
 
 Rule = Callable[[Quality, Limits], Iterator[tuple[Verdict, str]]]
 
@@ -50,18 +50,23 @@ def _fell(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
 
 
 def _lost(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
-    for stream in quality.streams:
-        if stream.lost:
-            share = stream.lost / (stream.lost + stream.count)
-            verdict: Verdict = "reject" if share > limits.lost_share_reject else "usable"
-            yield verdict, f"{_named(stream)}: {stream.lost} of {stream.lost + stream.count} writes are missing"
-
-
-def _dropped(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
-    if quality.dropped:
-        share = quality.dropped / (quality.dropped + quality.messages)
+    for writer, streams in _by_writer([stream for stream in quality.streams if stream.lost]).items():
+        worst = max(streams, key=lambda stream: stream.lost)
+        share = max(_lost_share(stream) for stream in streams)
         verdict: Verdict = "reject" if share > limits.lost_share_reject else "usable"
-        yield verdict, f"the recorder dropped {quality.dropped} writes"
+        text = f"{_named(worst)}: {worst.lost} of {worst.lost + worst.count} writes are missing"
+        if len(streams) > 1:
+            total = sum(stream.lost for stream in streams)
+            text += f"; {total} in all {len(streams)} streams of {writer} that lack some"
+        yield verdict, text
+
+
+def _dropped(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    keys = ", ".join(f"{key} {count}" for key, count in quality.dropped_keys.items()) or "of which is not known"
+    if signals := quality.dropped - quality.dropped_bulky:
+        yield "reject", f"the recorder dropped {signals} writes that were no images ({keys})"
+    if quality.dropped_bulky:
+        yield "usable", f"the recorder dropped {quality.dropped_bulky} images or other bulky values ({keys})"
 
 
 def _disordered(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -77,15 +82,19 @@ def _lossy_tap(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
 
 def _holes(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
     if quality.holes:
-        yield "reject", f"{quality.holes} hole(s) after {quality.recorder_restarts} restart(s) of the recorder"
+        first = next((item for item in quality.interruptions if item.kind == "hole"), None)
+        where = f", the first {_when(first)}: {first.reason or 'the recorder does not say why'}" if first else ""
+        yield "reject", f"{quality.holes} hole(s){where}"
 
 
 def _gap(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
-    for stream in _timed(quality):
-        gap_s = stream.longest_gap_s or 0.0
-        if gap_s > limits.gap_usable_s:
-            verdict: Verdict = "reject" if gap_s > limits.gap_reject_s else "usable"
-            yield verdict, f"{_named(stream)}: silent for {gap_s:.3f} s (limit {limits.gap_usable_s} s)"
+    silent = [stream for stream in _timed(quality) if (stream.longest_gap_s or 0.0) > limits.gap_usable_s]
+    for streams in _by_writer(silent).values():
+        worst = max(streams, key=lambda stream: stream.longest_gap_s or 0.0)
+        gap_s = worst.longest_gap_s or 0.0
+        verdict: Verdict = "reject" if gap_s > limits.gap_reject_s else "usable"
+        others = f"; so or less were {len(streams) - 1} other streams of it" if len(streams) > 1 else ""
+        yield verdict, f"{_named(worst)}: silent for {gap_s:.3f} s (limit {limits.gap_usable_s} s){others}"
 
 
 def _slow(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -100,9 +109,22 @@ def _rivals(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
         yield "reject", f"{rival.key}: written by {' and '.join(rival.writers)} at once for {rival.overlap_s:.2f} s"
 
 
+def _bus_silent(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    yield from _interrupted_bus(quality, "bus-silent", "the bus was silent")
+
+
 def _bus_lost(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
-    if quality.bus_lost:
-        yield "usable", f"the bus was lost {quality.bus_lost} time(s)"
+    yield from _interrupted_bus(quality, "bus-lost", "the bus was lost")
+
+
+def _bus_refused(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    yield from _interrupted_bus(quality, "bus-refused", "the bus refused writes")
+
+
+def _interrupted_bus(quality: Quality, kind: str, what: str) -> Iterator[tuple[Verdict, str]]:
+    found = [item for item in quality.interruptions if item.kind == kind]
+    if found:
+        yield "usable", f"{what} {len(found)} time(s), first {_when(found[0])}"
 
 
 def _reset(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -170,7 +192,9 @@ RULES: dict[str, Rule] = {
     "gap": _gap,
     "slow": _slow,
     "rival-writers": _rivals,
+    "bus-silent": _bus_silent,
     "bus-lost": _bus_lost,
+    "bus-refused": _bus_refused,
     "operator-reset": _reset,
     "estop": _estop,
     "no-steps": _no_steps,
@@ -195,6 +219,23 @@ def _steady_rate_hz(stream: StreamQuality) -> float | None:
     """Rate without the longest silence, which has a rule of its own."""
     steady_s = stream.last_s - stream.first_s - (stream.longest_gap_s or 0.0)
     return (stream.count - 2) / steady_s if stream.count > 2 and steady_s > 0 else None
+
+
+def _when(item: Interruption) -> str:
+    lasted = "to the end" if item.seconds is None else f"for {item.seconds:.2f} s"
+    return f"at {item.at_s:.2f} s {lasted}" + (f", {item.lost} writes lost" if item.lost else "")
+
+
+def _by_writer(streams: list[StreamQuality]) -> dict[str, list[StreamQuality]]:
+    """Group streams by their writers: one that stumbles does so with all its keys, and is one reason."""
+    found: dict[str, list[StreamQuality]] = {}
+    for stream in streams:
+        found.setdefault(stream.writer, []).append(stream)
+    return found
+
+
+def _lost_share(stream: StreamQuality) -> float:
+    return stream.lost / (stream.lost + stream.count)
 
 
 def _named(stream: StreamQuality) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from station.episode.channels import Channel
+from station.episode.drops import streams_of
 from station.episode.manifest import Manifest, Stream
 from station.episode.reader import EpisodeReader
 
@@ -55,7 +56,7 @@ def show(reader: EpisodeReader) -> EpisodeFacts:
 
 
 def count_streams(reader: EpisodeReader) -> list[Stream]:
-    """Return what the manifest says of each stream, but counted from the file; by key, then by writer."""
+    """Return what the manifest says of each stream, but from the file; by key, then by writer."""
     counted: dict[int, Channel] = {}
     start_ns: int | None = reader.anchor.wall_ns if reader.anchor else None
     for message in reader.messages():
@@ -66,5 +67,5 @@ def count_streams(reader: EpisodeReader) -> list[Stream]:
             channel.contract = found.contract
         channel.note(message.sequence, message.log_ns)
         start_ns = message.log_ns if start_ns is None else start_ns
-    streams = [channel.stream(start_ns or 0) for channel in counted.values()]
+    streams = streams_of(counted.values(), reader.drops(), start_ns or 0)
     return sorted(streams, key=lambda stream: (stream.key, stream.writer, stream.source))

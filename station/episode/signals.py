@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import mcap.records
-from mcap.writer import CompressionType, Writer
 
+from station.bus.tap.base import Write
 from station.episode import layout
 from station.episode.anchor import Anchor, is_storable
 from station.episode.channels import MAX_CHANNELS, Channel, channel_from, encoding_of, source_of
 from station.episode.checkpoint import MOST_CHANNELS, Checkpoint, counters
+from station.episode.chunks import ChunkWriter
 from station.episode.disk import Disk
+from station.episode.drops import Drops, drops_record, streams_of
 from station.episode.lag import Lag
 from station.episode.progress import Gap, Totals
 from station.episode.recount import MOST_GAPS, STAMPS_NUMBER, Recount
@@ -22,11 +24,9 @@ from station.episode.salvage import salvage
 from station.episode.tail import closing_bytes
 from station.errors import EpisodeError
 
-if TYPE_CHECKING:
-    from station.bus.tap import Write
-
-_NO_LIMIT = 1 << 62  # the library must not cut chunks itself: one chunk is one flush, with the stamps of its messages
 _SEQUENCE_MASK = 0xFFFFFFFF
+_BOOKKEEPING = {"source": "", "writer": "recorder", "contract": layout.NO_CONTRACT}
+_DROPS_EVERY_S = 5.0  # a power cut may take so much of the counts of dropped writes; a kill takes none
 
 
 class SignalsFile:
@@ -36,6 +36,7 @@ class SignalsFile:
         channels: Every channel so far, in order of appearance.
         messages: Messages in the file, flushed or not; the recorder's own bookkeeping is not counted.
         refused: Writes that could not be kept, because there were too many channels.
+        drops: Writes that belong before the end of the file and are not in it, those that were refused among them.
         pending_bytes: Size of the values since the last flush.
         gaps: Where sequence numbers of a writer are missing; the first ones, if there are very many.
         retelling: What the messages tell.
@@ -56,7 +57,9 @@ class SignalsFile:
         self.retelling = Retelling(anchor)
         self._told: set[int] = set()  # channels that the retelling wants
         self.messages = self.refused = self.pending_bytes = self._synced_messages = 0
-        self._writer = Writer(disk, chunk_size=_NO_LIMIT, compression=CompressionType.ZSTD)
+        self.drops = Drops()
+        self._noted_drops, self._drops_due = 0, 0.0
+        self._writer = ChunkWriter(disk)
 
     @classmethod
     def create(cls, path: Path, anchor: Anchor, facts: Mapping[str, str], manifest: bytes) -> SignalsFile:
@@ -66,22 +69,20 @@ class SignalsFile:
             OSError: the disk refused it, or the file exists.
         """
         made = cls(Disk(path), anchor)
-        writer = made._writer
-        writer.start(layout.PROFILE, library="teleop-station")
+        made._writer.start(layout.PROFILE)
         clock = {"wall_ns": str(anchor.wall_ns), "mono_ns": str(anchor.mono_ns), "boot": anchor.boot}
-        writer.add_metadata(layout.ANCHOR_RECORD, clock)
-        writer.add_metadata(layout.EPISODE_RECORD, dict(facts))
+        made._writer.note(layout.ANCHOR_RECORD, clock)
+        made._writer.note(layout.EPISODE_RECORD, dict(facts))
         made._attach(manifest)
-        made._register(
-            layout.STAMPS_TOPIC, layout.TEXT, {"source": "", "writer": "recorder", "contract": layout.NO_CONTRACT}
-        )
+        made._register(layout.STAMPS_TOPIC, layout.TEXT, _BOOKKEEPING)
         made.sync()
         return made
 
     @classmethod
     def reopen(
-        cls, path: Path, anchor: Anchor, *, size: int | None = None, checkpoint: Checkpoint | None = None
-    ) -> SignalsFile:
+        cls, path: Path, anchor: Anchor, *, size: int | None = None, checkpoint: Checkpoint | None = None,
+        drops: Drops | None = None,
+    ) -> SignalsFile:  # fmt: skip
         """Go on behind the last whole chunk of a file that was never finished; its counters are those of the file.
 
         Args:
@@ -89,6 +90,7 @@ class SignalsFile:
             anchor: Its clock.
             size: Go on behind this byte and nowhere else; None for wherever the last whole chunk ends.
             checkpoint: What is known of its first bytes; None has all of it read.
+            drops: What was dropped before that byte; None for nothing.
 
         Raises:
             OSError: the disk refused it.
@@ -98,12 +100,13 @@ class SignalsFile:
         if checkpoint is None:
             found = salvage(path, recount.take, size=size)
         else:
-            known = [counted.record for counted in checkpoint.channels]
+            known = (counted.record for counted in checkpoint.channels)
             found = salvage(path, recount.take, size=size, start=checkpoint.size, channels=known)
         if size is not None and (found.kept_to != size or found.missing_indexes):
             raise EpisodeError(f"{path}: damaged at byte {found.kept_to} of {size} that were safe")
         made = cls(Disk(path, keep=found.kept_to), anchor)
         made._is_reopened = True
+        made.drops = drops or Drops()
         if found.missing_indexes:
             made._disk.write(found.missing_indexes)
             made._disk.flush()
@@ -130,7 +133,7 @@ class SignalsFile:
             dropped=dropped + self.refused,
             first_ns=min((channel.first_ns for channel in counted), default=0),
             last_ns=max((channel.last_ns for channel in counted), default=0),
-            streams=[channel.stream(self._anchor.wall_ns) for channel in list(self.channels)],
+            streams=streams_of(list(self.channels), self.drops, self._anchor.wall_ns),
             gaps=list(self.gaps),
             lag_p50_ms=lag.percentile_ms(50) if lag else None,
             lag_p99_ms=lag.percentile_ms(99) if lag else None,
@@ -171,9 +174,12 @@ class SignalsFile:
         """
         if self._stamps:
             log_ns = self._last_log_ns
-            self._writer.add_message(STAMPS_NUMBER, log_ns, b"\n".join(self._stamps), log_ns)
+            self._writer.add(STAMPS_NUMBER, 0, log_ns, log_ns, b"\n".join(self._stamps))
             self._stamps.clear()
-        self._writer.flush()
+        if self.drops.total > self._noted_drops and time.monotonic() >= self._drops_due:
+            self._note_drops()
+        self._writer.end_chunk()
+        self._disk.flush()
         self._disk.sync()
         self.pending_bytes = 0
         self._synced_messages = self.messages
@@ -186,12 +192,14 @@ class SignalsFile:
         """
         self.sync()
         self._attach(manifest)
-        self._writer.add_metadata(layout.SUMMARY_RECORD, dict(summary))
+        if self.drops.total:
+            self._note_drops()
+        self._writer.note(layout.SUMMARY_RECORD, dict(summary))
         if self._is_reopened:  # the library knows only what was written since
             self._disk.flush()
             self._disk.write(closing_bytes(self._disk.path, self._records))
         else:
-            self._writer.finish()
+            self._writer.finish(self._records)
         self._disk.flush()
         self._disk.sync()
 
@@ -200,8 +208,11 @@ class SignalsFile:
         self._disk.close()
 
     def _attach(self, manifest: bytes) -> None:
-        now = self._last_log_ns
-        self._writer.add_attachment(now, now, layout.MANIFEST, layout.MANIFEST_MEDIA_TYPE, manifest)
+        self._writer.attach(layout.MANIFEST, layout.MANIFEST_MEDIA_TYPE, manifest, self._last_log_ns)
+
+    def _note_drops(self) -> None:
+        self._writer.note(layout.DROPPED_RECORD, drops_record(self.drops))
+        self._noted_drops, self._drops_due = self.drops.total, time.monotonic() + _DROPS_EVERY_S
 
     def _add_native(self, key: str, value: bytes, stamp: bytes, log_ns: int) -> bool:
         """Add a write with a stamp of ours; return False when it turns out to be none."""
@@ -229,6 +240,7 @@ class SignalsFile:
             channel = self._new_channel(key, "", encoding)
             if channel is None:
                 self.refused += 1
+                self.drops.note(Write(key, value, None, 0), is_bulky=False)
                 return
             self._foreign[key, value is None] = channel
         self._put(channel, channel.last_sequence + 1, value or b"", log_ns, log_ns)
@@ -237,7 +249,7 @@ class SignalsFile:
         before_ns = channel.last_ns
         if (lost := channel.note(sequence, log_ns)) and len(self.gaps) < MOST_GAPS:
             self.gaps.append(Gap(before_ns, log_ns, lost))
-        self._writer.add_message(channel.id, log_ns, value, publish_ns, sequence & _SEQUENCE_MASK)
+        self._writer.add(channel.id, sequence & _SEQUENCE_MASK, log_ns, publish_ns, value)
         if channel.id in self._told:
             self.retelling.note(channel.key, value, log_ns)
         self.messages += 1
@@ -256,23 +268,21 @@ class SignalsFile:
         if len(self.channels) >= MAX_CHANNELS:
             return None
         channel = Channel(len(self.channels) + 1 + STAMPS_NUMBER, key, source, encoding)
-        number = self._register(channel.topic, encoding, channel.metadata())
-        if number != channel.id:
-            raise RuntimeError(f"MCAP channel {number}, expected {channel.id}")
+        self._register(channel.topic, encoding, channel.metadata())
         self.channels.append(channel)
         return channel
 
     def _register(self, topic: str, encoding: str, metadata: dict[str, str]) -> int:
-        number: int = self._writer.register_channel(topic, encoding, 0, metadata)
+        number = len(self._records) + 1
         if is_told(topic, encoding):
             self._told.add(number)
         self._records.append(mcap.records.Channel(number, topic, encoding, metadata, 0))
+        self._writer.define(self._records[-1])
         return number
 
     def _adopt(self, records: Mapping[int, mcap.records.Channel], recount: Recount) -> None:
         """Take over channels and counters of the file; a channel keeps its number, its count and what describes it."""
-        stamps = {"source": "", "writer": "recorder", "contract": layout.NO_CONTRACT}
-        first = mcap.records.Channel(STAMPS_NUMBER, layout.STAMPS_TOPIC, layout.TEXT, stamps, 0)
+        first = mcap.records.Channel(STAMPS_NUMBER, layout.STAMPS_TOPIC, layout.TEXT, _BOOKKEEPING, 0)
         for number, record in sorted({STAMPS_NUMBER: first, **records}.items()):
             if self._register(record.topic, record.message_encoding, record.metadata) != number:
                 raise EpisodeError(f"{self._disk.path}: nothing describes its channel {len(self._records)}")

@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from station.episode.drops import Drops
 from station.episode.quality import RivalWriters, StreamQuality
 from station.episode.reader import Channel, Message
 
@@ -32,10 +33,13 @@ class StreamCounter:
         self._times[channel.id].append(message.publish_ns)
         self._numbers[channel.id].append(message.sequence)
 
-    def streams(self, start_ns: int) -> list[StreamQuality]:
-        """Return every stream, by key and writer; times are told from `start_ns`."""
+    def streams(self, start_ns: int, drops: Drops) -> list[StreamQuality]:
+        """Return every stream, by key and writer; times are told from `start_ns`.
+
+        What the recorder dropped knowingly is told as that, and not as lost.
+        """
         found = [
-            _measure(channel, _ints(self._times[number]), _ints(self._numbers[number]), start_ns)
+            _measure(channel, _ints(self._times[number]), _ints(self._numbers[number]), start_ns, drops)
             for number, channel in self._channels.items()
         ]
         return sorted(found, key=lambda stream: (stream.key, stream.writer, stream.first_s))
@@ -64,8 +68,9 @@ def _ints(values: array[int]) -> Ints:
     return np.frombuffer(values, dtype=np.int64)
 
 
-def _measure(channel: Channel, times: Ints, numbers: Ints, start_ns: int) -> StreamQuality:
-    lost, repeated, out_of_order = _by_number(numbers) if channel.is_native else (0, 0, 0)
+def _measure(channel: Channel, times: Ints, numbers: Ints, start_ns: int, drops: Drops) -> StreamQuality:
+    missing, repeated, out_of_order = _by_number(numbers) if channel.is_native else (0, 0, 0)
+    dropped, bulky = (0, 0) if channel.is_deletion else drops.of(channel.topic, channel.source)
     ordered = np.sort(times)
     intervals = np.diff(ordered) * 1e-9
     span_s = float(ordered[-1] - ordered[0]) * 1e-9
@@ -78,7 +83,9 @@ def _measure(channel: Channel, times: Ints, numbers: Ints, start_ns: int) -> Str
         role=contract.role if contract else "unknown",
         is_native=channel.is_native,
         count=len(times),
-        lost=lost,
+        lost=max(0, missing - dropped),
+        dropped=dropped,
+        dropped_bulky=bulky,
         repeated=repeated,
         out_of_order=out_of_order,
         rate_hz=len(intervals) / span_s if span_s > 0 else None,

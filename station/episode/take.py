@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from station.bus.tap import Position, Write
 
 _SAVE_EVERY_S = 1.0
+_MOST_HOLES = 1000
 
 
 class Take:
@@ -34,7 +35,6 @@ class Take:
         folder, anchor: Folder of the episode, and its clock, whose instant is the start.
         start_id: As above; None when it has been answered.
         end_ids, discard_ids: Ids of those that are to be answered once the file is closed.
-        has_dropped: Whether a full queue has been complained about.
     """
 
     def __init__(self, writer: EpisodeWriter, manifest: Manifest, *, start_id: str | None = None) -> None:
@@ -45,7 +45,6 @@ class Take:
         self.start_id = start_id
         self.end_ids: list[str] = []
         self.discard_ids: list[str] = []
-        self.has_dropped = False
         self._is_dirty = False
         self._saved_at = time.monotonic()
 
@@ -60,7 +59,7 @@ class Take:
             self.manifest.timing.preroll_s = max(0.0, -self._at_s(preroll[0].mono_ns))
         for write in preroll:
             self.note(write)
-        self.writer.put(preroll, is_live=False, is_whole=False)
+        self.writer.put(preroll, is_live=False, is_whole=False, is_held=True)
 
     def put(
         self, writes: Sequence[Write], position: Position | None, *, is_whole: bool = True, is_live: bool = True
@@ -86,7 +85,10 @@ class Take:
 
     def hole(self, from_ns: int, to_ns: int, reason: str) -> None:
         """Note that writes between two instants [ns, monotonic] may be missing."""
-        self.manifest.holes.append(Hole(from_s=self._at_s(from_ns), to_s=self._at_s(to_ns), reason=reason))
+        if len(self.manifest.holes) < _MOST_HOLES:
+            self.manifest.holes.append(Hole(from_s=self._at_s(from_ns), to_s=self._at_s(to_ns), reason=reason))
+        else:  # a bus that comes and goes for hours: one long hole stands for all further ones
+            self.manifest.holes[-1].to_s = self._at_s(to_ns)
         self.writer.save_manifest(self.manifest)  # the file does not tell of it: safe before what follows
 
     def touch(self) -> None:
@@ -117,7 +119,7 @@ class Take:
         writer = self.writer
         return RecorderState(
             state="recording", episode_id=self.episode_id, path=str(self.folder), messages=writer.messages,
-            bytes=writer.size, dropped=writer.dropped, queued=writer.queued, backend=backend,
+            bytes=writer.size, dropped=writer.dropped + writer.refused, queued=writer.queued, backend=backend,
             lag_ms=writer.lag.percentile_ms(50), lag_p99_ms=writer.lag.percentile_ms(99), error=writer.error,
             restarts=self.manifest.recorder.restarts,
         )  # fmt: skip

@@ -6,24 +6,25 @@ import contextlib
 import logging
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
-
-import msgspec
+from typing import TYPE_CHECKING, Any, Literal
 
 from station.episode import layout
 from station.episode.anchor import Anchor
 from station.episode.atomic import sync_folder
+from station.episode.channels import MAX_CHANNELS
 from station.episode.closing import summary_record
-from station.episode.disk import why_not
+from station.episode.disk import give_back, why_not
+from station.episode.drops import Spell
 from station.episode.lag import Lag
 from station.episode.ledger import Ledger
 from station.episode.manifest import Manifest, dump_manifest, save_manifest, snapshot
 from station.episode.progress import Totals, WriterOptions
+from station.episode.queue import Batch, WriteQueue
 from station.episode.signals import SignalsFile
 from station.errors import EpisodeError
+from station.life.events import Severity
 
 if TYPE_CHECKING:
     from station.bus.tap import Position, Write
@@ -40,14 +41,6 @@ Closing = Callable[[Totals], Manifest]
 """Given the counters of the file, returns the manifest that closes it; called in the writer's thread."""
 
 
-class _Batch(msgspec.Struct, frozen=True):
-    writes: Sequence[Write]
-    size: int
-    position: Position | None
-    is_live: bool
-    is_whole: bool
-
-
 class EpisodeWriter:
     """Writes one episode into its folder. Every method returns at once, except `wait`.
 
@@ -59,7 +52,6 @@ class EpisodeWriter:
         start_id: Id of the request that began the episode, for whoever takes it up again.
         place: Where the tap stood before the first write, for the same.
         reopened: The file of an episode that is taken up again; None makes a new one.
-        dropped: How many writes the episode lacks already.
 
     A disk that is full or gone never raises here: `state` becomes ``failed`` and `error` says why in one line, what
     comes later is counted as dropped, and the ``.active`` file keeps every flush that succeeded.
@@ -72,23 +64,24 @@ class EpisodeWriter:
 
     def __init__(
         self, folder: Path, *, anchor: Anchor, manifest: Manifest, options: WriterOptions | None = None,
-        start_id: str = "", place: Position | None = None, reopened: SignalsFile | None = None, dropped: int = 0,
+        start_id: str = "", place: Position | None = None, reopened: SignalsFile | None = None,
     ) -> None:  # fmt: skip
         self.folder = folder
         self.anchor = anchor
         self.state: WriterState = "opening"
         self.error = ""
-        self.dropped = dropped
+        self.dropped = reopened.drops.total if reopened else 0
         self.lag = Lag()
         self._options = options or WriterOptions()
-        self._queue: deque[_Batch] = deque()
+        self._queue = WriteQueue(self._options.queue_writes, self._options.queue_bytes)
         self._wake = threading.Condition()
-        self._queued_writes = self._queued_bytes = 0
+        self._spells = {True: Spell("images-dropped", "warning"), False: Spell("writes-dropped", "error")}
+        self._is_refusal_told = False
         self._saved = snapshot(manifest)
         self._manifest: Manifest | None = self._saved
         self._episode_id = manifest.episode_id
         task, started = manifest.task.name, manifest.timing.started
-        self._facts = {"episode_id": manifest.episode_id, "task": task, "started": started}
+        self._facts = {"episode_id": self._episode_id, "task": task, "started": started}
         self._closing: Closing | None = None
         self._signals = reopened
         self._ledger = Ledger(folder, manifest.episode_id, anchor, start_id)
@@ -98,9 +91,10 @@ class EpisodeWriter:
         self._thread.start()
 
     def put(
-        self, writes: Sequence[Write], *, position: Position | None = None, is_live: bool = True, is_whole: bool = True
-    ) -> int:
-        """Queue writes in the order of their arrival; return how many were dropped because the queue is full.
+        self, writes: Sequence[Write], *, position: Position | None = None, is_live: bool = True,
+        is_whole: bool = True, is_held: bool = False,
+    ) -> int:  # fmt: skip
+        """Queue writes in the order of their arrival; return how many were dropped, images before signals.
 
         Args:
             writes: What the tap returned; not to be changed afterwards.
@@ -108,23 +102,30 @@ class EpisodeWriter:
             is_live: False for the pre-roll, whose age says nothing about the writer.
             is_whole: False when more must follow before the position is known; nothing is flushed until then, since
                 a recorder that is killed and resumes at a position must find exactly what came before it.
+            is_held: Whether they are in memory anyway, as the pre-roll is: they take no room in the queue.
         """
-        size = sum(len(write[1]) if write[1] is not None else 0 for write in writes)
         with self._wake:
-            is_full = (
-                self._queued_writes + len(writes) > self._options.queue_writes
-                or self._queued_bytes + size > self._options.queue_bytes
-            )
-            if is_full or self.state in ("failed", "finished") or self._closing is not None:
+            if self.state in ("failed", "finished") or self._closing is not None:
                 self.dropped += len(writes)
                 return len(writes)
-            self._queued_writes += len(writes)
-            self._queued_bytes += size
             was_idle = not self._queue
-            self._queue.append(_Batch(writes, size, position, is_live, is_whole))
+            drops = self._queue.put(Batch(writes, 0, position, is_live, is_whole, is_held))
             if was_idle:
                 self._wake.notify()
-        return 0
+            if drops is None:
+                return 0
+            self.dropped += drops.total
+        for is_bulky, spell in self._spells.items():
+            spell.note(drops.only(is_bulky=is_bulky), time.monotonic())
+        return drops.total
+
+    def news(self) -> Iterator[tuple[str, Severity, dict[str, Any]]]:
+        """Return events that are due: writes are dropped, or no longer. For the thread that calls `put`."""
+        for spell in self._spells.values():
+            yield from spell.poll(time.monotonic())
+        if self.refused and not self._is_refusal_told:
+            self._is_refusal_told = True
+            yield "keys-refused", "error", {"channels": MAX_CHANNELS, "dropped": self.refused}
 
     def save_manifest(self, manifest: Manifest) -> None:
         """Have the manifest written to disk as it is now; a newer one replaces one that still waits."""
@@ -156,16 +157,19 @@ class EpisodeWriter:
         return self._signals.size if self._signals else 0
 
     @property
+    def refused(self) -> int:
+        """Writes that are not in the file because it has too many keys already; not in `dropped`."""
+        return self._signals.refused if self._signals else 0
+
+    @property
     def queued(self) -> int:
         """Writes that wait for the disk."""
-        return self._queued_writes
+        return self._queue.writes
 
     @property
     def is_congested(self) -> bool:
-        """Whether the queue is half full."""
-        return (
-            2 * self._queued_writes > self._options.queue_writes or 2 * self._queued_bytes > self._options.queue_bytes
-        )
+        """Whether so much waits that what can wait elsewhere should."""
+        return self._queue.is_congested
 
     def _run(self) -> None:
         try:
@@ -182,9 +186,7 @@ class EpisodeWriter:
 
     def _open(self) -> None:
         if self._signals is None:
-            self._ledger.note(
-                self._position, None, self.dropped
-            )  # before all else: what is there without it has nobody to go on with it
+            self._ledger.note(self._position, None)  # before all else: nobody goes on with what is there without it
         manifest = self._next_manifest()
         data = save_manifest(manifest, self.folder) if manifest else b""
         if self._signals is None:
@@ -192,7 +194,7 @@ class EpisodeWriter:
             sync_folder(self.folder)
         else:
             self.state = "open"
-        self._ledger.note(self._position, self._signals, self.dropped)
+        self._ledger.note(self._position, self._signals)
 
     def _work(self) -> None:
         """Write batches until asked to finish; flush by size, by time, and once after the first batch."""
@@ -213,22 +215,23 @@ class EpisodeWriter:
             if is_closing:
                 return
 
-    def _write(self, signals: SignalsFile, batch: _Batch) -> None:
+    def _write(self, signals: SignalsFile, batch: Batch) -> None:
         for write in batch.writes:
             signals.add(write)
+        if batch.drops is not None:
+            signals.drops.add(batch.drops)
         self._is_whole = batch.is_whole
         if batch.is_whole:
             self._position = batch.position
         with self._wake:
-            self._queued_writes -= len(batch.writes)
-            self._queued_bytes -= batch.size
+            self._queue.done(batch)
         if batch.is_live and batch.writes:
             self.lag.note(time.monotonic_ns() - batch.writes[0][3])
 
     def _flush(self, signals: SignalsFile) -> float:
         """Bring everything to the disk and say so in the ledger; return when the next flush is due."""
         signals.sync()
-        self._ledger.note(self._position, signals, self.dropped)
+        self._ledger.note(self._position, signals)
         return time.monotonic() + self._options.flush_s
 
     def _close(self) -> None:
@@ -254,17 +257,15 @@ class EpisodeWriter:
             return Totals(dropped=self.dropped)
         return self._signals.totals(self.dropped, self.lag)
 
-    def _next_batches(self, deadline: float | None) -> tuple[list[_Batch], bool]:
-        """Wait for work, at most until the deadline; return the batches and whether they are the last."""
+    def _next_batches(self, deadline: float | None) -> tuple[list[Batch], bool]:
+        """Wait for work, at most until the deadline; return some batches and whether they are the last."""
         with self._wake:
             if not (self._queue or self._closing is not None or self._manifest is not None):
                 self._wake.wait(None if deadline is None else max(0.0, deadline - time.monotonic()))
-        if self._queued_writes < _HURRY_WRITES and self._closing is None:
+        if self._queue.writes < _HURRY_WRITES and self._closing is None:
             time.sleep(_LINGER_S)
         with self._wake:
-            batches = list(self._queue)
-            self._queue.clear()
-            return batches, self._closing is not None
+            return self._queue.take(self._options.flush_bytes), self._closing is not None and not self._queue
 
     def _next_manifest(self) -> Manifest | None:
         with self._wake:
@@ -278,19 +279,21 @@ class EpisodeWriter:
         return self._signals
 
     def _fail(self, reason: str) -> None:
+        error = f"episode {self._episode_id}: cannot be written any more: {reason}"
+        log.error("%s", error)
         with self._wake:
-            self.error = f"episode {self._episode_id}: cannot be written any more: {reason}"
-            self.state = "failed"
-            self.dropped += self._queued_writes + (self._signals.unsynced_messages if self._signals else 0)
-            self._queue.clear()
-            self._queued_writes = self._queued_bytes = 0
-        log.error("%s", self.error)
+            self.dropped += self._queue.clear() + (self._signals.unsynced_messages if self._signals else 0)
         self._saved.state = "failed"
-        self._saved.recorder.ended_by = self.error
+        self._saved.recorder.ended_by, self._saved.recorder.dropped = error, self.dropped + self.refused
+        give_back(self.folder)
         try:
-            save_manifest(self._saved, self.folder)
-        except EpisodeError as error:
-            log.error("%s", error)
+            if self.folder.is_dir():  # one that is gone is not to become a file
+                save_manifest(self._saved, self.folder)
+        except EpisodeError as why:
+            log.error("%s", why)
             with contextlib.suppress(OSError):  # of an episode that could not even begin, leave nothing; else keep all
                 self._ledger.remove()
                 self.folder.rmdir()
+        with self._wake:  # last: whoever sees it finds the folder as it will stay
+            self.error, self.state = error, "failed"
+            self.dropped += self._queue.clear()

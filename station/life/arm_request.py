@@ -81,7 +81,7 @@ def ask(
         NotReady: no such server runs, the bus did not take the request, or a server did not answer.
         Refused: a server said no; with its reason.
     """
-    robots = {health.name: _robot(bus, health) for health in _low_level(bus, server)}
+    robots = {health.name: robot_of(bus, health) for health in _low_level(bus, server)}
     wanted = ArmRequest(action=action, id=secrets.token_hex(4), server=server, who=getpass.getuser(), reason=reason)
     deadline_s = time.monotonic() + within_s
     with bus.watch([keys.command_gate(robot) for robot in robots.values()]) as watch:
@@ -108,7 +108,12 @@ def _low_level(bus: Bus, server: str) -> Iterator[Health]:
     yield from chosen
 
 
-def _robot(bus: Bus, health: Health) -> str:
+def robot_of(bus: Bus, health: Health) -> str:
+    """Return the suffix of the robot that a low-level server drives.
+
+    Raises:
+        NotReady: it has not said so yet.
+    """
     try:
         return codec.parse_struct(bus.get(keys.server_config(health.name)) or b"", _Stated).robot
     except codec.BadValue as error:

@@ -68,9 +68,23 @@ class AssetsCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class DiskCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """There is room for episodes."""
+    """There is room for episodes.
+
+    Attributes:
+        min_free_gb: Least free space [GB].
+        min_minutes: Least time that must fit [min].
+        mb_per_minute: What an episode is taken to need [MB/min]. A simulated G1 without cameras wrote 7.6; pictures of
+            50 kB at 30 Hz are 90 more.
+    """
 
     min_free_gb: float = 2.0
+    min_minutes: float = 0.0
+    mb_per_minute: float = 8.0
+
+    def __post_init__(self) -> None:
+        """Refuse a rate that fills no disk."""
+        if not self.mb_per_minute > 0:
+            raise ValueError(f"mb_per_minute is {self.mb_per_minute}, expected more than 0")
 
     def run(self, _bus: Bus, data: Path) -> str:
         """Look at the data folder, or where it will be made."""
@@ -81,9 +95,15 @@ class DiskCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
                 f"{folder}: {free_gb:.1f} GB free, {self.min_free_gb:g} needed; "
                 "make room or record elsewhere with --data"
             )
+        minutes = free_gb * 1e3 / self.mb_per_minute
+        if minutes < self.min_minutes:
+            raise NotReady(
+                f"{folder}: {free_gb:.1f} GB free are {minutes:.0f} min at {self.mb_per_minute:g} MB/min, "
+                f"{self.min_minutes:g} needed; make room or record elsewhere with --data"
+            )
         if not folder.is_dir() or not os.access(folder, os.W_OK):
             raise NotReady(f"{folder}: not a folder that can be written; record elsewhere with --data")
-        return f"{free_gb:.0f} GB free at {folder}"
+        return f"{free_gb:.0f} GB free at {folder}, {minutes:.0f} min at {self.mb_per_minute:g} MB/min"
 
 
 class ClockCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

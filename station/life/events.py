@@ -48,6 +48,12 @@ def make(source: str, name: str, severity: Severity = "info", **detail: Any) -> 
     return Event(name=name, severity=severity, source=source, wall_ns=time.time_ns(), detail=detail)
 
 
+def late(event: Event) -> Event:
+    """Return an event that could not be said when it happened, with how late it is now [s]."""
+    late_s = round((time.time_ns() - event.wall_ns) * 1e-9, 3)
+    return msgspec.structs.replace(event, detail={**event.detail, "late_s": late_s})
+
+
 def decode(data: bytes) -> Event | None:
     """Return the event that bytes from the bus hold, or None when they hold none."""
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import select
+import threading
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -10,8 +11,10 @@ from collections.abc import Sequence
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
+from station.bus.outage import Outages
 from station.bus.sample import Sample
 from station.bus.watch import Watch
+from station.life import estop
 from station.life.inlet import CommandSample
 from station.life.rivals import FOREIGN
 from station.life.writers import Writers
@@ -31,14 +34,20 @@ class CommandWatch(Watch):
         address: Where the bus is.
         wanted: Keys to watch.
         key: The one of them whose writers are told apart.
+        outages: As of any watch.
+
+    Attributes:
+        urgent: Set when a write asks for the emergency stop: a loop that sleeps acts at once. Who obeys it clears it.
+        doubtful: Values of `key` that may be of either kind of writer, and were left out.
     """
 
-    def __init__(self, address: BusAddress, wanted: Sequence[str], *, key: str) -> None:
+    def __init__(self, address: BusAddress, wanted: Sequence[str], *, key: str, outages: Outages | None = None) -> None:
         self._shared_key = key
         self._by_writer: dict[str, Sample] = {}
         self._is_doubtful = False
+        self.urgent = threading.Event()
         self.doubtful = 0
-        super().__init__(address, wanted)
+        super().__init__(address, wanted, outages=outages)
 
     def take(self) -> list[Sample]:
         """Return the newest value of each writer since the last call, in the order of arrival."""
@@ -79,7 +88,11 @@ class CommandWatch(Watch):
         before = self._slots.get(key)
         super()._put(key, value, mark, now_ns, is_foreign=is_foreign)
         sample = self._slots.get(key)
-        if key != self._shared_key or sample is None or sample is before:
+        if sample is None or sample is before:
+            return
+        if key == keys.ESTOP and estop.read(sample.value).stop:
+            self.urgent.set()
+        if key != self._shared_key:
             return
         if self._is_doubtful:
             self.doubtful += 1

@@ -1,7 +1,8 @@
 """The line between a supervisor and the servers it starts: a pipe that says "go", and breaks when the supervisor dies.
 
-The supervisor holds the writing end. One line ``go`` activates the server; end of file, which the kernel delivers
-even after ``kill -9`` of the supervisor, asks it to finish cleanly, and soon after makes it.
+The supervisor holds the writing end. A line ``go`` activates the server; ``estop`` asks for the emergency stop, which
+so reaches a robot also past a bus that is dead; end of file, which the kernel delivers even after ``kill -9`` of the
+supervisor, asks it to finish cleanly, and soon after makes it.
 """
 
 from __future__ import annotations
@@ -19,10 +20,16 @@ GRACE_S = 10.0  # longer than the 2 s blend of a command server and the closing 
 
 
 class Leash:
-    """A server's end of the line."""
+    """A server's end of the line.
+
+    Attributes:
+        activated: Set by ``go``.
+        on_estop: Called, in the leash's thread, by ``estop``.
+    """
 
     def __init__(self, descriptor: int, on_release: Callable[[], None]) -> None:
         self.activated = threading.Event()
+        self.on_estop: Callable[[], None] = lambda: None
         self._descriptor = descriptor
         self._on_release = on_release
         threading.Thread(target=self._listen, name="leash", daemon=True).start()
@@ -32,6 +39,8 @@ class Leash:
             for word in line:
                 if word.strip() == "go":
                     self.activated.set()
+                elif word.strip() == "estop":
+                    self.on_estop()
         log.warning("the supervisor is gone; finishing")
         self._on_release()
         self.activated.set()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -49,10 +50,15 @@ class Rate:
         self.overruns = 0
         self._sleep_until = sleep or sleep_until
         self._deadline_ns: int | None = None
+        self._came_early = False
         self._wakes: deque[tuple[int, int]] = deque(maxlen=_WINDOW)
 
-    def wait(self) -> None:
-        """Sleep until the next deadline; deadlines that have passed are counted and skipped, never made up for."""
+    def wait(self, urgent: threading.Event | None = None) -> None:
+        """Sleep until the next deadline; deadlines that have passed are counted and skipped, never made up for.
+
+        Where `urgent` is or gets set the tick comes at once and later deadlines count from it; but never two ticks in
+        a row, so that whoever sets it all the time cannot make the loop run away.
+        """
         now_ns = time.monotonic_ns()
         if self._deadline_ns is None:
             self._deadline_ns = now_ns
@@ -62,7 +68,12 @@ class Rate:
         if late >= 1:
             self.overruns += late
             self._deadline_ns += late * self.period_ns
-        self._sleep_until(self._deadline_ns)
+        if urgent is None or self._came_early:
+            self._came_early = False
+            self._sleep_until(self._deadline_ns)
+        elif urgent.wait(max(0.0, (self._deadline_ns - now_ns) * 1e-9)):
+            self._came_early = True
+            self._deadline_ns = min(self._deadline_ns, time.monotonic_ns())
         woke_ns = time.monotonic_ns()
         self._wakes.append((woke_ns, woke_ns - self._deadline_ns))
 

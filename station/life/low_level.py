@@ -57,16 +57,19 @@ class LowLevelLoop:
         self._life, self._control, self._state_values = life, control, state_values
         self._period_s, self._reset_after_s = period_s, reset_after_s
         self._suffix, self._key = control.inlet.form.robot, control.inlet.form.key
-        self._watch = CommandWatch(life.bus.address, [self._key, keys.ESTOP, keys.ARM], key=self._key)
+        watched = [self._key, keys.ESTOP, keys.ARM]
+        self._watch = CommandWatch(life.bus.address, watched, key=self._key, outages=life.bus.outages)
         config = control.gate.config
         self._inbox = Inbox(self._watch, self._key, Writers(config.rivals, config.return_after_s))
         self._estop_seen: Sample | None = None
+        self._is_stopped_past_bus = False  # asked to, and not obeyed yet
         self._arm_seen = self._watch.latest(keys.ARM)  # a request from before our time is none
         self._arm_answer: ArmAnswer | None = None
         self._fell_at_s: float | None = None
         self._falls = 0
         self._said_s = -math.inf
         self._bus_is_lost = False
+        life.on_estop(self._hear_supervisor)
 
     def __enter__(self) -> LowLevelLoop:
         return self
@@ -75,9 +78,10 @@ class LowLevelLoop:
         self._watch.close()
 
     def run_at(self, rate: Rate) -> None:
-        """Tick at a fixed rate until the server is asked to stop."""
+        """Tick at a fixed rate until the server is asked to stop; an emergency stop does not wait for its tick."""
         while not self._life.stopping:
-            rate.wait()
+            rate.wait(self._watch.urgent)
+            self._watch.urgent.clear()
             state = self._sense()
             now_s = time.monotonic()
             self._obey(now_s)
@@ -130,7 +134,7 @@ class LowLevelLoop:
 
     def _is_asked(self) -> bool:
         stop, arm = self._watch.latest(keys.ESTOP), self._watch.latest(keys.ARM)
-        return stop is not self._estop_seen or arm is not self._arm_seen
+        return self._is_stopped_past_bus or stop is not self._estop_seen or arm is not self._arm_seen
 
     def _obey(self, now_s: float) -> bool:
         """Do what an operator asks for; return whether something was newly asked."""
@@ -154,7 +158,15 @@ class LowLevelLoop:
         self._arm_answer = ArmAnswer(id=request.id, action=request.action, refused=refused)
         return True
 
+    def _hear_supervisor(self) -> None:
+        self._is_stopped_past_bus = True
+        self._watch.urgent.set()
+
     def _obey_stop(self, now_s: float) -> bool:
+        if self._is_stopped_past_bus:
+            self._is_stopped_past_bus = False
+            self._control.stop("key in `station up`")
+            return True
         sample = self._watch.latest(keys.ESTOP)
         if sample is self._estop_seen:
             return False

@@ -43,6 +43,10 @@ class Restarts:
         self.count += 1
         self._short_lives = self._short_lives + 1 if lived_s < _SHORT_LIFE_S else 0
 
+    def pardon(self) -> None:
+        """Forget the short lives: a person starts it again."""
+        self._short_lives = 0
+
     @property
     def delay_s(self) -> float:
         """Time from a death to the next start [s]."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import msgspec
 
@@ -18,6 +18,8 @@ from station.errors import ConfigError, did_you_mean
 from station.life import arm_request
 from station.life.checks import KINDS, Check
 from station.life.server import ServerKind
+
+IfItDies = Literal["ask", "end", "restart"]
 
 _STEP_KINDS = ("check", "confirm", "start", "note", "arm", "disarm")
 
@@ -76,12 +78,22 @@ class NoteStep(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class StartStep(msgspec.Struct, frozen=True, kw_only=True):
-    """A server to start, with its validated configuration."""
+    """A server to start, with its validated configuration.
+
+    Attributes:
+        start: Its name.
+        kind: What it is.
+        config: Its configuration.
+        ready_within_s: Longest time for loading, and for becoming active [s].
+        if_it_dies: ``ask`` the person who attends and stay up meanwhile, where nobody attends as ``end``; ``end``
+            takes the station down; ``restart`` starts it again at once, however often it dies after a while.
+    """
 
     start: str
     kind: ServerKind
     config: msgspec.Struct
     ready_within_s: float = 20.0
+    if_it_dies: IfItDies = "ask"
 
     def __str__(self) -> str:
         return f"start {self.start} {_chosen(self.config)}".rstrip()
@@ -183,7 +195,7 @@ def _step(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], wher
 
 
 def _start(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], where: str) -> StartStep:
-    known = ("start", "with", "ready_within")
+    known = ("start", "with", "ready_within", "if_it_dies")
     for key in raw:
         if key not in known:
             raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(key, known)}; known: {', '.join(known)}")
@@ -198,7 +210,17 @@ def _start(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], whe
         kind=kind,
         config=config.build(kind.config, values, where=f"{where} ({name})"),
         ready_within_s=config.seconds(raw.get("ready_within", 20), where=f"{where}: ready_within"),
+        if_it_dies=_if_it_dies(raw, kind, where),
     )
+
+
+def _if_it_dies(raw: Mapping[str, Any], kind: ServerKind, where: str) -> IfItDies:
+    """Return what a runbook wants; or else an episode waits for its recorder, what moves a robot for a person."""
+    value = raw.get("if_it_dies", "restart" if kind.role == "recorder" else "ask")
+    for known in get_args(IfItDies):
+        if value == known:
+            return known  # type: ignore[no-any-return]  # one of the literal's own
+    raise ConfigError(f"{where}: if_it_dies: expected {', '.join(get_args(IfItDies))}, got {value!r}")
 
 
 def _check(raw: Mapping[str, Any], where: str) -> CheckStep:

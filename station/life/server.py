@@ -15,6 +15,7 @@ import socket
 import threading
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -28,7 +29,7 @@ from station.bus.credentials import for_role
 from station.bus.protection import look
 from station.errors import BusError, Refused, StationError
 from station.life import events, leash
-from station.life.events import Severity
+from station.life.events import Event, Severity
 
 log = logging.getLogger(__name__)
 
@@ -36,6 +37,7 @@ State = Literal["unconfigured", "inactive", "active", "finalized"]
 Role = Literal["command", "low-level", "recorder", "sensor"]
 
 HEARTBEAT_S = 0.5
+_MOST_UNSAID = 100
 DEAD_AFTER_S = 2.0  # four heartbeats
 
 
@@ -109,6 +111,7 @@ class Life:
         self.stop_event = threading.Event()
         self._leash = leash.from_environment(self.stop_event.set)
         self._configuration: bytes | None = None
+        self._unsaid: deque[Event] = deque(maxlen=_MOST_UNSAID)  # events that the bus did not take
         self._ended = threading.Event()
         now_ns = time.time_ns()
         self._health = Health(
@@ -145,10 +148,16 @@ class Life:
         self._become("active")
         return True
 
+    def on_estop(self, act: Callable[[], None]) -> None:
+        """Have something called, in another thread, when the supervisor asks for the emergency stop past the bus."""
+        if self._leash is not None:
+            self._leash.on_estop = act
+
     def event(self, name: str, *, severity: Severity = "info", **detail: Any) -> None:
         """Say that something happened: on the bus, so that it stands in the episode, and in the log."""
         event = events.make(self.name, name, severity, **detail)
-        self.bus.publish({keys.EVENT: event.encode()})
+        if not self.bus.publish({keys.EVENT: event.encode()}):
+            self._unsaid.append(event)
         events.write_log(log, event)
 
     def last_word(self, name: str, **detail: Any) -> None:
@@ -175,18 +184,23 @@ class Life:
         self._say()
 
     def _beat(self) -> None:
-        was_connected = True
+        connections = self.bus.connections
         while not self._ended.wait(HEARTBEAT_S):
             self._say()
-            if self.bus.is_connected and not was_connected:
-                self._come_back()
-            was_connected = self.bus.is_connected
+            if connections != self.bus.connections and self._configuration is not None:
+                connections = self.bus.connections  # a restarted bus has forgotten it
+                self.bus.publish({keys.server_config(self.name): self._configuration})
+            for outage in self.bus.outages.take():
+                self.event(outage.kind, severity="warning", **outage.detail())
+                self._say_late()
 
-    def _come_back(self) -> None:
-        """Say again what a restarted bus has forgotten."""
-        if self._configuration is not None:
-            self.bus.publish({keys.server_config(self.name): self._configuration})
-        self.event("bus-back", severity="warning", lost_writes=self.bus.lost_writes)
+    def _say_late(self) -> None:
+        """Say the events of which nobody could hear, now that the bus is back and listened to again."""
+        while self._unsaid:
+            event = self._unsaid[0]
+            if not self.bus.publish({keys.EVENT: events.late(event).encode()}):
+                return
+            self._unsaid.popleft()
 
     def _say(self) -> None:
         self._health.wall_ns = time.time_ns()

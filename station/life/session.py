@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 
@@ -16,8 +16,9 @@ from station.bus.client import Bus
 from station.episode import left_open, remote
 from station.episode.request import RecordAnswer
 from station.errors import BusError, ConfigError, NotReady, Refused, StationError
+from station.life.deaths import Deaths
 from station.life.event_feed import EventFeed
-from station.life.events import Severity
+from station.life.face import Face
 from station.life.restarts import Restarts
 from station.life.runbook import CheckStep, ConfirmStep, NoteStep, Runbook, StartStep, Step
 from station.life.server import Health, read_health
@@ -27,7 +28,9 @@ _LOOK_S = 0.1
 _BUS_GONE_S = 10.0  # a restarted server is back within a second; without one nobody can be watched over
 _RECORDER = "recorder"
 _UNATTENDED = "--yes"
-_TOLD_OTHERWISE = ("record-start", "server-failed", "server-crashed")  # with more, by the session itself
+_TOLD_OTHERWISE = (  # with more, by the session itself
+    "record-start", "server-failed", "server-crashed", "server-died", "server-silent",
+)  # fmt: skip
 _INTERRUPTED = 130  # what a shell calls a command that Ctrl-C ended
 
 
@@ -47,34 +50,6 @@ class Recording(msgspec.Struct, frozen=True, kw_only=True):
     task: str
     instruction: str = ""
     operator: dict[str, str] = {}
-
-
-class Face(Protocol):
-    """How a session shows itself and asks; the command line implements it."""
-
-    def begin(self, step: str) -> None:
-        """A step begins."""
-        ...
-
-    def done(self, step: str, result: str) -> None:
-        """A step is done."""
-        ...
-
-    def failed(self, step: str, reason: str) -> None:
-        """A step has failed."""
-        ...
-
-    def say(self, text: str, severity: Severity = "info") -> None:
-        """Something happened."""
-        ...
-
-    def confirm(self, sentence: str) -> bool:
-        """Ask a person; whether the answer was yes."""
-        ...
-
-    def show(self, health: list[Health]) -> None:
-        """How the servers are doing, a few times a second."""
-        ...
 
 
 class Session:
@@ -114,6 +89,7 @@ class Session:
         self._data, self._recording, self._is_unattended = data, recording, is_unattended
         self._is_recording = False
         self._bus_lost_s: float | None = None
+        self._deaths = Deaths(runbook, supervisor, face, is_unattended=is_unattended)
         self.answers: list[Answer] = []
         self.episode: RecordAnswer | None = None
 
@@ -186,7 +162,7 @@ class Session:
         return f"active after {took_s:.1f} s, pid {health.pid}"
 
     def _spawn(self, step: StartStep) -> None:
-        restarts = Restarts() if step.kind.role == _RECORDER else None
+        restarts = Restarts() if step.if_it_dies == "restart" else None
         self._supervisor.spawn(step.start, step.config, restarts=restarts)
 
     def _confirm(self, step: ConfirmStep) -> str:
@@ -219,37 +195,36 @@ class Session:
     def _watch_over(self, feed: EventFeed, stop: threading.Event, for_s: float | None) -> tuple[str, int]:
         """Show how the station is doing until it should end; return why, and an exit code."""
         deadline = None if for_s is None else time.monotonic() + for_s
-        roles = {step.start: step.kind.role for step in self._runbook.servers}
         while not stop.wait(_LOOK_S):
             self._tell(feed)
-            for name, code in self._supervisor.ended().items():
-                if code == 0 and roles[name] == "command":
-                    return f"{name} has finished", 0
-                return f"server {name!r} {how_it_ended(code)}; its last words: {self._supervisor.last_words(name)}", 1
+            health = self._look()
+            if (end := self._deaths.look(health)) is not None:
+                return end
             if deadline is not None and time.monotonic() > deadline:
-                return f"{for_s:g} s are over", 0
-            if not self._look():
+                return f"{for_s:g} s are over", int(self._deaths.are_open)
+            if self._bus_lost_s is not None and time.monotonic() - self._bus_lost_s > _BUS_GONE_S:
                 return f"the bus {self._bus.address} has been gone for {_BUS_GONE_S:.0f} s", 1
-        return "stopped", 0
+        return "stopped", int(self._deaths.are_open)
 
     def _tell(self, feed: EventFeed) -> None:
         for event in feed.take():
             if event.name not in _TOLD_OTHERWISE:
                 self._face.say(f"{event.source}: {event}", event.severity)
 
-    def _look(self) -> bool:
-        """Show the servers' health; return False when the bus has been gone for too long."""
+    def _look(self) -> list[Health] | None:
+        """Show the servers' health and return it; None while the bus is gone."""
         try:
-            self._face.show(read_health(self._bus))
+            health = read_health(self._bus)
         except BusError as error:
             if self._bus_lost_s is None:
                 self._bus_lost_s = time.monotonic()
                 self._face.say(f"{error}; the servers hold their robots; waiting for it to come back", "error")
-            return time.monotonic() - self._bus_lost_s < _BUS_GONE_S
+            return None
+        self._face.show(health)
         if self._bus_lost_s is not None:
             self._face.say(f"the bus is back after {time.monotonic() - self._bus_lost_s:.1f} s", "warning")
             self._bus_lost_s = None
-        return True
+        return health
 
     def _take_down(self, code: int) -> int:
         """Stop the servers, newest first or as the runbook has it; the episode is closed before its recorder."""

@@ -3,14 +3,13 @@
 A child loads everything and then waits, inactive, for its leash to say "go" (`station.life.leash`); so the slow part
 of a start runs in parallel and the order of a runbook still holds. A child that dies takes nothing silently with it:
 its last words are kept. A recorder that dies is started again (`station.life.restarts`), since its episode waits for
-it; whatever moves a robot is not. When the supervisor itself is killed, every leash breaks and the children finish by
-themselves.
+it; whatever moves a robot is not, unless a runbook or a person says so (`station.life.deaths`). When the supervisor
+itself is killed, every leash breaks and the children finish by themselves.
 """
 
 from __future__ import annotations
 
 import contextlib
-import logging
 import os
 import signal
 import subprocess
@@ -19,6 +18,7 @@ import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -27,12 +27,11 @@ from station.bus import address as addresses
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.errors import NotReady
+from station.errors import BusError, NotReady
 from station.life import events, leash
+from station.life.events import Severity
 from station.life.restarts import RESTARTS_VARIABLE, Restarts
 from station.life.server import Health, State, decode_health
-
-log = logging.getLogger(__name__)
 
 _STOP_S = 15.0  # a command server blends for 2 s, a recorder closes its episode; then the child is killed
 _HURRY_S = 5.0  # a blend and a flush to the disk still fit
@@ -101,6 +100,7 @@ class Supervisor:
                 start_new_session=True,  # Ctrl-C in the terminal is ours to hear; the children stop in our order
             )
         os.close(reading)
+        os.set_blocking(writing, False)  # a frozen child, which reads nothing, must not hold us
         return process, writing
 
     def wait_for(self, name: str, state: State, timeout_s: float, *, stop: threading.Event | None = None) -> Health:
@@ -139,8 +139,11 @@ class Supervisor:
             os.write(child.go, b"go\n")
 
     def health(self, name: str) -> Health | None:
-        """Return what a child last said of itself; None before its first word."""
-        data = self._bus.get(keys.server(name))
+        """Return what a child last said of itself; None before its first word, and while the bus is away."""
+        try:
+            data = self._bus.get(keys.server(name))
+        except BusError:  # its line is mended in the background; who waits has a deadline
+            return None
         health = decode_health(data) if data is not None else None
         return health if health is not None and health.pid == self.children[name].process.pid else None
 
@@ -182,14 +185,40 @@ class Supervisor:
         """Say as an event what happened to a child, and what becomes of it."""
         how = how_it_ended(code)
         if restarts.allow(code):
-            event = events.make(
-                "supervisor", "server-restarted", "warning", server=child.name, reason=how, restarts=restarts.count,
-                delay_s=restarts.delay_s,
-            )  # fmt: skip
+            self.tell("server-restarted", "warning", server=child.name, reason=how, restarts=restarts.count,
+                      delay_s=restarts.delay_s)  # fmt: skip
         else:
-            event = events.make("supervisor", "server-given-up", "error", server=child.name, reason=restarts.why(how))
-        self._bus.publish({keys.EVENT: event.encode()})
-        events.write_log(log, event)
+            self.tell("server-given-up", "error", server=child.name, reason=restarts.why(how))
+
+    def tell(self, name: str, severity: Severity, **detail: Any) -> None:
+        """Say as an event, so that it stands in the episode, what happened to the servers."""
+        self._bus.publish({keys.EVENT: events.make("supervisor", name, severity, **detail).encode()})
+
+    def start_again(self, name: str) -> None:
+        """Start a child once more, as it was configured, in place of one that died or is frozen.
+
+        It becomes active as soon as it has loaded.
+        """
+        with self._lock:
+            child = self.children[name]
+            child.process.kill()
+            child.process.wait()
+            count = 1
+            if child.restarts is not None:
+                child.restarts.pardon()
+                count = max(1, child.restarts.count)
+            os.close(child.go)
+            child.process, child.go = self._launch(child.arguments, child.log, count)
+            child.started_s = time.monotonic()
+            with contextlib.suppress(BrokenPipeError):
+                os.write(child.go, b"go\n")
+
+    def estop(self) -> None:
+        """Ask every child that drives a robot for the emergency stop, whatever the bus does."""
+        with self._lock:
+            for child in self.children.values():
+                with contextlib.suppress(BrokenPipeError, BlockingIOError):  # dead, or frozen and told often enough
+                    os.write(child.go, b"estop\n")
 
     def stop(self, name: str, timeout_s: float = _STOP_S) -> int:
         """Ask a child to finish, wait, kill it if it does not; return its exit code.
@@ -206,8 +235,9 @@ class Supervisor:
         except subprocess.TimeoutExpired:
             child.process.kill()
             code = child.process.wait()
-        del self.children[name]
-        os.close(child.go)
+        with self._lock:
+            del self.children[name]
+            os.close(child.go)
         return code
 
     def stop_all(self) -> None:

@@ -14,6 +14,7 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.bus.watch import Watch
+from tests.bus.proxy import Proxy
 from tests.waiting import DEADLINE_S, wait_until
 
 
@@ -98,6 +99,38 @@ def test_a_watch_outlives_a_killed_server_and_keeps_telling_the_age(tmp_path: Pa
             second = watch.wait("k", after=first, timeout_s=DEADLINE_S)
             assert second is not None
             assert second.value == b"2"
+
+
+def test_after_a_cut_it_reads_again_what_changed_meanwhile_and_calls_none_of_it_fresh(bus_server: BusAddress) -> None:
+    wanted = ["changed", "overwritten", "same", "gone"]
+    with (
+        Proxy(bus_server) as network,
+        Bus(bus_server, name="motion", timeout_s=5.0) as bus,
+        Watch(network.address, wanted) as watch,
+    ):
+        bus.publish({key: b"before" for key in wanted})
+        wait_until(lambda: all(watch.latest(key) for key in wanted))
+        before = {key: watch.latest(key) for key in wanted}
+        network.cut()
+        wait_until(lambda: not watch.is_connected)
+        bus.publish({"changed": b"meanwhile"})
+        bus.call("SET", "overwritten", b"by a stock script")
+        bus.call("DEL", "gone")
+        network.mend()
+        wait_until(lambda: watch.connections == 2)
+        after = {key: watch.latest(key) for key in wanted}
+        assert after["same"] is before["same"]
+        assert after["gone"] is before["gone"]
+        for key, value in (("changed", b"meanwhile"), ("overwritten", b"by a stock script")):
+            sample = after[key]
+            assert sample is not None
+            assert (sample.value, sample.age_s()) == (value, math.inf)
+            assert watch.latest(key, max_age_s=1e9) is None
+        assert watch.wait("changed", after=None, timeout_s=0.05) is None
+        bus.publish({"changed": b"after"})
+        fresh = watch.wait("changed", after=after["changed"], timeout_s=DEADLINE_S)
+        assert fresh is not None
+        assert (fresh.value, fresh.age_s() < DEADLINE_S) == (b"after", True)
 
 
 def test_a_frozen_server_is_noticed(bus_server: BusAddress) -> None:

@@ -13,8 +13,8 @@ import pytest
 from station.episode.audit import audit
 from station.episode.reader import open_episode
 from station.view import names
+from tests.cli.at_terminal import at_a_terminal
 from tests.cli.running import SHORT, Home, are_gone, new_home
-from tests.cli.test_up import at_a_terminal
 from tests.view.pictures import drawing_machine, pixels
 
 __all__ = ["drawing_machine"]

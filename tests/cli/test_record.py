@@ -46,3 +46,9 @@ def test_what_is_not_being_recorded_cannot_be_stopped_or_marked(live: Home) -> N
 def test_without_a_recorder_the_answer_comes_soon(bus_home: Home) -> None:
     line = one_line(bus_home.run("record", "start"))
     assert line == "record start: no recorder answered within 2 s; start one with `station serve recorder`"
+
+
+def test_a_planned_time_is_a_duration_that_the_recorder_judges(live: Home) -> None:
+    assert "--planned: expected a duration" in one_line(live.run("record", "start", "--planned", "long"))
+    line = one_line(live.run("record", "start", "--planned", "800h"))
+    assert line == "record start: not a record request: planned_s is 2880000.0, expected 0 to 2592000 seconds"

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import pty
 import signal
-import subprocess
-import sys
-import termios
-from collections.abc import Callable
 from pathlib import Path
 
+from tests.cli.at_terminal import at_a_terminal
 from tests.cli.conftest import Wave
-from tests.cli.running import COMMANDS_ONLY, ROOT, SHORT, Home, are_gone, one_line
+from tests.cli.running import COMMANDS_ONLY, SHORT, Home, are_gone, one_line
 from tests.waiting import wait_until
 
 FOREVER = ("--set", "motion.loop=true", *SHORT)
@@ -167,41 +162,3 @@ def written(folder: Path, steps: str) -> Path:
     path = folder / "book.yaml"
     path.write_text(f"runbook: t\nrobot: unitree_g1_with_hands\nsteps:\n  {steps}\n")
     return path
-
-
-def at_a_terminal(home: Home, *arguments: str, until: str, then: bytes) -> tuple[int, str]:
-    """Run a verb on a real terminal, type something once it has shown a text; return exit code and all it showed."""
-    ours, theirs = pty.openpty()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "station", *arguments],
-        cwd=ROOT, env={**home.environment, "TERM": "xterm", "COLUMNS": "120", "LINES": "40"},
-        stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
-        preexec_fn=_take_terminal(theirs),  # noqa: PLW1509  one system call
-    )  # fmt: skip
-    os.close(theirs)
-    screen, has_typed = "", False
-    try:
-        while data := _read(ours):
-            screen += data.decode(errors="replace")
-            if not has_typed and until in screen:
-                os.write(ours, then)
-                has_typed = True
-        return process.wait(60), screen
-    finally:
-        process.kill()
-        process.wait()
-        os.close(ours)
-
-
-def _read(descriptor: int) -> bytes:
-    try:
-        return os.read(descriptor, 4096)
-    except OSError:  # Linux says so where others say end of file
-        return b""
-
-
-def _take_terminal(descriptor: int) -> Callable[[], None]:
-    def in_child() -> None:
-        fcntl.ioctl(descriptor, termios.TIOCSCTTY, 0)
-
-    return in_child

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 import subprocess
@@ -92,3 +93,33 @@ def test_looking_at_the_lock_does_not_keep_a_recorder_out(bus_server: BusAddress
     finally:
         done.set()
         thread.join()
+
+
+def test_a_folder_that_was_removed_or_replaced_is_claimed_anew(bus_server: BusAddress, tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    with Bus(bus_server, name="recorder") as bus, Claim(data, bus) as claim:
+        claim.renew()
+        assert is_claimed(data)
+        data.rename(tmp_path / "elsewhere")
+        assert not is_claimed(data)
+        claim.renew()
+        assert is_claimed(data)
+        assert not is_claimed(tmp_path / "elsewhere")
+        with pytest.raises(Refused, match=r"data folder .*another recorder"):
+            Claim(data, bus)
+
+
+def test_a_folder_that_another_recorder_has_claimed_meanwhile_is_refused_until_it_lets_go(
+    bus_server: BusAddress, tmp_path: Path
+) -> None:
+    data = tmp_path / "data"
+    with Bus(bus_server, name="recorder") as bus, Claim(data, bus) as claim:
+        data.rename(tmp_path / "elsewhere")
+        data.mkdir()
+        with (data / ".recorder.lock").open("w") as other:
+            fcntl.flock(other, fcntl.LOCK_EX)
+            with pytest.raises(Refused, match=r"data folder .*another recorder"):
+                claim.renew()
+            assert is_claimed(tmp_path / "elsewhere")
+        claim.renew()
+        assert is_claimed(data)

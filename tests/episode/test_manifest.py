@@ -90,7 +90,8 @@ def test_a_missing_manifest_is_refused_in_one_line(tmp_path: Path) -> None:
 
 def test_a_failed_save_leaves_the_old_manifest_and_nothing_beside_it(tmp_path: Path) -> None:
     with pytest.raises(EpisodeError, match="cannot write"):
-        save_manifest(full_manifest(), tmp_path / "gone" / "manifest.yaml")
+        save_manifest(full_manifest(), tmp_path / "gone")
+    assert not (tmp_path / "gone").exists()
     assert list(tmp_path.iterdir()) == []
 
 

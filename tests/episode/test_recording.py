@@ -324,6 +324,18 @@ def test_a_start_on_a_full_disk_is_answered_with_the_reason_and_leaves_nothing(m
     assert list((tmp_path / "walk").iterdir()) == []
 
 
+def test_a_discard_of_an_episode_whose_folder_is_gone_is_answered_with_that(make: Make) -> None:
+    recording, cli, g1 = make(), Native("record"), Native()
+    recording.feed([cli.request("start")])
+    folder = Path(answer(recording).path or "")
+    shutil.rmtree(folder)
+    recording.feed([g1.write(BODY, b"[1]"), cli.request("stop"), cli.request("discard")])
+    found = {item.id: item for item in (answer(recording) for _ in range(2))}
+    assert [found[asker].ok for asker in ("stop", "discard")] == [False, False]
+    assert "No such file" in found["discard"].reason
+    assert recording.state().state == "idle"
+
+
 def test_closing_ends_the_episode_and_says_why(make: Make) -> None:
     recording, cli = make(), Native("record")
     recording.feed([cli.request("start")])

@@ -18,10 +18,10 @@ def test_the_ring_returns_the_last_seconds_in_order() -> None:
 
 
 def test_the_ring_is_bounded_by_bytes_too() -> None:
-    ring = Ring(1000.0, max_bytes=1000)
+    ring = Ring(1000.0, max_bytes=4000)
     for n in range(100):
         ring.add([at(n, bytes(100))])
-    assert ring.size == 1000
+    assert ring.size == 4000
     assert len(ring.since(100 * SECOND)) == 10
 
 
@@ -31,10 +31,19 @@ def test_a_ring_of_no_seconds_keeps_nothing() -> None:
     assert ring.since(SECOND) == []
 
 
-def test_a_value_larger_than_the_whole_ring_does_not_stay() -> None:
-    ring = Ring(10.0, max_bytes=10)
-    ring.add([at(1, bytes(100))])
-    assert ring.size == 0
+def test_a_value_that_would_cost_all_others_does_not_stay_and_costs_none() -> None:
+    ring = Ring(10.0, max_bytes=10_000)
+    ring.add([at(1, b"before")])
+    ring.add([at(2, b"beside"), at(2, bytes(2_501)), at(2, b"beside")])
+    ring.add([at(3, bytes(20_000))])
+    assert [write.value for write in ring.since(3 * SECOND)] == [b"before", b"beside", b"beside"]
+
+
+def test_a_flood_of_empty_values_is_bounded_as_well() -> None:
+    ring = Ring(1000.0, max_bytes=30_000)
+    for n in range(1000):
+        ring.add([at(n / 100, b"")])
+    assert len(ring.since(10 * SECOND)) == 100
 
 
 def test_a_deletion_is_kept_and_clear_forgets_all() -> None:

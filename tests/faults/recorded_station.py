@@ -74,7 +74,7 @@ class RecordedStation:
     def __init__(self, address: BusAddress, bus: Bus, folder: Path, **config: Any) -> None:
         self.address, self.bus, self.data = address, bus, folder / "data"
         self.supervisor = Supervisor(bus, folder / "logs")
-        settings = RecorderConfig(data=self.data, min_free_mb=0, **config)
+        settings = RecorderConfig(**{"data": self.data, "min_free_mb": 0, **config})
         self.supervisor.spawn("recorder", settings, restarts=Restarts())
         self.supervisor.wait_for("recorder", "inactive", 60)
         self.supervisor.activate("recorder")

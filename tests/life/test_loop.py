@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import threading
 import time
 
 from station.life.loop import Rate, sleep_until
@@ -47,3 +48,33 @@ def test_stats_tell_rate_and_lateness() -> None:
     stats = rate.stats()
     assert 0.0 <= stats.jitter_p50_ms <= stats.jitter_p99_ms
     assert stats.rate_hz > 0.0
+
+
+def test_what_is_urgent_does_not_wait_for_its_tick() -> None:
+    rate, urgent = Rate(0.01), threading.Event()
+    rate.wait(urgent)
+    timer = threading.Timer(0.05, urgent.set)
+    timer.start()
+    rate.wait(urgent)  # else it would take a hundred seconds
+    assert urgent.is_set()
+    assert rate.overruns == 0
+    timer.join()
+
+
+def test_later_deadlines_count_from_the_tick_that_came_early() -> None:
+    deadlines: list[int] = []
+    rate, urgent = Rate(1.0, sleep=deadlines.append), threading.Event()
+    urgent.set()
+    rate.wait(urgent)
+    began_ns = time.monotonic_ns()
+    rate.wait()
+    assert deadlines[0] <= began_ns + rate.period_ns
+
+
+def test_who_is_urgent_all_the_time_cannot_make_the_loop_run_away() -> None:
+    deadlines: list[int] = []
+    rate, urgent = Rate(0.01, sleep=deadlines.append), threading.Event()
+    urgent.set()
+    for _ in range(10):
+        rate.wait(urgent)
+    assert len(deadlines) == 5, "every other tick waits for its deadline"

@@ -43,6 +43,15 @@ def test_a_long_life_wipes_the_slate() -> None:
     assert restarts.allow(KILLED)
 
 
+def test_one_that_was_given_up_has_a_clean_slate_when_a_person_starts_it_again() -> None:
+    restarts = armed()
+    lived(restarts, *[0.5] * 6)
+    assert not restarts.allow(KILLED)
+    restarts.pardon()
+    assert restarts.allow(KILLED)
+    assert restarts.delay_s == 0.0
+
+
 def test_what_a_restart_does_not_mend_is_not_started_again() -> None:
     assert not Restarts().allow(KILLED), "it was never active"
     assert not armed().allow(0), "it ended by itself"

@@ -57,6 +57,15 @@ def test_a_robot_is_armed_and_disarmed_by_steps_that_follow_the_start_of_its_ser
     assert every.what == Arming(action="arm", server="")
 
 
+def test_what_moves_a_robot_asks_before_it_starts_again_and_a_recorder_does_not_unless_told_otherwise(
+    tmp_path: Path,
+) -> None:
+    more = "    if_it_dies: restart\n    ready_within: 90s\n  - start: recorder\n  - start: g1\n    if_it_dies: end\n"
+    book = load(tmp_path, GOOD.replace("    ready_within: 90s\n", more))
+    assert [step.if_it_dies for step in book.servers] == ["restart", "restart", "end"]
+    assert load(tmp_path, GOOD).servers[0].if_it_dies == "ask"
+
+
 def test_set_options_change_a_servers_configuration(tmp_path: Path) -> None:
     book = load(tmp_path, GOOD, "motion.motion=b.pkl", "motion.loop=true")
     assert book.servers[0].config == MotionConfig(motion="b.pkl", rate_hz=25.0, loop=True)
@@ -79,6 +88,7 @@ def test_set_options_change_a_servers_configuration(tmp_path: Path) -> None:
         ('motion: "a.pkl", ', "", "step 3 (motion): missing key motion"),
         ("ready_within: 90s", "ready_within: soon", "step 3: ready_within: expected a duration"),
         ("ready_within: 90s", "ready_witin: 90s", "step 3: unknown key 'ready_witin' (did you mean 'ready_within'?)"),
+        ("ready_within: 90s", "if_it_dies: restrt", "step 3: if_it_dies: expected ask, end, restart, got 'restrt'"),
         ("robot: unitree_g1_with_hands\n", "", "missing key robot"),
         ("robot:", "robto:", "unknown key 'robto' (did you mean 'robot'?)"),
         ("stop: motion", "stop: g1", "on_failure stops 'g1'"),

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import getpass
+import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,7 +23,7 @@ from station.errors import BusError, ConfigError, Refused
 from station.life import events, runbook
 from station.life.event_feed import EventFeed
 from station.life.events import Severity
-from station.life.server import Health
+from station.life.server import Health, read_health
 from station.life.session import Recording, Session
 from station.life.supervisor import Supervisor
 from tests.waiting import wait_until
@@ -40,6 +43,9 @@ class Person:
     asked: Callable[[], None] = lambda: None
     told: list[str] = field(default_factory=list)
     shown: list[list[Health]] = field(default_factory=list)
+    is_attended: bool = False
+    offered: str = ""
+    wants_restart: bool = False
 
     def begin(self, step: str) -> None:
         self.told.append(f"begin {step}")
@@ -57,6 +63,13 @@ class Person:
         self.told.append(f"asked {sentence}")
         self.asked()
         return self.answer
+
+    def offer(self, restart: str) -> None:
+        self.offered = restart
+
+    def take_restart(self) -> bool:
+        wanted, self.wants_restart = self.wants_restart, False
+        return wanted
 
     def show(self, health: list[Health]) -> None:
         self.shown.append(health)
@@ -204,6 +217,85 @@ def test_a_bus_that_comes_back_is_waited_for(tmp_path: Path) -> None:
             place.stop.set()
             thread.join()
     assert codes == [0], person.told
+
+
+def test_where_a_person_attends_a_server_that_dies_ends_nothing_and_starts_again_when_told(place: Place) -> None:
+    person = Person(is_attended=True)
+    with _running(place, HEAD + "steps:\n" + MOTION, person) as codes:
+        pid = _active(place, "motion")
+        os.kill(pid, signal.SIGKILL)
+        wait_until(lambda: person.heard("error server 'motion' was killed by SIGKILL; its last words: "))
+        assert person.heard("; r starts it again, Ctrl-C takes the station down")
+        wait_until(lambda: person.offered == "motion")
+        assert not codes, "the station is up"
+        person.wants_restart = True
+        assert _active(place, "motion", before=pid) != pid
+        wait_until(lambda: person.heard("info supervisor: server-active server=motion"))
+        assert person.offered == ""
+        assert person.heard(
+            f"warning supervisor: server-restarted server=motion reason=was killed by SIGKILL who={_me()}"
+        )
+    assert codes == [0], "whoever died was started again"
+
+
+def test_one_that_stays_dead_makes_the_end_a_failure(place: Place) -> None:
+    person = Person(is_attended=True)
+    with _running(place, HEAD + "steps:\n" + MOTION, person) as codes:
+        os.kill(_active(place, "motion"), signal.SIGKILL)
+        wait_until(lambda: person.offered == "motion")
+    assert codes == [1]
+
+
+@pytest.mark.parametrize(("is_attended", "unattended", "rule"), [(False, False, ""), (True, True, ""),
+                                                                 (True, False, "    if_it_dies: end\n")])  # fmt: skip
+def test_where_nobody_is_to_be_asked_it_ends(place: Place, *, is_attended: bool, unattended: bool, rule: str) -> None:
+    person = Person(is_attended=is_attended)
+    with _running(place, HEAD + "steps:\n" + MOTION + rule, person, unattended=unattended) as codes:
+        os.kill(_active(place, "motion"), signal.SIGKILL)
+        wait_until(lambda: codes)
+    assert codes == [1]
+    assert person.heard("error server 'motion' was killed by SIGKILL; its last words: ")
+    assert not person.heard("starts it again")
+
+
+def test_what_the_runbook_wants_started_again_is_whoever_attends(place: Place) -> None:
+    person = Person()
+    with _running(place, HEAD + "steps:\n" + MOTION + "    if_it_dies: restart\n", person) as codes:
+        pid = _active(place, "motion")
+        os.kill(pid, signal.SIGKILL)
+        assert _active(place, "motion", before=pid) != pid
+    assert codes == [0]
+    assert person.heard("warning supervisor: server-restarted server=motion reason=was killed by SIGKILL restarts=1")
+
+
+@contextmanager
+def _running(place: Place, text: str, person: Person, *, unattended: bool = False) -> Iterator[list[int]]:
+    """Run a session in a thread; its exit code is in the list once it has ended, at the latest after the block."""
+    codes: list[int] = []
+    session = place.session(text, person, unattended=unattended)
+    thread = threading.Thread(target=lambda: codes.append(session.run(place.stop)))
+    thread.start()
+    try:
+        yield codes
+    finally:
+        place.stop.set()
+        thread.join()
+
+
+def _active(place: Place, name: str, before: int = 0) -> int:
+    """Wait until a server is active that is not the one before; return its process id."""
+
+    def health() -> Health | None:
+        return next((h for h in read_health(place.bus) if (h.name, h.state) == (name, "active")), None)
+
+    wait_until(lambda: (found := health()) is not None and found.pid != before and found.is_alive)
+    found = health()
+    assert found is not None
+    return found.pid
+
+
+def _me() -> str:
+    return getpass.getuser()
 
 
 def _is_written(bus: Bus) -> bool:

@@ -55,8 +55,8 @@ def as_role(shared_bus: RedisServer, passwords: dict[str, str]) -> As:
 
 @pytest.fixture
 def password_file(tmp_path: Path, passwords: dict[str, str]) -> Path:
-    from station.bus.credentials import write_file
+    from station.bus import password_file as files
 
     file = tmp_path / "passwords"
-    write_file(file, passwords)
+    files.write(file, passwords)
     return file

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from station.bus import address as addresses
+from station.bus import password_file
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import Connection
@@ -84,7 +85,7 @@ def test_a_protected_bus_lets_in_who_knows_the_password(protected: RedisServer, 
 
 def test_the_password_is_in_a_file_of_its_own_and_nowhere_else(protected: RedisServer) -> None:
     socket = Path(str(protected.address.socket))
-    file = addresses.password_file(socket)
+    file = password_file.beside(socket)
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
     for path in socket.parent.iterdir():
         if path.is_file() and path != file:
@@ -119,7 +120,7 @@ def test_start_of_an_open_bus_tells_where_the_password_is_and_what_does_not_work
     with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         lines = [process.stdout.readline() for _ in range(5)]
-        file = addresses.password_file(addresses.runtime_folder() / "bus.sock")
+        file = password_file.beside(addresses.runtime_folder() / "bus.sock")
         password = file.read_text().strip()
         assert len(password) >= 32
         with Bus(None, name="own") as bus:  # found by itself, password and all
@@ -213,10 +214,10 @@ def _acl(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
 def test_credentials_come_from_the_environment_or_from_a_closed_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from station.bus.credentials import for_role, write_file
+    from station.bus.credentials import for_role
 
     file = tmp_path / "passwords"
-    write_file(file, {"operator": "o", "viewer": "v", "recorder": "r"})
+    password_file.write(file, {"operator": "o", "viewer": "v", "recorder": "r"})
     monkeypatch.setenv("STATION_BUS_PASSWORD_FILE", str(file))
     found = addresses.parse("redis://lab:6379/0")
     assert (found.username, found.password) == ("operator", "o")

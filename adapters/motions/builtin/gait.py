@@ -40,12 +40,12 @@ SHIFT_S = 0.4
 
 # How the rest of the body goes along. Found with TWIST2 in the loop: with the roll it follows a walk backwards at
 # 0.3 m/s by 94 % of its length, without it by 86 %, and no worse in other directions.
-_PELVIS_YAW = 0.25  # rad per metre between the feet: the hip goes with the leg that swings forward
-_PELVIS_ROLL = 1.5  # rad per metre that the weight is beside the middle: the hip above the swinging leg drops
-_WAIST_YAW = -1.5  # of the pelvis' yaw: the shoulders turn against the hips
-_ARM_SWING = 0.7  # rad at the shoulder per metre between the feet, against the leg of that side
-_ELBOW_SWING = 0.25  # rad per metre
-_LIFT_SWING = 2.0  # metres between the feet that a metre between their heights counts as: arms go along in a march
+PELVIS_YAW = 0.25  # rad per metre between the feet: the hip goes with the leg that swings forward
+PELVIS_ROLL = 1.5  # rad per metre that the weight is beside the middle: the hip above the swinging leg drops
+WAIST_YAW = -1.5  # of the pelvis' yaw: the shoulders turn against the hips
+ARM_SWING = 0.7  # rad at the shoulder per metre between the feet, against the leg of that side
+ELBOW_SWING = 0.25  # rad per metre
+LIFT_SWING = 2.0  # metres between the feet that a metre between their heights counts as: arms go along in a march
 
 _STRAIGHTEST_KNEE = 0.25  # rad
 _DIP_S = 0.16  # the pelvis gives way this long around the instant in which a leg is longest
@@ -97,12 +97,12 @@ class _Walk:
         ahead = turned(feet[0, :, :2] - feet[1, :, :2], -yaw)[:, 0]  # the left foot before the right one
         aside = turned(com - feet[:, :, :2].mean(axis=0), -yaw)[:, 1]
         aside -= STANDING_COM[1]
-        swing, roll = -_PELVIS_YAW * ahead, _PELVIS_ROLL * aside
+        swing, roll = -PELVIS_YAW * ahead, PELVIS_ROLL * aside
         hips_xy = com - turned(STANDING_COM[:2], yaw)
         quat = from_roll_pitch_yaw(np.column_stack([roll, np.zeros_like(roll), yaw + swing]))
         limit = legs.highest(kinematics.matrix(quat), hips_xy, feet, _STRAIGHTEST_KNEE)
         pelvis = np.column_stack([hips_xy, below(self._through("height", STANDING_HEIGHT_M), limit, _DIP_S)])
-        ahead += _LIFT_SWING * (feet[0, :, 2] - feet[1, :, 2])
+        ahead += LIFT_SWING * (feet[0, :, 2] - feet[1, :, 2])
         return Pose(pelvis, quat, feet, feet_yaw, self._upper(ahead, swing, roll))
 
     def _feet(self) -> tuple[Floats, Floats]:
@@ -158,9 +158,9 @@ class _Walk:
         upper = np.repeat(STANDING_Q[None, len(LEGS) :], len(self.time_s), axis=0)
         reach = ahead * self._through("arm_swing", 0.0)
         for side, sign in (("left", 1.0), ("right", -1.0)):
-            upper[:, _UPPER.index(f"{side}_shoulder_pitch")] += sign * _ARM_SWING * reach
-            upper[:, _UPPER.index(f"{side}_elbow")] += sign * _ELBOW_SWING * reach
-        upper[:, _UPPER.index("waist_yaw")] += _WAIST_YAW * swing
+            upper[:, _UPPER.index(f"{side}_shoulder_pitch")] += sign * ARM_SWING * reach
+            upper[:, _UPPER.index(f"{side}_elbow")] += sign * ELBOW_SWING * reach
+        upper[:, _UPPER.index("waist_yaw")] += WAIST_YAW * swing
         upper[:, _UPPER.index("waist_roll")] -= roll
         return upper
 

@@ -93,8 +93,12 @@ def _forward(q: Floats) -> tuple[Floats, Floats, Floats]:
         rotation = rotation @ _AT_ZERO[index] @ kinematics.about(link.axis, q[..., index])
         origins.append(position)
         axes.append(rotation[..., _AXES[link.axis]])
-    columns = [
-        np.concatenate([np.cross(axis, position - origin), axis], axis=-1)
-        for axis, origin in zip(axes, origins, strict=True)
-    ]
-    return position, rotation, np.stack(columns, axis=-1)
+    turning = np.stack(axes, axis=-1)
+    moving = _cross(turning, position[..., None] - np.stack(origins, axis=-1))
+    return position, rotation, np.concatenate([moving, turning], axis=-2)
+
+
+def _cross(left: Floats, right: Floats) -> Floats:
+    """Vector products of the columns of two arrays (..., 3, k); numpy's own costs five times as much on few columns."""
+    a, b = left[..., (1, 2, 0), :], left[..., (2, 0, 1), :]
+    return np.asarray(a * right[..., (2, 0, 1), :] - b * right[..., (1, 2, 0), :])

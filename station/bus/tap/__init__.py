@@ -6,13 +6,13 @@ import logging
 from collections.abc import Callable
 
 from station.bus.address import BusAddress
-from station.bus.tap.base import Position, Tap, TapRefused, Write
+from station.bus.tap.base import Position, Tap, TapRefused, Write, why_not_resumed
 from station.bus.tap.notifications import NotificationTap
 from station.bus.tap.poll import PollTap
 from station.bus.tap.replication import ReplicationTap
 from station.errors import BusError, UnknownName
 
-__all__ = ["BACKENDS", "Position", "Tap", "TapRefused", "Write", "open_tap"]
+__all__ = ["BACKENDS", "Position", "Tap", "TapRefused", "Write", "open_tap", "why_not_resumed"]
 
 log = logging.getLogger(__name__)
 

@@ -106,6 +106,15 @@ def write_probe(connection: Connection) -> bytes:
     return token
 
 
+def why_not_resumed(before: Position | None, after: Position | None) -> str:
+    """Return why a tap could not go on where the one before it was lost, for a person."""
+    if before is None or after is None:
+        return "a tap of this kind cannot ask for what it missed"
+    if before.replication_id != after.replication_id:
+        return "the bus was restarted, or is another server"
+    return "the bus no longer had what was written meanwhile (its backlog is too small)"
+
+
 def key_name(key: bytes) -> str:
     """Return a key as text; what is not UTF-8 is escaped, so that it can stand in any file."""
     return key.decode("utf-8", "backslashreplace")

@@ -28,6 +28,7 @@ _BUSY_STREAK = 32
 _BUSY_PAUSE_S = 0.00025
 _EOF_MARKER_SIZE = 40
 _LINE_LIMIT = 512
+_FOR_NOW = ("-LOADING", "-NOMASTERLINK", "-MASTERDOWN", "-BUSY", "-TRYAGAIN")  # a server on its way up, not a refusal
 _WOULD_BLOCK = (BlockingIOError, ssl.SSLWantReadError, ssl.SSLWantWriteError)
 
 
@@ -126,6 +127,8 @@ class Link:
             return fields[0], int(fields[1]), False
         if kind == "+CONTINUE" and resume is not None:
             return fields[0] if fields else resume.replication_id, resume.offset, True
+        if answer.startswith(_FOR_NOW):
+            raise BusError(f"bus {self._address} has no replication stream yet: {answer.lstrip('-')}")
         raise TapRefused(f"bus {self._address} refuses its replication stream: {answer.lstrip('-')}")
 
     def _skip_snapshot(self) -> None:

@@ -1,0 +1,150 @@
+"""The emergency stop as somebody presses it: a line of its own to the bus, and the truth about whether it was taken.
+
+The command line, the keys of ``station up`` and the buttons of input devices all press this one. It needs nobody else:
+no supervisor, no recorder, no command server.
+"""
+
+from __future__ import annotations
+
+import getpass
+import threading
+import time
+from types import TracebackType
+
+import msgspec
+
+from station.bus import codec, keys
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.errors import BusError, NotReady
+from station.life import arm_request
+from station.life.server import Health, read_health
+
+WITHIN_S = 1.0
+"""How long a press tries before it says that it was not taken [s]."""
+
+_ANSWER_S = 0.25  # of one try; a server that answers takes under a millisecond
+_AGAIN_S = 0.02
+_LOOK_S = 0.005
+
+
+class StopButton:
+    """A button; safe to press from any thread, as often as one likes.
+
+    Args:
+        address: The bus that the robots listen on.
+        name: Who presses, in the stamps.
+        who: Who presses, for the recording; "" for this user's login name.
+
+    Raises:
+        BusError: the bus cannot be reached: a button that does nothing must be known before it is needed.
+    """
+
+    def __init__(self, address: BusAddress, *, name: str = "estop", who: str = "") -> None:
+        self._bus = Bus(address, name=name, timeout_s=_ANSWER_S)
+        self._who = who or getpass.getuser()
+        self._lock = threading.Lock()
+
+    def press(self, reason: str) -> None:
+        """Stop every robot on the bus, latched: their joints are damped until somebody releases the stop.
+
+        Raises:
+            BusError: the bus did not take it, however often it was tried within `WITHIN_S`.
+        """
+        try:
+            self._write({"stop": True, "who": self._who, "reason": reason})
+        except BusError as error:
+            raise BusError(f"the stop was NOT taken ({error}); use the robot's own stop") from None
+
+    def release(self, reason: str, *, arm: bool = False) -> None:
+        """Leave the stop; with `arm` a real robot is armed too.
+
+        Raises:
+            BusError: the bus did not take it.
+        """
+        try:
+            self._write({"stop": False, "who": self._who, "reason": reason} | ({"arm": True} if arm else {}))
+        except BusError as error:
+            raise BusError(f"the stop is still latched ({error})") from None
+
+    def unstopped(self, within_s: float = WITHIN_S) -> dict[str, str]:
+        """Wait until every robot on the bus is stopped; return the gate of those that are not in time, by server.
+
+        Raises:
+            BusError: the bus was lost meanwhile.
+        """
+        deadline_s = time.monotonic() + within_s
+        while (left := self._gates_open()) and time.monotonic() < deadline_s:
+            time.sleep(_LOOK_S)
+        return left
+
+    def robots(self) -> list[str]:
+        """Return the names of the servers that drive a robot now.
+
+        Raises:
+            BusError: the bus is lost.
+        """
+        return [health.name for health in self._active()]
+
+    def close(self) -> None:
+        """Hang up."""
+        self._bus.close()
+
+    def __enter__(self) -> StopButton:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _write(self, request: dict[str, object]) -> None:
+        value, deadline_s = codec.json_object(request), time.monotonic() + WITHIN_S
+        while True:
+            try:
+                with self._lock:
+                    self._write_once(value)
+            except BusError:
+                if time.monotonic() > deadline_s:
+                    raise
+                time.sleep(_AGAIN_S)
+            else:
+                return
+
+    def _write_once(self, value: bytes) -> None:
+        """Write it and wait for the server's word: a write that is only on its way stops nobody."""
+        lost = self._bus.lost_writes
+        if not self._bus.publish({keys.ESTOP: value}):
+            raise BusError(self._bus.last_error or f"bus {self._bus.address}: no answer")
+        self._bus.call("PING")  # answered after the write, on the same line
+        if self._bus.lost_writes > lost:
+            raise BusError(self._bus.last_error)
+
+    def _active(self) -> list[Health]:
+        """Return the servers that drive a robot; one that loads will find the stop when it begins."""
+        found = read_health(self._bus)
+        return [
+            health for health in found if health.is_alive and (health.role, health.state) == ("low-level", "active")
+        ]
+
+    def _gates_open(self) -> dict[str, str]:
+        found = {}
+        for health in self._active():
+            try:
+                state = _gate(self._bus.get(keys.command_gate(arm_request.robot_of(self._bus, health))))
+            except NotReady as error:
+                state = str(error)
+            if state != "stopped":
+                found[health.name] = state
+        return found
+
+
+class _Gate(msgspec.Struct):
+    state: str = "silent"
+
+
+def _gate(data: bytes | None) -> str:
+    try:
+        return codec.parse_struct(data or b"{}", _Gate).state
+    except codec.BadValue:
+        return "unreadable"

@@ -1,0 +1,99 @@
+"""A verb on a real terminal, with somebody who reads the screen and types."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import signal
+import subprocess
+import sys
+import termios
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from tests.cli.running import Home
+from tests.main_job.station_runs import ROOT
+from tests.waiting import wait_until
+
+
+class AtTerminal:
+    """A process whose terminal we hold; a context manager that kills it."""
+
+    def __init__(self, home: Home, *arguments: str) -> None:
+        self._ours, theirs = pty.openpty()
+        self.before = self.settings()
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "station", *arguments],
+            cwd=ROOT, env={**home.environment, "TERM": "xterm", "COLUMNS": "160", "LINES": "40"},
+            stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
+            preexec_fn=_take_terminal(theirs),  # noqa: PLW1509  one system call
+        )  # fmt: skip
+        self._theirs = theirs  # kept open, so that its settings can be read when the process has ended
+        self.screen = ""
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def settings(self) -> list[Any]:
+        """How the terminal is set."""
+        return termios.tcgetattr(self._ours)
+
+    def wait_for(self, text: str, after: int = 0) -> int:
+        """Wait until the screen has shown a text, behind a place; return the place behind it."""
+        wait_until(lambda: text in self.screen[after:] or self.process.poll() is not None)
+        assert text in self.screen[after:], f"no {text!r} in:\n{self.screen[after:]}"
+        return self.screen.index(text, after) + len(text)
+
+    def type(self, keys: bytes) -> None:
+        os.write(self._ours, keys)
+
+    def send(self, number: signal.Signals) -> None:
+        self.process.send_signal(number)
+
+    def finish(self) -> int:
+        """Wait for the end; return the exit code."""
+        code = self.process.wait(60)
+        wait_until(lambda: not _has_more(self._ours))
+        return code
+
+    def __enter__(self) -> AtTerminal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.kill()
+        self.process.wait()
+        os.close(self._theirs)
+        self._reader.join(10.0)
+        os.close(self._ours)
+
+    def _read(self) -> None:
+        while data := _some(self._ours):
+            self.screen += data.decode(errors="replace")
+
+
+def at_a_terminal(home: Home, *arguments: str, until: str, then: bytes) -> tuple[int, str]:
+    """Run a verb on a real terminal, type something once it has shown a text; return exit code and all it showed."""
+    with AtTerminal(home, *arguments) as terminal:
+        terminal.wait_for(until)
+        terminal.type(then)
+        return terminal.finish(), terminal.screen
+
+
+def _some(descriptor: int) -> bytes:
+    try:
+        return os.read(descriptor, 4096)
+    except OSError:  # Linux says so where others say end of file
+        return b""
+
+
+def _has_more(descriptor: int) -> bool:
+    waiting = fcntl.ioctl(descriptor, termios.FIONREAD, b"\0" * 4)
+    return bool(int.from_bytes(waiting, sys.byteorder))
+
+
+def _take_terminal(descriptor: int) -> Callable[[], None]:
+    def in_child() -> None:
+        fcntl.ioctl(descriptor, termios.TIOCSCTTY, 0)
+
+    return in_child

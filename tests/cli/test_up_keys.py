@@ -1,0 +1,169 @@
+"""The keys of ``station up`` at a real terminal: the emergency stop at any time, and a server that died."""
+
+from __future__ import annotations
+
+import getpass
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from station.bus import codec, keys
+from station.bus.client import Bus
+from station.episode.manifest import load_manifest
+from tests.cli.at_terminal import AtTerminal
+from tests.cli.running import COMMANDS_ONLY, SHORT, Home
+from tests.waiting import wait_until
+
+GATE = keys.command_gate(keys.TWIST2_ROBOT)
+HEAD = "runbook: t\nrobot: unitree_g1_with_hands\nsteps:\n"
+G1 = "  - start: g1\n    with: {physics_dt_s: 0.002, real_time_priority: 0}\n    ready_within: 60s\n"
+ASK = "  - confirm: Nobody stands there.\n"
+MOTION = "  - start: motion\n    with: {motion: 'builtin:wave', loop: true, enter_s: 0.1, leave_s: 0.1}\n"
+RECORDER = "  - start: recorder\n"
+
+
+def written(folder: Path, text: str) -> str:
+    path = folder / "book.yaml"
+    path.write_text(HEAD + text)
+    return str(path)
+
+
+def gate(bus: Bus) -> str:
+    return str(codec.parse_json(bus.get(GATE) or b"{}").get("state", ""))
+
+
+def test_space_stops_the_robot_at_a_question_and_no_key_lets_it_go(home: Home, tmp_path: Path) -> None:
+    with AtTerminal(home, "up", written(tmp_path, G1 + ASK + MOTION)) as terminal:
+        terminal.wait_for("[y/N]")
+        assert terminal.settings() != terminal.before, "keys come one at a time"
+        with Bus(home.bus, name="test", timeout_s=5.0) as bus:
+            wait_until(lambda: gate(bus) == "waiting")
+            terminal.type(b" ")
+            wait_until(lambda: gate(bus) == "stopped")
+            told = terminal.wait_for("EMERGENCY STOP: the robots are damped until `station estop --reset`")
+            terminal.type(b"x\x7fyes\r")
+            terminal.wait_for("start motion", told)  # the question was still open, and "yes" holds no stop
+            latched = terminal.wait_for("EMERGENCY STOP is latched", told)
+            terminal.type(b"x r \x1b[A\r")
+            wait_until(lambda: bus.get(keys.action_body()) is not None)
+            assert gate(bus) == "stopped"
+            assert home.run("estop", "--reset").returncode == 0
+            wait_until(lambda: gate(bus) == "tracking")
+            terminal.wait_for("SPACE or e: emergency stop", latched)
+            terminal.type(b"e")
+            wait_until(lambda: gate(bus) == "stopped")
+        terminal.send(signal.SIGTERM)
+        assert terminal.finish() == 0, terminal.screen
+        assert terminal.settings() == terminal.before, "the terminal is as it was"
+
+
+def test_space_stops_the_robot_while_a_step_waits_for_a_server(home: Home, tmp_path: Path) -> None:
+    check = "  - check: key-rate\n    key: nobody\n    min_hz: 1\n    within_s: 30\n"
+    with AtTerminal(home, "up", written(tmp_path, G1 + check)) as terminal:
+        terminal.wait_for("start g1")
+        with Bus(home.bus, name="test", timeout_s=5.0) as bus:
+            wait_until(lambda: gate(bus) == "waiting")
+            terminal.type(b" ")
+            wait_until(lambda: gate(bus) == "stopped", 10.0)
+
+
+def test_a_server_that_dies_leaves_the_station_up_and_r_starts_it_again(home: Home, tmp_path: Path) -> None:
+    book = written(tmp_path, G1 + RECORDER + MOTION)
+    with AtTerminal(home, "up", book, "--record", "--task", "t") as terminal:
+        place = terminal.wait_for("start motion")
+        with Bus(home.bus, name="test", timeout_s=5.0) as bus:
+            wait_until(lambda: gate(bus) == "tracking")
+            for name in ("motion", "g1"):
+                pid = home.pids()[name]
+                os.kill(pid, signal.SIGKILL)
+                place = terminal.wait_for(f"server '{name}' was killed by SIGKILL; its last words: ", place)
+                terminal.wait_for("; r starts it again, Ctrl-C takes the station down", place)
+                place = terminal.wait_for(f"r: start {name} again", place)
+                if name == "motion":
+                    wait_until(lambda: gate(bus) == "waiting")  # standing, and the station is up
+                terminal.type(b"r")
+                wait_until(lambda name=name, pid=pid: home.pids().get(name, pid) != pid)  # type: ignore[misc]
+                wait_until(lambda: home.health()["g1"].detail.get("gate") == "tracking")
+        terminal.send(signal.SIGINT)
+        assert terminal.finish() == 0, "whoever died was started again"
+    found = [event for event in load_manifest(_newest(home)).events if event.source == "supervisor"]
+    died = [event.numbers["server"] for event in found if event.name == "server-died"]
+    again = [(event.numbers["server"], event.numbers["who"]) for event in found if event.name == "server-restarted"]
+    assert died == ["motion", "g1"]
+    assert again == [("motion", getpass.getuser()), ("g1", getpass.getuser())]
+
+
+def test_a_server_that_died_and_stays_dead_is_no_success(home: Home) -> None:
+    with AtTerminal(home, "up", COMMANDS_ONLY, "--set", "motion.loop=true", *SHORT) as terminal:
+        terminal.wait_for("motion: motion-start")
+        os.kill(home.pids()["motion"], signal.SIGKILL)
+        terminal.wait_for("r starts it again")
+        assert "recorder" in home.pids(), "the station is up"
+        terminal.send(signal.SIGINT)
+        assert terminal.finish() == 1
+        assert " stop recorder" in terminal.screen
+
+
+def test_a_server_that_is_frozen_is_told_of_and_can_be_replaced(home: Home) -> None:
+    with AtTerminal(home, "up", COMMANDS_ONLY, "--set", "motion.loop=true", *SHORT) as terminal:
+        terminal.wait_for("motion: motion-start")
+        pid = home.pids()["motion"]
+        os.kill(pid, signal.SIGSTOP)
+        terminal.wait_for("server 'motion' lives, but has said nothing for 3 s (frozen?); r starts it again")
+        terminal.type(b"r")
+        wait_until(lambda: home.pids().get("motion", pid) != pid)
+        terminal.send(signal.SIGINT)
+        assert terminal.finish() == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP, signal.SIGTERM])
+def test_the_terminal_is_put_back_however_it_ends(home: Home, tmp_path: Path, number: signal.Signals) -> None:
+    with AtTerminal(home, "up", written(tmp_path, ASK + MOTION)) as terminal:
+        terminal.wait_for("[y/N]")
+        assert terminal.settings() != terminal.before
+        terminal.send(number)
+        assert terminal.finish() == 130
+        assert terminal.settings() == terminal.before
+
+
+def test_a_stop_that_no_bus_takes_is_told_loudly_and_tried_on(home: Home) -> None:
+    with AtTerminal(home, "up", COMMANDS_ONLY, "--set", "motion.loop=true", *SHORT) as terminal:
+        terminal.wait_for("motion: motion-start")
+        with Bus(home.bus, name="test", timeout_s=5.0) as bus:
+            text = bus.call("INFO", "server").decode()
+            pid = int(text.split("process_id:")[1].split()[0])
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            terminal.type(b" ")
+            place = terminal.wait_for("EMERGENCY STOP: the stop was NOT taken (bus ")
+            terminal.wait_for("use the robot's own stop", place)
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        terminal.wait_for("EMERGENCY STOP: taken", place)
+        with Bus(home.bus, name="test", timeout_s=5.0) as bus:
+            assert b'"stop":true' in (bus.get(keys.ESTOP) or b"")
+        terminal.send(signal.SIGINT)
+        assert terminal.finish() == 0
+
+
+def test_past_a_frozen_bus_the_key_still_stops_the_robot_of_this_station(home: Home, tmp_path: Path) -> None:
+    with AtTerminal(home, "up", written(tmp_path, G1 + MOTION)) as terminal:
+        terminal.wait_for("motion: motion-start")
+        with Bus(home.bus, name="test", timeout_s=5.0) as bus:
+            wait_until(lambda: gate(bus) == "tracking")
+            pid = int(bus.call("INFO", "server").decode().split("process_id:")[1].split()[0])
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            terminal.type(b" ")
+            (log,) = Path(home.environment["XDG_RUNTIME_DIR"]).rglob("g1.log")
+            wait_until(lambda: "estop reason=key in `station up`" in log.read_text())
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        with Bus(home.bus, name="test", timeout_s=5.0) as bus:
+            wait_until(lambda: gate(bus) == "stopped")
+
+
+def _newest(home: Home) -> Path:
+    return max(home.data.glob("*/*/manifest.yaml"), key=lambda path: path.stat().st_mtime).parent

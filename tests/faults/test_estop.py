@@ -1,0 +1,93 @@
+"""The emergency stop, written by anybody, while those who are not needed for it are dead."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+from station.bus import codec, keys
+from station.bus.connection import Connection
+from station.episode.reader import open_episode
+from tests.cli.running import Home, are_gone, new_home
+from tests.faults.moving_station import MovingStation
+from tests.faults.onlooker import ROBOT, Onlooker, Step
+from tests.waiting import wait_until
+
+
+def steps_after_stop(onlooker: Onlooker, line: Connection) -> list[Step]:
+    """Write the stop as a stranger would; return the steps from then until one is damped."""
+    since_ns = time.monotonic_ns()
+    line.call("SET", keys.ESTOP, b"1")
+    wait_until(lambda: any(step.damped for step in onlooker.since(since_ns)))
+    return onlooker.since(since_ns)
+
+
+def damps_at_once(steps: list[Step]) -> bool:
+    """Whether no step but the one that was under way still had stiffness."""
+    return all(step.damped and step.gate == "stopped" for step in steps[1:]) and any(step.damped for step in steps)
+
+
+def test_it_damps_the_robot_while_recorder_and_command_server_are_dead_and_is_recorded(tmp_path: Path) -> None:
+    with MovingStation(tmp_path) as station, closing(Connection(station.address, timeout_s=5.0)) as line:
+        station.ask("start", task="stop")
+        station.play("builtin:walk-forward")
+        station.kill("recorder")
+        station.kill("motion")
+        assert damps_at_once(steps_after_stop(station.onlooker, line))
+        assert stays_stopped(station, lambda: line.call("DEL", keys.ESTOP)), "no value is no reset"
+        assert stays_stopped(station, lambda: station.start_again("motion")), "neither is a command that comes anew"
+        line.call("SET", keys.ESTOP, b"1")
+        station.kill("g1")
+        assert stays_stopped(station, lambda: station.start_again("g1")), "it survives the server that obeys it"
+        since_ns = time.monotonic_ns()
+        line.call("SET", keys.ESTOP, b"0")
+        station.wait_for_gate("tracking", since_ns)
+        station.supervisor.wait_for("recorder", "active", 60)
+        folder = Path(station.ask("stop").path or "")
+    assert_recorded(folder)
+
+
+def stays_stopped(station: MovingStation, act: Callable[[], object]) -> bool:
+    """Whether all steps for half a second are damped, whatever is done."""
+    since_ns = time.monotonic_ns()
+    act()
+    station.wait_s(0.5)
+    return all(step.damped and step.gate == "stopped" for step in station.onlooker.since(since_ns))
+
+
+def assert_recorded(folder: Path) -> None:
+    """The key as it was written, the event, and every state of the gate stand in the episode."""
+    told: dict[str, list[bytes]] = {keys.ESTOP: [], keys.EVENT: [], keys.command_gate(ROBOT): []}
+    for message in open_episode(folder).messages():
+        if message.topic in told:
+            told[message.topic].append(message.data)
+    assert [data for data in told[keys.ESTOP] if data] == [b"1", b"1", b"0"]
+    names = [codec.parse_json(data)["name"] for data in told[keys.EVENT]]
+    assert names.index("estop") < names.index("operator-reset")
+    assert any(codec.parse_json(data)["state"] == "stopped" for data in told[keys.command_gate(ROBOT)])
+
+
+def test_without_its_supervisor_the_robot_is_damped_or_released_at_once() -> None:
+    with new_home() as home, home.running("bus", "start") as bus:
+        assert bus.process.stdout is not None
+        bus.process.stdout.readline()
+        with home.running("up", "g1-sim-motion", "--yes", "--set", "motion.loop=true") as station:
+            station.wait_for("to=tracking")
+            pids = home.pids()
+            with Onlooker(home.bus) as onlooker:
+                wait_until(lambda: onlooker.steps)
+                station.process.kill()
+                line = Connection(home.bus, timeout_s=5.0)
+                since_ns = time.monotonic_ns()
+                line.call("SET", keys.ESTOP, b"1")  # as one would who sees the robot go on
+                wait_until(lambda: are_gone(list(pids.values())))
+                steps = onlooker.since(since_ns)
+                line.close()
+            assert all(step.damped for step in steps[1:]), "until it ends, it obeys"
+            assert finalized(home, "g1"), "it ended by itself, in the robot's safe state"
+
+
+def finalized(home: Home, name: str) -> bool:
+    return home.health()[name].state == "finalized"
