@@ -14,7 +14,10 @@ from benchmarks import report, upstream
 from benchmarks.harness import Benchmark, Settings
 from station.errors import did_you_mean
 
-MODULES = ("bus", "wake", "loop", "estop", "recorder", "effect", "sim", "inference", "reading", "startup")
+MODULES = (
+    "bus", "wake", "loop", "estop", "recorder", "effect", "sim", "inference", "devices", "retarget", "walking",
+    "reading", "startup",
+)  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

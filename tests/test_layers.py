@@ -18,12 +18,16 @@ from station.cli.main import VERBS
 
 ROOT = Path(__file__).parents[1]
 OUTER = ("servers", "adapters", "bridges")
-HEAVY = ("matplotlib", "mujoco", "onnxruntime", "pooch", "rerun", "torch")
+HEAVY = (
+    "dynamixel_sdk", "grpc", "hid", "hidraw", "matplotlib", "mink", "mujoco", "onnxruntime", "pooch", "pygame", "rerun",
+    "serial", "torch", "xrobotoolkit_sdk",
+)  # fmt: skip
 
 WHAT_ADAPTERS_NEED = {
     "station.assets", "station.bus.codec", "station.bus.contracts", "station.bus.joints", "station.bus.keys",
-    "station.errors", "station.operator.deadman", "station.operator.device", "station.operator.driver",
-    "station.operator.reading", "station.protocols", "station.registry", "station.rotations", "station.window",
+    "station.errors", "station.operator.deadman", "station.operator.deltas", "station.operator.device",
+    "station.operator.driver", "station.operator.reading", "station.protocols", "station.registry",
+    "station.rotations", "station.window",
 }  # fmt: skip
 """Facts, formats and how to find things: no connection, no loop, no process, no episode."""
 

@@ -34,13 +34,19 @@ _SIGNALS = (
     keys.MOTION_START_SIGNAL,
     keys.MOTION_EXIT_SIGNAL,
 )  # a robot's remote sets them, a motion server resets them
+_OPERATOR = (
+    keys.operator_status(_ANY), keys.operator_controls(_ANY), keys.operator_head(_ANY), keys.operator_left(_ANY),
+    keys.operator_right(_ANY), keys.operator_body_pos(_ANY), keys.operator_body_quat(_ANY),
+    keys.operator_hand_left(_ANY), keys.operator_hand_right(_ANY), keys.operator_twist(_ANY),
+    keys.operator_joints(_ANY),
+)  # fmt: skip
 _BUTTONS = (keys.ESTOP, keys.ARM, keys.RECORD)  # of a device that commands
 
 WRITES: dict[str, tuple[str, ...]] = {
     "command": (*_COMMANDS, *_SIGNALS, *_HEALTH, *_BUTTONS),
     "low-level": (*_STATES, *_SIGNALS, *_HEALTH, keys.ESTOP),
     "recorder": (*_HEALTH, keys.RECORDER, keys.RECORD_ACK, keys.TAP_PROBE),
-    "sensor": (keys.CONTROLLER_DATA, *_HEALTH, keys.ESTOP),
+    "sensor": (*_OPERATOR, keys.CONTROLLER_DATA, *_HEALTH, keys.ESTOP),
     "viewer": (),
     "operator": (*_COMMANDS, *_SIGNALS, *_BUTTONS, keys.EVENT, keys.MOTION_CONTROL),
 }

@@ -45,10 +45,10 @@ def command(
         print_plan(book)
         return
     recording = None
+    for_s = None if for_ is None else config.seconds(for_, where="--for")
     if record:
         person = {"id": operator or getpass.getuser()}
-        recording = Recording(task=task or book.name, instruction=instruction, operator=person)
-    for_s = None if for_ is None else config.seconds(for_, where="--for")
+        recording = Recording(task=task or book.name, instruction=instruction, operator=person, planned_s=for_s)
     code, episode = run(book, bus=bus, data=data_folder(data), recording=recording, unattended=yes, for_s=for_s)
     if episode is not None:
         click.echo(episode)

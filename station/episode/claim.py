@@ -13,6 +13,7 @@ from station.bus import keys
 from station.bus.address import runtime_folder
 from station.bus.client import Bus
 from station.bus.stamp import boot_id
+from station.episode.disk import is_locked
 from station.errors import EpisodeError, Refused
 
 _LOCK = ".recorder.lock"
@@ -139,14 +140,4 @@ def _made(data: Path) -> Path:
 
 def is_claimed(data: Path) -> bool:
     """Whether a recorder of this machine is at work in a data folder."""
-    try:
-        descriptor = os.open(data / _LOCK, os.O_RDONLY | os.O_CLOEXEC)
-    except OSError:  # no lock file: no recorder has ever been here
-        return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:
-        return True
-    finally:
-        os.close(descriptor)
-    return False
+    return is_locked(data / _LOCK)

@@ -114,8 +114,8 @@ def give_back(folder: Path) -> None:
         (folder / _BALLAST).unlink(missing_ok=True)
 
 
-def is_being_written(path: Path) -> bool:
-    """Whether a living process has a file open as its `Disk`; the kernel knows, whatever became of the process."""
+def is_locked(path: Path) -> bool:
+    """Whether a living process holds a file, as its `Disk` or as a lock; the kernel knows, and nobody else need."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from station.episode import layout
-from station.episode.disk import is_being_written
+from station.episode.disk import is_locked
 from station.episode.folder import started_ns
 
 
@@ -18,8 +18,8 @@ def is_left_open(folder: Path) -> bool:
     """Whether an episode was never closed, and whoever wrote it is dead."""
     active = folder / layout.ACTIVE
     if active.exists():
-        return not is_being_written(active)
-    return (folder / layout.RESUME).exists() and not is_being_written(folder / layout.SIGNALS)
+        return not is_locked(active)
+    return (folder / layout.RESUME).exists() and not is_locked(folder / layout.SIGNALS)
 
 
 def has_signals(folder: Path) -> bool:

@@ -15,7 +15,7 @@ from station.episode.anchor import Anchor
 from station.episode.atomic import remove_leftovers, sync_folder
 from station.episode.checkpoint import Told
 from station.episode.closing import close_manifest, summary_record
-from station.episode.disk import is_being_written
+from station.episode.disk import is_locked
 from station.episode.drops import Drops, drops_of, larger
 from station.episode.folder import signals_file
 from station.episode.left_open import is_left_open
@@ -74,7 +74,7 @@ def repair(folder: Path, *, out: Path | None = None) -> Repaired:
     """
     source = signals_file(folder)
     for file in (source, folder / layout.ACTIVE, folder / layout.REPAIRING):
-        if file.exists() and is_being_written(file):
+        if file.exists() and is_locked(file):
             raise EpisodeError(f"{file}: is being written just now; stop the recording, then repair what is left open")
     try:
         may_close = out is None or not is_left_open(folder)  # closing in its own folder is no way to leave it alone

@@ -21,6 +21,7 @@ from station.life.server import ServerKind
 
 IfItDies = Literal["ask", "end", "restart"]
 
+_ONLY_TELL = ("recorder", "sensor")  # roles that move nothing by themselves
 _STEP_KINDS = ("check", "confirm", "start", "note", "arm", "disarm")
 
 
@@ -215,8 +216,8 @@ def _start(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], whe
 
 
 def _if_it_dies(raw: Mapping[str, Any], kind: ServerKind, where: str) -> IfItDies:
-    """Return what a runbook wants; or else an episode waits for its recorder, what moves a robot for a person."""
-    value = raw.get("if_it_dies", "restart" if kind.role == "recorder" else "ask")
+    """Return what a runbook wants; or else what only tells is started again, and what moves a robot is asked about."""
+    value = raw.get("if_it_dies", "restart" if kind.role in _ONLY_TELL else "ask")
     for known in get_args(IfItDies):
         if value == known:
             return known  # type: ignore[no-any-return]  # one of the literal's own

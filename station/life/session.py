@@ -45,11 +45,12 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Recording(msgspec.Struct, frozen=True, kw_only=True):
-    """What is to be recorded, as the operator named it."""
+    """What is to be recorded, as the operator named it; `planned_s` must fit on the disk [s]."""
 
     task: str
     instruction: str = ""
     operator: dict[str, str] = {}
+    planned_s: float | None = None
 
 
 class Session:

@@ -1,0 +1,59 @@
+"""Fake GELLO leaders under the real dynamixel-sdk: servos on pseudo terminals, held by a script.
+
+``python -m adapters.devices.fakes.gello FILE`` plays a script for a server that is started elsewhere.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from adapters.devices.fakes import script
+from adapters.devices.fakes.gello.leader import FakeLeader, LeaderStep, arms_of
+from adapters.devices.fakes.script import Clock
+
+
+class FakeGello:
+    """The leaders of a script, from now until `close`.
+
+    Args:
+        file: The script.
+        clock: Tells the time [s].
+        folder: Where the ports and calibrations appear; a temporary one without it.
+
+    Attributes:
+        leaders: They, left before right.
+        folder: In place of ``/dev/serial/by-id``.
+        calibrations: The folder of their calibrations.
+
+    Raises:
+        BadFile: the script cannot be read.
+    """
+
+    def __init__(self, file: Path, clock: Clock = time.monotonic, folder: Path | None = None) -> None:
+        steps = script.load(file, "gello", LeaderStep)
+        arms = arms_of(steps, file)
+        self._is_temporary = folder is None
+        self.folder = folder or Path(tempfile.mkdtemp(prefix="fake-gello-"))
+        self.calibrations = self.folder / "calibrations"
+        self.leaders = [FakeLeader(arm, steps, clock, self.folder) for arm in arms]
+
+    def begin(self) -> dict[str, Any]:
+        """Start the script's clock: until then the leaders are held as at its beginning, and nothing goes wrong.
+
+        Returns:
+            What a manifest says of it.
+        """
+        for leader in self.leaders:
+            leader.begin()
+        return script.began()
+
+    def close(self) -> None:
+        """Take the ports away."""
+        for leader in self.leaders:
+            leader.close()
+        if self._is_temporary:
+            shutil.rmtree(self.folder, ignore_errors=True)

@@ -1,0 +1,105 @@
+"""A serial port with servos behind it: a pseudo terminal that answers as the bus does."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import termios
+import threading
+import time
+import tty
+from collections.abc import Callable
+from pathlib import Path
+
+from adapters.devices.fakes.gello.protocol import Wire
+from adapters.devices.fakes.gello.servos import Chain
+
+_LINK = "usb-FTDI_USB__-__Serial_Converter_{serial}-if00-port0"
+_LOOK_S = 0.02
+_CHUNK = 4096
+_OSPEED = 5  # place in what termios returns
+
+
+class FakePort:
+    """A U2D2 with a chain of servos, under a name as udev gives it.
+
+    Args:
+        folder: Where the name appears, in place of ``/dev/serial/by-id``.
+        serial: Serial number of the adapter.
+        chain: The servos.
+        baud: The rate they listen at; at another one there is only noise. A constant of `termios`.
+        before_reply: Called before each answer, to bring the servos up to date.
+
+    Attributes:
+        path: The name of the port.
+        delay_s: How long every answer takes [s].
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        serial: str,
+        chain: Chain,
+        *,
+        baud: int = termios.B57600,
+        before_reply: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.path, self.delay_s = folder / _LINK.format(serial=serial), 0.0
+        self._chain, self._baud, self._before_reply = chain, baud, before_reply
+        self._stop = threading.Event()
+        self._lock = threading.Lock()
+        self._master, self._slave = -1, -1
+        self.plug()
+        self._thread = threading.Thread(target=self._serve, name=f"fake-{serial}", daemon=True)
+        self._thread.start()
+
+    def plug(self) -> None:
+        """Plug it in; nothing where it is."""
+        with self._lock:
+            if self._master >= 0:
+                return
+            self._master, self._slave = os.openpty()
+            tty.setraw(self._slave)
+            self.path.unlink(missing_ok=True)
+            self.path.symlink_to(os.ttyname(self._slave))
+
+    def unplug(self) -> None:
+        """Tear it out: reads and writes of whoever has it open fail from now on."""
+        with self._lock:
+            if self._master < 0:
+                return
+            self.path.unlink(missing_ok=True)
+            os.close(self._master)
+            os.close(self._slave)
+            self._master = self._slave = -1
+
+    def close(self) -> None:
+        """Stop answering and take the port away."""
+        self._stop.set()
+        self._thread.join()
+        self.unplug()
+
+    def _serve(self) -> None:
+        wire = Wire()
+        while not self._stop.is_set():
+            self._before_reply()
+            data, speed = self._receive()
+            for packet in wire.feed(data) if speed == self._baud else ():
+                self._before_reply()
+                if self.delay_s:
+                    time.sleep(self.delay_s)
+                self._send(self._chain.reply(packet))
+
+    def _receive(self) -> tuple[bytes, int]:
+        with self._lock:  # so that nobody closes it, and opens something else of its number, meanwhile
+            is_there = self._master >= 0
+            if is_there and select.select([self._master], [], [], _LOOK_S)[0]:
+                return os.read(self._master, _CHUNK), termios.tcgetattr(self._master)[_OSPEED]
+        self._stop.wait(0.0 if is_there else _LOOK_S)
+        return b"", 0
+
+    def _send(self, data: bytes) -> None:
+        with self._lock, contextlib.suppress(OSError):
+            if data and self._master >= 0:
+                os.write(self._master, data)

@@ -1,0 +1,27 @@
+"""A fake spacemouse under the real hidapi library: HID reports from a script.
+
+``python -m adapters.devices.fakes.spacemouse FILE`` shows what the adapter makes of a script.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from adapters.devices.fakes import script
+from adapters.devices.fakes.script import Clock
+from adapters.devices.fakes.spacemouse.hidapi import FakeHidapi
+from adapters.devices.fakes.spacemouse.mouse import FakeMouse, MouseStep
+from adapters.devices.spacemouse.find import library
+
+
+def install(file: Path, clock: Clock = time.monotonic) -> FakeHidapi:
+    """Let this process see one spacemouse, which plays a script, and no other HID device.
+
+    Raises:
+        BadFile: the script cannot be read.
+        DeviceError: there is no hidapi, or this system is no 64-bit Linux.
+    """
+    fake = FakeHidapi([FakeMouse(script.load(file, "spacemouse", MouseStep), clock)])
+    fake.install(library())
+    return fake

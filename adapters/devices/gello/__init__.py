@@ -1,0 +1,1 @@
+"""GELLO leader arms: a chain of Dynamixel servos on a serial port."""

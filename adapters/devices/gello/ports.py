@@ -1,0 +1,78 @@
+"""Which serial ports are leaders, and what their adapters are called."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+from station.operator.device import DeviceError
+
+BY_ID = Path("/dev/serial/by-id")
+
+_FTDI = "usb-FTDI_USB__-__Serial_Converter_*"
+_SERIAL = re.compile(r"_([A-Za-z0-9-]+)-if\d+(-port\d+)?$")
+_LATENCY = "/sys/bus/usb-serial/devices/{tty}/latency_timer"
+LATENCY_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
+
+
+def choose(wanted: tuple[str, ...], count: int, folder: Path = BY_ID) -> list[str]:
+    """Return the ports of the leaders: those that were asked for, or all adapters that are plugged in.
+
+    Args:
+        wanted: Names of ports; none for any.
+        count: How many leaders there are to be.
+        folder: Where ports appear by serial number.
+
+    Raises:
+        DeviceError: there are fewer, or more than that and none were asked for.
+    """
+    if wanted:
+        if len(wanted) != count:
+            raise DeviceError(f"{len(wanted)} ports for {count} leaders; name one each with ports:")
+        return list(wanted)
+    found = sorted(str(path) for path in folder.glob(_FTDI))
+    if not found:
+        raise DeviceError(
+            f"no leader found: no {_FTDI} in {folder}; plug its U2D2 in, or name another port with ports: [/dev/tty…]"
+        )
+    if len(found) != count:
+        listed = ", ".join(found)
+        raise DeviceError(f"{len(found)} adapters found, {count} wanted: {listed}; choose with ports: or leaders:")
+    return found
+
+
+def plugged_in(folder: Path = BY_ID) -> list[str]:
+    """Return each adapter that may have a leader behind it, as a person is told."""
+    return [f"adapter {serial_of(str(path), folder)} at {path}" for path in sorted(folder.glob(_FTDI))]
+
+
+def serial_of(port: str, folder: Path = BY_ID) -> str:
+    """Return the serial number of a port's adapter: from its name, or from the name by id of the same device.
+
+    For an adapter without one it is the last part of the port's name: ``ttyUSB0``.
+    """
+    names = [
+        port,
+        *(str(path) for path in sorted(folder.glob("*")) if os.path.realpath(path) == os.path.realpath(port)),
+    ]
+    for name in names:
+        match = _SERIAL.search(os.path.basename(name))
+        if match:
+            return match[1]
+    return os.path.basename(port)
+
+
+def latency_advice(port: str) -> str:
+    """Return what to do about an adapter that holds bytes back for 16 ms, as FTDI's do by default; "" for nothing."""
+    tty = os.path.basename(os.path.realpath(port))
+    try:
+        latency_ms = int(Path(_LATENCY.format(tty=tty)).read_text())
+    except (OSError, ValueError):
+        return ""  # no FTDI adapter, or no Linux
+    if latency_ms <= 1:
+        return ""
+    return (
+        f"{port} holds bytes back for {latency_ms} ms, which keeps a leader near {1000 // (latency_ms + 1)} Hz; set 1 "
+        f"with this udev rule: echo '{LATENCY_RULE}' | sudo tee /etc/udev/rules.d/71-ftdi-latency.rules"
+    )

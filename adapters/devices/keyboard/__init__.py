@@ -1,0 +1,1 @@
+"""The keys of a terminal, for discrete commands and short jogs."""

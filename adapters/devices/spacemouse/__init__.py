@@ -1,0 +1,1 @@
+"""Spacemice of 3Dconnexion."""

@@ -1,0 +1,147 @@
+"""The driver `body`: the robot does what the operator's whole body does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+
+from adapters.commands.twist2 import FORMAT
+from adapters.drivers.body_on_legs import HEAD
+from adapters.drivers.fingers import Fingers
+from adapters.drivers.outlet import Outlet
+from adapters.retarget.arm_ik import ARMS
+from station.bus.joints import G1_29, SMPL_24
+from station.errors import StationError
+from station.operator import deltas
+from station.operator.deadman import Snapshot
+from station.operator.driver import Look
+from station.operator.reading import Body, Pose, Reading
+from station.protocols import CommandFormat, Floats, Reference
+
+LEAVE_S = 2.0
+"""From where a body was let go to a stand [s]; the arms stay as they were."""
+
+_WATCHED = ("pelvis", "head")  # what tells that the tracking jumped: hands and feet of a person are faster
+
+
+class Retarget(Protocol):
+    """What makes a robot's reference of an operator's body: `adapters.retarget.pipeline.BodyRetarget`."""
+
+    joint_names: tuple[str, ...]
+
+    def step(self, body: Body | None, capture_ns: int) -> Reference:
+        """Return what the robot shall do; raises `StationError` for a body that cannot be."""
+        ...
+
+
+class BodyDriver:
+    """Implements `station.operator.driver.Driver`.
+
+    Engaging blends from the command that stands to the live body over a second; letting go blends to a stand, because
+    a foot may be in the air.
+
+    Args:
+        retarget: Calibrated for the operator.
+    """
+
+    name = "body"
+    mode = ""
+
+    def __init__(self, retarget: Retarget) -> None:
+        self._retarget = retarget
+        self._outlet, self._fingers = Outlet(FORMAT), Fingers()
+        self._held: Snapshot[Any, Any] | None = None
+        self._rest = np.array(FORMAT.default)
+        self._live: Floats | None = None
+        self._flaw = ""
+        self._left_s = 0.0
+
+    @property
+    def form(self) -> CommandFormat:
+        """TWIST2's."""
+        return FORMAT
+
+    @property
+    def target(self) -> Floats:
+        """The command that stands."""
+        return self._outlet.sent.copy()
+
+    @property
+    def companions(self) -> Mapping[str, Floats]:
+        """Both Dex3 hands, and the neck at rest."""
+        return {**FORMAT.companions, **self._fingers.commands}
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the robot has come to a stand."""
+        return self._held is None and self._left_s <= 0.0
+
+    def look(self, reading: Reading) -> Look:
+        """A body is needed, at a time of the device."""
+        if reading.body is None:
+            return Look(None, "the body is not tracked")
+        if reading.capture_ns is None:
+            return Look(None, "the device does not say when it saw the body")
+        return Look(None, self._flaw) if self._flaw else Look(reading.body)
+
+    def jump(self, before: Body, now: Body) -> str:
+        """Return what jumped, or ""."""
+        return deltas.jump(_watched(before), _watched(now))
+
+    def next_mode(self) -> str:
+        """There is but one."""
+        return self.mode
+
+    def step(self, reading: Reading | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+        """Go on for a period; without a snapshot the robot comes to a stand, arms as they are."""
+        self._see(reading)
+        if snapshot is not self._held:
+            self._held = snapshot
+            if snapshot is not None:
+                self._outlet.begin()
+            else:
+                self._let_go()
+        self._left_s = max(self._left_s - dt_s, 0.0) if snapshot is None else 0.0
+        if snapshot is None or self._live is None:
+            return self._outlet.send(self._rest, dt_s)
+        if reading is not None:
+            self._fingers.step(reading.controls, dt_s)
+        return self._outlet.send(self._live, dt_s)
+
+    def take_up(self, command: Floats) -> None:
+        """Go on from a command of somebody else, which stands until the operator engages."""
+        self._outlet.take_up(command)
+        self._rest, self._left_s = self._outlet.sent.copy(), 0.0
+
+    def facts(self) -> dict[str, Any]:
+        """Return the name; calibration and layers are the retargeting's to tell."""
+        return {"driver": self.name}
+
+    def _see(self, reading: Reading | None) -> None:
+        """Retarget while the operator is not engaged as well: what is blended into must be under way already."""
+        if reading is None or reading.body is None or reading.capture_ns is None:
+            self._flaw = ""
+            return
+        try:
+            reference = self._retarget.step(reading.body, reading.capture_ns)
+        except StationError as error:  # told by the dead-man, which lets go
+            self._flaw = str(error)
+            return
+        self._flaw = ""
+        self._live = FORMAT.encode(reference, self._retarget.joint_names)
+
+    def _let_go(self) -> None:
+        self._rest = np.array(FORMAT.default)
+        arms = [HEAD + G1_29.index(name) for name in ARMS]
+        self._rest[arms] = self._outlet.sent[arms]
+        self._left_s = LEAVE_S
+        self._outlet.begin(LEAVE_S)
+
+
+def _watched(body: Body) -> dict[str, Pose]:
+    return {
+        name: Pose(body.positions[index], body.quats_wxyz[index])
+        for name, index in ((name, SMPL_24.index(name)) for name in _WATCHED)
+    }

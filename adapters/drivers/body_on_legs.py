@@ -1,0 +1,77 @@
+"""What drivers share that move arms one way and legs by sticks: a walking body, and arms put on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from adapters.commands.twist2 import FORMAT
+from adapters.drivers.fingers import Fingers
+from adapters.drivers.outlet import Outlet
+from adapters.drivers.sticks import Sticks
+from adapters.retarget.arm_ik import ARMS
+from adapters.retarget.walking import Walker, Wish
+from station.bus.joints import G1_29
+from station.protocols import Floats
+
+HEAD = len(FORMAT.default) - len(G1_29)
+"""Elements of a command before its joints."""
+
+
+class BodyOnLegs:
+    """A body that stands or walks, and commands made of it.
+
+    Until `begin` the command that was taken up stands, whatever it is.
+    """
+
+    def __init__(self) -> None:
+        self.outlet = Outlet(FORMAT)
+        self.sticks, self.fingers = Sticks(), Fingers()
+        self._walker = Walker()
+        self._has_begun = False
+
+    @property
+    def companions(self) -> Mapping[str, Floats]:
+        """Values of the keys beside the command."""
+        return {**FORMAT.companions, **self.fingers.commands}
+
+    @property
+    def is_standing(self) -> bool:
+        """Whether the legs have come to a stand."""
+        return self._walker.is_standing
+
+    def joints(self, names: tuple[str, ...] = ARMS) -> Floats:
+        """Return joints of the command that stands [rad]."""
+        return self.outlet.sent[[HEAD + G1_29.index(name) for name in names]]
+
+    def take_up(self, command: Floats) -> None:
+        """Let a command of somebody else stand; the legs stand from now on."""
+        self.outlet.take_up(command)
+        self.sticks, self._walker, self._has_begun = Sticks(), Walker(), False
+
+    def begin(self) -> Floats:
+        """Go from the command that stands to what is asked from now on; return the former."""
+        self._has_begun = True
+        return self.outlet.sent.copy()
+
+    def send(self, wish: Wish, dt_s: float, arms: Mapping[str, float] | None = None) -> Floats:
+        """Go on for a period [s].
+
+        Args:
+            wish: For the legs.
+            dt_s: The period.
+            arms: Joints of arms and waist by name [rad]; None lets the arms swing.
+
+        Returns:
+            The command.
+        """
+        if not self._has_begun:
+            return self.outlet.sent.copy()
+        reference = self._walker.step(dt_s, wish, arms)
+        return self.outlet.send(FORMAT.encode(reference, G1_29), dt_s)
+
+
+def named(names: tuple[str, ...], values: Floats) -> dict[str, float]:
+    """Return values by name."""
+    return dict(zip(names, np.asarray(values).tolist(), strict=True))

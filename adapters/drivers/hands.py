@@ -1,0 +1,140 @@
+"""The driver `hands`: palms follow the operator's hands, legs stand or walk by sticks, triggers and grips the fingers.
+
+Palms move by differences from where they were at engaging, in the frame of the pelvis with the torso upright: they go
+along with a walk and a squat.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import msgspec
+
+from adapters.commands.twist2 import FORMAT
+from adapters.drivers.body_on_legs import BodyOnLegs, named
+from adapters.retarget.arm_ik import SIDES, ArmIk
+from station import rotations
+from station.operator import deltas
+from station.operator.deadman import Snapshot
+from station.operator.driver import Look
+from station.operator.reading import Pose, Reading, Side
+from station.protocols import CommandFormat, Floats
+
+Poses = Mapping[str, Pose]
+Palms = Mapping[Side, Pose]
+
+
+class HandsOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Options of the driver `hands`.
+
+    Attributes:
+        sides: The hands that drive.
+        scale: How far a palm goes for each metre of a hand; a G1's arm reaches 0.45 m from its shoulder.
+        heading: What is forward: ``world``, where the operator faced when the device was centred, or ``head``, where
+            the headset faces at engaging.
+        waist: Whether the waist helps the arms.
+    """
+
+    sides: tuple[Side, ...] = SIDES
+    scale: float = 1.0
+    heading: Literal["world", "head"] = "world"
+    waist: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.sides or len(set(self.sides)) < len(self.sides):
+            raise ValueError(f"sides is {list(self.sides)}; expected left, right, or both")
+        if not 0.1 <= self.scale <= 3.0:
+            raise ValueError(f"scale is {self.scale:g}; expected 0.1 to 3")
+
+
+class HandsDriver:
+    """Implements `station.operator.driver.Driver`."""
+
+    name = "hands"
+
+    def __init__(self, options: HandsOptions | None = None) -> None:
+        self._options = options or HandsOptions()
+        self._body = BodyOnLegs()
+        self._ik = ArmIk(waist=self._options.waist)
+        self._held: Snapshot[Poses, Palms] | None = None
+        self._walks = False
+        self.take_up(FORMAT.default)
+
+    @property
+    def form(self) -> CommandFormat:
+        """TWIST2's."""
+        return FORMAT
+
+    @property
+    def mode(self) -> str:
+        """``stand``, where the sticks do nothing, or ``walk``."""
+        return "walk" if self._walks else "stand"
+
+    @property
+    def target(self) -> Palms:
+        """Where the palms are asked to be."""
+        return self._ik.palms
+
+    @property
+    def companions(self) -> Mapping[str, Floats]:
+        """Both Dex3 hands, and the neck at rest."""
+        return self._body.companions
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the legs stand."""
+        return self._body.is_standing
+
+    def look(self, reading: Reading) -> Look:
+        """Both hands are needed, and the head where it tells what is forward."""
+        found: dict[str, Pose | None] = {side: getattr(reading, side) for side in self._options.sides}
+        if self._options.heading == "head":
+            found["head"] = reading.head
+        flaws = [f"{name} {flaw}" for name, pose in found.items() if (flaw := deltas.flaw(pose))]
+        return Look(None, "; ".join(flaws)) if flaws else Look(found)
+
+    def jump(self, before: Poses, now: Poses) -> str:
+        """Return which hand jumped, or ""."""
+        return deltas.jump(before, now)
+
+    def next_mode(self) -> str:
+        """Let the sticks drive the legs, or not."""
+        self._walks = not self._walks
+        return self.mode
+
+    def step(self, reading: Reading | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+        """Go on for a period; without a snapshot the arms stay and the legs come to a stand."""
+        sticks, wish = self._body.sticks, self._body.sticks.rest()
+        if snapshot is not self._held:  # engaged or let go in this tick: the arms stay where they are asked to be
+            self._held = snapshot
+            self._ik.reset(self._ik.q)
+            if snapshot is not None:
+                return self._body.begin()
+        elif snapshot is not None and reading is not None:
+            self._ik.step(self._goals(snapshot, reading), dt_s)
+            self._body.fingers.step(reading.controls, dt_s)
+            if self._walks:
+                wish = sticks.wish(reading.controls, dt_s)
+        return self._body.send(wish, dt_s, named(self._ik.joint_names, self._ik.q))
+
+    def take_up(self, command: Floats) -> None:
+        """Go on from a command of somebody else."""
+        self._body.take_up(command)
+        self._ik.reset(self._body.joints(self._ik.joint_names))
+
+    def facts(self) -> dict[str, Any]:
+        """Name and options."""
+        return {"driver": self.name, **msgspec.to_builtins(self._options)}
+
+    def _goals(self, snapshot: Snapshot[Poses, Palms], reading: Reading) -> dict[Side, Pose]:
+        heading = 0.0
+        if self._options.heading == "head":
+            heading = float(rotations.roll_pitch_yaw(snapshot.start["head"].quat_wxyz)[2])
+        goals: dict[Side, Pose] = {side: snapshot.target[side] for side in SIDES}
+        for side in self._options.sides:
+            now: Pose = getattr(reading, side)
+            goals[side] = deltas.followed(
+                snapshot.target[side], snapshot.start[side], now, scale=self._options.scale, heading_rad=heading
+            )
+        return goals

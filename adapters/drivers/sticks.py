@@ -1,0 +1,56 @@
+"""What sticks, arrows and keys ask of the legs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from adapters.retarget.walking import FASTEST, FASTEST_BACK, HIGHEST_M, LOWEST_M, Wish
+
+DEAD_BAND = 0.12
+"""A stick nearer to its middle rests there."""
+
+HEIGHT_RATE = 0.2
+"""A height stick at its end lowers or raises the pelvis so fast [m/s]; it stays where it was left."""
+
+_FORWARD = {"left_stick_y": 1.0, "key_w": 1.0, "key_s": -1.0}
+_LEFT = {"left_stick_x": -1.0, "key_j": 1.0, "key_l": -1.0}
+_TURN_LEFT = {"right_stick_x": -1.0, "key_a": 1.0, "key_d": -1.0}
+_UP = {"right_stick_y": 1.0, "dpad_up": 1.0, "dpad_down": -1.0, "key_i": 1.0, "key_k": -1.0}
+
+
+class Sticks:
+    """Velocities from deflections, as stock TWIST2 reads them, and a height that stays where it was left."""
+
+    def __init__(self) -> None:
+        self.height = HIGHEST_M
+
+    def wish(self, controls: Mapping[str, float], dt_s: float) -> Wish:
+        """Return what controls ask for after a period [s]; one that is missing rests."""
+        return self.deflected(
+            _summed(controls, _FORWARD), _summed(controls, _LEFT), _summed(controls, _TURN_LEFT),
+            _summed(controls, _UP), dt_s,
+        )  # fmt: skip
+
+    def deflected(self, forward: float, left: float, turn_left: float, up: float, dt_s: float) -> Wish:
+        """Return what deflections from -1 to 1 ask for after a period [s]."""
+        self.height = min(max(self.height + _live(up) * HEIGHT_RATE * dt_s, LOWEST_M), HIGHEST_M)
+        ahead = _live(forward)
+        fastest = FASTEST[0] if ahead > 0.0 else FASTEST_BACK
+        sideways, turning = _live(left) * FASTEST[1], _live(turn_left) * FASTEST[2]
+        return Wish(float(ahead * fastest), float(sideways), float(turning), self.height)
+
+    def rest(self) -> Wish:
+        """Return the wish to stand, as high as before."""
+        return Wish(height=self.height)
+
+
+def _summed(controls: Mapping[str, float], signs: Mapping[str, float]) -> float:
+    return sum(sign * controls.get(name, 0.0) for name, sign in signs.items())
+
+
+def _live(deflection: float) -> float:
+    """Take the dead band out of a deflection: zero in it, growing from zero beyond it, 1 at the end."""
+    size = min(abs(deflection), 1.0)
+    return float(np.sign(deflection)) * max(size - DEAD_BAND, 0.0) / (1.0 - DEAD_BAND)

@@ -1,0 +1,76 @@
+"""The driver `walk`: sticks or keys walk, turn, squat; the arms swing along."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from adapters.commands.twist2 import FORMAT
+from adapters.drivers.body_on_legs import BodyOnLegs
+from station.operator.deadman import Snapshot
+from station.operator.driver import Look
+from station.operator.reading import Reading
+from station.protocols import CommandFormat, Floats
+
+
+class WalkDriver:
+    """Implements `station.operator.driver.Driver`; triggers and grips close and open the hands, where there are any."""
+
+    name = "walk"
+    mode = ""
+
+    def __init__(self) -> None:
+        self._body = BodyOnLegs()
+        self._held: Snapshot[Any, Any] | None = None
+
+    @property
+    def form(self) -> CommandFormat:
+        """TWIST2's."""
+        return FORMAT
+
+    @property
+    def target(self) -> None:
+        """Velocities are counted from zero."""
+        return
+
+    @property
+    def companions(self) -> Mapping[str, Floats]:
+        """Both Dex3 hands, and the neck at rest."""
+        return self._body.companions
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the legs stand."""
+        return self._body.is_standing
+
+    def look(self, reading: Reading) -> Look:
+        """Any controls will do."""
+        return Look(reading.controls) if reading.controls else Look(None, "the device sends no controls")
+
+    def jump(self, before: Any, now: Any) -> str:
+        """Sticks do not jump."""
+        return ""
+
+    def next_mode(self) -> str:
+        """There is but one."""
+        return self.mode
+
+    def step(self, reading: Reading | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+        """Go on for a period; without a snapshot the legs come to a stand."""
+        wish = self._body.sticks.rest()
+        if snapshot is not self._held:
+            self._held = snapshot
+            if snapshot is not None:
+                return self._body.begin()
+        elif snapshot is not None and reading is not None:
+            wish = self._body.sticks.wish(reading.controls, dt_s)
+            self._body.fingers.step(reading.controls, dt_s)
+        return self._body.send(wish, dt_s)
+
+    def take_up(self, command: Floats) -> None:
+        """Go on from a command of somebody else."""
+        self._body.take_up(command)
+
+    def facts(self) -> dict[str, Any]:
+        """Return the name."""
+        return {"driver": self.name}

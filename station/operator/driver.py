@@ -1,0 +1,117 @@
+"""What a driver is: it turns an operator's input into the robot's command.
+
+A driver knows the robot and no device. It is pure: no bus, no thread, no clock; periods come as arguments. Whether it
+may act is not its business: the dead-man's snapshot says so, and without one it brings what it does to an end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import msgspec
+
+from station.operator.deadman import Snapshot
+from station.operator.reading import Reading
+from station.protocols import CommandFormat, Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """What a driver makes of a sample before it may act on it.
+
+    Attributes:
+        input: The operator's side for the dead-man; None when the sample lacks what the driver needs.
+        flaw: What it lacks, or "".
+        objection: Why driving may not begin from here, though it may go on, or "".
+    """
+
+    input: Any | None
+    flaw: str = ""
+    objection: str = ""
+
+
+class Driver(Protocol):
+    """Turns samples into commands of the whole body."""
+
+    @property
+    def name(self) -> str:
+        """Registered name."""
+        ...
+
+    @property
+    def form(self) -> CommandFormat:
+        """Format of its commands."""
+        ...
+
+    @property
+    def mode(self) -> str:
+        """What the sticks or the twist move at present; "" for a driver with one mode."""
+        ...
+
+    @property
+    def target(self) -> Any:
+        """The robot's side for the dead-man: what is asked of it at present."""
+        ...
+
+    @property
+    def companions(self) -> Mapping[str, Floats]:
+        """Values of the keys beside the command (hands, neck) after the newest `step`."""
+        ...
+
+    @property
+    def is_still(self) -> bool:
+        """Whether nothing moves by itself any more: a walk that was let go has come to a stand."""
+        ...
+
+    def look(self, reading: Reading) -> Look:
+        """Return what the sample holds for this driver; changes nothing."""
+        ...
+
+    def jump(self, before: Any, now: Any) -> str:
+        """Return what jumped between two inputs of `look`, or ""."""
+        ...
+
+    def next_mode(self) -> str:
+        """Go to the next mode, return its name."""
+        ...
+
+    def step(self, reading: Reading | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+        """Go on for a period [s].
+
+        Args:
+            reading: The newest sample; None when there is none that may be used.
+            snapshot: The dead-man's while it is engaged; a new object means newly engaged, and the command of that tick
+                is the one before it.
+            dt_s: The period.
+
+        Returns:
+            The command, shape (m,), within its ranges and rates.
+        """
+        ...
+
+    def take_up(self, command: Floats) -> None:
+        """Go on from a command that somebody else asked for, shape (m,); not while engaged."""
+        ...
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a manifest says of this driver: its options."""
+        ...
+
+
+class DriverKind(msgspec.Struct, frozen=True, kw_only=True):
+    """What a module registers as a driver.
+
+    Attributes:
+        name: Name under which it is found.
+        summary: What it does, in a line.
+        options: Type of its options.
+        make: Makes a driver of options and an operator's name ("" for nobody known); imports what is heavy only when
+            called, and raises a `station.errors.StationError` that says what is missing.
+    """
+
+    name: str
+    summary: str
+    options: type[msgspec.Struct]
+    make: Callable[[Any, str], Driver]

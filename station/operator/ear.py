@@ -1,0 +1,102 @@
+"""What is heard of an operator's device: its newest sample, or why there is none that may be used.
+
+Fresh is what arrived here a moment ago and is live by the device server's own word: either alone is not enough, because
+a device server may be dead, and a living one may have lost its device.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from station.bus import codec
+from station.bus.sample import Sample
+from station.bus.watch import Watch
+from station.operator import reading as readings
+from station.operator.reading import Reading, Status
+
+STALE_S = 0.1
+"""A device server that has not spoken for longer is silent [s]; it speaks with every tick."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Heard:
+    """What was heard in a tick.
+
+    Attributes:
+        reading: The newest sample; None when there is none that may be used.
+        flaw: Why there is none, or "".
+        sample: Count of samples by the device server's own counting, for the source of a command.
+    """
+
+    reading: Reading | None
+    flaw: str = ""
+    sample: int = 0
+
+
+class Ear:
+    """Listens to a device, or to one that gives poses and another that has the buttons.
+
+    Args:
+        watch: Watches the keys of `watched`.
+        device: Name of the device server.
+        controls_from: Name of another whose controls count in place of the device's own; "" for its own.
+    """
+
+    def __init__(self, watch: Watch, device: str, controls_from: str = "") -> None:
+        self._one = _One(watch, device)
+        self._other = _One(watch, controls_from) if controls_from else None
+
+    @staticmethod
+    def watched(device: str, controls_from: str = "") -> Sequence[str]:
+        """Return the keys that must be watched."""
+        return [key for name in (device, controls_from) if name for key in readings.watched_keys(name)]
+
+    def hear(self) -> Heard:
+        """Return what is known now."""
+        heard = self._one.hear()
+        if self._other is None or heard.reading is None:
+            return heard
+        other = self._other.hear()
+        if other.reading is None:
+            return Heard(None, other.flaw, heard.sample)
+        return Heard(replace(heard.reading, controls=other.reading.controls), "", heard.sample)
+
+
+class _One:
+    """Listens to one device server."""
+
+    def __init__(self, watch: Watch, device: str) -> None:
+        self._watch, self._device = watch, device
+        self._keys = readings.watched_keys(device)
+        self._status_key = self._keys[0]
+        self._newest: tuple[Status, Reading] | None = None
+
+    def hear(self) -> Heard:
+        sample = self._watch.latest(self._status_key)
+        if sample is None:
+            return Heard(None, f"nothing was ever heard of {self._device}; is its server started?")
+        age_s = sample.age_s()
+        if age_s > STALE_S:
+            told = "" if math.isinf(age_s) else f" for {age_s:.1f} s"
+            return Heard(None, f"{self._device} is silent{told}")
+        samples = {key: found for key in self._keys if (found := self._watch.latest(key)) is not None}
+        try:
+            status = readings.decode_status(self._device, samples)
+            if status is None:
+                return Heard(None, f"{self._device} is silent")
+            if status.state != "live":
+                return Heard(None, f"{self._device} is {status.state}: {status.reason}", status.new)
+            return Heard(self._decoded(status, samples), "", status.new)
+        except codec.BadValue as error:
+            return Heard(None, str(error))
+
+    def _decoded(self, status: Status, samples: dict[str, Sample]) -> Reading:
+        """Return the sample, decoded once: a tick without a new one gives the same object."""
+        known = self._newest
+        if known is None or (known[0].new, known[0].capture_ns, known[0].parts) != (
+            status.new, status.capture_ns, status.parts,
+        ):  # fmt: skip
+            self._newest = known = (status, readings.decode(self._device, samples))
+        return known[1]

@@ -1,0 +1,189 @@
+"""The loop that all device servers share: read, judge, publish, tell.
+
+A tick with a new sample is one atomic write of the sample and the status, with the device's time of capture in the
+stamps; any other tick writes the status alone (and what stock readers expect at every tick). Changes of state are the
+events ``operator-live``, ``operator-stale`` and ``operator-lost``, the last one with what is known of the reason. A
+device that is torn out is looked for again, once a second, until it is there.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from station.life.events import Severity
+from station.life.loop import Rate, real_time
+from station.life.server import Life
+from station.operator import reading as readings
+from station.operator.device import Device, DeviceError
+from station.operator.freshness import Freshness
+from station.operator.reading import Part, Reading, State, Status
+
+_AGAIN_S = 1.0
+_SEVERITY: dict[State, Severity] = {"live": "info", "stale": "warning", "lost": "warning"}
+
+
+def serve_device(
+    life: Life,
+    open_device: Callable[[], Device],
+    *,
+    rate_hz: float,
+    config: Mapping[str, Any],
+    also: Callable[[Reading], Mapping[str, bytes]] | None = None,
+    on_active: Callable[[], Mapping[str, Any]] | None = None,
+    punctual: Callable[[], str] = real_time,
+) -> int:
+    """Open a device and publish what it gives until the server is asked to stop; return the exit code.
+
+    Args:
+        life: The server's; its name is the device's on the bus.
+        open_device: Opens the device; called again after it was lost.
+        rate_hz: Looks per second [Hz].
+        config: The server's configuration in plain values, for the manifest.
+        also: Makes further values, written with every tick, of the newest sample; of an empty one while the device is
+            lost, so that no button stays pressed.
+        on_active: Called once when the server is active; what it returns joins the stated configuration.
+        punctual: Makes this process as punctual as it may be; says what was obtained.
+
+    Raises:
+        DeviceError: the device cannot be opened at the start.
+    """
+    desk = _Desk(life, open_device, also)
+    try:
+        facts = {"server": life.name, "role": "sensor", "rate_hz": rate_hz, "device": desk.facts(),
+                 "config": dict(config)}  # fmt: skip
+        life.configured(facts)
+        if not life.ready():
+            return 0
+        if on_active is not None:
+            life.configured(facts | dict(on_active()))
+        life.report(scheduling=punctual())
+        _run(life, desk, rate_hz)
+    finally:
+        desk.close()
+    return 0
+
+
+def _run(life: Life, desk: _Desk, rate_hz: float) -> None:
+    rate, ticks, counted = Rate(rate_hz), 0, 0
+    window = max(2, round(rate_hz))
+    while not life.stopping:
+        rate.wait()
+        desk.tick(time.monotonic())
+        ticks += 1
+        if ticks % window == 0:  # once a second
+            stats = rate.stats()
+            life.report(rate_hz=stats.rate_hz, jitter_p50_ms=stats.jitter_p50_ms, jitter_p99_ms=stats.jitter_p99_ms,
+                        overruns=stats.overruns, samples_hz=(desk.new - counted) * rate_hz / window)  # fmt: skip
+            counted = desk.new
+
+
+class _Desk:
+    """Between a device and the bus."""
+
+    def __init__(
+        self,
+        life: Life,
+        open_device: Callable[[], Device],
+        also: Callable[[Reading], Mapping[str, bytes]] | None,
+    ) -> None:
+        self._life, self._open, self._also = life, open_device, also
+        self._freshness = Freshness()
+        self._state: State = "lost"
+        self._reason, self._told = "", ""
+        self._parts: tuple[Part, ...] = ()
+        self._newest = Reading()
+        self._look_s = time.monotonic() + _AGAIN_S  # a device that is there needs a moment to say so
+        self._device: Device | None = open_device()
+
+    @property
+    def new(self) -> int:
+        """Number of samples so far."""
+        return self._freshness.new
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a manifest says of the device."""
+        return self._device.facts() if self._device is not None else {}
+
+    def tick(self, now_s: float) -> None:
+        """Take what the device gives at a monotonic time [s] to the bus."""
+        reading = self._read(now_s)
+        silence_s = self._freshness.silence_s(now_s)
+        is_new = self._freshness.step(now_s, reading)
+        values: dict[str, bytes] = {}
+        if is_new and reading is not None:
+            self._newest, self._parts = reading, readings.parts(reading)
+            values = readings.encode(self._life.name, reading)
+        self._judge(now_s, silence_s)
+        self._write(values)
+
+    def close(self) -> None:
+        """Let go of the device, and say that there is nothing more to come."""
+        self._release()
+        self._state, self._reason = "lost", "the device server has ended"
+        self._write({})
+
+    def _read(self, now_s: float) -> Reading | None:
+        if self._device is None:
+            self._reopen(now_s)
+            return None
+        try:
+            return self._device.read()
+        except DeviceError as error:
+            self._release()
+            self._freshness.lose()
+            self._reason, self._look_s = str(error), now_s + _AGAIN_S
+            return None
+
+    def _reopen(self, now_s: float) -> None:
+        if now_s < self._look_s:
+            return
+        self._look_s = now_s + _AGAIN_S
+        try:
+            self._device = self._open()
+        except DeviceError as error:
+            self._reason = str(error)
+
+    def _judge(self, now_s: float, silence_s: float) -> None:
+        """Tell changes of state; and why the device is lost, when that is known or changes."""
+        state = self._freshness.state
+        if state == "lost" and self._device is not None and now_s >= self._look_s:
+            self._look_s = now_s + _AGAIN_S
+            self._reason = self._device.why_silent()
+        if state == "stale":
+            self._reason = "no new sample for a moment"
+        elif state == "live":
+            self._reason = ""
+        if state != self._state or self._reason != self._told:
+            if state != "lost":
+                self._look_s = 0.0  # ask why as soon as it is lost
+            self._tell(state, silence_s)
+
+    def _tell(self, state: State, silence_s: float) -> None:
+        detail: dict[str, Any] = {"device": self._life.name, "new": self._freshness.new}
+        if self._reason:
+            detail["reason"] = self._reason
+        if state != "live" and math.isfinite(silence_s):
+            detail["silent_s"] = round(silence_s, 3)
+        self._state, self._told = state, self._reason
+        self._life.event(f"operator-{state}", severity=_SEVERITY[state], **detail)
+        self._life.report(operator=state, reason=self._reason)
+
+    def _write(self, values: dict[str, bytes]) -> None:
+        freshness = self._freshness
+        status = Status(
+            state=self._state, reason=self._reason, capture_ns=freshness.capture_ns, new=freshness.new,
+            repeated=freshness.repeated, parts=self._parts,
+        )  # fmt: skip
+        if self._also is not None:
+            is_lost = self._state == "lost"
+            values |= self._also(Reading(capture_ns=freshness.capture_ns) if is_lost else self._newest)
+        values |= readings.encode_status(self._life.name, status)
+        self._life.bus.publish(values, capture_ns=freshness.capture_ns)
+
+    def _release(self) -> None:
+        device, self._device = self._device, None
+        if device is not None:
+            device.close()

@@ -1,0 +1,89 @@
+"""A headset in a process of its own, as the library wants it; each of its samples is a line of JSON.
+
+``python -m tests.adapters.devices.pico.wearing PORT`` prints one for each new sample until its input ends.
+"""
+
+from __future__ import annotations
+
+import json
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from adapters.devices.fakes.pico.service import PicoService
+from adapters.devices.pico.headset import Headset
+from station.operator.device import DeviceError
+from station.operator.reading import Pose, Reading
+from tests.waiting import DEADLINE_S
+
+
+class Wearer:
+    """The process, seen from the test."""
+
+    def __init__(self, process: subprocess.Popen[str], service: PicoService) -> None:
+        self._process, self._service = process, service
+
+    def after(self, frame: dict[str, Any]) -> dict[str, Any]:
+        """Send a frame and return the sample that comes of it."""
+        self._service.send(frame)
+        return self.next()
+
+    def next(self) -> dict[str, Any]:
+        assert self._process.stdout is not None
+        ready, _, _ = select.select([self._process.stdout], [], [], DEADLINE_S)
+        assert ready, "no sample came"
+        sample: dict[str, Any] = json.loads(self._process.stdout.readline())
+        return sample
+
+
+@contextmanager
+def wearing(service: PicoService) -> Iterator[Wearer]:
+    command = [sys.executable, "-m", "tests.adapters.devices.pico.wearing", str(service.port)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1) as process:
+        assert process.stdin is not None
+        try:
+            assert service.wait_for_listener(DEADLINE_S)
+            yield Wearer(process, service)
+            process.stdin.close()
+            assert process.wait(DEADLINE_S) == 0, "it must end cleanly"
+        finally:
+            process.kill()
+
+
+def _plain(reading: Reading) -> dict[str, Any]:
+    def pose(item: Pose | None) -> list[float] | None:
+        return item and [*item.position.tolist(), *item.quat_wxyz.tolist()]
+
+    body = reading.body
+    return {
+        "capture_ns": reading.capture_ns,
+        "controls": dict(reading.controls),
+        "head": pose(reading.head),
+        "left": pose(reading.left),
+        "right": pose(reading.right),
+        "body": body and {"positions": body.positions.tolist(), "quats_wxyz": body.quats_wxyz.tolist()},
+        "hands": {side: hand.tolist() for side, hand in reading.hands.items()},
+    }
+
+
+def main() -> None:
+    port = int(sys.argv[1])
+    headset = Headset(port=port, patience_s=0.2)
+    while not select.select([sys.stdin], [], [], 0.0)[0]:
+        try:
+            reading = headset.read()
+        except DeviceError:
+            headset.close()
+            headset, reading = Headset(port=port), None
+        if reading is not None:
+            sys.stdout.write(json.dumps(_plain(reading)) + "\n")
+            sys.stdout.flush()
+        time.sleep(0.001)
+
+
+if __name__ == "__main__":
+    main()
