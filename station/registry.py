@@ -1,4 +1,4 @@
-"""Servers, robots, policies, motion readers (by suffix), loaders, command formats and collections of files, by name.
+"""Servers, devices, drivers, robots, policies, motion readers (by suffix), loaders, formats, collections, by name.
 
 Each kind is an entry point group, so a third-party package adds its own in its ``pyproject.toml`` and
 nothing here changes. Loading an entry imports its module; listing names imports nothing.
@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from station.errors import UnknownName
 
-Kind = Literal["server", "robot", "policy", "motion", "command", "loader", "asset"]
+Kind = Literal["server", "robot", "policy", "motion", "command", "loader", "asset", "driver", "device"]
 
 _GROUPS: dict[str, str] = {
     "server": "station.servers",
@@ -22,6 +22,8 @@ _GROUPS: dict[str, str] = {
     "command": "station.commands",
     "loader": "station.loaders",
     "asset": "station.assets",
+    "driver": "station.drivers",
+    "device": "station.devices",
 }
 
 

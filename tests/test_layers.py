@@ -145,10 +145,11 @@ def test_every_server_registers_a_kind_of_its_own_name() -> None:
     "code",
     [
         "from station import registry; [registry.find('server', name) for name in registry.names('server')]",
+        "from station import registry; [registry.find('device', name) for name in registry.names('device')]",
         "from station.life import runbook; runbook.load(runbook.find('g1-sim-motion'))",
         "from station.cli import main; [main.cli.get_command(None, verb) for verb in main.VERBS]",
     ],
-    ids=["listing servers", "reading a runbook", "listing verbs"],
+    ids=["listing servers", "listing devices", "reading a runbook", "listing verbs"],
 )
 def test_what_is_quick_loads_nothing_heavy(code: str) -> None:
     loaded = subprocess.run(

@@ -35,6 +35,7 @@ VERBS = {
     "view": "Show a running station or an episode; draw its pictures.",
     "bus": "Start a bus, or look at one.",
     "keys": "Say what each key of the bus holds.",
+    "devices": "Find operators' devices, play fakes of them, show their buttons, calibrate.",
     "assets": "Find and fetch policies, robot models and motions.",
 }
 """What each verb does; module ``station.cli.<verb>`` holds its ``command``."""

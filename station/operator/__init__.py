@@ -1,1 +1,1 @@
-"""What an operator does, whatever the device: readings, their freshness, and the loop that device servers share."""
+"""What an operator does, whatever the device: readings, their freshness, dead-man, buttons, and the loops' parts."""

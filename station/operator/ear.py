@@ -26,7 +26,7 @@ class Heard:
 
     Attributes:
         reading: The newest sample; None when there is none that may be used.
-        flaw: Why there is none, or "".
+        flaw: Why there is none, or why it holds buttons only and nobody may drive by it; else "".
         sample: Count of samples by the device server's own counting, for the source of a command.
     """
 
@@ -54,14 +54,14 @@ class Ear:
         return [key for name in (device, controls_from) if name for key in readings.watched_keys(name)]
 
     def hear(self) -> Heard:
-        """Return what is known now."""
+        """Return what is known now; buttons of another device count while poses are lost too, the stop among them."""
         heard = self._one.hear()
-        if self._other is None or heard.reading is None:
+        if self._other is None:
             return heard
         other = self._other.hear()
         if other.reading is None:
             return Heard(None, other.flaw, heard.sample)
-        return Heard(replace(heard.reading, controls=other.reading.controls), "", heard.sample)
+        return Heard(replace(heard.reading or Reading(), controls=other.reading.controls), heard.flaw, heard.sample)
 
 
 class _One:
@@ -87,7 +87,8 @@ class _One:
             if status is None:
                 return Heard(None, f"{self._device} is silent")
             if status.state != "live":
-                return Heard(None, f"{self._device} is {status.state}: {status.reason}", status.new)
+                why = f": {status.reason}" if status.reason else ""
+                return Heard(None, f"{self._device} is {status.state}{why}", status.new)
             return Heard(self._decoded(status, samples), "", status.new)
         except codec.BadValue as error:
             return Heard(None, str(error))

@@ -14,6 +14,7 @@ from rich.text import Text
 
 from station.episode.falls import UPRIGHT_RAD
 from station.life.server import Health
+from station.printable import printable
 from station.protocols import FALL_TILT_RAD
 from station.view.progress import MotionProgress, PolicyProgress, Progress, RobotProgress
 
@@ -39,6 +40,9 @@ def panel(progress: Progress, names: Sequence[str], step: str = "") -> Renderabl
         table.add_row("servers", _servers(states, names))
     if progress.motion is not None:
         table.add_row("motion", _motion(progress.motion))
+    for health in progress.servers:
+        if health.state == "active" and "engaged" in health.detail:
+            table.add_row("operator", _operator(health))
     if progress.robot is not None:
         table.add_row("robot", Text.from_markup(_robot(progress.robot)))
     if progress.policy is not None:
@@ -71,6 +75,15 @@ def doing(motion: MotionProgress) -> str:
     if motion.phase != "playing":
         return f"{motion.name}: {motion.phase}" if motion.phase else motion.name
     return f"{motion.name}: {motion.clip}" if motion.clip else motion.name
+
+
+def _operator(health: Health) -> Text:
+    """Whether an operator drives; if not, why: beside an operator in a headset somebody reads this."""
+    said = health.detail
+    mode = f" ({printable(str(said['mode']))})" if said.get("mode") else ""
+    if said["engaged"]:
+        return Text(f"engaged{mode}", style="green")
+    return Text(f"not engaged{mode}: {printable(str(said.get('why_not', '')))}", style="yellow")
 
 
 def _servers(states: dict[str, Health], names: Sequence[str]) -> Text:

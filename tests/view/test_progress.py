@@ -87,6 +87,15 @@ def test_a_run_is_told_from_motion_to_recorder(bus: Bus) -> None:
     assert "servers" not in text, "servers that all run are no news"
 
 
+def test_whether_an_operator_drives_and_why_not(bus: Bus) -> None:
+    say(bus, "motion", "active", engaged=False, why_not="the leader is too far\x1b[2J", mode="walk")
+    seen = ProgressReader(bus, NAMES).look()
+    assert "operator  not engaged (walk): the leader is too far" in shown(seen)
+    assert "\x1b" not in shown(seen)
+    say(bus, "motion", "active", engaged=True, why_not="", mode="")
+    assert "operator  engaged" in shown(ProgressReader(bus, NAMES).look())
+
+
 def test_a_plain_line_says_it_in_words(bus: Bus) -> None:
     play(bus, tilt_rad=1.2)
     line = progress_panel.line(ProgressReader(bus, NAMES).look())

@@ -34,6 +34,18 @@ def run(module: str, open_device: Callable[[Path], Device]) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def play(device: str, file: Path, open_device: Callable[[Path], Device]) -> None:
+    """Play a script for `station devices fake`: such a fake is seen by the process that plays it alone.
+
+    Raises:
+        BadFile: the script cannot be read.
+        DeviceError: the device cannot be opened.
+    """
+    opened = open_device(file)
+    click.echo(f"what a station makes of it; a {device} server plays it with --set {device}.fake={file}", err=True)
+    show(opened)
+
+
 def show(device: Device) -> None:
     """Print a device's readings as they change; ends with the device."""
     began_s, last = time.monotonic(), ""
@@ -52,7 +64,7 @@ def show(device: Device) -> None:
 
 
 def _line(reading: Reading) -> str:
-    parts = [f"{name}={value:g}" for name, value in reading.controls.items() if value]
+    parts = [f"{name}={value:.3g}" for name, value in reading.controls.items() if value]
     for name, vector in (("twist", reading.twist), ("joints", reading.joints)):
         if vector is not None:
             parts.append(f"{name}=" + " ".join(f"{number:+.2f}" for number in vector))

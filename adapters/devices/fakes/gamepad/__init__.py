@@ -9,9 +9,10 @@ import time
 from pathlib import Path
 
 from adapters.devices.fakes import script
-from adapters.devices.fakes.gamepad.pad import FakePad, PadStep
+from adapters.devices.fakes.gamepad.pad import NAME, FakePad, PadStep
 from adapters.devices.fakes.script import Clock
 from adapters.devices.gamepad import sdl
+from adapters.devices.gamepad.device import Gamepad
 
 
 def install(file: Path, clock: Clock = time.monotonic) -> FakePad:
@@ -24,3 +25,16 @@ def install(file: Path, clock: Clock = time.monotonic) -> FakePad:
     steps = script.load(file, "gamepad", PadStep)
     sdl.start()
     return FakePad(steps, clock)
+
+
+def opened(file: Path) -> Gamepad:
+    """Return the adapter of a fake whose script begins now.
+
+    Raises:
+        BadFile: the script cannot be read.
+        DeviceError: as `install`, or it cannot be opened.
+    """
+    pad = install(file)
+    device = Gamepad(name=NAME)
+    pad.begin()
+    return device

@@ -2,20 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from adapters.devices.fakes import show
-from adapters.devices.fakes.gamepad import install
-from adapters.devices.fakes.gamepad.pad import NAME
-from adapters.devices.gamepad.device import Gamepad
-
-
-def _open(file: Path) -> Gamepad:
-    pad = install(file)
-    device = Gamepad(name=NAME)
-    pad.begin()
-    return device
-
+from adapters.devices.fakes.gamepad import opened
 
 if __name__ == "__main__":
-    show.run("adapters.devices.fakes.gamepad", _open)
+    show.run("adapters.devices.fakes.gamepad", opened)

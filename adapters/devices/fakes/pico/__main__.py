@@ -7,51 +7,34 @@ with the line ``go`` on its standard input, and ends with the end of that: it ca
 from __future__ import annotations
 
 import argparse
-import contextlib
-import os
-import signal
 import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
 
-from adapters.devices.fakes.pico import script as scripts
-from adapters.devices.fakes.pico.play import play
+from adapters.devices.fakes.pico.run import run
 from adapters.devices.fakes.pico.service import DEFAULT_PORT, PicoService
 from station.errors import StationError
-
-_LOOK_S = 0.1
-_PRIORITY = 10  # below the station's own servers
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run it; return the exit code."""
     options = _parser().parse_args(arguments)
-    stop, go = threading.Event(), threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    _be_punctual()
+
+    def tell(service: PicoService, go: threading.Event, stop: threading.Event) -> None:
+        sys.stdout.write(f"listening {service.port}\n")
+        sys.stdout.flush()
+        if options.on_leash:
+            threading.Thread(target=_obey, args=(go, stop), name="leash", daemon=True).start()
+        else:
+            go.set()
+
     try:
-        script = scripts.load(options.file)
-        with PicoService(options.port) as service:
-            sys.stdout.write(f"listening {service.port}\n")
-            sys.stdout.flush()
-            if options.on_leash:
-                threading.Thread(target=_obey, args=(go, stop), name="leash", daemon=True).start()
-            else:
-                go.set()
-            _wait(service, go, stop)
-            play(script, service, stop.is_set, start_s=options.start_s)
+        run(options.file, options.port, start_s=options.start_s, on_listening=tell)
     except StationError as error:
         sys.stderr.write(f"{error}\n")
         return error.exit_code
     return 0
-
-
-def _be_punctual() -> None:
-    """Stand in for a machine of its own, which other work here does not hold up, where that is permitted."""
-    with contextlib.suppress(PermissionError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
 
 
 def _obey(go: threading.Event, stop: threading.Event) -> None:
@@ -59,11 +42,6 @@ def _obey(go: threading.Event, stop: threading.Event) -> None:
         if word.strip() == "go":
             go.set()
     stop.set()
-
-
-def _wait(service: PicoService, go: threading.Event, stop: threading.Event) -> None:
-    while not stop.is_set() and not (go.wait(_LOOK_S) and service.wait_for_listener(_LOOK_S)):
-        pass
 
 
 def _parser() -> argparse.ArgumentParser:

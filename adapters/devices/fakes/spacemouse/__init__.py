@@ -12,6 +12,7 @@ from adapters.devices.fakes import script
 from adapters.devices.fakes.script import Clock
 from adapters.devices.fakes.spacemouse.hidapi import FakeHidapi
 from adapters.devices.fakes.spacemouse.mouse import FakeMouse, MouseStep
+from adapters.devices.spacemouse.device import Spacemouse
 from adapters.devices.spacemouse.find import library
 
 
@@ -25,3 +26,14 @@ def install(file: Path, clock: Clock = time.monotonic) -> FakeHidapi:
     fake = FakeHidapi([FakeMouse(script.load(file, "spacemouse", MouseStep), clock)])
     fake.install(library())
     return fake
+
+
+def opened(file: Path) -> Spacemouse:
+    """Return the adapter of a fake whose script begins now.
+
+    Raises:
+        BadFile: the script cannot be read.
+        DeviceError: as `install`, or it cannot be opened.
+    """
+    install(file)
+    return Spacemouse()

@@ -2,17 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from adapters.devices.fakes import show
-from adapters.devices.fakes.spacemouse import install
-from adapters.devices.spacemouse.device import Spacemouse
-
-
-def _open(file: Path) -> Spacemouse:
-    install(file)
-    return Spacemouse()
-
+from adapters.devices.fakes.spacemouse import opened
 
 if __name__ == "__main__":
-    show.run("adapters.devices.fakes.spacemouse", _open)
+    show.run("adapters.devices.fakes.spacemouse", opened)

@@ -1,0 +1,48 @@
+"""The way out of driving: whatever moves comes to rest, then the robot is blended to its default pose. Pure."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from station.protocols import CommandFormat, Floats
+
+COMES_TO_REST_S = 5.0
+"""Longest wait for what was let go to come to rest [s]; a walk stands within two."""
+
+
+class Leaving:
+    """From whatever is driven to the default command.
+
+    Args:
+        form: Of the commands.
+        blend_s: Time of the blend [s].
+    """
+
+    def __init__(self, form: CommandFormat, blend_s: float) -> None:
+        self._default, self._blend_s = np.array(form.default), blend_s
+        self._rested_s, self._blended_s = 0.0, 0.0
+        self._start: Floats | None = None
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the default has been reached."""
+        return self._blended_s >= self._blend_s
+
+    def step(self, command: Floats, dt_s: float, *, is_still: bool) -> Floats:
+        """Return the command after a period.
+
+        Args:
+            command: What the driver wants, shape (m,); looked at until the blend begins.
+            dt_s: The period [s].
+            is_still: Whether the driver has come to rest.
+        """
+        if self._start is None:
+            self._rested_s += dt_s
+            if not is_still and self._rested_s < COMES_TO_REST_S:
+                return command
+            self._start = command
+        self._blended_s += dt_s
+        part = 0.5 - 0.5 * math.cos(math.pi * min(self._blended_s / self._blend_s, 1.0))
+        return self._start + part * (self._default - self._start)

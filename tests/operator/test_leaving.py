@@ -1,0 +1,34 @@
+"""The way out of driving, with given periods."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from station import registry
+from station.operator.leaving import COMES_TO_REST_S, Leaving
+
+FORM = registry.find("command", "twist2")
+DT_S = 0.02
+
+
+def test_what_moves_comes_to_rest_before_the_blend_begins() -> None:
+    leaving, moving = Leaving(FORM, 2.0), FORM.default + 0.3
+    for _ in range(50):
+        assert leaving.step(moving, DT_S, is_still=False) is moving
+    assert not leaving.is_done
+
+
+def test_blend_ends_at_the_default_without_a_step() -> None:
+    leaving, held = Leaving(FORM, 2.0), FORM.default + 0.3
+    sent = [held]
+    while not leaving.is_done:
+        sent.append(leaving.step(held, DT_S, is_still=True))
+    assert np.abs(sent[-1] - FORM.default).max() < 1e-12
+    assert np.abs(np.diff(sent, axis=0)).max() < 0.01
+
+
+def test_what_never_rests_is_not_waited_for_for_ever() -> None:
+    leaving, moving = Leaving(FORM, 2.0), FORM.default + 0.3
+    for _ in range(round((COMES_TO_REST_S + 2.0) / DT_S) + 2):
+        leaving.step(moving, DT_S, is_still=False)
+    assert leaving.is_done
