@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
+JOBS   ?= 2
 
 .PHONY: demo test check format bench soak clean
 
@@ -9,7 +10,7 @@ demo: $(VENV)/.installed   ## run the main job once and print the report
 	@$(BIN)/station demo
 
 test: $(VENV)/.installed-test   ## the whole test suite
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadscope
 
 check: $(VENV)/.installed-test   ## formatting, lint, types
 	$(BIN)/ruff format --check .

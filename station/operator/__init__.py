@@ -1,1 +1,1 @@
-"""What an operator does, whatever the device: readings, their freshness, dead-man, buttons, and the loops' parts."""
+"""What an operator does, whatever the device: samples and their freshness, dead-man, buttons, and what comes of it."""

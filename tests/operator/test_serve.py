@@ -145,7 +145,8 @@ def test_a_device_that_is_silent_from_the_start_is_lost_with_its_reason(station:
 def test_samples_go_to_the_bus_with_what_the_server_adds(station: Station, wheel: Wheel) -> None:
     wheel.turn = 0.5
     station.start()
-    station.until("operator-live")
+    station.until("operator-live")  # told before the tick that it is told of is written
+    wait_until(lambda: station.state() == "live")
     assert codec.parse_json(station.values["also"]) == {"wheel": 0.5}
     assert codec.parse_f64(station.values[keys.operator_joints("wheel")]).tolist() == [0.5]
     stated = codec.parse_json(station.values[keys.server_config("wheel")])

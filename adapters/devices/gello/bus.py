@@ -76,7 +76,7 @@ class MotorBus:
         self._reader: Any = None
         self._reader_ids: tuple[int, ...] = ()
 
-    def ping(self, ids: Iterable[int], attempts: int = 4) -> dict[int, int]:
+    def ping(self, ids: Iterable[int], attempts: int = 8) -> dict[int, int]:
         """Return the model numbers of those servos that answer one of some pings; 35 ms for each that is not answered.
 
         Raises:

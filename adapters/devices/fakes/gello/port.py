@@ -14,6 +14,7 @@ from pathlib import Path
 
 from adapters.devices.fakes.gello.protocol import Wire
 from adapters.devices.fakes.gello.servos import Chain
+from adapters.devices.fakes.punctual import be_punctual
 
 _LINK = "usb-FTDI_USB__-__Serial_Converter_{serial}-if00-port0"
 _LOOK_S = 0.02
@@ -81,6 +82,7 @@ class FakePort:
         self.unplug()
 
     def _serve(self) -> None:
+        be_punctual()  # the library waits 34 ms for an answer
         wire = Wire()
         while not self._stop.is_set():
             self._before_reply()

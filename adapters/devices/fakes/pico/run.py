@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import signal
 import threading
 from collections.abc import Callable
@@ -14,9 +12,9 @@ import click
 from adapters.devices.fakes.pico import script as scripts
 from adapters.devices.fakes.pico.play import play
 from adapters.devices.fakes.pico.service import DEFAULT_PORT, PicoService
+from adapters.devices.fakes.punctual import be_punctual
 
 _LOOK_S = 0.1
-_PRIORITY = 10  # below the station's own servers
 
 
 def run(
@@ -43,7 +41,7 @@ def run(
     stop, go = threading.Event(), threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    _be_punctual()
+    be_punctual()
     script = scripts.load(file)
     with PicoService(port) as service:
         on_listening(service, go, stop)
@@ -69,9 +67,3 @@ def run_for_person(file: Path, port: int) -> None:
         click.echo(f"a server is there: {file} begins", err=True)
 
     run(file, port, on_listening=tell, on_begin=tell_begin)
-
-
-def _be_punctual() -> None:
-    """Stand in for a machine of its own, which other work here does not hold up, where that is permitted."""
-    with contextlib.suppress(PermissionError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))

@@ -1,0 +1,298 @@
+"""The teleoperation server: an operator's device drives the robot, whatever the device.
+
+It knows no device: it hears the operator's keys of one (`station.operator.ear`), has one dead-man and one map of
+buttons for all (`station.operator.driving`), and a driver that makes commands (`adapters.drivers`).
+
+Commands are sent from the first engaging on; before, nobody commands and the robot stands. The first one is the command
+that the robot already follows. When the operator lets go, the pose is held and a walk comes to a stand. Commands end,
+and the robot returns to standing, when the device has been away for `patience_s`, when the robot was stopped, or when
+it ceased to follow; only a new engaging begins them again. Asked to leave, or on an error, it blends to the default.
+"""
+
+from __future__ import annotations
+
+import getpass
+import time
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from station import config as configs
+from station import registry
+from station.bus import keys
+from station.bus.watch import Watch
+from station.config import to_plain
+from station.errors import ConfigError
+from station.life.events import Severity
+from station.life.loop import real_time
+from station.life.own_key import OwnKey
+from station.life.pace import WallPace
+from station.life.server import Life, ServerKind
+from station.operator import buttons
+from station.operator.buttons import ButtonMap, Buttons, Pressed
+from station.operator.driver import Driver, DriverKind
+from station.operator.driving import Driven, Driving
+from station.operator.ear import Ear
+from station.operator.leaving import Leaving
+from station.operator.requests import RECORDING, RecordButtons, StopPresser
+from station.operator.robot_side import RobotSide
+from station.operator.writer import CommandWriter
+from station.protocols import Floats
+
+_ENDING = "teleoperation is ending"
+
+
+class TeleopConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Configuration of the teleoperation server.
+
+    Attributes:
+        device: Name of the device server that is followed.
+        driver: Registered name of what makes commands of it.
+        options: The driver's.
+        operator: Who drives, for the recording; the driver `body` takes this name's calibration.
+        controls_from: Name of another device server whose controls count, for a device without buttons.
+        kind: What kind of device has the controls (pico, gamepad, …), for the names of its buttons; "" where the device
+            server is called so.
+        buttons: File that changes what the buttons mean; `station devices buttons` shows it.
+        rate_hz: Commands per second [Hz].
+        patience_s: How long the device may be away before commands end and the robot returns to standing [s].
+        leave_s: Blend to the default pose at the end [s].
+        task, instruction: Of episodes that are begun with a button; "" for the task of the episode before.
+    """
+
+    device: str = "pico"
+    driver: str = "hands"
+    options: dict[str, Any] = {}
+    operator: str = ""
+    controls_from: str = ""
+    kind: str = ""
+    buttons: Path | None = None
+    rate_hz: float = 50.0
+    patience_s: float = 5.0
+    leave_s: float = 2.0
+    task: str = ""
+    instruction: str = ""
+
+    def __post_init__(self) -> None:
+        registry.expect("driver", self.driver)
+        if not 20.0 <= self.rate_hz <= 200.0:
+            raise ValueError(f"rate_hz is {self.rate_hz:g}; expected 20 to 200 Hz (TWIST2 expects 50)")
+        if not 1.0 <= self.patience_s <= 600.0:
+            raise ValueError(f"patience_s is {self.patience_s:g}; expected 1 to 600 s")
+        if not 0.5 <= self.leave_s <= 60.0:
+            raise ValueError(
+                f"leave_s is {self.leave_s:g}; expected 0.5 to 60 s: a shorter blend is a kick to the robot"
+            )
+        self.typed_options()
+        if self.button_kind not in buttons.DEFAULTS:
+            listed = ", ".join(buttons.DEFAULTS)
+            raise ValueError(f"kind: nothing is known of the buttons of {self.button_kind!r}; expected one of {listed}")
+
+    def typed_options(self) -> Any:
+        """Return the options as the driver's type has them.
+
+        Raises:
+            ValueError: they are none of its options; the message names the field.
+        """
+        kind: DriverKind = registry.find("driver", self.driver)
+        try:
+            return configs.build(kind.options, self.options, where=f"options of the driver {kind.name}")
+        except ConfigError as error:
+            raise ValueError(str(error)) from None
+
+    @property
+    def button_kind(self) -> str:
+        """Kind of the device that has the controls."""
+        return self.kind or self.controls_from or self.device
+
+
+def main(config: TeleopConfig, life: Life) -> int:
+    """Drive until the operator leaves or we are asked to stop; return the exit code."""
+    kind: DriverKind = registry.find("driver", config.driver)
+    bound = _bound(config)
+    driver = kind.make(config.typed_options(), config.operator)
+    life.configured(_facts(life, config, driver, bound))
+    watched = [*Ear.watched(config.device, config.controls_from), *RobotSide.watched(driver.form.robot),
+               driver.form.key, keys.RECORDER]  # fmt: skip
+    with life.bus.watch(watched) as watch:
+        if not life.ready():
+            return 0
+        life.report(scheduling=real_time())
+        teleop = Teleop(config, life, driver, bound, watch)
+        try:
+            teleop.run()
+        finally:
+            teleop.close()
+    return 0
+
+
+KIND = ServerKind(
+    name="teleop",
+    role="command",
+    summary="an operator's device drives the robot: dead-man, buttons, and a driver that makes commands",
+    config=TeleopConfig,
+    main=main,
+)
+
+
+def _bound(config: TeleopConfig) -> ButtonMap:
+    kind = config.button_kind
+    bound = buttons.button_map(kind) if config.buttons is None else buttons.load(kind, config.buttons)
+    if not (bound.gestures.get("engage") or bound.gestures.get("start_pause")):
+        raise ConfigError(
+            f"no control of a {kind} engages: a device without buttons needs `controls_from`, the name of one that has "
+            "some (a gamepad, a pedal that is one), or `buttons`, a file that binds `engage` or `start_pause`"
+        )
+    return bound
+
+
+def _facts(life: Life, config: TeleopConfig, driver: Driver, bound: ButtonMap) -> dict[str, Any]:
+    form = driver.form
+    return {
+        "server": life.name,
+        "role": KIND.role,
+        "robot": form.robot,
+        "command": {"format": form.name, "key": form.key, "rate_hz": config.rate_hz, "pace": "wall"},
+        "driver": driver.facts(),
+        "buttons": {action: gestures for action, gestures, _ in bound.table()},
+        "config": to_plain(config),
+    }
+
+
+class Teleop:
+    """The loop: hear, drive, tell, obey, publish, wait.
+
+    Args:
+        config: The server's.
+        life: The server's.
+        driver: Makes commands.
+        bound: What the buttons mean.
+        watch: Watches device, robot, recorder and the command's own key.
+    """
+
+    def __init__(self, config: TeleopConfig, life: Life, driver: Driver, bound: ButtonMap, watch: Watch) -> None:
+        self._config, self._life, self._driver, self._watch = config, life, driver, watch
+        self._form = driver.form
+        self._driving = Driving(driver, Buttons(bound))
+        self._ear = Ear(watch, config.device, config.controls_from)
+        self._robot = RobotSide(watch, self._form.robot, len(self._form.default))
+        self._own_key = OwnKey(life, self._form.key)
+        self._writer = CommandWriter(life, driver.form, device=config.device, driver=driver.name)
+        person = {"interface": config.device, "id": config.operator or getpass.getuser()}
+        holds, presses = (bound.gestures.get(action, ()) for action in ("engage", "start_pause"))
+        self._how = " or ".join([*(f"hold {one}" for one in holds), *(f"press {one}" for one in presses)]) + " to drive"
+        self._record = RecordButtons(life, watch, task=config.task, instruction=config.instruction, operator=person)
+        self._stop = StopPresser(life)
+        self._speaks = False
+        self._heard_s = time.monotonic()
+        self._taken_up: Floats | None = None
+        self._leaving: Leaving | None = None
+
+    def run(self) -> None:
+        """Drive to the end; on an error blend to the default first, then raise it."""
+        pace = WallPace(self._config.rate_hz)
+        try:
+            dt_s = 1.0 / self._config.rate_hz
+            while not self._is_over:
+                self._tick(dt_s)
+                self._life.report(**pace.health())
+                dt_s = pace.wait(is_leaving=self._leaving is not None)
+        except Exception as error:
+            self._life.event("teleop-error", severity="error", reason=f"{type(error).__name__}: {error}")
+            self._leave_blindly(pace)
+            raise
+
+    def close(self) -> None:
+        """Let what was asked of the recorder be done; hang up."""
+        self._record.close()
+        self._stop.close()
+
+    @property
+    def _is_over(self) -> bool:
+        return self._leaving is not None and (self._leaving.is_done or not self._speaks)
+
+    def _tick(self, dt_s: float) -> None:
+        now_ns = time.monotonic_ns()
+        if self._leaving is None and self._life.stopping:
+            self._leaving = Leaving(self._form, self._config.leave_s)
+        heard = self._ear.hear()
+        if not heard.flaw:
+            self._heard_s = now_ns * 1e-9
+        self._robot.look(now_ns)
+        self._take_up()
+        obstacle = _ENDING if self._leaving is not None else self._robot.obstacle or self._writer.flaw or heard.flaw
+        driven = self._driving.step(heard.reading, dt_s, obstacle=obstacle)
+        self._tell(driven)
+        self._obey(driven.pressed)
+        self._own_key.check(self._watch.latest(self._form.key))
+        self._decide_to_speak(driven, now_ns)
+        command = driven.command
+        if self._leaving is not None:
+            command = self._leaving.step(command, dt_s, is_still=self._driver.is_still)
+        if self._speaks:
+            deadman = self._driving.deadman
+            self._writer.write(command, driven.companions, heard,
+                               engaged=deadman.is_engaged, mode=self._driver.mode, reason=deadman.reason)  # fmt: skip
+        self._report(obstacle)
+
+    def _take_up(self) -> None:
+        """While nobody commands: go on, once the operator engages, from the command that the robot follows."""
+        used, known = self._robot.used, self._taken_up
+        if not self._speaks and used is not None and not (known is not None and np.array_equal(used, known)):
+            self._driver.take_up(used)
+            self._taken_up = used
+
+    def _decide_to_speak(self, driven: Driven, now_ns: int) -> None:
+        if driven.change is not None and driven.change.name == "operator-engaged":
+            if not self._speaks:
+                self._robot.begin(now_ns)
+            self._speaks = True
+        if not self._speaks or self._driving.deadman.is_engaged:
+            return
+        away_s = now_ns * 1e-9 - self._heard_s
+        if self._robot.left:
+            self._be_silent(self._robot.left)
+        elif away_s > self._config.patience_s and self._driver.is_still and self._leaving is None:
+            self._be_silent(f"{self._config.device} has been away for {away_s:.0f} s")
+
+    def _be_silent(self, reason: str) -> None:
+        """Command nothing more; the gate takes the robot to standing."""
+        self._speaks, self._taken_up, self._writer.flaw = False, None, ""
+        self._robot.end()
+        self._life.event("teleop-commands-end", severity="warning", reason=reason,
+                         then="the robot returns to standing; engage anew")  # fmt: skip
+
+    def _tell(self, driven: Driven) -> None:
+        mode = {"mode": self._driver.mode} if self._driver.mode else {}
+        told: dict[str, Any] = {"device": self._config.device, "driver": self._driver.name} | mode
+        if driven.mode:
+            self._life.event("operator-mode", **told)
+        if (change := driven.change) is not None:
+            severity: Severity = "info" if change.reason in ("", "released", _ENDING) else "warning"
+            why = {"reason": change.reason} if change.reason else {}
+            self._life.event(change.name, severity=severity, **told | why)
+
+    def _obey(self, pressed: Pressed) -> None:
+        if "estop" in pressed.started:
+            self._stop.press(f"button of {self._config.device}")
+        for action in RECORDING:
+            if action in pressed.started:
+                self._record.press(action)
+        if "exit" in pressed.started and self._leaving is None:
+            self._life.event("operator-exit", device=self._config.device)
+            self._leaving = Leaving(self._form, self._config.leave_s)
+
+    def _leave_blindly(self, pace: WallPace) -> None:
+        """Blend from the last command to the default, without anything that may have broken."""
+        if not self._speaks or self._writer.newest is None:
+            return
+        leaving = Leaving(self._form, self._config.leave_s)
+        while not leaving.is_done:
+            self._writer.write_alone(leaving.step(self._writer.newest, pace.wait(is_leaving=True), is_still=True))
+
+    def _report(self, obstacle: str) -> None:
+        deadman = self._driving.deadman
+        reason = "" if deadman.is_engaged else obstacle or "; ".join(filter(None, [deadman.reason, self._how]))
+        self._life.report(engaged=deadman.is_engaged, why_not=reason, mode=self._driver.mode, commands=self._speaks)

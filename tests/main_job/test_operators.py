@@ -1,0 +1,50 @@
+"""The runbook of each device as a user runs it without hardware: a fake under the real library drives the G1."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.main_job.station_runs import ROOT, Terminal
+
+FAKES = "adapters/devices/fakes"
+PAD = {"gamepad": f"{FAKES}/gamepad/example.json"}
+SCRIPTS: dict[str, dict[str, str]] = {
+    "pico": {"pico": f"{FAKES}/pico/example.json"},
+    "gamepad": PAD,
+    "spacemouse": {"spacemouse": f"{FAKES}/spacemouse/example.json"},
+    "gello": {"gello": f"{FAKES}/gello/g1.json"} | PAD,
+    "keyboard": {"keyboard": f"{FAKES}/keyboard/example.json"},
+}
+
+pytestmark = pytest.mark.timeout(240)
+
+
+def sets(scripts: dict[str, str]) -> list[str]:
+    return [word for server, file in scripts.items() for word in ("--set", f"{server}.fake={file}")]
+
+
+@pytest.mark.parametrize("device", SCRIPTS)
+def test_fake_operator_drives_the_robot_and_leaves_a_sound_episode(device: str, tmp_path: Path) -> None:
+    terminal = Terminal(tmp_path)
+    done = terminal.run(
+        "up", f"runbooks/g1-sim-{device}.yaml", "--yes", "--record", "--task", device, "--for", "8s",
+        *sets(SCRIPTS[device]),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    check: dict[str, Any] = terminal.json("check", str(terminal.episode(device)))
+    assert check["events"]["operator-engaged"] >= 1, done.stderr
+    assert (check["falls"], check["resets"], check["estops"]) == (0, 0, 0)
+    assert check["verdict"] != "reject", check["reasons"]
+    (robot,) = check["steps"]
+    assert robot["gate_shares"]["tracking"] > 0.3
+
+
+@pytest.mark.parametrize("device", SCRIPTS)
+def test_runbook_names_the_fake_that_it_is_tried_with(device: str) -> None:
+    text = (ROOT / "runbooks" / f"g1-sim-{device}.yaml").read_text(encoding="utf-8")
+    for server, file in SCRIPTS[device].items():
+        assert f"--set {server}.fake={file}" in text
+        assert (ROOT / file).is_file()
