@@ -3,8 +3,8 @@
 A robot walks, a recorder records, load runs; processes are killed and frozen, lines cut, the bus stopped, the robot
 stopped, at random. Each minute is an episode of its own, in which afterwards every write is looked for. A line per
 fault goes to stderr, the figures as JSON to stdout; the exit code is 1 when a robot fell or a write is missing, twice
-or wrong, unless its writer knows that the bus never took it. An episode in which the bus itself was killed lacks what
-died with it; there, `station check` must say so.
+or wrong, unless its writer knows that the bus never took it, or the manifest tells of it: as dropped, or as a hole that
+`station check` rejects (what died with a killed bus, or came faster than such a machine could catch up with).
 """
 
 from __future__ import annotations
@@ -94,12 +94,12 @@ class Soak:
         """Count what an episode holds, and what `check` says of it; return whether all is well."""
         reader = open_episode(folder)
         found, quality = account(reader, written), check(reader)
-        has_hole = KILLS_THE_BUS in done
+        has_hole = bool(reader.manifest.holes) or KILLS_THE_BUS in done
         self.sums["episodes"] += 1
         self.sums["written"] += sum(count for count, _ in written.values())
         self.sums.update({name: found[name] for name in ("messages", "twice", "wrong", "refused", "dropped")})
         lost = max(0, found["missing"] - found["refused"] - found["dropped"])
-        self.sums["lost with a killed bus" if has_hole else "lost"] += lost
+        self.sums["lost in holes that were told" if has_hole else "lost"] += lost
         is_hidden = lost > 0 and quality.verdict != "reject"
         self.sums["holes not told"] += is_hidden
         self.sums["recorder restarts"] += len(reader.manifest.recovery)
