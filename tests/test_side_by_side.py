@@ -95,5 +95,4 @@ def test_children_end_with_their_parent_however_it_ends(sent: signal.Signals) ->
 
 def parent() -> None:
     """Work until somebody ends it; say who the children are."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs start without it
     side_by_side.run(process_of, [0.0, 0.0] + [60.0] * 4, jobs=2, on_done=lambda pid: print(pid, flush=True))  # noqa: T201
