@@ -1,4 +1,4 @@
-"""Servers, devices, drivers, robots, policies, motion readers (by suffix), loaders, formats, collections, by name.
+"""What can be registered by name: servers, devices, cameras, drivers, robots, policies, motion readers (by suffix) …
 
 Each kind is an entry point group, so a third-party package adds its own in its ``pyproject.toml`` and
 nothing here changes. Loading an entry imports its module; listing names imports nothing.
@@ -12,7 +12,9 @@ from typing import Any, Literal
 
 from station.errors import UnknownName
 
-Kind = Literal["server", "robot", "policy", "motion", "command", "loader", "asset", "driver", "device"]
+Kind = Literal[
+    "server", "robot", "policy", "motion", "command", "loader", "asset", "driver", "device", "camera", "export"
+]
 
 _GROUPS: dict[str, str] = {
     "server": "station.servers",
@@ -24,6 +26,8 @@ _GROUPS: dict[str, str] = {
     "asset": "station.assets",
     "driver": "station.drivers",
     "device": "station.devices",
+    "camera": "station.cameras",
+    "export": "station.exports",
 }
 
 

@@ -52,7 +52,7 @@ class Contract(msgspec.Struct, frozen=True, kw_only=True):
 
 def contract(key: str) -> Contract | None:
     """Return the contract of a key, or None for a key that nobody has described."""
-    return _catalogue().get(key) or _by_prefix(key) or _of_operator(key)
+    return _catalogue().get(key) or _by_prefix(key) or _of_operator(key) or _of_camera(key)
 
 
 def contracts() -> tuple[Contract, ...]:
@@ -237,6 +237,13 @@ def _of_operator(key: str) -> Contract | None:
                 key=key, family="station", role="sensor", codec=codec, elements=items, rate_hz=rate_hz, note=note
             )
     return None
+
+
+def _of_camera(key: str) -> Contract | None:
+    if not key.startswith(keys.camera_image("")) or keys.is_stamp(key):
+        return None
+    note = "one JPEG file per picture; the stamp's capture_ns is when it was taken, on its writer's monotonic clock"
+    return Contract(key=key, family="station", role="sensor", codec="jpeg", rate_hz=30.0, note=note)
 
 
 @cache

@@ -165,6 +165,12 @@ def operator_joints(device: str) -> str:
     return f"operator_joints_{device}"
 
 
+# -- Ours, per camera ----------------------------------------------------------------------------------------------
+def camera_image(camera: str) -> str:
+    """Newest picture of a camera, as a JPEG file."""
+    return f"camera_image_{camera}"
+
+
 # -- Ours, of the station ----------------------------------------------------------------------------------------
 ESTOP = "station:estop"
 ARM = "station:arm"
