@@ -15,8 +15,8 @@ from benchmarks.harness import Benchmark, Settings
 from station.errors import did_you_mean
 
 MODULES = (
-    "bus", "wake", "loop", "estop", "recorder", "effect", "sim", "inference", "devices", "retarget", "walking",
-    "reading", "startup",
+    "bus", "wake", "loop", "estop", "recorder", "effect", "sim", "inference", "devices", "camera", "retarget",
+    "walking", "reading", "export", "startup",
 )  # fmt: skip
 
 

@@ -2,12 +2,13 @@
 
 It only translates (`adapters.devices.gamepad`); it knows no robot. A pad at rest is live; one that is torn out is lost,
 its last sample is rest, and it is looked for until it is back. With ``fake: FILE`` SDL has a virtual pad that plays a
-script (`adapters.devices.fakes.gamepad`), which begins when the server is active.
+script (`adapters.devices.fakes.gamepad`), which begins when the server is active and goes on after a restart.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ import msgspec
 from adapters.devices.gamepad.device import Gamepad
 from station.config import to_plain
 from station.life.server import Life, ServerKind
+from station.operator import script_time
 from station.operator.serve import serve_device
 
 
@@ -59,7 +61,7 @@ def main(config: GamepadConfig, life: Life) -> int:
 
             fake = install(config.fake)
             stack.callback(fake.close)
-            begin, name = fake.begin, NAME
+            begin, name = functools.partial(script_time.begin, fake.begin, script_time.now_s(life)), NAME
         return serve_device(
             life,
             lambda: Gamepad(name=name, index=config.index, dead_band=config.dead_band, mapping=config.mapping),

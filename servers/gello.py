@@ -3,13 +3,14 @@
 It only translates (`adapters.devices.gello`); it knows no follower, so whether leader and follower are close enough to
 engage is judged elsewhere. A servo that falls silent makes the device lost, with the servo's name; its last joints are
 never repeated. With ``fake: FILE`` the servos are fake ones on pseudo terminals, held by a script
-(`adapters.devices.fakes.gello`), under the real dynamixel-sdk; the script begins when the server is active, and its
-leaders come calibrated.
+(`adapters.devices.fakes.gello`), under the real dynamixel-sdk; the script begins when the server is active and goes on
+after a restart, and its leaders come calibrated.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from adapters.devices.gello.bus import BAUDS
 from adapters.devices.gello.device import Gello
 from station.config import to_plain
 from station.life.server import Life, ServerKind
+from station.operator import script_time
 from station.operator.serve import serve_device
 
 
@@ -66,9 +68,10 @@ def main(config: GelloConfig, life: Life) -> int:
         if config.fake is not None:
             from adapters.devices.fakes.gello import FakeGello
 
-            fake = FakeGello(config.fake)
+            start_s = script_time.now_s(life)
+            fake = FakeGello(config.fake, start_s=start_s)
             stack.callback(fake.close)
-            begin = fake.begin
+            begin = functools.partial(script_time.begin, lambda _: fake.begin(), start_s)
             places = {"leaders": len(fake.leaders), "calibrations_folder": fake.calibrations, "by_id": fake.folder}
         return serve_device(
             life,

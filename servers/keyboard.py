@@ -4,12 +4,13 @@ A supervisor's children have no terminal. So either run it beside ``station up``
 (``station serve keyboard``), or name one in which nothing else reads (``--set keyboard.tty=/dev/pts/3``, where the
 command ``tty`` says the name and ``sleep infinity`` keeps the shell from reading). The terminal is put back as it was
 when the server ends. With ``fake: FILE`` a pseudo terminal is typed into by a script
-(`adapters.devices.fakes.keyboard`), which begins when the server is active.
+(`adapters.devices.fakes.keyboard`), which begins when the server is active and goes on after a restart.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ import msgspec
 from adapters.devices.keyboard.device import HOLD_S, Keyboard
 from station.config import to_plain
 from station.life.server import Life, ServerKind
+from station.operator import script_time
 from station.operator.serve import serve_device
 
 
@@ -54,7 +56,7 @@ def main(config: KeyboardConfig, life: Life) -> int:
 
             fake = install(config.fake)
             stack.callback(fake.close)
-            begin, tty = fake.begin, str(fake.path)
+            begin, tty = functools.partial(script_time.begin, fake.begin, script_time.now_s(life)), str(fake.path)
         return serve_device(
             life,
             lambda: Keyboard(tty=tty, hold_s=config.hold_s),

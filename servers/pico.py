@@ -12,10 +12,8 @@ where it was after a restart.
 from __future__ import annotations
 
 import contextlib
-import os
 import subprocess
 import sys
-import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -27,12 +25,11 @@ from adapters.devices.pico.stock import controller_data
 from station.bus import codec, keys
 from station.config import to_plain
 from station.errors import NotReady
-from station.life.restarts import RESTARTS_VARIABLE
 from station.life.server import Life, ServerKind
+from station.operator import script_time
 from station.operator.reading import Reading
 from station.operator.serve import serve_device
 
-_BEGAN = "fake_began_wall_ns"
 _FAKE_ENDS_S = 5.0
 
 
@@ -63,7 +60,7 @@ class PicoConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 def main(config: PicoConfig, life: Life) -> int:
     """Publish what the headset gives until asked to stop; return the exit code."""
     with contextlib.ExitStack() as stack:
-        fake = stack.enter_context(_fake(config.fake, _script_time_s(life))) if config.fake is not None else None
+        fake = stack.enter_context(_fake(config.fake, script_time.now_s(life))) if config.fake is not None else None
         address, port = ("127.0.0.1", fake.port) if fake is not None else (config.address, config.port)
         return serve_device(
             life,
@@ -100,7 +97,7 @@ class _Fake:
         with contextlib.suppress(BrokenPipeError):  # it is gone: the headset is lost, and says so
             self._process.stdin.write(b"go\n")
             self._process.stdin.flush()
-        return {_BEGAN: time.time_ns() - round(self._start_s * 1e9)}
+        return script_time.began(self._start_s)
 
 
 @contextlib.contextmanager
@@ -130,15 +127,3 @@ def _fake(script: Path, start_s: float) -> Iterator[_Fake]:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(_FAKE_ENDS_S)
             process.kill()
-
-
-def _script_time_s(life: Life) -> float:
-    """Return where the script stands [s]: 0, or after a restart of this server the time since it began."""
-    if os.environ.get(RESTARTS_VARIABLE, "0") == "0":
-        return 0.0
-    stated = life.bus.get(keys.server_config(life.name))
-    try:
-        began_ns = codec.parse_json(stated).get(_BEGAN) if stated is not None else None
-    except (codec.BadValue, AttributeError):  # somebody else's words
-        return 0.0
-    return max(0.0, (time.time_ns() - began_ns) * 1e-9) if isinstance(began_ns, int) else 0.0

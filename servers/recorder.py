@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import sys
 import time
 from pathlib import Path
@@ -12,30 +11,20 @@ from typing import Any, Literal
 import msgspec
 
 from station.bus import codec, keys
-from station.bus import stamp as stamps
-from station.bus.client import Bus
-from station.bus.tap import Tap, Write, open_tap, why_not_resumed
 from station.config import to_plain
 from station.episode.claim import Claim
 from station.episode.folder import data_folder
 from station.episode.heap import give_back_large_blocks
-from station.episode.heritage import Heritage
+from station.episode.intake import Intake
 from station.episode.options import RecordingOptions
 from station.episode.progress import WriterOptions
-from station.episode.recording import Recording
 from station.episode.request import RecorderState
-from station.episode.resume import as_written
 from station.errors import BusError
 from station.life.server import Life, ServerKind
 from station.software import software
 
-log = logging.getLogger(__name__)
-
-_READ_S = 0.02  # how long a due answer may wait for a write that does not come
 _STATE_PERIOD_S = 0.5
 _ANSWER_SPACING_S = 0.02  # two answers at once would overwrite each other before the first asker has read
-_RETRY_S = 0.05  # what a bus that is restarted at once costs an episode
-_DRAIN_S = 2.0  # a healthy tap is less than 10 ms behind
 _CLOSE_S = 8.0  # a supervisor kills after 15 s, its own death after 10
 _MANY_MINUTES = 20
 _SWITCH_S = 0.001  # Python's 5 ms between threads would stand in the arrival times
@@ -125,29 +114,24 @@ def main(config: RecorderConfig, life: Life) -> int:
 
 
 class _Recorder:
-    """A recording, the tap that feeds it, and the bus that it answers on."""
+    """A recording, what feeds it, and the bus that it answers on."""
 
     def __init__(self, config: RecorderConfig, options: RecordingOptions, life: Life) -> None:
         self._config = config
         self._life = life
         self._state_due = self._answer_due = 0.0
-        heritage = Heritage(options, life, config.take_up_s)
-        self._tap: Tap = open_tap(life.bus.address, resume=heritage.position, backend=config.backend)
-        self._heard_ns = time.monotonic_ns()
-        self.recording = Recording(
-            options, backend=self._tap.backend, is_lossless=self._tap.is_lossless, bus=str(life.bus.address)
+        self._intake = Intake(
+            options, life, backend=config.backend, resume_s=config.resume_s, take_up_s=config.take_up_s
         )
-        self.recording.placed(self._tap.position())
-        self._seed()
-        self._written_ns = heritage.enter(self.recording, self._tap)  # the newest write, on our monotonic clock
+        self.recording = self._intake.recording
 
     def facts(self) -> dict[str, Any]:
         """What this server states that it runs."""
         return {
             "server": self._life.name,
             "role": KIND.role,
-            "backend": self._tap.backend,
-            "is_lossless": self._tap.is_lossless,
+            "backend": self._intake.tap.backend,
+            "is_lossless": self._intake.tap.is_lossless,
             "data": str(self.recording.options.data),
             "software": msgspec.to_builtins(software()),
             "config": to_plain(self._config),
@@ -155,28 +139,13 @@ class _Recorder:
 
     def step(self) -> None:
         """Take in what arrived, and say what is due."""
-        is_late = getattr(self._tap, "is_catching_up", False)
-        try:
-            # What waited for us so long can wait until the disk has caught up.
-            must_wait = is_late and self.recording.is_congested and not self._life.stop_event.wait(_READ_S)
-            writes = [] if must_wait else self._tap.read(_READ_S)
-        except BusError as error:
-            self._tap_again(error)
-            return
-        self._heard_ns = time.monotonic_ns()
-        if writes:
-            writes = as_written(writes, self._written_ns) if is_late else writes
-            self._written_ns = writes[-1].mono_ns
-            if not is_late:  # what waited came all at once, and says nothing of the rate
-                self.recording.room.note(writes)
-            self.recording.feed(writes, self._tap.position(), is_live=not is_late)
-        self.recording.not_mirrored(getattr(self._tap, "not_mirrored", 0))
+        self._intake.step()
         self.recording.poll()
         self._speak()
 
     def close(self) -> int:
         """Close the open episode and give the last answers; returns the exit code."""
-        self._drain()
+        self._intake.drain()
         is_closed = self.recording.close(_CLOSE_S)
         if not is_closed:
             self._life.event("recorder-not-closed", severity="error", waited_s=_CLOSE_S)
@@ -185,45 +154,11 @@ class _Recorder:
             self._life.bus.publish({keys.RECORD_ACK: codec.json_object(answer)})
         return 0 if is_closed else 1
 
-    def _drain(self) -> None:
-        """Take in all that was written before we were asked to stop: until a write of our own has come back."""
-        began_ns = time.monotonic_ns()
-        deadline_ns = began_ns + int(_DRAIN_S * 1e9)
-        self._life.bus.publish({keys.RECORDER: codec.json_object(self.recording.state())})
-        is_back = False
-        while not is_back and time.monotonic_ns() < deadline_ns:
-            try:
-                writes = self._tap.read(_READ_S)
-            except BusError as error:
-                log.warning("the tap was lost at the end: %s", error)
-                return
-            self.recording.feed(writes, self._tap.position())
-            is_back = any(self._is_own(write, began_ns) for write in writes)
-
-    def _is_own(self, write: Write, since_ns: int) -> bool:
-        mark = stamps.decode(write.stamp) if write.stamp is not None and write.key == keys.RECORDER else None
-        return mark is not None and mark.source == self._life.bus.source and mark.mono_ns >= since_ns
-
     def hang_up(self) -> None:
         """Leave the bus as if no recorder had been there, so that the next one need not wonder."""
-        self._tap.close()
+        self._intake.close()
         with contextlib.suppress(BusError):  # a bus that is gone has forgotten us already
             self._life.bus.call("DEL", keys.RECORDER, keys.stamp(keys.RECORDER))
-
-    def _seed(self) -> None:
-        """Learn from the bus what was said before the tap was open."""
-        bus = self._life.bus
-        names = [name for prefix in (keys.SERVER_PREFIX, keys.CONFIG_PREFIX) for name in bus.names(prefix + "*")]
-        for key, sample in bus.read(names).items():
-            self.recording.seed(key, sample.value, sample.stamp.encode() if sample.stamp else None)
-
-    def _catch_up(self) -> None:
-        """Learn after a hole what was said in it: servers that came up, and a request that waits for its answer."""
-        with contextlib.suppress(BusError):  # gone again; the next hole brings us back here
-            self._seed()
-            value = self._life.bus.get(keys.RECORD)
-            if value is not None:
-                self.recording.missed(Write(keys.RECORD, value, None, time.monotonic_ns()))
 
     def _speak(self) -> None:
         now = time.monotonic()
@@ -246,48 +181,11 @@ class _Recorder:
             notice = self.recording.notices.popleft()
             self._life.event(notice.name, severity=notice.severity, **notice.numbers)
 
-    def _tap_again(self, error: BusError) -> None:
-        """Open another tap where the lost one was; an episode waits for it, though not for ever."""
-        position = self._tap.position()
-        self._tap.close()
-        self._life.event("tap-lost", severity="warning", reason=_bare(error, self._life.bus))
-        deadline = time.monotonic() + self._config.resume_s
-        while not self._life.stopping:
-            try:
-                # One that is coming up refuses for a moment; only one that goes on to do so costs the lossless tap.
-                is_early = self._tap.is_lossless and time.monotonic() <= deadline
-                backend = self._config.backend or (self._tap.backend if is_early else None)
-                self._tap = open_tap(self._life.bus.address, resume=position, backend=backend)
-                break
-            except BusError:  # still gone; the loss was said above, its end is said below
-                if time.monotonic() > deadline:
-                    self.recording.finish("bus-lost")
-                self.recording.poll()
-                self._life.stop_event.wait(_RETRY_S)
-        else:
-            return
-        now_ns = time.monotonic_ns()
-        seconds = round((now_ns - self._heard_ns) * 1e-9, 3)
-        self.recording.retapped(self._tap.backend, self._tap.is_lossless)
-        if self._tap.resumed:
-            self._life.event("tap-resumed", severity="warning", seconds=seconds, reason=_bare(error, self._life.bus))
-        else:
-            why = why_not_resumed(position, self._tap.position())
-            self.recording.placed(self._tap.position())
-            self.recording.hole(self._heard_ns, now_ns, f"the tap could not go on where it was: {why}")
-            self._life.event("tap-hole", severity="warning", seconds=seconds, reason=why)
-            self._catch_up()
-
 
 def _shown(state: RecorderState) -> float | None:
     """Return the minutes left of an episode as a person reads them: whole ones, where there are many."""
     left = state.minutes_left if state.episode_id else None
     return left if left is None or left < _MANY_MINUTES else round(left)
-
-
-def _bare(error: BusError, bus: Bus) -> str:
-    """Return what happened to the tap, without the address of the bus."""
-    return str(error).removeprefix(f"bus {bus.address}: ")
 
 
 KIND = ServerKind(

@@ -2,18 +2,23 @@
 
 It only translates (`adapters.devices.spacemouse`); it knows no robot. A mouse at rest is live and sends zeros; one that
 is torn out is lost, its last sample is zero, and it is looked for until it is back. With ``fake: FILE`` the C functions
-under the real hidapi play a script (`adapters.devices.fakes.spacemouse`), which begins when the server is active.
+under the real hidapi play a script (`adapters.devices.fakes.spacemouse`), which begins when the server is active and
+goes on after a restart.
 """
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 from adapters.devices.spacemouse.device import Spacemouse
 from station.config import to_plain
 from station.life.server import Life, ServerKind
+from station.operator import script_time
 from station.operator.serve import serve_device
 
 
@@ -51,10 +56,13 @@ class SpacemouseConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 def main(config: SpacemouseConfig, life: Life) -> int:
     """Publish what the spacemouse gives until asked to stop; return the exit code."""
+    begin: Callable[[], Mapping[str, Any]] | None = None
     if config.fake is not None:
         from adapters.devices.fakes.spacemouse import install
 
-        install(config.fake)
+        start_s = script_time.now_s(life)
+        install(config.fake, start_s=start_s)
+        begin = functools.partial(script_time.began, start_s)
     return serve_device(
         life,
         lambda: Spacemouse(
@@ -66,6 +74,7 @@ def main(config: SpacemouseConfig, life: Life) -> int:
         ),
         rate_hz=config.rate_hz,
         config=to_plain(config),
+        on_active=begin,
     )
 
 

@@ -36,7 +36,7 @@ from station.operator.driver import Driver, DriverKind
 from station.operator.driving import Driven, Driving
 from station.operator.ear import Ear
 from station.operator.leaving import Leaving
-from station.operator.requests import RECORDING, RecordButtons, StopPresser
+from station.operator.requests import ArmButtons, RecordButtons, Requests, StopPresser
 from station.operator.robot_side import RobotSide
 from station.operator.writer import CommandWriter
 from station.protocols import Floats
@@ -181,10 +181,10 @@ class Teleop:
         self._own_key = OwnKey(life, self._form.key)
         self._writer = CommandWriter(life, driver.form, device=config.device, driver=driver.name)
         person = {"interface": config.device, "id": config.operator or getpass.getuser()}
-        holds, presses = (bound.gestures.get(action, ()) for action in ("engage", "start_pause"))
-        self._how = " or ".join([*(f"hold {one}" for one in holds), *(f"press {one}" for one in presses)]) + " to drive"
-        self._record = RecordButtons(life, watch, task=config.task, instruction=config.instruction, operator=person)
-        self._stop = StopPresser(life)
+        self._to_drive, self._to_arm = bound.how_to_drive, bound.how_to_arm
+        record = RecordButtons(life, watch, task=config.task, instruction=config.instruction, operator=person)
+        arm = ArmButtons(life, self._form.robot, config.device)
+        self._requests = Requests(record, StopPresser(life), arm, device=config.device)
         self._speaks = False
         self._heard_s = time.monotonic()
         self._taken_up: Floats | None = None
@@ -206,8 +206,7 @@ class Teleop:
 
     def close(self) -> None:
         """Let what was asked of the recorder be done; hang up."""
-        self._record.close()
-        self._stop.close()
+        self._requests.close()
 
     @property
     def _is_over(self) -> bool:
@@ -228,12 +227,13 @@ class Teleop:
         self._obey(driven.pressed)
         self._own_key.check(self._watch.latest(self._form.key))
         self._decide_to_speak(driven, now_ns)
-        command = driven.command
+        command, companions = driven.command, driven.companions
         if self._leaving is not None:
             command = self._leaving.step(command, dt_s, is_still=self._driver.is_still)
+            companions = self._leaving.companions(companions)
         if self._speaks:
             deadman = self._driving.deadman
-            self._writer.write(command, driven.companions, heard,
+            self._writer.write(command, companions, heard,
                                engaged=deadman.is_engaged, mode=self._driver.mode, reason=deadman.reason)  # fmt: skip
         self._report(obstacle)
 
@@ -275,11 +275,7 @@ class Teleop:
             self._life.event(change.name, severity=severity, **told | why)
 
     def _obey(self, pressed: Pressed) -> None:
-        if "estop" in pressed.started:
-            self._stop.press(f"button of {self._config.device}")
-        for action in RECORDING:
-            if action in pressed.started:
-                self._record.press(action)
+        self._requests.obey(pressed)
         if "exit" in pressed.started and self._leaving is None:
             self._life.event("operator-exit", device=self._config.device)
             self._leaving = Leaving(self._form, self._config.leave_s)
@@ -294,5 +290,8 @@ class Teleop:
 
     def _report(self, obstacle: str) -> None:
         deadman = self._driving.deadman
-        reason = "" if deadman.is_engaged else obstacle or "; ".join(filter(None, [deadman.reason, self._how]))
+        reasons = [obstacle] if obstacle else [deadman.reason, self._to_drive]
+        if self._robot.arming == "disarmed":
+            reasons += [self._requests.refusal or self._to_arm]
+        reason = "" if deadman.is_engaged else "; ".join(filter(None, reasons))
         self._life.report(engaged=deadman.is_engaged, why_not=reason, mode=self._driver.mode, commands=self._speaks)

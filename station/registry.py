@@ -13,7 +13,19 @@ from typing import Any, Literal
 from station.errors import UnknownName
 
 Kind = Literal[
-    "server", "robot", "policy", "motion", "command", "loader", "asset", "driver", "device", "camera", "export"
+    "server",
+    "robot",
+    "policy",
+    "motion",
+    "command",
+    "loader",
+    "asset",
+    "driver",
+    "device",
+    "camera",
+    "export",
+    "foreign",
+    "voice",
 ]
 
 _GROUPS: dict[str, str] = {
@@ -28,6 +40,8 @@ _GROUPS: dict[str, str] = {
     "device": "station.devices",
     "camera": "station.cameras",
     "export": "station.exports",
+    "voice": "station.voices",
+    "foreign": "station.foreign",
 }
 
 

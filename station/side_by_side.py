@@ -6,11 +6,12 @@ down. When it dies without doing so, each child sees that and ends at once.
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -35,6 +36,10 @@ class _Failed(msgspec.Struct, frozen=True):
     is_usage: bool
 
 
+class _Died(StationError):
+    """A process ended in the middle of a task."""
+
+
 class _Child(msgspec.Struct, Generic[T]):
     """A process, our end of the pipe to it, and the number of the task that it has."""
 
@@ -54,6 +59,7 @@ def run(
     *,
     jobs: int = 0,
     on_done: Callable[[R], None] | None = None,
+    on_death: Callable[[T, str], R] | None = None,
 ) -> list[R]:
     """Do a piece of work for each task.
 
@@ -62,6 +68,8 @@ def run(
         tasks: Given out in this order; they and the results travel as pickles.
         jobs: Processes; 0 for one per core, 1 for this process alone.
         on_done: Called in this process with each result as it comes, in any order.
+        on_death: Gives the result of a task whose process died of it, from the task and a line that says how; another
+            process takes its place. None: that is a problem as any other.
 
     Returns:
         The results, in the order of the tasks.
@@ -71,28 +79,39 @@ def run(
     """
     results: dict[int, R] = {}
     count = processes(len(tasks), jobs)
-    for number, result in _alone(work, tasks) if count == 1 else _shared(work, tasks, count):
-        results[number] = result
-        if on_done is not None:
-            on_done(result)
+    with contextlib.closing(_alone(work, tasks) if count == 1 else _shared(work, tasks, count, on_death)) as done:
+        for number, result in done:  # closed at once, so that nobody works on where `on_done` ends it
+            results[number] = result
+            if on_done is not None:
+                on_done(result)
     return [results[number] for number in range(len(tasks))]
 
 
-def _alone(work: Callable[[T], R], tasks: Sequence[T]) -> Iterator[tuple[int, R]]:
+def _alone(work: Callable[[T], R], tasks: Sequence[T]) -> Generator[tuple[int, R], None, None]:
     for number, task in enumerate(tasks):
         yield number, work(task)
 
 
-def _shared(work: Callable[[T], R], tasks: Sequence[T], count: int) -> Iterator[tuple[int, R]]:
+def _shared(
+    work: Callable[[T], R], tasks: Sequence[T], count: int, on_death: Callable[[T, str], R] | None
+) -> Generator[tuple[int, R], None, None]:
     with _children(work, count) as children:
         waiting = iter(range(len(tasks)))
         busy = [child for child in children if _give(child, waiting, tasks)]
         while busy:
             ready = wait([child.line for child in busy])
             for child in [child for child in busy if child.line in ready]:
-                number, result = child.task, _answer(child)
-                if not _give(child, waiting, tasks):
-                    busy.remove(child)
+                number, heir = child.task, child
+                try:
+                    result = _answer(child)
+                except _Died as death:
+                    if on_death is None:
+                        raise
+                    result = on_death(tasks[number], str(death))
+                    heir = _replace(child, children, work)
+                busy.remove(child)
+                if _give(heir, waiting, tasks):
+                    busy.append(heir)
                 yield number, result
 
 
@@ -118,6 +137,15 @@ def _start(work: Callable[[T], R]) -> _Child[T]:
     process.start()
     theirs.close()  # else the pipe would not end when the child dies
     return _Child(process, ours)
+
+
+def _replace(dead: _Child[T], children: list[_Child[T]], work: Callable[[T], R]) -> _Child[T]:
+    """Start another process in the place of one that died."""
+    dead.line.close()
+    children.remove(dead)
+    with _interrupts_held_back():
+        children.append(_start(work))
+    return children[-1]
 
 
 @contextmanager
@@ -149,7 +177,8 @@ def _give(child: _Child[T], waiting: Iterator[int], tasks: Sequence[T]) -> bool:
     if number is None:
         return False
     child.task = number
-    child.line.send(tasks[number])
+    with contextlib.suppress(BrokenPipeError):  # it is dead already: `_answer` tells
+        child.line.send(tasks[number])
     return True
 
 
@@ -158,11 +187,17 @@ def _answer(child: _Child[T]) -> Any:
         result = child.line.recv()
     except (EOFError, ConnectionResetError):
         child.process.join()
-        code = child.process.exitcode
-        raise StationError(f"one of the processes that shared the work ended with exit code {code}") from None
+        raise _Died(f"one of the processes that shared the work ended with {_ending(child.process.exitcode)}") from None
     if isinstance(result, _Failed):
         raise (UsageError if result.is_usage else StationError)(result.text)
     return result
+
+
+def _ending(code: int | None) -> str:
+    """Say how a process ended; one that is killed without a word most often took more memory than there is."""
+    if code == -signal.SIGKILL:
+        return "signal SIGKILL (is there enough memory? fewer --jobs take less)"
+    return f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"
 
 
 def _serve(work: Callable[[T], R], line: Connection) -> None:

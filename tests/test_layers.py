@@ -14,30 +14,46 @@ import pytest
 
 from station import registry
 from station.bus import keys
-from station.cli.main import VERBS
+from station.cli.main import VERBS, module_of
 
 ROOT = Path(__file__).parents[1]
 OUTER = ("servers", "adapters", "bridges")
 HEAVY = (
-    "dynamixel_sdk", "grpc", "hid", "hidraw", "matplotlib", "mink", "mujoco", "onnxruntime", "pooch", "pygame", "rerun",
-    "serial", "torch", "xrobotoolkit_sdk",
+    "av", "dynamixel_sdk", "grpc", "hid", "hidraw", "linuxpy", "matplotlib", "mink", "mujoco", "onnxruntime", "pooch",
+    "pygame", "rerun", "serial", "simplejpeg", "torch", "xrobotoolkit_sdk", "zmq",
 )  # fmt: skip
 
 WHAT_ADAPTERS_NEED = {
     "station.assets", "station.bus.codec", "station.bus.contracts", "station.bus.joints", "station.bus.keys",
-    "station.errors", "station.operator.deadman", "station.operator.deltas", "station.operator.device",
-    "station.operator.driver", "station.operator.reading", "station.protocols", "station.registry",
+    "station.bus.sample", "station.camera.source",
+    "station.errors", "station.foreign.kind",
+    "station.operator.deadman", "station.operator.deltas", "station.operator.device",
+    "station.operator.driver", "station.operator.measure", "station.operator.reading", "station.operator.script_time",
+    "station.operator.voice",
+    "station.protocols", "station.registry",
     "station.rotations", "station.window",
 }  # fmt: skip
 """Facts, formats and how to find things: no connection, no loop, no process, no episode."""
 
-NO_VERBS = {"__init__", "face", "keyboard", "main", "options", "report", "stop_key", "tables"}
+WHAT_EXPORTS_NEED = {
+    "station.episode.folder", "station.episode.frames", "station.episode.manifest", "station.episode.messages",
+    "station.episode.reader", "station.episode.vectors",
+    "station.export.columns", "station.export.kind", "station.export.resample", "station.export.shards",
+    "station.export.tracks", "station.export.verdict",
+    "station.software",
+}  # fmt: skip
+"""What reads an episode, and what every export shares; for `adapters/exports` alone."""
+
+NO_VERBS = {
+    "__init__", "calibrate_operator", "face", "fields", "keyboard", "main", "options", "quality", "stop_key", "tables",
+}  # fmt: skip
 """Modules of `station.cli` that verbs share."""
 
 A_KEY = re.compile(
     r"(action_(body|hand|neck|mimic)|state_(body|hand|neck)|robot_state|policy_(obs|action|timing)|target|sim_qpos"
     r"|command_(gate|used|source))_(?=$|\{|g1|unitree)"
     r"|^operator_(status|controls|head|left|right|body_(pos|quat)|hand_(left|right)|twist|joints)_(?=$|\{)"
+    r"|^camera_image_(?=$|\{)"
     r"|^station:\S|^t_(action|state)$|^controller_data$"
     r"|^motion_(start|exit)_signal$|" + keys.TWIST2_ROBOT
 )
@@ -88,7 +104,8 @@ def test_the_station_imports_no_server_adapter_or_bridge(path: Path) -> None:
 def test_an_adapter_imports_other_adapters_and_the_pure_part_of_the_station(path: Path) -> None:
     used = ours(path)
     assert not within(used, "servers", "bridges")
-    assert within(used, "station") <= WHAT_ADAPTERS_NEED
+    exports = WHAT_EXPORTS_NEED if told(path).startswith("adapters/exports/") else set()
+    assert within(used, "station") <= WHAT_ADAPTERS_NEED | exports
 
 
 @pytest.mark.parametrize("path", sources("servers"), ids=told)
@@ -129,9 +146,9 @@ def test_the_pattern_knows_every_key() -> None:
 
 def test_every_module_of_the_command_line_is_a_verb_or_shared() -> None:
     modules = {path.stem for path in sources("station/cli")}
-    assert modules == set(VERBS) | NO_VERBS
+    assert modules == {module_of(verb).rpartition(".")[2] for verb in VERBS} | NO_VERBS
     for verb in VERBS:
-        command = importlib.import_module(f"station.cli.{verb}").command
+        command = importlib.import_module(module_of(verb)).command
         assert command.name == verb
         assert command.help, f"station {verb} --help says what it does"
 
@@ -146,10 +163,11 @@ def test_every_server_registers_a_kind_of_its_own_name() -> None:
     [
         "from station import registry; [registry.find('server', name) for name in registry.names('server')]",
         "from station import registry; [registry.find('device', name) for name in registry.names('device')]",
+        "from station import registry; [registry.find('camera', name) for name in registry.names('camera')]",
         "from station.life import runbook; runbook.load(runbook.find('g1-sim-motion'))",
         "from station.cli import main; [main.cli.get_command(None, verb) for verb in main.VERBS]",
     ],
-    ids=["listing servers", "listing devices", "reading a runbook", "listing verbs"],
+    ids=["listing servers", "listing devices", "listing cameras", "reading a runbook", "listing verbs"],
 )
 def test_what_is_quick_loads_nothing_heavy(code: str) -> None:
     loaded = subprocess.run(
@@ -165,4 +183,4 @@ def test_help_of_all_verbs_imports_none_of_them() -> None:
         "except SystemExit: print(*sys.modules)"
     )
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert not [verb for verb in VERBS if f"station.cli.{verb}" in loaded]
+    assert not [verb for verb in VERBS if module_of(verb) in loaded]

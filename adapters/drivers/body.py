@@ -10,6 +10,7 @@ import numpy as np
 from adapters.commands.twist2 import FORMAT
 from adapters.drivers.body_on_legs import HEAD
 from adapters.drivers.fingers import Fingers
+from adapters.drivers.neck import SCALE, Neck
 from adapters.drivers.outlet import Outlet
 from adapters.retarget.arm_ik import ARMS
 from station.bus.joints import G1_29, SMPL_24
@@ -23,6 +24,7 @@ from station.protocols import CommandFormat, Floats, Reference
 LEAVE_S = 2.0
 """From where a body was let go to a stand [s]; the arms stay as they were."""
 
+_CHEST, _HEAD = SMPL_24.index("spine3"), SMPL_24.index("head")  # stock TWIST2 looks at these two for the neck
 _WATCHED = ("pelvis", "head")  # what tells that the tracking jumped: hands and feet of a person are faster
 
 
@@ -35,6 +37,10 @@ class Retarget(Protocol):
         """Return what the robot shall do; raises `StationError` for a body that cannot be."""
         ...
 
+    def facts(self) -> dict[str, Any]:
+        """Return what a manifest says of it: scaling, weights, latencies."""
+        ...
+
 
 class BodyDriver:
     """Implements `station.operator.driver.Driver`.
@@ -44,14 +50,19 @@ class BodyDriver:
 
     Args:
         retarget: Calibrated for the operator.
+        calibration: What a manifest says of that: whose, and the hash of its file.
+        neck_scale: How far the neck turns for each radian of the head.
     """
 
     name = "body"
     mode = ""
 
-    def __init__(self, retarget: Retarget) -> None:
-        self._retarget = retarget
-        self._outlet, self._fingers = Outlet(FORMAT), Fingers()
+    def __init__(
+        self, retarget: Retarget, *, calibration: Mapping[str, Any] | None = None, neck_scale: float = SCALE
+    ) -> None:
+        self._retarget, self._calibration = retarget, dict(calibration or {})
+        self._outlet, self._fingers, self._neck = Outlet(FORMAT), Fingers(), Neck(neck_scale)
+        self._neck_scale = neck_scale
         self._held: Snapshot[Any, Any] | None = None
         self._rest = np.array(FORMAT.default)
         self._live: Floats | None = None
@@ -70,8 +81,8 @@ class BodyDriver:
 
     @property
     def companions(self) -> Mapping[str, Floats]:
-        """Both Dex3 hands, and the neck at rest."""
-        return {**FORMAT.companions, **self._fingers.commands}
+        """Both Dex3 hands, and the neck."""
+        return {**FORMAT.companions, **self._fingers.commands, **self._neck.command}
 
     @property
     def is_still(self) -> bool:
@@ -108,6 +119,8 @@ class BodyDriver:
             return self._outlet.send(self._rest, dt_s)
         if reading is not None:
             self._fingers.step(reading.controls, dt_s)
+            if reading.body is not None:
+                self._neck.follow(reading.body.quats_wxyz[_CHEST], reading.body.quats_wxyz[_HEAD], dt_s)
         return self._outlet.send(self._live, dt_s)
 
     def take_up(self, command: Floats) -> None:
@@ -116,8 +129,9 @@ class BodyDriver:
         self._rest, self._left_s = self._outlet.sent.copy(), 0.0
 
     def facts(self) -> dict[str, Any]:
-        """Return the name; calibration and layers are the retargeting's to tell."""
-        return {"driver": self.name}
+        """Return the name, whose calibration it goes by, and what the layers of the retargeting are set to."""
+        calibration = {"calibration": self._calibration} if self._calibration else {}
+        return {"driver": self.name, "neck_scale": self._neck_scale, **calibration, "retarget": self._retarget.facts()}
 
     def _see(self, reading: Reading | None) -> None:
         """Retarget while the operator is not engaged as well: what is blended into must be under way already."""

@@ -10,9 +10,11 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 import msgspec
+import numpy as np
 
 from adapters.commands.twist2 import FORMAT
 from adapters.drivers.body_on_legs import BodyOnLegs, named
+from adapters.drivers.neck import SCALE, Neck
 from adapters.retarget.arm_ik import SIDES, ArmIk
 from station import rotations
 from station.operator import deltas
@@ -34,18 +36,22 @@ class HandsOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         heading: What is forward: ``world``, where the operator faced when the device was centred, or ``head``, where
             the headset faces at engaging.
         waist: Whether the waist helps the arms.
+        neck_scale: How far the neck turns for each radian of the headset; 0 keeps it still.
     """
 
     sides: tuple[Side, ...] = SIDES
     scale: float = 1.0
     heading: Literal["world", "head"] = "world"
     waist: bool = False
+    neck_scale: float = SCALE
 
     def __post_init__(self) -> None:
         if not self.sides or len(set(self.sides)) < len(self.sides):
             raise ValueError(f"sides is {list(self.sides)}; expected left, right, or both")
         if not 0.1 <= self.scale <= 3.0:
             raise ValueError(f"scale is {self.scale:g}; expected 0.1 to 3")
+        if not 0.0 <= self.neck_scale <= 3.0:
+            raise ValueError(f"neck_scale is {self.neck_scale:g}; expected 0 to 3 (stock TWIST2: {SCALE:g})")
 
 
 class HandsDriver:
@@ -57,6 +63,7 @@ class HandsDriver:
         self._options = options or HandsOptions()
         self._body = BodyOnLegs()
         self._ik = ArmIk(waist=self._options.waist)
+        self._neck = Neck(self._options.neck_scale)
         self._held: Snapshot[Poses, Palms] | None = None
         self._walks = False
         self.take_up(FORMAT.default)
@@ -78,8 +85,8 @@ class HandsDriver:
 
     @property
     def companions(self) -> Mapping[str, Floats]:
-        """Both Dex3 hands, and the neck at rest."""
-        return self._body.companions
+        """Both Dex3 hands, and the neck."""
+        return {**self._body.companions, **self._neck.command}
 
     @property
     def is_still(self) -> bool:
@@ -114,6 +121,7 @@ class HandsDriver:
         elif snapshot is not None and reading is not None:
             self._ik.step(self._goals(snapshot, reading), dt_s)
             self._body.fingers.step(reading.controls, dt_s)
+            self._turn_neck(snapshot, reading, dt_s)
             if self._walks:
                 wish = sticks.wish(reading.controls, dt_s)
         return self._body.send(wish, dt_s, named(self._ik.joint_names, self._ik.q))
@@ -127,10 +135,20 @@ class HandsDriver:
         """Name and options."""
         return {"driver": self.name, **msgspec.to_builtins(self._options)}
 
+    def _turn_neck(self, snapshot: Snapshot[Poses, Palms], reading: Reading, dt_s: float) -> None:
+        """Turn the neck as the headset is turned from what is forward; where nobody wears one it stays."""
+        if reading.head is None or deltas.flaw(reading.head):
+            return
+        forward = rotations.from_rotation_vector(np.array([0.0, 0.0, self._heading_rad(snapshot)]))
+        self._neck.follow(forward, reading.head.quat_wxyz, dt_s)
+
+    def _heading_rad(self, snapshot: Snapshot[Poses, Palms]) -> float:
+        if self._options.heading == "world":
+            return 0.0
+        return float(rotations.roll_pitch_yaw(snapshot.start["head"].quat_wxyz)[2])
+
     def _goals(self, snapshot: Snapshot[Poses, Palms], reading: Reading) -> dict[Side, Pose]:
-        heading = 0.0
-        if self._options.heading == "head":
-            heading = float(rotations.roll_pitch_yaw(snapshot.start["head"].quat_wxyz)[2])
+        heading = self._heading_rad(snapshot)
         goals: dict[Side, Pose] = {side: snapshot.target[side] for side in SIDES}
         for side in self._options.sides:
             now: Pose = getattr(reading, side)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import msgspec
@@ -10,8 +9,8 @@ import msgspec
 from adapters.drivers.hands import HandsDriver, HandsOptions
 from adapters.drivers.jog import JogDriver
 from adapters.drivers.joints import JointsDriver, JointsOptions
+from adapters.drivers.neck import SCALE
 from adapters.drivers.walk import WalkDriver
-from station.errors import BadFile, did_you_mean
 from station.operator.driver import Driver, DriverKind
 
 
@@ -25,44 +24,33 @@ class BodyOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     Attributes:
         height_m: How tall an operator is who has not been measured [m].
         calibration: File with the operator's measurements; None for the one that is kept under the operator's name.
+        neck_scale: How far the neck turns for each radian of the head; 0 keeps it still.
     """
 
     height_m: float = 1.75
     calibration: Path | None = None
+    neck_scale: float = SCALE
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.height_m <= 2.3:
             raise ValueError(f"height_m is {self.height_m:g}; expected 1 to 2.3 m")
-
-
-def calibrations() -> Path:
-    """Return where operators' calibrations are kept, ``$XDG_CONFIG_HOME/station/operators``; perhaps not there."""
-    base = os.environ.get("XDG_CONFIG_HOME")
-    return (Path(base).absolute() if base else Path.home() / ".config") / "station" / "operators"
+        if not 0.0 <= self.neck_scale <= 3.0:
+            raise ValueError(f"neck_scale is {self.neck_scale:g}; expected 0 to 3 (stock TWIST2: {SCALE:g})")
 
 
 def _body(options: BodyOptions, operator: str) -> Driver:
     from adapters.drivers.body import BodyDriver
-    from adapters.retarget import calibration
+    from adapters.retarget import calibration, operators
     from adapters.retarget.pipeline import BodyRetarget
 
-    file = options.calibration or (_file_of(operator) if operator else None)
-    known = calibration.load(file) if file else calibration.from_height(options.height_m)
-    return BodyDriver(BodyRetarget(known))
-
-
-def _file_of(operator: str) -> Path:
-    folder = calibrations()
-    file = folder / f"{operator}.yaml"
-    if file.name != f"{operator}.yaml":
-        raise BadFile(f"operator: {operator!r} is no name; expected the name that was measured, without folders")
-    if not file.is_file():
-        known = sorted(path.stem for path in folder.glob("*.yaml")) if folder.is_dir() else []
-        raise BadFile(
-            f"{file}: no calibration of {operator!r}{did_you_mean(operator, known)}; measure the operator first, or "
-            "leave out `operator` to go by options.height_m"
-        )
-    return file
+    file = options.calibration
+    if file is not None:
+        known = calibration.load(file)
+    elif operator:
+        known, file = operators.load(operator)
+    else:
+        known = calibration.from_height(options.height_m)
+    return BodyDriver(BodyRetarget(known), calibration=operators.facts(known, file), neck_scale=options.neck_scale)
 
 
 BODY = DriverKind(

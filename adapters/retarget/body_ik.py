@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -73,9 +73,9 @@ class BodyIK:
 
         self._limits = limits or Limits()
         self._rounds, self._first_rounds = rounds, first_rounds
-        self._damping = (weights or Weights()).damping
+        self._weights = weights or Weights()
         self._configuration = self._mink.Configuration(model, START)
-        self._tasks = tasks_for(model, weights or Weights())
+        self._tasks = tasks_for(model, self._weights)
         self._speeds = np.concatenate(
             [
                 np.full(3, self._limits.root_mps),
@@ -97,6 +97,10 @@ class BodyIK:
         for side, rescue in enumerate(self.rescues):
             rescue.reset()
             self._tasks.free(side, False)
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a manifest says of the search: weights and limits."""
+        return {"weights": asdict(self._weights), "limits": asdict(self._limits), "rounds": self._rounds}
 
     def step(self, aim: Aim, dt_s: float) -> Floats:
         """Return root position [m], root quaternion wxyz and the 29 joints [rad], shape (36,).
@@ -148,7 +152,9 @@ class BodyIK:
             self._configuration.update(self._box.inside(self._configuration.integrate(velocity, 1.0)))
 
     def _solved(self, bounds: list[Any]) -> Floats:
-        found = self._mink.solve_ik(self._configuration, self._tasks.all, 1.0, "daqp", self._damping, limits=bounds)
+        found = self._mink.solve_ik(
+            self._configuration, self._tasks.all, 1.0, "daqp", self._weights.damping, limits=bounds
+        )
         return np.asarray(found)
 
 

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import datetime
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
 import numpy as np
+import yaml
 
 from adapters.retarget.human import INDEX, SIDES, Proportions, of_height, standing
 from station import rotations
@@ -26,14 +28,19 @@ from station.protocols import Floats
 Pose = Literal["t-pose", "standing"]
 
 LEAST_SAMPLES = 20
+MEASURE = "measure the operator first: station devices calibrate pico --operator NAME"
 STILL_M = 0.03
 """How far a joint may be from its median place while an operator is measured [m]."""
 
+_HEAD = "# An operator's body: lengths and heights in metres, angles in radians, turns as quaternions w x y z.\n"
 _ARM_OFF = {"t-pose": math.radians(30.0), "standing": math.radians(40.0)}
 _LEAN = math.radians(20.0)
 _BENT = math.radians(30.0)
 _LOPSIDED = 0.25  # of a length, between left and right
-_SHORTEST, _TALLEST = 1.0, 2.3  # m
+SHORTEST_M, TALLEST_M = 1.2, 2.2
+"""Nobody who operates is of another height; the trackers are wrong then [m]."""
+
+_NO_TURN = [1.0, 0.0, 0.0, 0.0]
 _SHARE_RANGE = (0.5, 1.8)  # of what an average person of that height has
 _ARM_JOINTS = ("shoulder", "elbow", "wrist", "hand")
 
@@ -56,10 +63,14 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             on the floor, in the device's world [m].
         offsets_wxyz: By joint, the turn from the device's frame to the rest frame of the bone; none for one that is
             there already.
+        device: What it was measured with; "" when it was not measured.
+        source: Which one: its library, its service, or the script of a fake.
     """
 
     operator: str
     date: str = ""
+    device: str = ""
+    source: str = ""
     pose: Literal["t-pose", "standing", "height"]
     height_m: float
     lengths_m: Proportions
@@ -94,7 +105,9 @@ def of_person(lengths: Proportions, operator: str = "") -> Calibration:
     return calibrate([standing(lengths)] * LEAST_SAMPLES, operator)
 
 
-def calibrate(bodies: Sequence[Body], operator: str, pose: Pose = "t-pose") -> Calibration:
+def calibrate(
+    bodies: Sequence[Body], operator: str, pose: Pose = "t-pose", *, device: str = "", source: str = ""
+) -> Calibration:
     """Measure an operator who stands still.
 
     Args:
@@ -102,6 +115,7 @@ def calibrate(bodies: Sequence[Body], operator: str, pose: Pose = "t-pose") -> C
         operator: Name.
         pose: ``t-pose``: arms straight out, palms down; ``standing``: arms hanging, palms to the thighs. Both upright,
             legs straight, feet flat and pointing forward.
+        device, source: What the samples came from.
 
     Raises:
         NotCalibrated: too few samples, a body that is lost or moves, another pose, lengths that nobody has.
@@ -113,10 +127,12 @@ def calibrate(bodies: Sequence[Body], operator: str, pose: Pose = "t-pose") -> C
     return Calibration(
         operator=operator,
         date=datetime.date.today().isoformat(),
+        device=device,
+        source=source,
         pose=pose,
         height_m=round(lengths.height, 3),
         lengths_m=lengths,
-        heading_rad=round(heading, 4),
+        heading_rad=round(heading, 4) + 0.0,
         ankle_rest_z_m=_pair(positions[[INDEX["left_ankle"], INDEX["right_ankle"]], 2]),
         ball_rest_z_m=_pair(positions[[INDEX["left_foot"], INDEX["right_foot"]], 2]),
         offsets_wxyz=_offsets(quats, heading, pose),
@@ -129,9 +145,13 @@ def save(calibration: Calibration, path: Path) -> None:
     Raises:
         BadFile: the file cannot be written.
     """
+    temporary = path.with_suffix(".new")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(msgspec.yaml.encode(calibration))
+        temporary.write_text(
+            _HEAD + yaml.safe_dump(msgspec.to_builtins(calibration), sort_keys=False), encoding="utf-8"
+        )
+        os.replace(temporary, path)
     except OSError as error:
         raise BadFile(f"{path}: cannot be written: {error.strerror}") from error
 
@@ -145,10 +165,10 @@ def load(path: Path) -> Calibration:
     try:
         found = msgspec.yaml.decode(path.read_bytes(), type=Calibration)
     except OSError as error:
-        raise BadFile(f"{path}: cannot be read: {error.strerror}; measure the operator first") from error
+        raise BadFile(f"{path}: cannot be read: {error.strerror}; {MEASURE}") from error
     except (msgspec.MsgspecError, ValueError) as error:
         reason = " ".join(str(error).split())[:150]
-        raise BadFile(f"{path}: not an operator's calibration ({reason}); measure the operator again") from error
+        raise BadFile(f"{path}: not an operator's calibration ({reason}); {MEASURE}") from error
     _check_lengths(found.lengths_m, BadFile, f"{path}: ")
     return found
 
@@ -241,8 +261,11 @@ def _measured(positions: Floats) -> Proportions:
 
 def _check_lengths(lengths: Proportions, error: type[StationError], where: str) -> None:
     """Refuse lengths that nobody has; those that only place a joint within the body may be anything."""
-    if not _SHORTEST <= lengths.height <= _TALLEST:
-        raise error(f"{where}the operator is {lengths.height:.2f} m tall, expected {_SHORTEST} to {_TALLEST} m")
+    if not SHORTEST_M <= lengths.height <= TALLEST_M:
+        raise error(
+            f"{where}the operator is {lengths.height:.2f} m tall, expected {SHORTEST_M} to {TALLEST_M} m; "
+            "are headset and trackers calibrated, and worn where they belong?"
+        )
     average = of_height(lengths.height)
     for name in ("thigh", "shank", "upper_arm", "forearm", "trunk"):
         length, usual = getattr(lengths, name), getattr(average, name)
@@ -262,7 +285,8 @@ def _offsets(quats: Floats, heading: float, pose: Pose) -> dict[str, Any]:
             rows = [INDEX[f"{side}_{joint}"] for joint in _ARM_JOINTS]
             known[rows] = rotations.multiply(forward, hanging)
     offsets = rotations.multiply(rotations.inverse(quats), known)
-    return {name: tuple(round(value, 5) for value in row) for name, row in zip(SMPL_24, offsets.tolist(), strict=True)}
+    offsets = np.round(offsets * np.where(offsets[:, :1] < 0.0, -1.0, 1.0), 5) + 0.0
+    return {name: tuple(row) for name, row in zip(SMPL_24, offsets.tolist(), strict=True) if row != _NO_TURN}
 
 
 def _pair(values: Floats) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -95,12 +96,14 @@ class BodyRetarget:
         return reference
 
     def facts(self) -> dict[str, Any]:
-        """Return what a manifest says of the retargeting: whose body, and how late the layers are."""
+        """Return what a manifest says of the retargeting: whose body, what its layers are set to, how late they are."""
         known = self.calibration
         return {
             "operator": known.operator,
             "calibrated": {"pose": known.pose, "date": known.date, "height_m": known.height_m},
             "leg_scale": round(self.scaler.scale, 4),
+            "lengths_m": dataclasses.asdict(known.lengths_m),
+            "ik": self.ik.facts(),
             "latency_s": {
                 "smoothing_at_1_mps": round(self.smoother.latency_s(1.0), 4),
                 "velocity": self.velocity.latency_s,

@@ -6,13 +6,15 @@ by the length of the legs.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from adapters.retarget.bone_frames import along_z, directed
 from adapters.retarget.calibration import Calibration
-from adapters.retarget.human import G1_SIZED, INDEX, SIDES, knees
+from adapters.retarget.human import G1_SIZED, INDEX, SIDES, Proportions, knees
 from adapters.retarget.skeleton import HAND_REST
 from adapters.robots.g1 import kinematics
 from station.operator.reading import Body
@@ -23,6 +25,23 @@ STRAIGHTEST = 0.995
 
 LOWEST_M = 0.3
 """The pelvis is asked no lower [m]: nobody's robot gets up from there."""
+
+SEGMENTS = {
+    "upper arm": ("upper_arm",),
+    "forearm": ("forearm",),
+    "hand to knuckles": ("hand",),
+    "arm": ("upper_arm", "forearm", "hand"),
+    "thigh": ("thigh",),
+    "shank": ("shank",),
+    "leg": ("thigh", "shank"),
+    "ankle above floor": ("ankle_height",),
+    "foot to ball": ("foot",),
+    "trunk": ("trunk",),
+    "neck to head": ("head",),
+    "shoulders, across": ("shoulder_half_width",) * 2,
+    "hips, across": ("hip_half_width",) * 2,
+}
+"""What a person calls the parts of a body, and the lengths that each is the sum of."""
 
 _SOFT = 0.985  # from here on stretching is compressed, so that it ends without a jolt
 
@@ -67,6 +86,30 @@ class Aim:
     hands_turn: Floats
     soles: Floats
     steps: Floats
+
+
+class Segment(NamedTuple):
+    """A part of a body, of the operator and of the robot [m]."""
+
+    name: str
+    operator_m: float
+    robot_m: float
+
+    @property
+    def scale(self) -> float:
+        """The robot's length over the operator's."""
+        return self.robot_m / self.operator_m if self.operator_m > 0.0 else math.inf
+
+
+def segments(lengths: Proportions) -> tuple[Segment, ...]:
+    """Return each part of somebody's body beside the robot's."""
+    return tuple(
+        Segment(name, _sum(lengths, parts), _sum(G1_SIZED, parts)) for name, parts in SEGMENTS.items()
+    )  # fmt: skip
+
+
+def _sum(lengths: Proportions, parts: tuple[str, ...]) -> float:
+    return sum(float(getattr(lengths, part)) for part in parts)
 
 
 class Scaler:

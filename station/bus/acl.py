@@ -1,8 +1,9 @@
 """Who may do what on a shared bus: one user per role, as the access control list that Redis 7 and Valkey read.
 
 A command server cannot say where the robot is, a low-level server cannot give commands, a recorder reads everything
-and writes nothing but its own bookkeeping, a viewer writes nothing at all. Nobody may change the server's settings,
-run scripts or delete the keys of others. The default user, whom a stranger is, is off.
+and writes nothing but its own bookkeeping, an observer says only how it is doing, a viewer writes nothing at all.
+Nobody may change the server's settings, run scripts or delete the keys of others. The default user, whom a stranger
+is, is off.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ WRITES: dict[str, tuple[str, ...]] = {
     "command": (*_COMMANDS, *_SIGNALS, *_HEALTH, *_BUTTONS),
     "low-level": (*_STATES, *_SIGNALS, *_HEALTH, keys.ESTOP),
     "recorder": (*_HEALTH, keys.RECORDER, keys.RECORD_ACK, keys.TAP_PROBE),
-    "sensor": (*_OPERATOR, keys.CONTROLLER_DATA, *_HEALTH, keys.ESTOP),
+    "sensor": (*_OPERATOR, keys.camera_image(_ANY), keys.CONTROLLER_DATA, *_HEALTH, keys.ESTOP),
+    "observer": _HEALTH,
     "viewer": (),
     "operator": (*_COMMANDS, *_SIGNALS, *_BUTTONS, keys.EVENT, keys.MOTION_CONTROL),
 }

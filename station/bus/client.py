@@ -100,6 +100,21 @@ class Bus:
                 return False
         return not refused
 
+    def catch_up(self) -> bool:
+        """Take in the answers that have come, without waiting; return whether none is owed any more.
+
+        For a writer that would rather drop a value than have it wait in line behind earlier ones.
+        """
+        with self._lock:
+            if self._connection is None:
+                return False
+            try:
+                self._account(self._connection, self._connection.collect(0.0))
+            except ConnectionLost as error:
+                self._lose(error)
+                return False
+            return not self._connection.owed
+
     def get(self, key: str) -> bytes | None:
         """Return the value of a key, or None; says nothing of its age."""
         value: bytes | None = self.call("GET", key)

@@ -10,19 +10,34 @@ import msgspec
 from station.cli.options import data_option, json_option
 
 
+def _print_rules(context: click.Context, _option: click.Parameter, is_wanted: bool) -> None:
+    """Print the rules that ship with us, to be edited, and leave."""
+    if is_wanted:
+        from station.episode.quality_rules import SHIPPED
+
+        click.echo(SHIPPED.read_text(encoding="utf-8"), nl=False)
+        context.exit()
+
+
 @click.command("check")
 @click.argument("episode")
-@data_option
+@click.option("--rules", metavar="FILE", default=None, type=click.Path(dir_okay=False, path_type=Path),
+              help="Judge by these rules.  [default: those of $XDG_CONFIG_HOME/station/, else shipped]")  # fmt: skip
+@click.option("--print-rules", is_flag=True, is_eager=True, expose_value=False, callback=_print_rules,
+              help="Print the rules that ship, every limit explained, and leave.")  # fmt: skip
 @click.option("--no-write", is_flag=True, help="Leave the manifest as it is.")
+@data_option
 @json_option
-def command(episode: str, data: Path | None, no_write: bool, as_json: bool) -> None:
+def command(episode: str, rules: Path | None, no_write: bool, data: Path | None, as_json: bool) -> None:
     """Check EPISODE (a path, an id, the beginning of one, or `latest`); exit code 1 when it is to be rejected."""
-    from station.cli.report import print_quality
+    from station.cli.quality import print_quality
+    from station.episode import quality_rules
     from station.episode.check import check, write_measured
     from station.episode.reader import open_episode
 
+    book = quality_rules.of_user() if rules is None else quality_rules.load(rules)
     reader = open_episode(episode, data)
-    quality = check(reader)
+    quality = check(reader, book)
     if quality.is_finished and not no_write:
         write_measured(reader.folder, quality)
     if as_json:

@@ -72,7 +72,8 @@ def _leave_drawing_to_the_end() -> str:
 def _report(episode: Path, gl: str, data: Path | None) -> int:
     """Print what was measured, draw the pictures, say what to try next; return an exit code."""
     from station.cli.audit import print_audit
-    from station.cli.report import print_quality
+    from station.cli.quality import print_quality
+    from station.episode import quality_rules
     from station.episode.audit import audit
     from station.episode.check import check, write_measured
     from station.episode.reader import open_episode
@@ -80,7 +81,7 @@ def _report(episode: Path, gl: str, data: Path | None) -> int:
     click.echo()
     with _busy("measuring the episode"):
         reader = open_episode(episode)
-        quality = check(reader)
+        quality = check(reader, quality_rules.of_user())
         write_measured(episode, quality)
     print_quality(quality)
     click.echo()

@@ -7,35 +7,42 @@ import importlib.metadata
 import json
 import signal
 import sys
+import threading
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import click
 import msgspec
 from rich.markup import escape
 
 from station import registry
-from station.cli.options import Verbs, json_option
+from station.camera.source import CameraError, CameraKind
+from station.cli import calibrate_operator
+from station.cli.options import Verbs, json_option, set_option
 from station.cli.tables import Column, plain, print_table
 from station.errors import UsageError
 from station.operator.device import DeviceError, DeviceKind
+from station.operator.voice import Cue, VoiceKind
 
 
 @click.group("devices", cls=Verbs)
 def command() -> None:
-    """Find operators' devices, play fakes of them, show their buttons, calibrate."""
+    """Find operators' devices, play fakes of them, show their buttons, calibrate, and hear voices."""
 
 
 class _Found(msgspec.Struct, kw_only=True):
-    """A device as `list` shows it.
+    """A device, or a source of pictures, as `list` shows it.
 
     Attributes:
+        role: ``device`` or ``camera``.
         version: Of the library; None where that is not installed.
         plugged_in: What can be seen now.
         problem: Why nobody can tell; "" for none.
     """
 
     device: str
+    role: Literal["device", "camera"]
     about: str
     library: str
     version: str | None
@@ -51,22 +58,27 @@ class _Found(msgspec.Struct, kw_only=True):
 @command.command("list")
 @json_option
 def listing(as_json: bool) -> None:
-    """List the kinds of devices, and what is plugged in.
+    """List the kinds of devices and cameras, and what is plugged in.
 
     For each: the library that reads it, what can be seen of it now, and what it gives.
     """
     found = [_look(_kind(name)) for name in registry.names("device")]
+    found += [_look_at_camera(registry.find("camera", name)) for name in registry.names("camera")]
     if as_json:
         click.echo(json.dumps(msgspec.to_builtins(found)))
         return
-    columns = [Column(title, "left") for title in ("device", "library", "plugged in", "what it gives")]
-    print_table(columns, [_row(each) for each in found])
+    for index, (role, title) in enumerate((("device", "device"), ("camera", "camera source"))):
+        if index:
+            click.echo()
+        columns = [Column(name, "left") for name in (title, "library", "plugged in", "what it gives")]
+        print_table(columns, [_row(each) for each in found if each.role == role])
     for each in found:
         if each.problem and not each.is_missing:
             click.echo(f"\n{each.device}: {each.problem}")
-    if extras := [each.extra for each in found if each.is_missing]:
+    if extras := dict.fromkeys(each.extra for each in found if each.is_missing):
         click.echo(f"\nto install what is missing: pip install 'teleop-station[{','.join(extras)}]'")
-    click.echo("\nto try one without hardware: station devices fake DEVICE")
+    click.echo("\nto try a device without hardware: station devices fake DEVICE")
+    click.echo("to see what a camera gives: station serve camera --name head --set source=SOURCE")
 
 
 def _kind(name: str) -> DeviceKind:
@@ -80,14 +92,29 @@ def _look(kind: DeviceKind) -> _Found:
         seen += kind.plugged_in()
     except DeviceError as error:
         problem = str(error)
-    try:
-        version = importlib.metadata.version(kind.library) if kind.library else None
-    except importlib.metadata.PackageNotFoundError:
-        version = None
     return _Found(
-        device=kind.name, about=kind.about, library=kind.library, version=version, extra=kind.extra, plugged_in=seen,
-        problem=problem,
+        device=kind.name, role="device", about=kind.about, library=kind.library, version=_version(kind.library),
+        extra=kind.extra, plugged_in=seen, problem=problem,
     )  # fmt: skip
+
+
+def _look_at_camera(kind: CameraKind) -> _Found:
+    seen, problem = list[str](), ""
+    try:
+        seen += kind.plugged_in() if kind.plugged_in is not None else []
+    except CameraError as error:
+        problem = str(error)
+    return _Found(
+        device=kind.name, role="camera", about=kind.about, library=kind.library, version=_version(kind.library),
+        extra=kind.extra, plugged_in=seen, problem=problem,
+    )  # fmt: skip
+
+
+def _version(library: str) -> str | None:
+    try:
+        return importlib.metadata.version(library) if library else None
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def _row(found: _Found) -> Sequence[str]:
@@ -130,16 +157,64 @@ class _Calibrations(Verbs):
     """The verbs of the devices that are calibrated."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return [name for name in registry.names("device") if _kind(name).calibrate is not None]
+        return [name for name in registry.names("device") if (_kind(name).calibrate or _kind(name).measure) is not None]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        calibrate = _kind(cmd_name).calibrate if cmd_name in registry.names("device") else None
-        return None if calibrate is None else calibrate()
+        if cmd_name not in registry.names("device"):
+            return None
+        kind = _kind(cmd_name)
+        if kind.calibrate is not None:
+            return kind.calibrate()
+        return calibrate_operator.verb(kind.name, kind.measure()) if kind.measure is not None else None
 
 
 @command.group("calibrate", cls=_Calibrations)
 def calibrate() -> None:
-    """Calibrate a device, with whoever holds it."""
+    """Calibrate a device with whoever holds it, or measure the operator who wears it."""
+
+
+@command.command("voices")
+@click.argument("voice", default="")
+@click.option("--words", default="recording take 7", show_default=True, help="What VOICE is to say.")
+@set_option("key=value")
+@json_option
+def voices(voice: str, words: str, sets: tuple[str, ...], as_json: bool) -> None:
+    """List the voices of the cues server and what each lacks here; or hear VOICE.
+
+    An operator in a headset hears what happens: `station serve cues --set 'voices: [speech]'`.
+    """
+    if voice:
+        _try_voice(registry.find("voice", voice), words, sets)
+        return
+    kinds: list[VoiceKind] = [registry.find("voice", name) for name in registry.names("voice")]
+    found = [{"voice": kind.name, "about": kind.about, "missing": kind.missing()} for kind in kinds]
+    if as_json:
+        click.echo(json.dumps(found))
+        return
+    columns = [Column(title, "left") for title in ("voice", "here", "what it gives")]
+    print_table(columns, [_voice_row(each) for each in found])
+    for each in found:
+        if each["missing"]:
+            click.echo(f"\n{each['voice']}: {each['missing']}")
+    click.echo(
+        "\nto hear one: station devices voices VOICE; to hear a station: station serve cues --set voices=[VOICE]"
+    )
+
+
+def _voice_row(found: dict[str, str]) -> Sequence[str]:
+    return found["voice"], "[yellow]no[/]" if found["missing"] else "[green]yes[/]", found["about"]
+
+
+def _try_voice(kind: VoiceKind, words: str, sets: tuple[str, ...]) -> None:
+    """Say something, as the cues server would."""
+    from station import config
+
+    options = config.build(kind.options, config.overrides(sets, servers=None).get("", {}), where=f"voice {kind.name}")
+    made = kind.make(options)
+    try:
+        made.say(Cue(words=words, tune="begin"), threading.Event().wait)
+    finally:
+        made.close()
 
 
 @command.command("buttons")

@@ -3,49 +3,75 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 import msgspec
 
-from station.cli import check
+from station.cli import check, enrich
 from station.cli.options import Verbs, data_option, json_option
 from station.printable import printable
 
 _LONGEST = 10_000  # characters of a line of a manifest
 
 if TYPE_CHECKING:
+    from station.episode.listing import EpisodeRow
     from station.episode.repair import Repaired
 
 
 @click.group("episodes", cls=Verbs)
 def command() -> None:
-    """List, show, check and repair recorded episodes."""
+    """List, show, check, enrich and repair recorded episodes."""
 
 
 command.add_command(check.command, "check")
+command.add_command(enrich.command, "enrich")
 
 
 @command.command("list")
 @click.option("--task", default=None, help="Episodes of this task alone.")
+@click.option("--operator", default=None, help="Episodes of this operator alone.")
+@click.option("--min-quality", "least", type=click.Choice(("good", "usable")), default=None,
+              help="Checked to be this or better, and not discarded.")  # fmt: skip
+@click.option("--verdict", "verdicts", type=click.Choice(("good", "usable", "reject", "unchecked")), multiple=True,
+              help="Of this verdict; may repeat.")  # fmt: skip
+@click.option("--success", type=click.Choice(("yes", "no", "unknown")), default=None, help="What the operator said.")
+@click.option("--since", "since_", metavar="WHEN", default=None, help="Started within 2h or 3d, or since 2026-11-20.")
 @data_option
 @json_option
-def listing(task: str | None, data: Path | None, as_json: bool) -> None:
-    """List the episodes of a data folder, oldest first."""
+def listing(
+    task: str | None, operator: str | None, least: Literal["good", "usable"] | None, verdicts: tuple[str, ...],
+    success: Literal["yes", "no", "unknown"] | None, since_: str | None, data: Path | None, as_json: bool,
+) -> None:  # fmt: skip
+    """List the episodes of a data folder, oldest first; every option leaves out what does not fit it."""
     from station.episode.folder import data_folder
     from station.episode.left_open import offer
-    from station.episode.listing import list_episodes
+    from station.episode.listing import Wanted, list_episodes, since
 
+    wanted = Wanted(
+        task=task, operator=operator, verdicts=verdicts, least=least, success=success,
+        since=None if since_ is None else since(since_),
+    )  # fmt: skip
     if (line := offer(data_folder(data))) is not None:
         click.echo(f"station: {line}", err=True)
-    rows = list_episodes(data, task=task)
+    rows = list_episodes(data, wanted=wanted)
     if as_json:
         click.echo(json.dumps(msgspec.to_builtins(rows)))
         return
     if not rows:
-        click.echo(f"no episodes in {data_folder(data).absolute()}; record one, or name another folder with --data")
+        where = data_folder(data).absolute()
+        is_all = wanted == Wanted()
+        click.echo(
+            f"no episodes in {where}; record one, or name another folder with --data"
+            if is_all else f"no episode in {where} fits; leave out an option, or name another folder with --data"
+        )  # fmt: skip
         return
+    _print_rows(rows)
+
+
+def _print_rows(rows: Sequence[EpisodeRow]) -> None:
     from station.cli.tables import Column, plain, print_table
 
     columns = [

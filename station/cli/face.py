@@ -6,7 +6,7 @@ import logging
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import TracebackType
 
@@ -44,6 +44,7 @@ class TerminalFace:
 
     Attributes:
         estop_directly: What the emergency stop's key does beside writing it to the bus.
+        look_for_dead: Tells how servers ended that have died and are not started again, by name; called by a thread.
     """
 
     def __init__(self, stop: threading.Event, *, is_brief: bool = False) -> None:
@@ -58,6 +59,7 @@ class TerminalFace:
         self._handlers: list[logging.Handler] = []
         self._stop_key: StopKey | None = None
         self.estop_directly: Callable[[], None] = lambda: None
+        self.look_for_dead: Callable[[], Mapping[str, str]] = dict
         self._keyboard = Keyboard(self._act_at_once, self._look_after_stop, self._echo)
         self._offered = ""
 
@@ -176,7 +178,7 @@ class TerminalFace:
         if seen is None:
             yield f"[dim]… {escape(self._step)}[/]" if self._step else ""
             return
-        yield progress_panel.panel(seen, self._names, self._step)
+        yield progress_panel.panel(seen, self._names, self._step, self.look_for_dead())
         if not self._is_brief:
             yield from ("", render_servers(seen.servers))
         if seen.robot is not None and seen.robot.gate == "stopped":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import keyword
 import logging
 import os
 import sys
@@ -29,6 +30,10 @@ VERBS = {
     "record": "Start, stop, mark or discard an episode.",
     "episodes": "List, show and check what has been recorded.",
     "check": "Measure an episode from its file, and judge it.",
+    "enrich": "Write typed topics of an episode, for Rerun, Foxglove and others.",
+    "export": "Make training data, or files for a quick look, of episodes.",
+    "import": "Make episodes of what other recorders recorded.",
+    "report": "Make an HTML page of episodes: verdicts, times, pictures, columns.",
     "audit": "Run the policy again on what was recorded, and compare bits.",
     "replay": "Play an episode to a bus, a simulation or Rerun.",
     "rehearse": "Run motions through policy and simulation, offline.",
@@ -38,7 +43,12 @@ VERBS = {
     "devices": "Find operators' devices, play fakes of them, show their buttons, calibrate.",
     "assets": "Find and fetch policies, robot models and motions.",
 }
-"""What each verb does; module ``station.cli.<verb>`` holds its ``command``."""
+"""What each verb does; its module holds its ``command``."""
+
+
+def module_of(verb: str) -> str:
+    """Return the module of a verb: ``station.cli.<verb>``, with an underscore behind a word that Python has taken."""
+    return f"station.cli.{verb}{'_' if keyword.iskeyword(verb) else ''}"
 
 
 class _LazyVerbs(Verbs):
@@ -50,7 +60,7 @@ class _LazyVerbs(Verbs):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in VERBS:
             return None
-        command: click.Command = importlib.import_module(f"station.cli.{cmd_name}").command
+        command: click.Command = importlib.import_module(module_of(cmd_name)).command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -35,6 +35,9 @@ data_option: Decorator = click.option(
     "--data", metavar="DIR", default=None, type=click.Path(file_okay=False, path_type=Path),
     help="Folder of episodes.  [default: $STATION_DATA, else ./data]",
 )  # fmt: skip
+jobs_option: Decorator = click.option(
+    "--jobs", metavar="N", default=0, type=click.IntRange(0), help="Processes side by side.  [default: one per core]"
+)
 json_option: Decorator = click.option("--json", "as_json", is_flag=True, help="Print JSON for programs.")
 
 

@@ -19,6 +19,7 @@ from station.episode.request import RecordAnswer
 from station.life import runbook as runbooks
 from station.life.runbook import Runbook, StartStep
 from station.life.session import Recording, Session
+from station.life.supervisor import Supervisor, how_it_ended, log_folder
 
 
 @click.command("up")
@@ -66,7 +67,6 @@ def run(
     from station.bus import address as addresses
     from station.bus.discovery import found_or_started
     from station.cli.face import TerminalFace
-    from station.life.supervisor import Supervisor, log_folder
 
     named = addresses.parse(bus) if bus else None
     names = [step.start for step in book.servers]
@@ -77,7 +77,7 @@ def run(
     ):
         with Bus(address, name="supervisor", timeout_s=1.0) as line, face.watching(line, names):
             supervisor = Supervisor(line, log_folder(address), {"STATION_DATA": str(data.absolute())})
-            face.estop_directly = supervisor.estop
+            face.estop_directly, face.look_for_dead = supervisor.estop, lambda: _died(supervisor)
             session = Session(book, line, supervisor, face, data=data, recording=recording, is_unattended=unattended)
             try:
                 code = session.run(stop, for_s=for_s)
@@ -90,6 +90,11 @@ def run(
         if session.episode is not None:
             face.say(f"recorded {_summary(session.episode)}; look at it with: station check {session.episode.path}")
         return code, episode
+
+
+def _died(supervisor: Supervisor) -> dict[str, str]:
+    """Return how servers ended that did not end well and are not started again, by name."""
+    return {name: how_it_ended(code) for name, code in supervisor.ended().items() if code}
 
 
 def _summary(episode: RecordAnswer) -> str:

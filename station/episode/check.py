@@ -10,43 +10,27 @@ from typing import Any
 
 import msgspec
 
-from station.bus import codec, keys
-from station.episode import falls, interruptions, steps, stream_quality
+from station.episode import falls, interruptions, pauses, quality_rules, stream_quality
 from station.episode.manifest import MAX_STREAMS, Manifest, load_manifest, save_manifest
-from station.episode.quality import FallSeen, Limits, Quality
-from station.episode.reader import EpisodeReader, Message
+from station.episode.measuring import Measuring
+from station.episode.quality import FallSeen, Quality
+from station.episode.quality_rules import RuleBook
+from station.episode.reader import EpisodeReader
 from station.episode.rules import judge
-from station.episode.step_quality import StepMeter
 from station.errors import EpisodeError
 
 _LOCK_STEP_PACE = "command"  # of a low-level server: it waits for a command after each state
 
 
-def check(reader: EpisodeReader, limits: Limits | None = None) -> Quality:
-    """Measure an episode and judge it.
+def check(reader: EpisodeReader, book: RuleBook | None = None) -> Quality:
+    """Measure an episode and judge it, by our own rules where no others are given.
 
     A torn or unfinished file is measured as far as it goes.
     """
-    topics = reader.topics()
-    start_ns = _start_ns(reader)
-    counter = stream_quality.StreamCounter()
-    meters = {robot: StepMeter(robot, start_ns) for robot in steps.robots(topics)}
-    joiners = {robot: steps.StepJoiner(robot, context=meter.context) for robot, meter in meters.items()}
-    events: list[tuple[float, dict[str, Any]]] = []
-    for message in reader.messages():
-        counter.feed(message)
-        if message.topic == keys.EVENT:
-            event = _event(message)
-            events.append(((message.log_ns - start_ns) * 1e-9 - interruptions.late_s(event), event))
-        for robot, joiner in joiners.items():
-            step = joiner.feed(message)
-            if step is not None:
-                meters[robot].feed(step)
-    for robot, joiner in joiners.items():
-        for step in joiner.finish():
-            meters[robot].feed(step)
-    quality = _assemble(reader, counter, meters, events, start_ns)
-    quality.verdict, quality.reasons = judge(quality, limits or Limits())
+    rules = book or quality_rules.shipped()
+    quality = _assemble(reader, Measuring(reader))
+    quality.verdict, quality.reasons = judge(quality, rules.limits)
+    quality.rules = list(rules.files)
     return quality
 
 
@@ -62,7 +46,9 @@ def write_measured(folder: Path, quality: Quality) -> Manifest:
             "stop the recording and check again (an episode whose recorder was killed keeps its manifest as it is)"
         )
     manifest = load_manifest(folder)
-    listed = msgspec.structs.replace(quality, streams=quality.streams[:MAX_STREAMS])  # as the manifest's own
+    listed = msgspec.structs.replace(  # as the manifest's own
+        quality, streams=quality.streams[:MAX_STREAMS], cameras=quality.cameras[:MAX_STREAMS]
+    )
     manifest.quality = {"measured_at": datetime.now(UTC).isoformat(), **msgspec.to_builtins(listed)}
     save_manifest(manifest, folder)
     return manifest
@@ -80,27 +66,27 @@ def _paces_by_state(facts: Mapping[str, Any]) -> bool:
     )
 
 
-def _assemble(
-    reader: EpisodeReader,
-    counter: stream_quality.StreamCounter,
-    meters: dict[str, StepMeter],
-    events: list[tuple[float, dict[str, Any]]],
-    start_ns: int,
-) -> Quality:
+def _assemble(reader: EpisodeReader, measured: Measuring) -> Quality:
     manifest, flags, recorder = reader.manifest, reader.manifest.quality_flags, reader.manifest.recorder
     drops = reader.drops()
-    streams = counter.streams(start_ns, drops)
+    counter, events, start_ns = measured.counter, measured.events, measured.start_ns
+    streams, commands = counter.streams(start_ns, drops, measured.ends), list(counter.commands())
+    paused = pauses.find(commands, measured.ends)
     names = Counter(str(event.get("name", "")) for _, event in events)
     reported = [_fall(at_s, event) for at_s, event in events if event.get("name") == "fall"]
-    seen = falls.merged(reported, [fall for meter in meters.values() for fall in meter.falls()])
+    seen = falls.merged(reported, [fall for meter in measured.steps.values() for fall in meter.falls()])
     found = interruptions.find(events, manifest)
     return Quality(
         episode_id=reader.episode_id,
         duration_s=max((s.last_s for s in streams), default=0.0) - min((s.first_s for s in streams), default=0.0),
         messages=counter.messages,
         streams=streams,
-        steps=[meter.result() for meter in meters.values()],
-        rivals=stream_quality.rivals(streams),
+        steps=[meter.result(paused) for meter in measured.steps.values()],
+        alignment=[meter.result() for meter in measured.alignment.values()],
+        motion=[moved for meter in measured.motion if (moved := meter.result()) is not None],
+        cameras=measured.cameras.result(streams),
+        rivals=stream_quality.rivals(commands, measured.ends),
+        pauses=pauses.described(paused, start_ns),
         falls=len(seen),
         falls_seen=seen,
         resets=names["operator-reset"],
@@ -112,7 +98,7 @@ def _assemble(
         dropped=max(recorder.dropped, drops.total),
         dropped_bulky=drops.bulky,
         dropped_keys=drops.by_key(20),
-        holes=len(manifest.holes),
+        holes=len(manifest.holes) + manifest.holes_not_listed,
         backend=recorder.backend,
         is_lossless=recorder.is_lossless,
         lock_step=is_lock_step(manifest),
@@ -121,21 +107,6 @@ def _assemble(
         success=flags.success,
         discarded=flags.discarded,
     )
-
-
-def _start_ns(reader: EpisodeReader) -> int:
-    """Instant that times are told from: the anchor of the episode, else its first message [ns since the epoch]."""
-    if reader.anchor is not None:
-        return int(reader.anchor.wall_ns)
-    return int(min((stream.first_ns for stream in reader.streams() if stream.count), default=0))
-
-
-def _event(message: Message) -> dict[str, Any]:
-    try:
-        value = codec.parse_json(message.data)
-    except codec.BadValue:
-        return {}
-    return value if isinstance(value, dict) else {}
 
 
 def _fall(at_s: float, event: Mapping[str, Any]) -> FallSeen:

@@ -1,7 +1,8 @@
 """The records of an MCAP file while it is written: one chunk at a time, and an index that stays small.
 
 The library's writer makes an object of every message and keeps one of every chunk until the end: 0.1 GB in an hour of
-30 MB/s. Here a message is two byte strings on their way to the chunk, and a chunk leaves its 100 to 300 bytes of index.
+30 MB/s. Here a message is two byte strings on their way to the chunk, and a chunk leaves its 100 to 800 bytes of index,
+as long as that is little; of an episode of days it is read from the file at the end.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ _ENTRY = struct.Struct("<QQ")
 _INDEX = struct.Struct("<BQHL")
 _CHUNK = struct.Struct("<BQQQQL")
 _COMPRESSION = "zstd"
+_LARGEST_INDEX = 32 << 20  # bytes; an hour of 60 keys has 5 MB
 
 
 class ChunkWriter:
@@ -33,9 +35,14 @@ class ChunkWriter:
 
     Args:
         disk: The file, open at its end.
+        is_new: Whether the file is empty; else its index cannot be known here.
+
+    Attributes:
+        is_indexed: Whether all that the file's index must say is known here; else nothing of it is.
     """
 
-    def __init__(self, disk: Disk) -> None:
+    def __init__(self, disk: Disk, *, is_new: bool = True) -> None:
+        self.is_indexed = is_new
         self._disk = disk
         self._index = Index()
         self._compressor = zstandard.ZstdCompressor(level=3)
@@ -85,7 +92,7 @@ class ChunkWriter:
             places[channel] = self._disk.tell()
             self._disk.write(_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)))
             self._disk.write(bytes(entries))
-        self._index.add(
+        self._note_chunk(
             ChunkIndex(
                 message_start_time=self._first_ns, message_end_time=self._last_ns, chunk_start_offset=offset,
                 chunk_length=9 + length, message_index_offsets=places,
@@ -97,30 +104,34 @@ class ChunkWriter:
         self._entries, self._size = {}, 0
         self._first_ns, self._last_ns = 1 << 63, 0
 
+    def _note_chunk(self, chunk: ChunkIndex, counts: dict[int, int]) -> None:
+        if not self.is_indexed:
+            return
+        self._index.add(chunk, counts)
+        if self._index.size > _LARGEST_INDEX:
+            self.is_indexed, self._index = False, Index()
+
     def attach(self, name: str, media_type: str, data: bytes, at_ns: int) -> None:
         """Write an attachment before the open chunk."""
         record = _record(Attachment(at_ns, at_ns, name, media_type, data))
-        self._index.attachments.append(
-            AttachmentIndex(
-                offset=self._disk.tell(),
-                length=len(record),
-                log_time=at_ns,
-                create_time=at_ns,
-                data_size=len(data),
-                name=name,
-                media_type=media_type,
-            )
-        )
+        if self.is_indexed:
+            self._index.attachments.append(
+                AttachmentIndex(
+                    offset=self._disk.tell(), length=len(record), log_time=at_ns, create_time=at_ns,
+                    data_size=len(data), name=name, media_type=media_type,
+                )
+            )  # fmt: skip
         self._disk.write(record)
 
     def note(self, name: str, facts: dict[str, str]) -> None:
         """Write a metadata record before the open chunk."""
         record = _record(Metadata(name=name, metadata=facts))
-        self._index.metadata.append(MetadataIndex(offset=self._disk.tell(), length=len(record), name=name))
+        if self.is_indexed:
+            self._index.metadata.append(MetadataIndex(offset=self._disk.tell(), length=len(record), name=name))
         self._disk.write(record)
 
     def finish(self, channels: list[Channel]) -> None:
-        """Write the end of a file that this writer began."""
+        """Write the end of a file that `is_indexed`."""
         self._disk.write(self._index.closing_bytes(channels, self._disk.tell()))
 
 

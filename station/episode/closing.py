@@ -60,7 +60,7 @@ def summary_of(manifest: Manifest) -> dict[str, Any]:
         "foreign_streams": sum(not stream.source for stream in manifest.streams),
         "lost": sum(stream.lost for stream in manifest.streams),
         "dropped": recorder.dropped,
-        "holes": len(manifest.holes),
+        "holes": len(manifest.holes) + manifest.holes_not_listed,
         "events": len(manifest.events) + manifest.events_not_listed,
         "falls": flags.falls,
         "success": flags.success,

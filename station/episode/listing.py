@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 
+from station import config
 from station.episode import layout
 from station.episode.claim import is_claimed
 from station.episode.folder import data_folder, find_episodes
 from station.episode.manifest import Manifest, load_manifest
 from station.episode.progress import load_resume_point
-from station.errors import EpisodeError
+from station.errors import ConfigError, EpisodeError
+
+UNCHECKED = "unchecked"
+_BETTER = {"usable": ("usable", "good"), "good": ("good",)}
+_DAY_S = 86400.0
 
 RowState = Literal["finished", "recording", "unfinished", "failed", "broken"]
 
@@ -52,8 +59,56 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
     problem: str = ""
 
 
-def list_episodes(data: Path | None = None, *, task: str | None = None) -> list[EpisodeRow]:
-    """Return a row for each episode of a data folder, oldest first; of one task where one is named.
+class Wanted(msgspec.Struct, frozen=True, kw_only=True):
+    """Which episodes are wanted; what is left out asks for nothing.
+
+    Attributes:
+        task, operator: Name of the task, of the operator.
+        verdicts: Any of these: ``good``, ``usable``, ``reject``, or ``unchecked`` before a check.
+        least: This verdict or a better one, and not discarded since.
+        success: What the operator said: ``yes``, ``no``, or ``unknown`` where nobody did.
+        since: Started then or later.
+    """
+
+    task: str | None = None
+    operator: str | None = None
+    verdicts: Collection[str] = ()
+    least: Literal["good", "usable"] | None = None
+    success: Literal["yes", "no", "unknown"] | None = None
+    since: datetime | None = None
+
+    def fits(self, row: EpisodeRow) -> bool:
+        """Whether a row is one of them."""
+        return (
+            self.task in (None, row.task)
+            and self.operator in (None, row.operator)
+            and (not self.verdicts or (row.verdict or UNCHECKED) in self.verdicts)
+            and (self.least is None or (row.verdict in _BETTER[self.least] and not row.is_discarded))
+            and self.success in (None, {None: "unknown", True: "yes", False: "no"}[row.success])
+            and (self.since is None or _started(row) >= self.since)
+        )
+
+
+def since(text: str, now: datetime | None = None) -> datetime:
+    """Return the instant that is meant by ``2h``, ``3d`` (ago), ``2026-11-20`` or ``2026-11-20T14:00`` (local time).
+
+    Raises:
+        ConfigError: none of these.
+    """
+    try:
+        if text.endswith("d") and text[:-1].strip():
+            return (now or datetime.now(UTC)) - timedelta(seconds=float(text[:-1]) * _DAY_S)
+        if text[:1].isdigit() and "-" in text:
+            return datetime.fromisoformat(text).astimezone()
+        return (now or datetime.now(UTC)) - timedelta(seconds=config.seconds(text, where="--since"))
+    except (ValueError, OverflowError, ConfigError):
+        raise ConfigError(f"--since: expected 2h, 3d, 2026-11-20 or 2026-11-20T14:00, got {text!r}") from None
+
+
+def list_episodes(
+    data: Path | None = None, *, task: str | None = None, wanted: Wanted | None = None
+) -> list[EpisodeRow]:
+    """Return a row for each episode of a data folder that is wanted, oldest first; of one task where one is named.
 
     A folder that does not exist holds no episodes. An episode whose manifest cannot be read has a row that says so.
     """
@@ -62,11 +117,19 @@ def list_episodes(data: Path | None = None, *, task: str | None = None) -> list[
     active = [folder for folder in folders if (folder / layout.ACTIVE).exists()]
     live = active[-1] if active and is_claimed(base) else None
     rows = [_row(folder, is_live=folder == live) for folder in folders]
-    return [row for row in rows if task is None or row.task == task]
+    return [row for row in rows if task in (None, row.task) and (wanted is None or wanted.fits(row))]
+
+
+def _started(row: EpisodeRow) -> datetime:
+    """Return when an episode was started; long ago where nothing says."""
+    try:
+        return datetime.fromisoformat(row.started).astimezone()
+    except (ValueError, OverflowError):
+        return datetime.min.replace(tzinfo=UTC)
 
 
 def _row(folder: Path, *, is_live: bool) -> EpisodeRow:
-    size = sum(file.stat().st_size for file in folder.glob("*.mcap*"))
+    size = sum(file.stat().st_size for file in folder.glob(layout.SIGNALS + "*"))
     try:
         manifest = load_manifest(folder)
     except EpisodeError as error:

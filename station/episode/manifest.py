@@ -47,6 +47,8 @@ __all__ = [
     "Timing",
     "dump_manifest",
     "load_manifest",
+    "note_hole",
+    "note_recovery",
     "parse_manifest",
     "save_manifest",
     "snapshot",
@@ -56,6 +58,8 @@ VERSION = 1
 MAX_EVENTS = 500
 MAX_MARKS = 500
 MAX_STREAMS = 2000  # a reader takes 200 000 values of YAML
+MAX_HOLES = 1000
+MAX_RECOVERY = 500
 
 State = Literal["recording", "finished", "failed"]
 
@@ -72,9 +76,11 @@ class Manifest(msgspec.Struct, kw_only=True):
         runbook: Steps and answers, who and when, as the supervisor gave them.
         streams: Bounded; of a client that invents keys, the first ones, and how many more are in the signals.
         events, marks: Bounded; what did not fit is counted beside them and stays in the signals.
+        holes: Bounded: the last one reaches to the end of all that did not fit, which are counted beside them.
         quality: What a later measurement (`check`) found; free form.
         recovery: A note for each time that a recorder took the episode up again (``kind: resumed``), or that a repair
-            closed it (``kind: repaired``): when, how long nobody recorded, what was cut.
+            closed it (``kind: repaired``): when, how long nobody recorded, what was cut. The newest ones; how many
+            older ones there were is counted beside them.
         foreign: Keys of the document that we do not know; kept, and given back where they were.
     """
 
@@ -97,10 +103,28 @@ class Manifest(msgspec.Struct, kw_only=True):
     events_not_listed: int = 0
     marks: list[Mark] = []
     holes: list[Hole] = []
+    holes_not_listed: int = 0
     quality_flags: QualityFlags = msgspec.field(default_factory=QualityFlags)
     quality: dict[str, Any] = {}
     recovery: list[dict[str, Any]] = []
+    recovery_not_listed: int = 0
     foreign: dict[str, Any] = {}
+
+
+def note_hole(manifest: Manifest, hole: Hole) -> None:
+    """Put a hole into a manifest; of a bus that comes and goes for days, one long hole stands for all further ones."""
+    if len(manifest.holes) < MAX_HOLES:
+        manifest.holes.append(hole)
+    else:
+        manifest.holes[-1].to_s = hole.to_s
+        manifest.holes_not_listed += 1
+
+
+def note_recovery(manifest: Manifest, note: dict[str, Any]) -> None:
+    """Put a note into a manifest that the episode was taken up again or repaired."""
+    manifest.recovery.append(note)
+    manifest.recovery_not_listed += max(0, len(manifest.recovery) - MAX_RECOVERY)
+    del manifest.recovery[:-MAX_RECOVERY]
 
 
 def load_manifest(path: Path) -> Manifest:

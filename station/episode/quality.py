@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import msgspec
+
+from station.episode.quality_parts import Alignment, CameraQuality, MotionQuality, RulesFile
 
 Verdict = Literal["good", "usable", "reject"]
 
@@ -39,6 +40,8 @@ class StreamQuality(msgspec.Struct, frozen=True, kw_only=True):
         jitter_p50_s, jitter_p99_s: How far intervals differ from the median interval [s].
         longest_gap_s: Longest interval [s].
         first_s, last_s: First and last message, from the start of the episode [s].
+        paused_s: Sum of the intervals of which its writer had said that its commands end [s]; they count in none of the
+            numbers before.
     """
 
     key: str
@@ -59,6 +62,7 @@ class StreamQuality(msgspec.Struct, frozen=True, kw_only=True):
     last_s: float
     dropped: int = 0
     dropped_bulky: int = 0
+    paused_s: float = 0.0
 
 
 class RivalWriters(msgspec.Struct, frozen=True):
@@ -67,6 +71,24 @@ class RivalWriters(msgspec.Struct, frozen=True):
     key: str
     writers: list[str]
     overlap_s: float
+
+
+class CommandPause(msgspec.Struct, frozen=True, kw_only=True):
+    """A time without commands, because their writer had said that they end; then somebody commanded again.
+
+    Attributes:
+        at_s: Last command before it, from the start of the episode [s].
+        seconds: Until the next command, whoever gave it [s].
+        keys: Command keys that were silent.
+        writer: Server that ended its commands.
+        reason: Why, as it said.
+    """
+
+    at_s: float
+    seconds: float
+    keys: list[str]
+    writer: str
+    reason: str
 
 
 class FallSeen(msgspec.Struct, frozen=True, kw_only=True):
@@ -118,11 +140,13 @@ class StepQuality(msgspec.Struct, frozen=True, kw_only=True):
         steps: Steps in the file.
         missing_steps: Steps whose number is missing between the first and the last of a source.
         command_age: Age of the command at the instant the policy used it, from the first to the last step that
-            followed one: since it was written, or, for a writer without stamps, since it arrived.
+            followed one, pauses of the commands left out: since it was written, or, for a writer without stamps, since
+            it arrived.
         stages: Time between consecutive instants of a step, named ``command_written_to_command_arrived`` … and
             ``command_written_to_sent``. Negative in lock-step, where the command answers the state.
         gate_shares: Share of time in each state of the gate, 0..1.
-        interrupted_share: Share of the time between the first and the last tracking step that was not tracking.
+        interrupted_share: Share of the time between the first and the last tracking step that was not tracking, pauses
+            of the commands left out.
         clamped, refused: Greatest counts that the gate reported; None where it reported none.
         compared_steps: Steps in which the gate was tracking and the motion playing.
         mean_joint_error_rad: Over those steps, as `station.life.tracking` defines it, so that it compares with a
@@ -163,11 +187,16 @@ class Quality(msgspec.Struct, kw_only=True):
         verdict: ``good``, ``usable`` (whole enough, with the reasons to think twice) or ``reject``: whether it may
             go into a training set as a demonstration.
         reasons: Why it is not good; empty for a good one.
+        rules: The files of rules that it was judged by, the later ones over the earlier.
         duration_s: From the first message to the last [s].
         messages: Messages in the file.
         streams: By key and source.
         steps: By robot.
+        alignment: How commands lay beside states, by robot.
+        motion: How joints moved, by robot.
+        cameras: What became of the pictures, by camera.
         rivals: Command keys with several writers at once.
+        pauses: Times without commands that their writer told of beforehand, in order.
         falls: Number of falls, by event or by pose.
         falls_seen: Each of them.
         resets, estops: Number of such events.
@@ -190,11 +219,16 @@ class Quality(msgspec.Struct, kw_only=True):
     episode_id: str
     verdict: Verdict = "good"
     reasons: list[Reason] = []
+    rules: list[RulesFile] = []
     duration_s: float = 0.0
     messages: int = 0
     streams: list[StreamQuality] = []
     steps: list[StepQuality] = []
+    alignment: list[Alignment] = []
+    motion: list[MotionQuality] = []
+    cameras: list[CameraQuality] = []
     rivals: list[RivalWriters] = []
+    pauses: list[CommandPause] = []
     falls: int = 0
     falls_seen: list[FallSeen] = []
     resets: int = 0
@@ -214,29 +248,3 @@ class Quality(msgspec.Struct, kw_only=True):
     torn: str | None = None
     success: bool | None = None
     discarded: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class Limits:
-    """Where a rule begins to speak; the defaults suit a 50 Hz whole-body policy.
-
-    Attributes:
-        lost_share_reject: Share of lost writes above which a stream is useless; any loss costs the "good".
-        gap_usable_s, gap_reject_s: Longest silence of a command, state or policy stream [s].
-        rate_share: Least share of the nominal rate.
-        command_age_p99_s: Age of the command at use [s]; at 0.1 the gate begins to hold.
-        interrupted_usable, interrupted_reject: Share of time without tracking between first and last tracking.
-        joint_error_usable_rad, joint_error_reject_rad: Mean tracking error [rad]; TWIST2 stays below 0.11.
-        height_error_usable_m: Mean error of the root height [m].
-    """
-
-    lost_share_reject: float = 0.01
-    gap_usable_s: float = 0.25
-    gap_reject_s: float = 1.0
-    rate_share: float = 0.9
-    command_age_p99_s: float = 0.1
-    interrupted_usable: float = 0.02
-    interrupted_reject: float = 0.2
-    joint_error_usable_rad: float = 0.15
-    joint_error_reject_rad: float = 0.3
-    height_error_usable_m: float = 0.08

@@ -73,9 +73,9 @@ class WriteQueue:
         return bool(self._batches)
 
     @property
-    def is_congested(self) -> bool:
-        """Whether so much waits that what can wait elsewhere should: before anything is dropped."""
-        return 2 * self.writes > self._most_writes or 8 * self.size > 3 * self._most_bytes
+    def load(self) -> float:
+        """How full it is, 0..1; from a half on bulky values are dropped."""
+        return max(self.writes / self._most_writes, self.size / self._most_bytes)
 
     def put(self, batch: Batch) -> Drops | None:
         """Add a batch at the end; return what had to be dropped for it, of it or of what waited before it."""

@@ -19,6 +19,8 @@ from station.episode.request import request_id
 if TYPE_CHECKING:
     from station.bus.tap import Position, Write
 
+_THEN = ", then "
+_MOST_CHANGES = 10  # of the tap, that are told one by one
 _MOST_KEYS = 100_000  # of which we remember whether they matter; a client that invents keys must not fill the memory
 
 
@@ -95,14 +97,14 @@ class Recording(Desk):
         return self._take is not None
 
     @property
-    def is_congested(self) -> bool:
-        """Whether so much waits for the disk that what can wait elsewhere should."""
-        return self._take is not None and self._take.writer.is_congested
+    def load(self) -> float:
+        """How full the queue before the disk is, 0..1; from a half on images are dropped."""
+        return self._take.writer.load if self._take is not None else 0.0
 
     def retapped(self, backend: str, is_lossless: bool) -> None:
         """Say that another tap is in use from now on."""
         for recorder in [self.tap, *([self._take.manifest.recorder] if self._take else [])]:
-            recorder.backend = backend if recorder.backend.endswith(backend) else f"{recorder.backend}, then {backend}"
+            recorder.backend = _then(recorder.backend, backend)
             recorder.is_lossless &= is_lossless
         self.tap.backend, self.tap.is_lossless = backend, is_lossless
 
@@ -146,3 +148,12 @@ class Recording(Desk):
         if self._take is not None and write.key.startswith(keys.CONFIG_PREFIX):
             self._heard.fill(self._take.manifest)
             self._take.touch()
+
+
+def _then(told: str, backend: str) -> str:
+    """Return the taps that were used, with one more behind them; of very many, the first ones and the last."""
+    if told.endswith(backend):
+        return told
+    names = told.split(_THEN)
+    more = _THEN + "…" if len(names) > _MOST_CHANGES else ""
+    return _THEN.join(names[:_MOST_CHANGES]) + more + _THEN + backend

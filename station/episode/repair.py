@@ -19,7 +19,14 @@ from station.episode.disk import is_locked
 from station.episode.drops import Drops, drops_of, larger
 from station.episode.folder import signals_file
 from station.episode.left_open import is_left_open
-from station.episode.manifest import Manifest, dump_manifest, load_manifest, parse_manifest, save_manifest
+from station.episode.manifest import (
+    Manifest,
+    dump_manifest,
+    load_manifest,
+    note_recovery,
+    parse_manifest,
+    save_manifest,
+)
 from station.episode.progress import ResumePoint, load_resume_point
 from station.episode.records import MAGIC, RawMessage, metadata_at_head, walk
 from station.episode.resume import manifest_of
@@ -125,7 +132,8 @@ def _is_closed(folder: Path, inside: Manifest) -> bool:
         beside = load_manifest(folder)
     except EpisodeError:
         return False
-    return beside.state != "recording" and len(beside.recovery) >= len(inside.recovery)
+    told, known = (len(one.recovery) + one.recovery_not_listed for one in (beside, inside))
+    return beside.state != "recording" and told >= known
 
 
 def _say_last_words(folder: Path, file: Path, manifest: Manifest) -> None:
@@ -213,17 +221,16 @@ def _close(
         cut_messages=max(0, before - totals.messages), requests=told.requests,
         cut_s=round(max(0.0, (state.st_mtime_ns - totals.last_ns) * 1e-9), 3) if totals.last_ns else 0.0,
     )  # fmt: skip
-    manifest.recovery.append(
-        {
-            "kind": "repaired",
-            "at": iso(time.time_ns()),
-            "kept_messages": done.messages,
-            "cut_at": done.cut_at,
-            "cut_bytes": done.cut_bytes,
-            "cut_messages": done.cut_messages,
-            "cut_s": done.cut_s,
-        }
-    )
+    note = {
+        "kind": "repaired",
+        "at": iso(time.time_ns()),
+        "kept_messages": done.messages,
+        "cut_at": done.cut_at,
+        "cut_bytes": done.cut_bytes,
+        "cut_messages": done.cut_messages,
+        "cut_s": done.cut_s,
+    }
+    note_recovery(manifest, note)
     manifest.quality = {}  # of the torn file
     close_manifest(manifest, anchor, totals)
     signals.finish(dump_manifest(manifest), summary_record(totals))

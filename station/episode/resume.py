@@ -19,7 +19,7 @@ from station.episode import layout
 from station.episode.atomic import remove_leftovers
 from station.episode.checkpoint import load_checkpoint
 from station.episode.drops import Drops
-from station.episode.manifest import Hole, Manifest, load_manifest, parse_manifest
+from station.episode.manifest import Hole, Manifest, load_manifest, note_hole, note_recovery, parse_manifest
 from station.episode.options import RecordingOptions
 from station.episode.progress import ResumePoint, Totals, load_resume_point
 from station.episode.records import parse_chunk, read_chunk, walk
@@ -145,21 +145,20 @@ def _note(found: Unfinished, size: int, kept: Totals, *, is_exact: bool) -> None
     _, point, manifest = found
     now_s = (time.monotonic_ns() - point.anchor.mono_ns) * 1e-9
     manifest.recorder.restarts += 1
-    manifest.recovery.append(
-        {
-            "kind": "resumed",
-            "at": iso(time.time_ns()),
-            "at_s": round(now_s, 3),
-            "away_s": round(found.age_s, 3),
-            "by": "offset" if is_exact else "hole",
-            "kept_messages": kept.messages,
-            "kept_bytes": kept.bytes,
-            "read_again_bytes" if is_exact else "cut_bytes": max(0, size - kept.bytes),
-        }
-    )
+    note = {
+        "kind": "resumed",
+        "at": iso(time.time_ns()),
+        "at_s": round(now_s, 3),
+        "away_s": round(found.age_s, 3),
+        "by": "offset" if is_exact else "hole",
+        "kept_messages": kept.messages,
+        "kept_bytes": kept.bytes,
+        "read_again_bytes" if is_exact else "cut_bytes": max(0, size - kept.bytes),
+    }
+    note_recovery(manifest, note)
     if not is_exact:
         last_s = (kept.last_ns - point.anchor.wall_ns) * 1e-9 if kept.last_ns else 0.0
-        manifest.holes.append(Hole(from_s=round(last_s, 6), to_s=round(now_s, 6), reason=HOLE))
+        note_hole(manifest, Hole(from_s=round(last_s, 6), to_s=round(now_s, 6), reason=HOLE))
 
 
 def newest_closed(data: Path, within_s: float) -> Path | None:

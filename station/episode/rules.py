@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
-from station.episode.quality import Interruption, Limits, Quality, Reason, StepQuality, StreamQuality, Verdict
-
-Rule = Callable[[Quality, Limits], Iterator[tuple[Verdict, str]]]
+from station.episode.quality import Interruption, Quality, Reason, StepQuality, StreamQuality, Verdict
+from station.episode.quality_rules import Graded, Limits, Rule
+from station.episode.sensed_rules import SENSED, Finder
 
 _JUDGED_ROLES = ("command", "state", "policy")
 
 
 def judge(quality: Quality, limits: Limits) -> tuple[Verdict, list[Reason]]:
     """Return the verdict of an episode and every reason against a better one."""
-    reasons = [Reason(name, verdict, text) for name, rule in RULES.items() for verdict, text in rule(quality, limits)]
-    found = {reason.verdict for reason in reasons}
-    return ("reject" if "reject" in found else "usable" if "usable" in found else "good"), reasons
+    reasons = [
+        Reason(name, said, text)
+        for name, find in RULES.items()
+        for found, text in find(quality, limits)
+        if (said := _said(found, limits.rule(name))) is not None
+    ]
+    verdicts = {reason.verdict for reason in reasons}
+    return ("reject" if "reject" in verdicts else "usable" if "usable" in verdicts else "good"), reasons
+
+
+def _said(found: Verdict, rule: Rule) -> Verdict | None:
+    """Return what a rule is to say, or None for one that is off; a graded one says no worse than it was given."""
+    if rule.verdict == "off":
+        return None
+    return found if isinstance(rule, Graded) and rule.verdict == "reject" else rule.verdict
 
 
 def _empty(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -53,7 +65,7 @@ def _lost(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for writer, streams in _by_writer([stream for stream in quality.streams if stream.lost]).items():
         worst = max(streams, key=lambda stream: stream.lost)
         share = max(_lost_share(stream) for stream in streams)
-        verdict: Verdict = "reject" if share > limits.lost_share_reject else "usable"
+        verdict: Verdict = "reject" if share > limits.lost.reject_above_share else "usable"
         text = f"{_named(worst)}: {worst.lost} of {worst.lost + worst.count} writes are missing"
         if len(streams) > 1:
             total = sum(stream.lost for stream in streams)
@@ -62,11 +74,17 @@ def _lost(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
 
 
 def _dropped(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
-    keys = ", ".join(f"{key} {count}" for key, count in quality.dropped_keys.items()) or "of which is not known"
     if signals := quality.dropped - quality.dropped_bulky:
-        yield "reject", f"the recorder dropped {signals} writes that were no images ({keys})"
-    if quality.dropped_bulky:
-        yield "usable", f"the recorder dropped {quality.dropped_bulky} images or other bulky values ({keys})"
+        yield "reject", f"the recorder dropped {signals} writes that were no images ({_dropped_keys(quality)})"
+
+
+def _dropped_images(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if bulky := quality.dropped_bulky:
+        yield "usable", f"the recorder dropped {bulky} images or other bulky values ({_dropped_keys(quality)})"
+
+
+def _dropped_keys(quality: Quality) -> str:
+    return ", ".join(f"{key} {count}" for key, count in quality.dropped_keys.items()) or "of which is not known"
 
 
 def _disordered(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -88,19 +106,19 @@ def _holes(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
 
 
 def _gap(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
-    silent = [stream for stream in _timed(quality) if (stream.longest_gap_s or 0.0) > limits.gap_usable_s]
+    silent = [stream for stream in _timed(quality) if (stream.longest_gap_s or 0.0) > limits.gap.usable_above_s]
     for streams in _by_writer(silent).values():
         worst = max(streams, key=lambda stream: stream.longest_gap_s or 0.0)
         gap_s = worst.longest_gap_s or 0.0
-        verdict: Verdict = "reject" if gap_s > limits.gap_reject_s else "usable"
+        verdict: Verdict = "reject" if gap_s > limits.gap.reject_above_s else "usable"
         others = f"; so or less were {len(streams) - 1} other streams of it" if len(streams) > 1 else ""
-        yield verdict, f"{_named(worst)}: silent for {gap_s:.3f} s (limit {limits.gap_usable_s} s){others}"
+        yield verdict, f"{_named(worst)}: silent for {gap_s:.3f} s (limit {limits.gap.usable_above_s:g} s){others}"
 
 
 def _slow(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for stream in _timed(quality):
         rate_hz = _steady_rate_hz(stream)
-        if rate_hz is not None and rate_hz < limits.rate_share * (stream.nominal_hz or 0.0):
+        if rate_hz is not None and rate_hz < limits.slow.below_share * (stream.nominal_hz or 0.0):
             yield "usable", f"{_named(stream)}: {rate_hz:.1f} Hz, nominal {stream.nominal_hz:g} Hz"
 
 
@@ -148,36 +166,43 @@ def _never_tracked(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]
             yield "reject", f"{robot.robot}: the gate never let a command through ({_shares(robot)})"
 
 
+def _commands_ended(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.pauses:
+        first, more = quality.pauses[0], len(quality.pauses) - 1
+        again = f"; {more} more time(s), {sum(one.seconds for one in quality.pauses):.1f} s in all" if more else ""
+        yield "usable", f"commands ended at {first.at_s:.1f} s for {first.seconds:.1f} s: {first.reason}{again}"
+
+
 def _interrupted(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for robot in quality.steps:
-        if robot.interrupted_share > limits.interrupted_usable:
-            verdict: Verdict = "reject" if robot.interrupted_share > limits.interrupted_reject else "usable"
+        if robot.interrupted_share > limits.interrupted.usable_above_share:
+            verdict: Verdict = "reject" if robot.interrupted_share > limits.interrupted.reject_above_share else "usable"
             yield verdict, f"{robot.robot}: {robot.interrupted_share:.1%} of the run without command ({_shares(robot)})"
 
 
 def _old_command(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for robot in quality.steps:
         age_s = robot.command_age.p99_s
-        if not quality.lock_step and age_s is not None and age_s > limits.command_age_p99_s:
+        if not quality.lock_step and age_s is not None and age_s > limits.old_command.p99_above_s:
             yield "usable", f"{robot.robot}: commands {age_s * 1e3:.0f} ms old at use (p99)"
 
 
 def _poor_tracking(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for robot in quality.steps:
         error = robot.mean_joint_error_rad
-        if error is not None and error > limits.joint_error_usable_rad:
-            verdict: Verdict = "reject" if error > limits.joint_error_reject_rad else "usable"
+        if error is not None and error > limits.poor_tracking.usable_above_rad:
+            verdict: Verdict = "reject" if error > limits.poor_tracking.reject_above_rad else "usable"
             yield verdict, f"{robot.robot}: mean joint error {error:.3f} rad, worst {robot.worst_joint}"
 
 
 def _wrong_height(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for robot in quality.steps:
         error = robot.mean_root_height_error_m
-        if error is not None and error > limits.height_error_usable_m:
+        if error is not None and error > limits.wrong_height.above_m:
             yield "usable", f"{robot.robot}: mean root height error {error:.3f} m"
 
 
-RULES: dict[str, Rule] = {
+RULES: dict[str, Finder] = {
     "empty": _empty,
     "torn": _torn,
     "unfinished": _unfinished,
@@ -186,6 +211,7 @@ RULES: dict[str, Rule] = {
     "fell": _fell,
     "lost": _lost,
     "dropped": _dropped,
+    "dropped-images": _dropped_images,
     "disordered": _disordered,
     "lossy-tap": _lossy_tap,
     "holes": _holes,
@@ -195,10 +221,12 @@ RULES: dict[str, Rule] = {
     "bus-silent": _bus_silent,
     "bus-lost": _bus_lost,
     "bus-refused": _bus_refused,
+    **SENSED,
     "operator-reset": _reset,
     "estop": _estop,
     "no-steps": _no_steps,
     "never-tracked": _never_tracked,
+    "commands-ended": _commands_ended,
     "interrupted": _interrupted,
     "old-command": _old_command,
     "poor-tracking": _poor_tracking,
@@ -216,8 +244,8 @@ def _timed(quality: Quality) -> Iterator[StreamQuality]:
 
 
 def _steady_rate_hz(stream: StreamQuality) -> float | None:
-    """Rate without the longest silence, which has a rule of its own."""
-    steady_s = stream.last_s - stream.first_s - (stream.longest_gap_s or 0.0)
+    """Rate without the longest silence and without pauses, which have rules of their own."""
+    steady_s = stream.last_s - stream.first_s - stream.paused_s - (stream.longest_gap_s or 0.0)
     return (stream.count - 2) / steady_s if stream.count > 2 and steady_s > 0 else None
 
 

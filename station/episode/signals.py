@@ -42,7 +42,7 @@ class SignalsFile:
         retelling: What the messages tell.
     """
 
-    def __init__(self, disk: Disk, anchor: Anchor) -> None:
+    def __init__(self, disk: Disk, anchor: Anchor, *, is_new: bool) -> None:
         """Take a file that is open at its end; `create` and `reopen` make one."""
         self._anchor = anchor
         self._disk = disk
@@ -51,7 +51,6 @@ class SignalsFile:
         self._stamps: list[bytes] = []
         self._last_log_ns = anchor.wall_ns
         self._records: list[mcap.records.Channel] = []
-        self._is_reopened = False
         self.channels: list[Channel] = []
         self.gaps: list[Gap] = []
         self.retelling = Retelling(anchor)
@@ -59,7 +58,7 @@ class SignalsFile:
         self.messages = self.refused = self.pending_bytes = self._synced_messages = 0
         self.drops = Drops()
         self._noted_drops, self._drops_due = 0, 0.0
-        self._writer = ChunkWriter(disk)
+        self._writer = ChunkWriter(disk, is_new=is_new)
 
     @classmethod
     def create(cls, path: Path, anchor: Anchor, facts: Mapping[str, str], manifest: bytes) -> SignalsFile:
@@ -68,7 +67,7 @@ class SignalsFile:
         Raises:
             OSError: the disk refused it, or the file exists.
         """
-        made = cls(Disk(path), anchor)
+        made = cls(Disk(path), anchor, is_new=True)
         made._writer.start(layout.PROFILE)
         clock = {"wall_ns": str(anchor.wall_ns), "mono_ns": str(anchor.mono_ns), "boot": anchor.boot}
         made._writer.note(layout.ANCHOR_RECORD, clock)
@@ -104,8 +103,7 @@ class SignalsFile:
             found = salvage(path, recount.take, size=size, start=checkpoint.size, channels=known)
         if size is not None and (found.kept_to != size or found.missing_indexes):
             raise EpisodeError(f"{path}: damaged at byte {found.kept_to} of {size} that were safe")
-        made = cls(Disk(path, keep=found.kept_to), anchor)
-        made._is_reopened = True
+        made = cls(Disk(path, keep=found.kept_to), anchor, is_new=False)
         made.drops = drops or Drops()
         if found.missing_indexes:
             made._disk.write(found.missing_indexes)
@@ -195,11 +193,11 @@ class SignalsFile:
         if self.drops.total:
             self._note_drops()
         self._writer.note(layout.SUMMARY_RECORD, dict(summary))
-        if self._is_reopened:  # the library knows only what was written since
+        if self._writer.is_indexed:
+            self._writer.finish(self._records)
+        else:
             self._disk.flush()
             self._disk.write(closing_bytes(self._disk.path, self._records))
-        else:
-            self._writer.finish(self._records)
         self._disk.flush()
         self._disk.sync()
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from array import array
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 from station import rotations
 from station.bus import codec, contracts, keys
 from station.episode import falls
+from station.episode.pauses import Span
 from station.episode.quality import FallSeen, Spread, StepQuality
 from station.episode.steps import Step
 from station.life.tracking import TrackingError
@@ -34,8 +37,8 @@ class StepMeter:
     start_ns: int
     _times: array[int] = field(default_factory=lambda: array("q"))
     _gates: list[str] = field(default_factory=list)
-    _timed_gates: list[str] = field(default_factory=list)  # of the steps in _timings
-    _timings: list[Any] = field(default_factory=list)
+    _timed: array[int] = field(default_factory=lambda: array("q"))  # the steps of _timings, by number in _gates
+    _timings: array[int] = field(default_factory=lambda: array("q"))  # row after row
     _numbers: dict[str, array[int]] = field(default_factory=lambda: defaultdict(lambda: array("q")))
     _poses: dict[str, bytearray] = field(default_factory=lambda: defaultdict(bytearray))
     _pose_times: dict[str, array[int]] = field(default_factory=lambda: defaultdict(lambda: array("q")))
@@ -56,12 +59,12 @@ class StepMeter:
         """Keys of which every step shall carry the newest value."""
         return {keys.command_source(self.robot)}
 
-    def feed(self, step: Step) -> None:
-        """Take a step."""
+    def feed(self, step: Step) -> str:
+        """Take a step, and return the state that the gate was in, "" where nothing says."""
         self._times.append(step.at_ns)
         self._numbers[step.source].append(step.number)
         gate = _object(step.values.get(keys.command_gate(self.robot)))
-        self._gates.append(str(gate.get("state", "")))
+        self._gates.append(sys.intern(str(gate.get("state", ""))))
         for name in ("clamped", "refused"):
             if isinstance(gate.get(name), int):
                 self._counts[name] = max(self._counts.get(name, 0), gate[name])
@@ -69,16 +72,20 @@ class StepMeter:
         self._take_pose(step)
         if self._gates[-1] == _TRACKING and self._is_playing(step):
             self._compare(step)
+        return self._gates[-1]
 
-    def result(self) -> StepQuality:
-        """Return what the steps were like."""
+    def result(self, paused: Sequence[Span] = ()) -> StepQuality:
+        """Return what the steps were like; pauses of the commands are nobody's fault."""
         tracking, compared = self._tracking, self._tracking.ticks if self._tracking else 0
         worst = max(self._joint_sums, key=lambda joint: self._joint_sums[joint], default="")
-        shares, interrupted = _gate_shares(np.array(self._times, dtype=np.int64), self._gates)
+        times, gates = np.array(self._times, dtype=np.int64), np.array(self._gates, dtype=np.str_)
+        away = _paused(times, gates, [span for span in paused if any(key.endswith(self.robot) for key in span.keys)])
+        timed = np.array(self._timed, dtype=np.int64)
         age, stages = _latencies(
-            np.array(self._timings, dtype=np.int64).reshape(-1, _FIRST_STAGE + len(_STAGES)),
-            _followed(self._timed_gates),
+            np.frombuffer(self._timings, np.int64).reshape(-1, _FIRST_STAGE + len(_STAGES)),
+            _followed(gates[timed]) & ~away[timed],
         )
+        shares, interrupted = _gate_shares(times, gates, away)
         return StepQuality(
             robot=self.robot,
             steps=len(self._times),
@@ -102,10 +109,8 @@ class StepMeter:
         """Return the falls that the recorded pose shows."""
         for key in (keys.sim_qpos(self.robot), keys.robot_state(self.robot)):  # ground truth where there is one
             if key in self._poses:
-                names = self._layouts[key]
-                values = np.frombuffer(self._poses[key], dtype="<f8").reshape(-1, len(names))
-                first = names.index("root_quat_w")
-                tilt = rotations.tilt(rotations.normalized(values[:, first : first + 4]))
+                values = np.frombuffer(self._poses[key], dtype="<f8").reshape(-1, 4)
+                tilt = rotations.tilt(rotations.normalized(values))
                 times_s = (np.array(self._pose_times[key]) - self.start_ns) * 1e-9
                 return falls.from_pose(self.robot, times_s, tilt)
         return []
@@ -114,14 +119,15 @@ class StepMeter:
         numbers = _json(step.values.get(keys.policy_timing(self.robot)))
         is_whole = isinstance(numbers, list) and len(numbers) == _FIRST_STAGE + len(_STAGES)
         if is_whole and all(type(number) is int and abs(number) < _LARGEST for number in numbers):
-            self._timings.append(numbers)
-            self._timed_gates.append(self._gates[-1])
+            self._timings.extend(numbers)
+            self._timed.append(len(self._gates) - 1)
 
     def _take_pose(self, step: Step) -> None:
         for key in (keys.sim_qpos(self.robot), keys.robot_state(self.robot)):
             data = step.values.get(key)
             if data and len(data) == 8 * len(self._layouts.get(key, ())):
-                self._poses[key] += data
+                first = 8 * self._layouts[key].index("root_quat_w")
+                self._poses[key] += data[first : first + 32]  # all that a fall needs; an hour of it is 6 MB
                 self._pose_times[key].append(step.at_ns)
 
     def _is_playing(self, step: Step) -> bool:
@@ -161,13 +167,26 @@ def spread(values: NDArray[Any]) -> Spread:
     return Spread(len(values), float(p50), float(p99), float(seconds.max()))
 
 
-def _followed(gates: list[str]) -> slice:
-    """Return the steps from the first to the last in which a command was followed; a robot left alone uses none."""
+def _paused(times: NDArray[np.int64], gates: NDArray[np.str_], spans: Sequence[Span]) -> NDArray[np.bool_]:
+    """Return which steps belong to a pause of the commands: until the robot tracks the next ones."""
+    found = np.zeros(len(times), dtype=np.bool_)
+    tracked = np.flatnonzero(gates == _TRACKING)
+    for span in spans:
+        again = tracked[times[tracked] > span.to_ns]
+        found |= (times > span.from_ns) & (times < times[again[0]] if len(again) else True)
+    return found
+
+
+def _followed(gates: NDArray[np.str_]) -> NDArray[np.bool_]:
+    """Return which steps lie between the first and the last that followed a command; a robot left alone uses none."""
+    found = np.zeros(len(gates), dtype=np.bool_)
     used = np.flatnonzero(np.isin(gates, ("entering", _TRACKING)))
-    return slice(used[0], used[-1] + 1) if len(used) else slice(0, 0)
+    if len(used):
+        found[used[0] : used[-1] + 1] = True
+    return found
 
 
-def _latencies(timings: NDArray[np.int64], followed: slice) -> tuple[Spread, dict[str, Spread]]:
+def _latencies(timings: NDArray[np.int64], followed: NDArray[np.bool_]) -> tuple[Spread, dict[str, Spread]]:
     """Return the age of the command at use over the followed steps, and the time between stages over all."""
     instants = timings[:, _FIRST_STAGE:]
     pairs = [*pairwise(_STAGES), (_STAGES[0], _STAGES[-1])]
@@ -179,23 +198,26 @@ def _latencies(timings: NDArray[np.int64], followed: slice) -> tuple[Spread, dic
     written, arrived, used = (instants[:, _STAGES.index(s)] for s in ("command_written", "command_arrived", "observed"))
     since = np.where(written > 0, written, arrived)
     known = (since > 0) & (used > 0)
-    return spread((used - since)[followed][known[followed]]), stages
+    return spread((used - since)[followed & known]), stages
 
 
-def _gate_shares(times_ns: NDArray[np.int64], gates: list[str]) -> tuple[dict[str, float], float]:
+def _gate_shares(
+    times_ns: NDArray[np.int64], states: NDArray[np.str_], paused: NDArray[np.bool_]
+) -> tuple[dict[str, float], float]:
     """Return the share of time in each state, and the share between first and last tracking that was not tracking."""
-    if not gates:
+    if not len(states):
         return {}, 0.0
     lengths = np.diff(times_ns)
     lengths = np.append(lengths, np.median(lengths) if len(lengths) else 1)
-    states = np.array(gates)
     total = max(float(lengths.sum()), 1.0)
     shares = {str(state): float(lengths[states == state].sum()) / total for state in np.unique(states) if state}
     tracking = np.flatnonzero(states == _TRACKING)
     if not len(tracking):
         return shares, 0.0
-    inside = slice(tracking[0], tracking[-1] + 1)
-    away = float(lengths[inside][states[inside] != _TRACKING].sum())
+    inside = np.zeros(len(states), dtype=np.bool_)
+    inside[tracking[0] : tracking[-1] + 1] = True
+    inside &= ~paused
+    away = float(lengths[inside & (states != _TRACKING)].sum())
     return shares, away / max(float(lengths[inside].sum()), 1.0)
 
 

@@ -40,6 +40,7 @@ _FOOTER = struct.Struct("<BQQQ")
 _FOOTER_LENGTH = 20
 _ENTRY_SIZE = 16  # of a message index: log time and offset
 _LAST_OPCODE = max(Opcode)
+_RECORD_SIZE = 200  # bytes of memory of a small one, roughly
 
 
 class Place(NamedTuple):
@@ -94,6 +95,11 @@ class Index:
         self._span_ns: tuple[int, int] | None = None
         self._counts: Counter[int] = Counter()
         self._open: ChunkIndex | None = None  # of a file that is read: its message indexes follow the chunk
+
+    @property
+    def size(self) -> int:
+        """Bytes of memory that it takes, roughly."""
+        return len(self._chunks) + _RECORD_SIZE * (len(self.attachments) + len(self.metadata))
 
     def add(self, chunk: ChunkIndex, counts: Mapping[int, int]) -> None:
         """Note a chunk, and how many messages of each channel it holds."""

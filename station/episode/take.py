@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from station.bus import keys
 from station.episode.closing import close_manifest
 from station.episode.heard import is_motion, note_motion
-from station.episode.manifest import Hole, Manifest
+from station.episode.manifest import Hole, Manifest, note_hole
 from station.episode.progress import Totals
 from station.episode.request import RecordAnswer, RecorderState
 from station.episode.retell import note_event, note_mark
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from station.bus.tap import Position, Write
 
 _SAVE_EVERY_S = 1.0
-_MOST_HOLES = 1000
 
 
 class Take:
@@ -85,10 +84,7 @@ class Take:
 
     def hole(self, from_ns: int, to_ns: int, reason: str) -> None:
         """Note that writes between two instants [ns, monotonic] may be missing."""
-        if len(self.manifest.holes) < _MOST_HOLES:
-            self.manifest.holes.append(Hole(from_s=self._at_s(from_ns), to_s=self._at_s(to_ns), reason=reason))
-        else:  # a bus that comes and goes for hours: one long hole stands for all further ones
-            self.manifest.holes[-1].to_s = self._at_s(to_ns)
+        note_hole(self.manifest, Hole(from_s=self._at_s(from_ns), to_s=self._at_s(to_ns), reason=reason))
         self.writer.save_manifest(self.manifest)  # the file does not tell of it: safe before what follows
 
     def touch(self) -> None:
@@ -137,7 +133,7 @@ class Take:
             "foreign_streams": sum(not stream.source for stream in totals.streams),
             "lost": sum(stream.lost for stream in totals.streams),
             "dropped": totals.dropped,
-            "holes": len(self.manifest.holes),
+            "holes": len(self.manifest.holes) + self.manifest.holes_not_listed,
             "events": len(self.manifest.events) + self.manifest.events_not_listed,
             "falls": flags.falls,
             "success": flags.success,

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from station.bus.contracts import Contract
+from station.bus.contracts import Codec
 from station.episode.messages import Message, Vectors
 from station.errors import EpisodeError
 
@@ -35,7 +35,7 @@ def numbers(topic: str, messages: Sequence[Message]) -> tuple[Vectors, int]:
     if contract is None or contract.codec not in _TYPES:
         holds = "no contract" if contract is None else f"values of kind {contract.codec}"
         raise EpisodeError(f"{topic}: {holds}, so no numbers; read its messages instead")
-    decode = _decoder(contract)
+    decode = decoder(contract.codec)
     kept: list[Message] = []
     rows: list[Any] = []
     length = len(contract.elements) or None
@@ -52,12 +52,13 @@ def numbers(topic: str, messages: Sequence[Message]) -> tuple[Vectors, int]:
     return Vectors(log_ns, publish_ns, values), len(writes) - len(kept)
 
 
-def _decoder(contract: Contract) -> Callable[[bytes], Sequence[Any] | NDArray[Any] | None]:
-    if contract.codec == "json-vector":
+def decoder(codec: Codec) -> Callable[[bytes], Sequence[Any] | NDArray[Any] | None]:
+    """Return what makes numbers of the bytes of one value; it returns None for bytes that hold none."""
+    if codec == "json-vector":
         return _json_vector
-    if contract.codec == "integer":
+    if codec == "integer":
         return _integer
-    layout = np.dtype("<f4" if contract.codec == "f32" else "<f8")
+    layout = np.dtype("<f4" if codec == "f32" else "<f8")
 
     def raw(data: bytes) -> NDArray[Any] | None:
         return np.frombuffer(data, layout) if len(data) % layout.itemsize == 0 else None

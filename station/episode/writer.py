@@ -167,9 +167,9 @@ class EpisodeWriter:
         return self._queue.writes
 
     @property
-    def is_congested(self) -> bool:
-        """Whether so much waits that what can wait elsewhere should."""
-        return self._queue.is_congested
+    def load(self) -> float:
+        """How full the queue is, 0..1; from a half on bulky values are dropped."""
+        return self._queue.load
 
     def _run(self) -> None:
         try:

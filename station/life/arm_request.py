@@ -90,6 +90,18 @@ def ask(
         return {name: _follow(watch, name, robot, wanted, deadline_s) for name, robot in robots.items()}
 
 
+def server_of(bus: Bus, robot: str) -> str:
+    """Return the name of the low-level server that drives a robot, given by its keys' suffix.
+
+    Raises:
+        NotReady: none does.
+    """
+    found = {robot_of(bus, health): health.name for health in _low_level(bus, "")}
+    if robot not in found:
+        raise NotReady(f"no server drives {robot} on {bus.address}; those that run drive {', '.join(sorted(found))}")
+    return found[robot]
+
+
 def story(action: Action, states: list[str]) -> str:
     """Return in words what a server went through."""
     if action == "disarm":

@@ -1,10 +1,16 @@
-"""The emergency stop's key: what its value asks for. In doubt it asks to stop."""
+"""The emergency stop's key: what its value asks for. In doubt it asks to stop.
+
+A restarted bus has forgotten the key, and who starts after that would not know of a latched stop. So those who do know
+say it again, but only where the key holds nothing (``SET … NX``, one step of the server's): whatever anybody has
+written since, a reset above all, stands.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from station.bus import codec
+from station.bus import codec, keys
+from station.bus.client import Bus
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +26,21 @@ class StopRequest:
     stop: bool
     reason: str
     arm: bool = False
+
+
+def restate(bus: Bus, reason: str, who: str) -> bool:
+    """Say a latched stop again where the key is absent; return whether it was.
+
+    Args:
+        bus: Which may have forgotten it.
+        reason: Why it was stopped.
+        who: Who says it again.
+
+    Raises:
+        BusError: the bus is lost, or did not answer in time.
+    """
+    value = codec.json_object({"stop": True, "reason": reason, "restated_by": who})
+    return bus.call("SET", keys.ESTOP, value, "NX") is not None
 
 
 def read(data: bytes) -> StopRequest:

@@ -1,34 +1,50 @@
-"""The events of a bus, one after the other, for whoever shows them.
+"""The events of a bus, each once and one after the other, for whoever shows them.
 
-The key holds one event at a time, so two that are written within a millisecond may show as the second alone; the
-recorder, which follows every write, has both.
+Their key holds one at a time, so of two that are written within a millisecond a reader may see the second alone. What
+was missed there comes with the heartbeat of the server that said it, half a second late.
 """
 
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Iterator
 
 from station.bus import keys
 from station.bus.client import Bus
 from station.bus.sample import Sample
+from station.errors import BusError
 from station.life import events
 from station.life.events import Event
+from station.life.server import read_health
 
-_WAIT_S = 0.5
-_MOST = 1000  # events that nobody has taken; a server gone mad must not fill the memory
+_LOOK_S = 0.5
+_MOST = 1000  # events that nobody has taken, or that are known; a server gone mad must not fill the memory
 
 
 class EventFeed:
     """Gathers events from now on, in a thread of its own; a context manager."""
 
     def __init__(self, bus: Bus) -> None:
-        self._watch = bus.watch([keys.EVENT])
+        self._bus = bus
         self._found: deque[Event] = deque(maxlen=_MOST)
+        self._known: deque[tuple[str, int, str]] = deque(maxlen=_MOST)
+        self._lock = threading.Lock()
+        self._look()
+        self._found.clear()  # from before our time
+        self._watch = bus.watch([keys.EVENT])
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="event-feed", daemon=True)
         self._thread.start()
+
+    def add(self, event: Event) -> None:
+        """Take in an event that is known of otherwise; nothing where it is known already."""
+        mark = (event.source, event.wall_ns, event.name)
+        with self._lock:
+            if mark not in self._known:
+                self._known.append(mark)
+                self._found.append(event)
 
     def take(self) -> Iterator[Event]:
         """Yield the events that came since the last call."""
@@ -49,10 +65,22 @@ class EventFeed:
 
     def _run(self) -> None:
         newest: Sample | None = None
+        looked_s = time.monotonic()
         while not self._closed.is_set():
-            sample = self._watch.wait(keys.EVENT, after=newest, timeout_s=_WAIT_S)
+            sample = self._watch.wait(keys.EVENT, after=newest, timeout_s=_LOOK_S)
             if sample is not None:
                 newest = sample
                 event = events.decode(sample.value)
                 if event is not None:
-                    self._found.append(event)
+                    self.add(event)
+            if time.monotonic() - looked_s >= _LOOK_S:
+                looked_s = time.monotonic()
+                self._look()
+
+    def _look(self) -> None:
+        try:
+            found = read_health(self._bus)
+        except BusError:  # who has a feed looks at the bus as well, and tells of its loss
+            return
+        for event in sorted((event for health in found for event in health.events), key=lambda event: event.wall_ns):
+            self.add(event)

@@ -70,6 +70,7 @@ class LowLevelLoop:
         self._said_s = -math.inf
         self._bus_is_lost = False
         life.on_estop(self._hear_supervisor)
+        life.on_bus_back(self._restate_stop)
 
     def __enter__(self) -> LowLevelLoop:
         return self
@@ -161,6 +162,12 @@ class LowLevelLoop:
     def _hear_supervisor(self) -> None:
         self._is_stopped_past_bus = True
         self._watch.urgent.set()
+
+    def _restate_stop(self) -> None:
+        """Tell a bus that has forgotten it that we are stopped, for servers that start only now."""
+        gate = self._control.gate
+        if gate.state == "stopped" and estop.restate(self._life.bus, gate.reason, self._life.name):
+            self._life.event("estop-restated", severity="warning", reason=gate.reason)
 
     def _obey_stop(self, now_s: float) -> bool:
         if self._is_stopped_past_bus:

@@ -6,6 +6,7 @@ configuration, so that a typing mistake is found before anything starts.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -22,6 +23,7 @@ from station.life.server import ServerKind
 IfItDies = Literal["ask", "end", "restart"]
 
 _ONLY_TELL = ("recorder", "sensor")  # roles that move nothing by themselves
+_SERVER_NAME = re.compile(r"[A-Za-z0-9_-]+")
 _STEP_KINDS = ("check", "confirm", "start", "note", "arm", "disarm")
 
 
@@ -82,7 +84,7 @@ class StartStep(msgspec.Struct, frozen=True, kw_only=True):
     """A server to start, with its validated configuration.
 
     Attributes:
-        start: Its name.
+        start: Its name on the bus; that of its kind, unless the step says with `server` which kind it is.
         kind: What it is.
         config: Its configuration.
         ready_within_s: Longest time for loading, and for becoming active [s].
@@ -97,7 +99,8 @@ class StartStep(msgspec.Struct, frozen=True, kw_only=True):
     if_it_dies: IfItDies = "ask"
 
     def __str__(self) -> str:
-        return f"start {self.start} {_chosen(self.config)}".rstrip()
+        kind = "" if self.start == self.kind.name else f"({self.kind.name}) "
+        return f"start {self.start} {kind}{_chosen(self.config)}".rstrip()
 
 
 Step = CheckStep | ConfirmStep | NoteStep | StartStep
@@ -196,12 +199,14 @@ def _step(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], wher
 
 
 def _start(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], where: str) -> StartStep:
-    known = ("start", "with", "ready_within", "if_it_dies")
+    known = ("start", "server", "with", "ready_within", "if_it_dies")
     for key in raw:
         if key not in known:
             raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(key, known)}; known: {', '.join(known)}")
     name = str(raw["start"])
-    kind: ServerKind = registry.find("server", name)
+    kind: ServerKind = registry.find("server", str(raw.get("server", name)))
+    if not _SERVER_NAME.fullmatch(name):
+        raise ConfigError(f"{where}: start: expected a name of letters, digits, - and _, got {name!r}")
     given = raw.get("with") or {}
     if not isinstance(given, dict):
         raise ConfigError(f"{where} ({name}): with: expected a mapping of settings, got {given!r}")

@@ -15,7 +15,6 @@ import socket
 import threading
 import time
 import traceback
-from collections import deque
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -28,16 +27,16 @@ from station.bus.client import Bus
 from station.bus.credentials import for_role
 from station.bus.protection import look
 from station.errors import BusError, Refused, StationError
-from station.life import events, leash
+from station.life import leash
 from station.life.events import Event, Severity
+from station.life.teller import Teller
 
 log = logging.getLogger(__name__)
 
 State = Literal["unconfigured", "inactive", "active", "finalized"]
-Role = Literal["command", "low-level", "recorder", "sensor"]
+Role = Literal["command", "low-level", "recorder", "sensor", "observer"]
 
 HEARTBEAT_S = 0.5
-_MOST_UNSAID = 100
 DEAD_AFTER_S = 2.0  # four heartbeats
 
 
@@ -60,7 +59,10 @@ class ServerKind(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Health(msgspec.Struct, kw_only=True):
-    """What a server says of itself on ``station:server:<name>``, twice a second and at each change of state."""
+    """What a server says of itself on ``station:server:<name>``, twice a second and at each change of state.
+
+    `events` are those of the last few seconds, which on their own key may have been overwritten before anybody looked.
+    """
 
     name: str
     role: Role
@@ -79,6 +81,7 @@ class Health(msgspec.Struct, kw_only=True):
     overruns: int = 0
     lost_writes: int = 0
     detail: dict[str, Any] = {}
+    events: list[Event] = []
 
     @property
     def is_alive(self) -> bool:
@@ -111,7 +114,8 @@ class Life:
         self.stop_event = threading.Event()
         self._leash = leash.from_environment(self.stop_event.set)
         self._configuration: bytes | None = None
-        self._unsaid: deque[Event] = deque(maxlen=_MOST_UNSAID)  # events that the bus did not take
+        self._teller = Teller(bus, name)
+        self._on_bus_back: Callable[[], None] = lambda: None
         self._ended = threading.Event()
         now_ns = time.time_ns()
         self._health = Health(
@@ -153,16 +157,20 @@ class Life:
         if self._leash is not None:
             self._leash.on_estop = act
 
+    def on_bus_back(self, act: Callable[[], None]) -> None:
+        """Have something called, in another thread, when the bus is back and may have forgotten everything.
+
+        Where it raises `BusError` it is called again, half a second later.
+        """
+        self._on_bus_back = act
+
     def event(self, name: str, *, severity: Severity = "info", **detail: Any) -> None:
         """Say that something happened: on the bus, so that it stands in the episode, and in the log."""
-        event = events.make(self.name, name, severity, **detail)
-        if not self.bus.publish({keys.EVENT: event.encode()}):
-            self._unsaid.append(event)
-        events.write_log(log, event)
+        self._teller.say(name, severity, **detail)
 
     def last_word(self, name: str, **detail: Any) -> None:
         """Say on the bus what ends this server; whoever started it prints the error itself."""
-        self.bus.publish({keys.EVENT: events.make(self.name, name, "error", **detail).encode()})
+        self._teller.say_on_bus(name, "error", **detail)
 
     def report(self, **facts: Any) -> None:
         """Say with the next heartbeat how the server is doing: rate_hz, jitter_p50_ms, … or anything of its own."""
@@ -187,24 +195,27 @@ class Life:
         connections = self.bus.connections
         while not self._ended.wait(HEARTBEAT_S):
             self._say()
-            if connections != self.bus.connections and self._configuration is not None:
-                connections = self.bus.connections  # a restarted bus has forgotten it
-                self.bus.publish({keys.server_config(self.name): self._configuration})
+            if (now := self.bus.connections) != connections and self._say_again():
+                connections = now
             for outage in self.bus.outages.take():
                 self.event(outage.kind, severity="warning", **outage.detail())
-                self._say_late()
+                self._teller.say_late()
 
-    def _say_late(self) -> None:
-        """Say the events of which nobody could hear, now that the bus is back and listened to again."""
-        while self._unsaid:
-            event = self._unsaid[0]
-            if not self.bus.publish({keys.EVENT: events.late(event).encode()}):
-                return
-            self._unsaid.popleft()
+    def _say_again(self) -> bool:
+        """Say what a restarted bus has forgotten; return whether it was heard."""
+        if self._configuration is not None:
+            self.bus.publish({keys.server_config(self.name): self._configuration})
+        try:
+            self._on_bus_back()
+        except BusError as error:
+            log.info("to be said again: %s", error)
+            return False
+        return True
 
     def _say(self) -> None:
         self._health.wall_ns = time.time_ns()
         self._health.lost_writes = self.bus.lost_writes
+        self._health.events = self._teller.recent
         self.bus.publish({keys.server(self.name): codec.json_object(self._health)})
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import getpass
 import signal
 import threading
@@ -22,7 +23,8 @@ from station.life.face import Face
 from station.life.restarts import Restarts
 from station.life.runbook import CheckStep, ConfirmStep, NoteStep, Runbook, StartStep, Step
 from station.life.server import Health, read_health
-from station.life.supervisor import Supervisor, how_it_ended
+from station.life.stop_memory import StopMemory
+from station.life.supervisor import NAME, Supervisor, how_it_ended
 
 _LOOK_S = 0.1
 _BUS_GONE_S = 10.0  # a restarted server is back within a second; without one nobody can be watched over
@@ -103,10 +105,10 @@ class Session:
         self._refuse_a_second_station()
         if (line := left_open.offer(self._data)) is not None:
             self._face.say(line, "warning")
-        with EventFeed(self._bus) as feed:
+        with EventFeed(self._bus) as feed, StopMemory(self._bus, NAME) as memory:
             try:
                 self._start_all(feed, stop)
-                reason, code = self._watch_over(feed, stop, for_s)
+                reason, code = self._watch_over(feed, memory, stop, for_s)
             except StationError as error:
                 is_asked = stop.is_set()
                 reason, code = (f"stopped: {error}", _INTERRUPTED) if is_asked else (f"failed: {error}", 1)
@@ -164,7 +166,7 @@ class Session:
 
     def _spawn(self, step: StartStep) -> None:
         restarts = Restarts() if step.if_it_dies == "restart" else None
-        self._supervisor.spawn(step.start, step.config, restarts=restarts)
+        self._supervisor.spawn(step.start, step.config, server=step.kind.name, restarts=restarts)
 
     def _confirm(self, step: ConfirmStep) -> str:
         if self._is_unattended:
@@ -193,12 +195,15 @@ class Session:
         self._is_recording = True
         self._face.say(f"recording {self.episode.path}")
 
-    def _watch_over(self, feed: EventFeed, stop: threading.Event, for_s: float | None) -> tuple[str, int]:
+    def _watch_over(
+        self, feed: EventFeed, memory: StopMemory, stop: threading.Event, for_s: float | None
+    ) -> tuple[str, int]:
         """Show how the station is doing until it should end; return why, and an exit code."""
         deadline = None if for_s is None else time.monotonic() + for_s
         while not stop.wait(_LOOK_S):
             self._tell(feed)
             health = self._look()
+            self._restate_stop(memory)
             if (end := self._deaths.look(health)) is not None:
                 return end
             if deadline is not None and time.monotonic() > deadline:
@@ -208,9 +213,16 @@ class Session:
         return "stopped", int(self._deaths.are_open)
 
     def _tell(self, feed: EventFeed) -> None:
+        for event in self._supervisor.teller.recent:
+            feed.add(event)
         for event in feed.take():
             if event.name not in _TOLD_OTHERWISE:
                 self._face.say(f"{event.source}: {event}", event.severity)
+
+    def _restate_stop(self, memory: StopMemory) -> None:
+        with contextlib.suppress(BusError):  # it is gone again; the next look tries again
+            if reason := memory.look():
+                self._supervisor.tell("estop-restated", "warning", reason=reason)
 
     def _look(self) -> list[Health] | None:
         """Show the servers' health and return it; None while the bus is gone."""

@@ -28,10 +28,13 @@ from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.errors import BusError, NotReady
-from station.life import events, leash
+from station.life import leash
 from station.life.events import Severity
 from station.life.restarts import RESTARTS_VARIABLE, Restarts
 from station.life.server import Health, State, decode_health
+from station.life.teller import Teller
+
+NAME = "supervisor"
 
 _STOP_S = 15.0  # a command server blends for 2 s, a recorder closes its episode; then the child is killed
 _HURRY_S = 5.0  # a blend and a flush to the disk still fit
@@ -67,6 +70,7 @@ class Supervisor:
         self._folder = folder
         self._environment = dict(environment or {})
         self.children: dict[str, Child] = {}
+        self.teller = Teller(bus, NAME)
         self._lock = threading.RLock()  # around what is done to a child
         self._nurse: threading.Thread | None = None
         self._closed = threading.Event()
@@ -81,7 +85,8 @@ class Supervisor:
         log.unlink(missing_ok=True)
         arguments = ["serve", server or name, "--name", name, "--config-json", _json(config)]
         process, go = self._launch(arguments, log, 0)
-        self.children[name] = Child(name, process, go, log, time.monotonic(), arguments, restarts)
+        with self._lock:
+            self.children[name] = Child(name, process, go, log, time.monotonic(), arguments, restarts)
         if restarts is not None and self._nurse is None:
             self._nurse = threading.Thread(target=self._look_after, name="supervisor", daemon=True)
             self._nurse.start()
@@ -192,7 +197,7 @@ class Supervisor:
 
     def tell(self, name: str, severity: Severity, **detail: Any) -> None:
         """Say as an event, so that it stands in the episode, what happened to the servers."""
-        self._bus.publish({keys.EVENT: events.make("supervisor", name, severity, **detail).encode()})
+        self.teller.say_on_bus(name, severity, **detail)
 
     def start_again(self, name: str) -> None:
         """Start a child once more, as it was configured, in place of one that died or is frozen.

@@ -40,6 +40,8 @@ ACTIONS: dict[str, str] = {
     "discard": "flag the episode as discarded",
     "rerecord": "discard the episode and start it anew",
     "success": "say that the episode succeeded",
+    "arm": "let targets go to the robot, which grows stiff over two seconds",
+    "disarm": "send the robot nothing more, at once",
 }
 """What an operator may ask for beside moving."""
 
@@ -52,21 +54,29 @@ _PAIR = {
     "rerecord": "hold right_secondary",
     "estop": "left_stick_click",
     "mode": "right_stick_click",
+    "arm": "hold left_trigger+left_grip+right_trigger+right_grip",
+    "disarm": "left_menu",
 }
 
 DEFAULTS: dict[str, dict[str, Any]] = {
     "pico": _PAIR,
-    "gamepad": _PAIR | {"engage": "left_bumper", "exit": "back", "start_pause": ["right_primary", "start"]},
+    "gamepad": _PAIR | {"engage": "left_bumper", "exit": "back", "start_pause": ["right_primary", "start"],
+                        "arm": "hold left_trigger+right_trigger+right_bumper", "disarm": "guide"},
     "spacemouse": {"start_pause": "button_0", "mode": "hold button_0", "record": "button_1", "discard": "hold button_1",
                    "estop": "button_0+button_1"},
     "gello": {},
     "keyboard": {"start_pause": "key_space", "exit": "key_q", "estop": "key_escape", "mode": "key_tab",
                  "record": "key_r", "mark": "key_m", "discard": "key_delete", "rerecord": "key_backspace",
-                 "success": "key_y"},
+                 "success": "key_y", "arm": "key_o+key_p", "disarm": "key_x"},
 }  # fmt: skip
 """What means what on a device until a file says otherwise. A pair of controllers is as in stock TWIST2 (right A starts
 and pauses, left X exits, left Y records, left stick stops, right stick changes the mode); what TWIST2 has not is on the
-same two buttons: Y keeps a take or, held, throws it away; B marks a moment or, held, begins the take anew."""
+same two buttons: Y keeps a take or, held, throws it away; B marks a moment or, held, begins the take anew.
+
+Arming takes what no hand does by itself: everything squeezed for `HOLD_S`, which opens and closes the fingers at once
+and so moves none; two keys together, since a terminal does not tell how long one is held. Disarming is one press of a
+button that nothing else uses. A spacemouse with its two buttons has none left: `station arm`, or a file for a larger
+one."""
 
 _BOTH = ("trigger", "stick_x", "stick_y", "stick_click", "primary", "secondary")
 _CONTROLLERS = tuple(f"{side}_{name}" for side in ("left", "right") for name in (*_BOTH, "grip", "menu"))
@@ -102,6 +112,20 @@ class ButtonMap:
             (action, ", ".join(str(gesture) for gesture in self.gestures.get(action, ())) or "-", meaning)
             for action, meaning in ACTIONS.items()
         ]
+
+    @property
+    def how_to_drive(self) -> str:
+        """Which controls engage, for a status line."""
+        holds = [f"hold {gesture}" for gesture in self.gestures.get("engage", ())]
+        return " or ".join([*holds, *self._told("start_pause")]) + " to drive"
+
+    @property
+    def how_to_arm(self) -> str:
+        """Which controls arm, for a status line; "" for none."""
+        return " or ".join(self._told("arm")) + " to arm" if self.gestures.get("arm") else ""
+
+    def _told(self, action: str) -> list[str]:
+        return [f"press {one}" if one.kind == "press" else str(one) for one in self.gestures.get(action, ())]
 
 
 @dataclass(frozen=True, slots=True)

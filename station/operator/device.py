@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from station.errors import StationError
+from station.operator.measure import OperatorMeasure
 from station.operator.reading import Reading
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ class DeviceKind:
         port: TCP port on which the fake listens by default; None for a fake that does not.
         calibrate: Returns the verb below `station devices calibrate`, of the device's name; None for a device that
             needs none.
+        measure: Returns who measures an operator of what this device shows; None for one that sees no body.
     """
 
     name: str
@@ -81,3 +83,4 @@ class DeviceKind:
     play: Callable[[Path, int | None], None]
     port: int | None = None
     calibrate: Callable[[], click.Command] | None = None
+    measure: Callable[[], OperatorMeasure] | None = None

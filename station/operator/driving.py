@@ -64,6 +64,8 @@ class Driving:
         pressed = self._buttons.step(None if reading is None else reading.controls, dt_s)
         mode = self.driver.next_mode() if "mode" in pressed.started else ""
         look = _NOTHING if reading is None else self.driver.look(reading)
+        if "disarm" in pressed.started:
+            obstacle = "disarmed"
         if "estop" in pressed.started:
             obstacle = "emergency stop"
         change = self.deadman.step(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
+from station.bus import keys
 from station.protocols import CommandFormat, Floats
 
 COMES_TO_REST_S = 5.0
@@ -21,7 +23,7 @@ class Leaving:
     """
 
     def __init__(self, form: CommandFormat, blend_s: float) -> None:
-        self._default, self._blend_s = np.array(form.default), blend_s
+        self._form, self._default, self._blend_s = form, np.array(form.default), blend_s
         self._rested_s, self._blended_s = 0.0, 0.0
         self._start: Floats | None = None
 
@@ -29,6 +31,19 @@ class Leaving:
     def is_done(self) -> bool:
         """Whether the default has been reached."""
         return self._blended_s >= self._blend_s
+
+    @property
+    def _part(self) -> float:
+        """How much of the way to the default is done, 0 to 1."""
+        return 0.5 - 0.5 * math.cos(math.pi * min(self._blended_s / self._blend_s, 1.0))
+
+    def companions(self, values: Mapping[str, Floats]) -> Mapping[str, Floats]:
+        """Return the values beside the command: the neck goes along to its default, hands keep what they hold."""
+        key = keys.action_neck(self._form.robot)
+        rest = self._form.companions.get(key)
+        if rest is None or key not in values:
+            return values
+        return {**values, key: values[key] + self._part * (np.asarray(rest) - values[key])}
 
     def step(self, command: Floats, dt_s: float, *, is_still: bool) -> Floats:
         """Return the command after a period.
@@ -44,5 +59,4 @@ class Leaving:
                 return command
             self._start = command
         self._blended_s += dt_s
-        part = 0.5 - 0.5 * math.cos(math.pi * min(self._blended_s / self._blend_s, 1.0))
-        return self._start + part * (self._default - self._start)
+        return self._start + self._part * (self._default - self._start)

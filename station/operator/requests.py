@@ -1,4 +1,4 @@
-"""What an operator asks of others with a button: the recorder, and the emergency stop. Neither holds up the caller."""
+"""What an operator asks of others with a button: recorder, emergency stop, arming. None of it holds up the caller."""
 
 from __future__ import annotations
 
@@ -10,12 +10,16 @@ from pathlib import PurePath
 from typing import Any
 
 from station.bus import codec, keys
+from station.bus.client import Bus
 from station.bus.watch import Watch
 from station.episode import remote
 from station.episode.request import RecorderState
-from station.errors import BusError, NotReady, StationError
+from station.errors import BusError, NotReady, Refused, StationError
+from station.life import arm_request
+from station.life.arm_request import Action
 from station.life.server import Life
 from station.life.stop_button import StopButton
+from station.operator.buttons import Pressed
 
 RECORDING = ("record", "mark", "discard", "rerecord", "success")
 """Actions of `station.operator.buttons` that are the recorder's."""
@@ -141,3 +145,77 @@ class StopPresser:
             self._button.press(reason)
         except BusError as error:
             self._life.event("operator-stop-failed", severity="error", reason=str(error))
+
+
+class ArmButtons:
+    """Arms and disarms a robot just as `station arm` does, over a line of its own and in a thread for each press: to
+    disarm does not wait for a robot that is arming.
+
+    Args:
+        life: Says that nobody answered; a refusal is said by the robot's server.
+        robot: Suffix of the robot's keys.
+        device: Whose buttons they are.
+
+    Attributes:
+        refusal: Why the newest press was refused, or "".
+    """
+
+    def __init__(self, life: Life, robot: str, device: str) -> None:
+        self._life, self._robot, self._device = life, robot, device
+        self._presses = 0
+        self.refusal = ""
+
+    def press(self, action: Action) -> None:
+        """Ask for it."""
+        self._presses, self.refusal = self._presses + 1, ""
+        threading.Thread(target=self._ask, args=(action, self._presses), name="arm-button", daemon=True).start()
+
+    def _ask(self, action: Action, press: int) -> None:
+        refusal = ""
+        try:
+            with Bus(self._life.bus.address, name=self._life.name, timeout_s=1.0) as line:
+                server = arm_request.server_of(line, self._robot)
+                arm_request.ask(line, action, server=server, reason=f"button of {self._device}")
+        except Refused as error:
+            refusal = str(error)
+        except (BusError, NotReady) as error:
+            refusal = str(error)
+            self._life.event("operator-arm-failed", severity="error", action=action, reason=refusal)
+        if press == self._presses:
+            self.refusal = refusal
+
+
+class Requests:
+    """All of them, by the actions of `station.operator.buttons`.
+
+    Args:
+        record: Passes on to the recorder.
+        stop: Stops every robot.
+        arm: Arms and disarms the one that is driven.
+        device: Whose buttons they are.
+    """
+
+    def __init__(self, record: RecordButtons, stop: StopPresser, arm: ArmButtons, *, device: str) -> None:
+        self._record, self._stop, self._arm, self._device = record, stop, arm, device
+
+    def obey(self, pressed: Pressed) -> None:
+        """Pass on what was pressed in a tick, the stop first."""
+        if "estop" in pressed.started:
+            self._stop.press(f"button of {self._device}")
+        if "disarm" in pressed.started:
+            self._arm.press("disarm")
+        elif "arm" in pressed.started:
+            self._arm.press("arm")
+        for name in RECORDING:
+            if name in pressed.started:
+                self._record.press(name)
+
+    @property
+    def refusal(self) -> str:
+        """Why the robot was not armed when that was last asked for, or ""."""
+        return self._arm.refusal
+
+    def close(self) -> None:
+        """Let what was asked of the recorder be done; hang up."""
+        self._record.close()
+        self._stop.close()

@@ -37,6 +37,7 @@ class RobotSide:
     Attributes:
         obstacle: Why nobody may drive now, or "".
         left: While we command: why the robot has ceased to follow us, or "".
+        arming: Whether targets go to it: ``disarmed``, ``arming`` or ``armed``; the last one where nobody says.
         used: The command that the robot follows, shape (m,); None when unknown.
     """
 
@@ -45,7 +46,7 @@ class RobotSide:
         self._gate_key, self._used_key = keys.command_gate(robot), keys.command_used(robot)
         self._begun_ns: int | None = None  # since when we command
         self._has_followed = False
-        self.obstacle, self.left = "", ""
+        self.obstacle, self.left, self.arming = "", "", "armed"
         self.used: Floats | None = None
 
     @staticmethod
@@ -65,6 +66,7 @@ class RobotSide:
         """Look at an instant [ns, monotonic]."""
         sample = self._watch.latest(self._gate_key)
         gate = _gate(sample)
+        self.arming = gate.arming
         self.left = self._left(sample, gate, now_ns)
         self.obstacle = self._stopped(gate) or self.left or self._not_ready(sample, gate, now_ns)
         self.used = self._used()

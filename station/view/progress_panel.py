@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rich.console import Group, RenderableType
 from rich.markup import escape
@@ -21,23 +21,30 @@ from station.view.progress import MotionProgress, PolicyProgress, Progress, Robo
 _TURNING, _TURNS_PER_S = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏", 8.0
 _NAMES, _BAR = 8, 30  # characters
 _WORDS = {"unconfigured": "loading", "inactive": "ready", "active": "running", "finalized": "ended"}
-_COLOURS = {"loading": "yellow", "ready": "cyan", "running": "green", "ended": "dim", "starting": "dim"}
+_COLOURS = {"loading": "yellow", "ready": "cyan", "running": "green", "ended": "dim", "starting": "dim", "died": "red"}
 
 
-def panel(progress: Progress, names: Sequence[str], step: str = "") -> RenderableType:
+def panel(
+    progress: Progress, names: Sequence[str], step: str = "", died: Mapping[str, str] | None = None
+) -> RenderableType:
     """Return the progress as lines.
 
     Args:
         progress: What was seen.
         names: Servers of the run, in the order of their start.
         step: What is being done meanwhile, "" for nothing.
+        died: How those ended that nobody has started again, by name.
     """
+    died = died or {}
     table = Table.grid(padding=(0, 2))
     table.add_column(style="bold", no_wrap=True, min_width=_NAMES)
     table.add_column(no_wrap=True, overflow="ellipsis")
     states = {health.name: health for health in progress.servers}
-    if step or any(_word(states.get(name)) != "running" for name in names):
-        table.add_row("servers", _servers(states, names))
+    words = {name: "died" if name in died else _word(states.get(name)) for name in names}
+    if step or any(word != "running" for word in words.values()):
+        table.add_row("servers", _servers(words))
+    for name, how in died.items():
+        table.add_row(escape(name), Text(f"died: {printable(how)}", style="red"))
     if progress.motion is not None:
         table.add_row("motion", _motion(progress.motion))
     for health in progress.servers:
@@ -86,9 +93,8 @@ def _operator(health: Health) -> Text:
     return Text(f"not engaged{mode}: {printable(str(said.get('why_not', '')))}", style="yellow")
 
 
-def _servers(states: dict[str, Health], names: Sequence[str]) -> Text:
-    words = [(name, _word(states.get(name))) for name in names]
-    return Text.from_markup("   ".join(f"{escape(name)} [{_COLOURS[word]}]{word}[/]" for name, word in words))
+def _servers(words: Mapping[str, str]) -> Text:
+    return Text.from_markup("   ".join(f"{escape(name)} [{_COLOURS[word]}]{word}[/]" for name, word in words.items()))
 
 
 def _word(health: Health | None) -> str:

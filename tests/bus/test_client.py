@@ -124,6 +124,20 @@ def test_a_writer_that_fell_behind_catches_up_by_writing_alone(bus_server: BusAd
         assert bus.lost_writes == 0
 
 
+def test_a_writer_that_will_not_queue_learns_without_writing_that_the_server_has_answered(
+    bus_server: BusAddress,
+) -> None:
+    with Bus(bus_server, name="test") as bus:
+        pid = freeze(bus)
+        bus.publish({"k": b"1"})
+        assert not bus.catch_up()
+        os.kill(pid, signal.SIGCONT)
+        wait_until(bus.catch_up)
+        assert not bus.is_late
+        assert bus.lost_writes == 0
+        assert bus.get("k") == b"1"
+
+
 def test_a_long_silence_of_the_writer_is_not_held_against_the_server(
     bus_server: BusAddress, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -81,7 +81,7 @@ def test_a_bad_motion_file(bus_home: Home, tmp_path: Path, name: str) -> None:
         (["up", COMMANDS_ONLY, "--set", "motion.pace=stat"], "pace: expected state or wall, got 'stat' (did you mean"),
         (["up", COMMANDS_ONLY, "--set", "motion.rate_hz=1"], "rate_hz is 1; expected 10 to 500 Hz"),
         (["up", COMMANDS_ONLY, "--set", "motion.loop={a"], "--set motion.loop={a: the value is not YAML"),
-        (["serve", "motin"], "unknown server 'motin' (did you mean 'motion'?); known: g1, gamepad, gello, keyboard"),
+        (["serve", "motin"], "unknown server 'motin' (did you mean 'motion'?); known: camera, cues, g1, gamepad"),
         (["serve", "motion"], "server motion (--list-keys shows its settings): missing key motion"),
         (["serve", "g1", "--set", "gate.hold_afer_s=1"], "unknown key 'hold_afer_s' (did you mean 'hold_after_s'?)"),
         (["keys", "action_body"], "no contract (did you mean 'action_body_unitree_g1_with_hands'?)"),

@@ -28,6 +28,7 @@ from tests.main_job.station_runs import ROOT
 from tests.waiting import DEADLINE_S, wait_until
 
 DEVICES = ["gamepad", "gello", "keyboard", "pico", "spacemouse"]
+CAMERAS = ["files", "mujoco", "uvc", "zmq"]
 PROBLEM = "lab arm at /dev/lab: permission denied; join the group lab"
 LAB = f"""
 from pathlib import Path
@@ -79,12 +80,14 @@ def test_a_device_is_registered_under_its_own_name_with_an_example(name: str) ->
 
 
 def test_the_list_says_what_reads_each_device_and_what_is_plugged_in(home: Home) -> None:
-    table, hint = words(home, "list").split("\n\n")
+    table, cameras, hint = words(home, "list").split("\n\n")
     rows = cells(table)
     assert list(rows) == DEVICES
     assert rows["keyboard"] == ["–", "any terminal", "keys of a terminal: discrete commands, short jogs"]
     assert rows["spacemouse"][0].startswith("hidapi ")
-    assert hint == "to try one without hardware: station devices fake DEVICE\n"
+    assert list(cells(cameras)) == CAMERAS
+    assert cells(cameras)["zmq"][1:] == ["–", "the picture stream of TWIST2's robot"]
+    assert hint.startswith("to try a device without hardware: station devices fake DEVICE\n")
 
 
 def test_the_list_knows_a_service_that_a_headset_may_send_to(home: Home) -> None:
@@ -94,15 +97,16 @@ def test_the_list_knows_a_service_that_a_headset_may_send_to(home: Home) -> None
             service.bind(("127.0.0.1", DEFAULT_PORT))
             service.listen()
         found = {each["device"]: each for each in home.json("devices", "list")}
-    assert list(found) == DEVICES
+    assert list(found) == DEVICES + CAMERAS
+    assert [name for name, each in found.items() if each["role"] == "camera"] == CAMERAS
     assert found["pico"]["plugged_in"] == [f"PC service at 127.0.0.1:{DEFAULT_PORT}"]
     assert found["pico"]["library"] == "xrobotoolkit-sdk"
     assert found["keyboard"]["version"] is None
-    assert {each["problem"] for each in found.values()} == {""}
+    assert {each["problem"] for each in found.values() if each["role"] == "device"} == {""}
 
 
 def test_a_device_that_may_not_be_read_and_a_library_that_is_missing_are_told_with_what_to_do(lab: Home) -> None:
-    table, problem, install, _ = words(lab, "list").split("\n\n")
+    table, _, problem, install, _ = words(lab, "list").split("\n\n")
     assert cells(table)["lab-arm"][1:] == ["cannot tell", "an arm"]
     assert cells(table)["lab-hand"] == ["no no-such-package", "cannot tell", "an arm"]
     assert problem == f"lab-arm: {PROBLEM}", "what lacks its library is told of that alone"
@@ -172,6 +176,19 @@ def test_buttons_are_shown_with_what_a_file_changes(home: Home, tmp_path: Path) 
     assert list(every) == ["gamepad", "keyboard", "pico", "spacemouse"]
     assert every["keyboard"]["exit"] == ["key_q"]
     assert every["spacemouse"]["mark"] == []
+
+
+def test_voices_are_listed_with_what_each_lacks_and_can_be_heard(home: Home, tmp_path: Path) -> None:
+    home.environment |= {"SDL_AUDIODRIVER": "alsa", "ALSA_CONFIG_PATH": "/nowhere", "PATH": str(tmp_path)}
+    table, speech, tones, hint = words(home, "voices").split("\n\n")
+    assert {name: row[0] for name, row in cells(table).items()} == {"speech": "no", "tones": "no", "wav": "yes"}
+    assert speech.startswith("speech: no program to speak with: none of espeak-ng")
+    assert tones.startswith("tones: no sound output (")
+    assert hint.startswith("to hear one: station devices voices VOICE")
+    assert words(home, "voices", "wav", "--words", "good morning", "--set", f"file={tmp_path}/a.wav") == ""
+    assert (tmp_path / "a.txt").read_text().endswith("\tgood morning\n")
+    found = home.json("devices", "voices")
+    assert [each["voice"] for each in found if each["missing"]] == ["speech", "tones"]
 
 
 NAMES = ("base", "elbow")
@@ -255,10 +272,13 @@ def test_a_calibration_that_is_given_up_leaves_the_one_before(home: Home, leader
         (["fake", "gamepad", "--play", "none.json"], 2, "none.json: cannot be read: No such file or directory"),
         (["fake", "gello", "--play", "GAMEPAD"], 2, "is a script of a fake 'gamepad'; expected one of 'gello'"),
         (["fake", "pico", "--play", "GAMEPAD"], 2, "device: invalid enum value 'gamepad'"),
+        (["voices", "horn"], 2, "unknown voice 'horn'; known: speech, tones, wav"),
+        (["voices", "wav", "--set", "fiel=x"], 2, "voice wav: unknown key 'fiel' (did you mean 'file'?)"),
+        (["voices", "speech", "--set", "program=sing"], 2, "program is 'sing'; expected one of espeak-ng"),
         (["buttons", "pco"], 2, "unknown device 'pco'"),
         (["buttons", "--map", "mine.yaml"], 2, "devices buttons --map: name the device"),
         (["buttons", "pico", "--map", "none.yaml"], 2, "none.yaml: no such file"),
-        (["calibrate", "pico"], 2, "unknown `station devices calibrate` command 'pico'; known: gello"),
+        (["calibrate", "keyboard"], 2, "unknown `station devices calibrate` command 'keyboard'; known: gello, pico"),
         (["calibrate", "gello", "--joints", "a"], 2, "Missing option '--arm'"),
         (["calibrate", "gello", "--arm", "left", "--joints", "a,,b"], 2, "--joints: expected different names"),
         (["calibrate", "gello", "--arm", "left", "--joints", "a,b", "--pose-deg", "0"], 1, "1 numbers of the pose for"),

@@ -159,6 +159,8 @@ def tick(
     phase: str = "playing",
     age_s: float = 0.004,
     slow_s: float = 0.0,
+    is_commanded: bool = True,
+    commander: str = "motion",
 ) -> None:
     """One step of the motion server and the G1 server: command, state, then what the policy did.
 
@@ -171,14 +173,17 @@ def tick(
         gate, phase: State of the gate and of the motion.
         age_s: How long before the state was read the command was written [s].
         slow_s: How much longer than 3 ms the inference takes [s].
+        is_commanded: Whether there is a command; without, the policy uses the last one it saw.
+        commander: Server that writes the commands.
     """
     wanted = command(q, height=height) if asked is None else asked
     source = {"file": "walk.pkl", "frame": number, "phase": phase}
-    builder.write(
-        {keys.action_body(): codec.json_vector(wanted), keys.command_source(ROBOT): json.dumps(source).encode()},
-        at_s=at_s - age_s,
-        writer="motion",
-    )
+    if is_commanded:
+        builder.write(
+            {keys.action_body(): codec.json_vector(wanted), keys.command_source(ROBOT): json.dumps(source).encode()},
+            at_s=at_s - age_s,
+            writer=commander,
+        )
     measured = np.concatenate([q, np.zeros(29), quat, np.zeros(3)])
     builder.write(
         {

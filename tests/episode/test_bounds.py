@@ -8,16 +8,18 @@ import tracemalloc
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 from mcap.records import ChunkIndex
 
 from station.bus import keys
 from station.bus.tap import Write
+from station.episode import chunks
 from station.episode.anchor import take_anchor
 from station.episode.answers import Answers
 from station.episode.closing import close_manifest
-from station.episode.manifest import MAX_STREAMS, Manifest, Timing, dump_manifest, parse_manifest
+from station.episode.manifest import MAX_STREAMS, Manifest, Timing, dump_manifest, note_recovery, parse_manifest
 from station.episode.options import RecordingOptions
-from station.episode.progress import Totals
+from station.episode.progress import Totals, WriterOptions
 from station.episode.reader import open_episode
 from station.episode.recording import Recording
 from station.episode.request import RecordAnswer
@@ -26,6 +28,7 @@ from station.episode.tail import Index
 from station.episode.take import Take
 from station.episode.writer import EpisodeWriter
 from tests.episode.writes import Native, foreign
+from tests.waiting import wait_until
 
 
 def writer_in(folder: Path) -> tuple[EpisodeWriter, Manifest]:
@@ -106,8 +109,59 @@ def test_a_bus_that_comes_and_goes_without_end_leaves_one_long_last_hole(tmp_pat
         take.hole(start_ns + second * 1_000_000_000, start_ns + (second + 1) * 1_000_000_000, "gone")
     assert len(manifest.holes) == 1_000
     assert (manifest.holes[-1].from_s, manifest.holes[-1].to_s) == (999.0, 1500.0)
+    assert (manifest.holes_not_listed, take.summary()["holes"]) == (500, 1_500)
     writer.finish(lambda _: manifest)
     assert writer.wait(60.0)
+
+
+def test_a_recorder_that_is_killed_without_end_leaves_the_newest_notes_and_a_count() -> None:
+    manifest = Manifest()
+    for number in range(1_200):
+        note_recovery(manifest, {"kind": "resumed", "away_s": number})
+    found = parse_manifest(dump_manifest(manifest), "it")
+    assert (len(found.recovery), found.recovery_not_listed) == (500, 700)
+    assert found.recovery[-1]["away_s"] == 1_199
+
+
+def test_taps_that_change_without_end_are_told_with_the_first_and_the_last(tmp_path: Path) -> None:
+    recording = Recording(RecordingOptions(data=tmp_path), backend="replication", is_lossless=True)
+    cli = Native("record")
+    recording.feed([cli.request("start", "r1")])
+    for _ in range(500):
+        recording.retapped("notifications", is_lossless=False)
+        recording.retapped("replication", is_lossless=True)
+    take = recording._take
+    assert take is not None
+    told = take.manifest.recorder.backend
+    assert told.startswith("replication, then notifications, then ")
+    assert told.endswith("…, then replication")
+    assert len(told) < 300
+    assert not take.manifest.recorder.is_lossless
+    recording.close()
+
+
+def test_an_index_that_grows_large_is_read_from_the_file_at_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(chunks, "_LARGEST_INDEX", 5_000)
+    anchor = take_anchor()
+    manifest = Manifest(episode_id=tmp_path.name, timing=Timing(anchor=anchor))
+    writer = EpisodeWriter(tmp_path, anchor=anchor, manifest=manifest, options=WriterOptions(flush_bytes=5_000))
+    for number in range(200):
+        writer.put([foreign(f"key{number % 20}", bytes(100))] * 100)  # more than a flush
+    wait_until(lambda: writer.queued == 0)
+    signals = writer._signals
+    assert signals is not None
+    wait_until(lambda: not signals._writer.is_indexed)
+    assert signals._writer._index.size == 0
+    writer.finish(lambda _: manifest)
+    assert writer.wait(60.0)
+    with (tmp_path / "signals.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == 20_000
+    assert len(open_episode(tmp_path).topics()) == 20
 
 
 def test_megabytes_are_not_parsed_to_learn_what_they_are(tmp_path: Path) -> None:

@@ -10,13 +10,17 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from station.bus import codec, keys
+from station.episode import quality_rules
 from station.episode.check import check, write_measured
 from station.episode.manifest import load_manifest
-from station.episode.quality import Limits, Quality
+from station.episode.quality import Quality
+from station.episode.quality_rules import LeastShare
 from station.episode.reader import open_episode
 from station.episode.rules import RULES
+from station.episode.sensed_rules import SENSED
 from station.errors import EpisodeError
 from tests.episode.synthetic import ROBOT, STANDING, EpisodeBuilder, command, tick, walk
 
@@ -250,6 +254,15 @@ def _event(name: str) -> Callable[[EpisodeBuilder], None]:
     return fill
 
 
+def _end_commands(builder: EpisodeBuilder) -> None:
+    walk(builder, seconds=1.0)
+    builder.event("teleop-commands-end", at_s=1.09, source="motion", reason="away")
+    for number in range(50, 100):
+        tick(builder, number, at_s=0.1 + number / 50, gate="waiting", is_commanded=False)
+    for number in range(100, 150):
+        tick(builder, number, at_s=0.1 + number / 50)
+
+
 def _plain(**options: Any) -> Callable[[EpisodeBuilder], None]:
     return lambda builder: walk(builder, **{**FAST, **options})
 
@@ -289,6 +302,7 @@ CASES: dict[str, tuple[Callable[[EpisodeBuilder], None], dict[str, Any], str]] =
     "estop": (_event("estop"), {}, "reject"),
     "no-steps": (_only_events, {}, "usable"),
     "never-tracked": (_plain(gate="waiting"), {}, "reject"),
+    "commands-ended": (_end_commands, {}, "usable"),
     "interrupted": (lambda builder: _interrupt(builder, 10), {}, "usable"),
     "old-command": (_plain(age_s=0.15), {}, "usable"),
     "poor-tracking": (_plain(asked=command(STANDING + 0.2)), {}, "usable"),
@@ -341,10 +355,13 @@ def test_unfinished_file_is_rejected(builder: EpisodeBuilder) -> None:
 
 
 def test_every_rule_has_a_case() -> None:
-    assert set(RULES) == set(CASES) | {"torn", "unfinished"}
+    assert set(RULES) == set(CASES) | {"torn", "unfinished", "dropped-images"} | set(
+        SENSED
+    )  # test_motion_quality has these
 
 
 def test_limits_can_be_changed(builder: EpisodeBuilder) -> None:
     walk(builder, rate_hz=30.0, **FAST)
     reader = open_episode(builder.finish())
-    assert check(reader, Limits(rate_share=0.5)).verdict == "good"
+    limits = replace(quality_rules.shipped().limits, slow=LeastShare(verdict="usable", below_share=0.5))
+    assert check(reader, quality_rules.RuleBook(limits, ())).verdict == "good"

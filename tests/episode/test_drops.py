@@ -83,8 +83,8 @@ def test_dropped_images_are_counted_per_key_in_file_and_manifest_and_are_not_cal
     (found,) = (stream for stream in quality.streams if stream.key == "camera_left")
     assert (found.lost, found.dropped) == (0, dropped - 1)
     said = {reason.rule: (reason.verdict, reason.text) for reason in quality.reasons}
-    assert said["dropped"][0] == "usable"
-    assert f"dropped {dropped} images" in said["dropped"][1]
+    assert said["dropped-images"][0] == "usable"
+    assert f"dropped {dropped} images" in said["dropped-images"][1]
     assert "lost" not in said
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from station.cli.report import print_quality
+from station.cli.quality import print_quality
 from station.episode.check import check
 from station.episode.quality import Interruption, Quality
 from station.episode.reader import open_episode

@@ -7,9 +7,11 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
+from servers.g1 import G1Config
 from station.bus import codec, keys
 from station.bus.connection import Connection
 from station.episode.reader import open_episode
+from station.life.server import HEARTBEAT_S, Health, read_health
 from tests.cli.running import Home, are_gone, new_home
 from tests.faults.moving_station import MovingStation
 from tests.faults.onlooker import ROBOT, Onlooker, Step
@@ -55,6 +57,36 @@ def stays_stopped(station: MovingStation, act: Callable[[], object]) -> bool:
     act()
     station.wait_s(0.5)
     return all(step.damped and step.gate == "stopped" for step in station.onlooker.since(since_ns))
+
+
+def test_a_restarted_bus_is_told_again_so_a_robot_that_starts_only_then_is_stopped_too(tmp_path: Path) -> None:
+    with MovingStation(tmp_path, record=False) as station:
+        station.play("builtin:wave")
+        since_ns = time.monotonic_ns()
+        station.bus.publish({keys.ESTOP: b'{"stop": true, "reason": "somebody came near"}'})
+        station.wait_for_gate("stopped", since_ns)
+        station.kill_bus()
+        station.start_bus()
+        wait_until(lambda: (station.bus.get(keys.ESTOP) or b"").count(b"somebody came near"))
+        station.supervisor.spawn("g1-later", G1Config(physics_dt_s=0.002), server="g1")
+        station.supervisor.activate("g1-later")
+        wait_until(lambda: gate_of(station, "g1-later") == "stopped", 60)
+        station.bus.publish({keys.ESTOP: b'{"stop": false}'})
+        wait_until(lambda: "stopped" not in (gate_of(station, "g1"), gate_of(station, "g1-later")))
+        station.kill_bus()
+        station.start_bus()
+        wait_until(lambda: all(health_of(station, name) for name in ("g1", "g1-later")))
+        station.wait_s(2 * HEARTBEAT_S)
+        assert station.bus.get(keys.ESTOP) is None, "what was released is not said again"
+
+
+def health_of(station: MovingStation, name: str) -> Health | None:
+    return next((health for health in read_health(station.bus) if health.name == name and health.is_alive), None)
+
+
+def gate_of(station: MovingStation, name: str) -> str:
+    health = health_of(station, name)
+    return str(health.detail.get("gate", "")) if health is not None else ""
 
 
 def assert_recorded(folder: Path) -> None:

@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
+import os
+import signal
+from pathlib import Path
+
 import pytest
 
-from station.life.estop import read
+from station.bus import keys
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.bus.keeper import KeptServer
+from station.bus.server_options import ServerOptions
+from station.life.estop import read, restate
+from station.life.stop_memory import StopMemory
+from tests.faults.bus_station import soon
 
 
 @pytest.mark.parametrize("data", [b"", b"0", b" 0\n", b'{"stop": false}', b'{"stop": false, "who": "anna"}'])
@@ -30,3 +41,37 @@ def test_arming_is_asked_for_only_with_a_reset() -> None:
     assert not read(b'{"stop": true, "arm": true}').arm
     assert not read(b'{"stop": false, "arm": "yes"}').arm
     assert not read(b"0").arm
+
+
+@pytest.mark.parametrize("value", [b'{"stop": false}', b"0", b"", b"1"])
+def test_what_anybody_has_written_since_is_never_overwritten_by_a_stop_that_is_said_again(
+    bus_server: BusAddress, value: bytes
+) -> None:
+    with Bus(bus_server, name="g1", timeout_s=5.0) as bus:
+        bus.call("SET", keys.ESTOP, value)
+        assert not restate(bus, "somebody came near", "g1")
+        assert bus.get(keys.ESTOP) == value
+        bus.call("DEL", keys.ESTOP)
+        assert restate(bus, "somebody came near", "g1")
+        request = read(bus.get(keys.ESTOP) or b"")
+        assert (request.stop, request.reason) == (True, "somebody came near")
+
+
+def test_a_station_says_a_stop_again_that_its_bus_has_forgotten_and_a_released_one_never(tmp_path: Path) -> None:
+    options = ServerOptions(folder=tmp_path, socket=tmp_path / "bus.sock")
+    with (
+        KeptServer.start(options) as kept,
+        Bus(kept.address, name="supervisor", timeout_s=1.0) as bus,
+        StopMemory(bus, "supervisor") as memory,
+    ):
+        bus.publish({keys.ESTOP: b'{"stop": true, "reason": "smoke"}'})
+        soon(lambda: memory.is_stopped)
+        os.kill(kept.pid, signal.SIGKILL)
+        soon(lambda: memory.look() == "smoke")
+        assert read(bus.get(keys.ESTOP) or b"").reason == "smoke"
+        bus.publish({keys.ESTOP: b'{"stop": false}'})
+        soon(lambda: not memory.is_stopped)
+        os.kill(kept.pid, signal.SIGKILL)
+        soon(lambda: memory.has_forgetful_bus)
+        assert memory.look() == ""
+        soon(lambda: bus.call("EXISTS", keys.ESTOP) == 0)

@@ -66,6 +66,20 @@ def test_what_moves_a_robot_asks_before_it_starts_again_and_a_recorder_does_not_
     assert load(tmp_path, GOOD).servers[0].if_it_dies == "ask"
 
 
+def test_several_servers_of_a_kind_have_names_of_their_own(tmp_path: Path) -> None:
+    head_and_wrist = (
+        "- start: head\n    server: camera\n    with: {source: mujoco}\n  - start: wrist\n    server: camera"
+    )
+    book = load(tmp_path, GOOD.replace("- note", f"{head_and_wrist}\n  - note"), "wrist.fps=15")
+    _, head, wrist = book.servers
+    assert [(step.start, step.kind.name) for step in (head, wrist)] == [("head", "camera"), ("wrist", "camera")]
+    assert [str(step) for step in (head, wrist)] == [
+        "start head (camera) source=mujoco",
+        "start wrist (camera) fps=15.0",
+    ]
+    assert book.stop_order == ("motion", "wrist", "head")
+
+
 def test_set_options_change_a_servers_configuration(tmp_path: Path) -> None:
     book = load(tmp_path, GOOD, "motion.motion=b.pkl", "motion.loop=true")
     assert book.servers[0].config == MotionConfig(motion="b.pkl", rate_hz=25.0, loop=True)
@@ -75,6 +89,8 @@ def test_set_options_change_a_servers_configuration(tmp_path: Path) -> None:
     ("old", "new", "message"),
     [
         ("- start: motion", "- start: moton", "unknown server 'moton' (did you mean 'motion'?)"),
+        ("- start: motion", "- start: moves\n    server: moton", "unknown server 'moton' (did you mean 'motion'?)"),
+        ("- start: motion", "- start: a/b\n    server: motion", "start: expected a name of letters, digits, - and _"),
         ("- confirm:", "- arm: motion\n  - confirm:", "step 2: arm motion: no step before it starts that server"),
         ("- note:", "- arm: moton\n  - note:", "step 4: arm moton (did you mean 'motion'?): no step before it starts"),
         ("- note:", "- arm: motion\n    wihin: 1s\n  - note:", "unknown key 'wihin' (did you mean 'within'?)"),

@@ -8,10 +8,11 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from station.bus import keys
@@ -23,7 +24,7 @@ from station.errors import BusError, ConfigError, Refused
 from station.life import events, runbook
 from station.life.event_feed import EventFeed
 from station.life.events import Severity
-from station.life.server import Health, read_health
+from station.life.server import Health, Life, ServerKind, read_health
 from station.life.session import Recording, Session
 from station.life.supervisor import Supervisor
 from tests.waiting import wait_until
@@ -32,6 +33,7 @@ HEAD = "runbook: t\nrobot: unitree_g1_with_hands\n"
 ASK = "  - confirm: Nobody stands there.\n"
 RECORDER = "  - start: recorder\n"
 MOTION = "  - start: motion\n    with: {motion: 'builtin:wave', loop: true, enter_s: 0.1, leave_s: 0.1}\n"
+KIND = ServerKind(name="a", role="command", summary="", config=msgspec.Struct, main=lambda _config, _life: 0)
 QUICK = HEAD + "steps:\n" + ASK + RECORDER + MOTION
 
 
@@ -302,6 +304,25 @@ def _is_written(bus: Bus) -> bool:
     with suppress(BusError):
         return bus.get(keys.action_body()) is not None
     return False
+
+
+def test_a_feed_misses_no_event_however_fast_several_servers_speak(bus_server: BusAddress) -> None:
+    with ExitStack() as stack:
+        lines = {name: stack.enter_context(Bus(bus_server, name=name)) for name in ("a", "b", "c", "d")}
+        lives = {name: Life(KIND, name, line, "") for name, line in lines.items()}
+        lives["a"].event("from before")
+        wait_until(lambda: any(health.events for health in read_health(lines["a"])))
+        feed = stack.enter_context(EventFeed(lines["a"]))
+        said = [(name, f"{name}-{number}") for number in range(20) for name in lives]
+        for name, event in said:
+            lives[name].event(event)
+        found: list[tuple[str, str]] = []
+        wait_until(lambda: found.extend((event.source, event.name) for event in feed.take()) or len(found) >= len(said))
+        for life in lives.values():
+            life.end("over")
+        wait_until(lambda: all(health.state == "finalized" for health in read_health(lines["a"])))
+        found.extend((event.source, event.name) for event in feed.take())
+        assert sorted(found) == sorted(said)
 
 
 def test_a_feed_yields_each_event_once_and_survives_junk(bus_server: BusAddress) -> None:

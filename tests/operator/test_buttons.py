@@ -71,6 +71,18 @@ def test_a_take_can_be_kept_thrown_away_marked_and_begun_anew_from_the_controlle
         assert {gesture.kind for action in ("discard", "rerecord") for gesture in gestures[action]} == {"hold"}
 
 
+@pytest.mark.parametrize("device", ["pico", "gamepad", "keyboard"])
+def test_nobody_arms_by_accident_and_one_press_disarms_at_once(device: str) -> None:
+    gestures = button_map(device).gestures
+    (arm,), (disarm,) = gestures["arm"], gestures["disarm"]
+    hands = Hands(device)
+    for control in arm.controls:
+        assert "arm" not in hands.press(control, seconds=HOLD_S + 1.0) + hands.release()
+    assert hands.press(*arm.controls, seconds=HOLD_S + 0.1) == ["arm"]
+    hands.release()
+    assert hands.press(*disarm.controls) == ["disarm"]
+
+
 def test_what_was_down_before_anybody_looked_acts_only_after_a_release() -> None:
     buttons = Buttons(button_map("pico"))
     for _ in range(10):
@@ -152,7 +164,7 @@ def test_the_table_shows_gestures_as_they_are_written() -> None:
             "my.yaml: mark: a pico has no control 'right_secondry' (did you mean 'right_secon",
         ),
         ({"mark": "left_primary"}, "my.yaml: mark: 'left_primary' means exit (a default) already; bind one of them"),
-        ({"mark": "left_menu", "exit": "left_menu"}, "my.yaml: mark: 'left_menu' means exit already"),
+        ({"mark": "right_menu", "exit": "right_menu"}, "my.yaml: mark: 'right_menu' means exit already"),
         ({"mark": "hold left_stick_click"}, "my.yaml: estop: 'left_stick_click' would act late"),
         ({"estop": "hold left_menu"}, "my.yaml: estop: 'hold left_menu' would act late"),
         ({"mark": 3}, "my.yaml: mark: expected a control, 'hold CONTROL', controls joined by '+'"),
@@ -175,9 +187,9 @@ def test_a_gamepad_has_no_grips() -> None:
 
 def test_a_file_changes_what_it_names_and_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "buttons.yaml"
-    path.write_text("exit: [left_menu, hold left_primary]\nmark: none\nrecord: left_grip + left_secondary\n")
+    path.write_text("exit: [right_menu, hold left_primary]\nmark: none\nrecord: left_grip + left_secondary\n")
     rows = {action: gestures for action, gestures, _ in load("pico", path).table()}
-    assert (rows["exit"], rows["mark"]) == ("left_menu, hold left_primary", "-")
+    assert (rows["exit"], rows["mark"]) == ("right_menu, hold left_primary", "-")
     assert (rows["record"], rows["start_pause"]) == ("left_grip+left_secondary", "right_primary")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from station import registry
+from station.bus import keys
 from station.operator.leaving import COMES_TO_REST_S, Leaving
 
 FORM = registry.find("command", "twist2")
@@ -32,3 +33,16 @@ def test_what_never_rests_is_not_waited_for_for_ever() -> None:
     for _ in range(round((COMES_TO_REST_S + 2.0) / DT_S) + 2):
         leaving.step(moving, DT_S, is_still=False)
     assert leaving.is_done
+
+
+def test_the_neck_goes_along_to_its_default_and_hands_keep_what_they_hold() -> None:
+    leaving, held = Leaving(FORM, 2.0), FORM.default + 0.3
+    beside = {keys.action_neck(): np.array([0.6, -0.4]), keys.action_hand("left"): np.ones(7)}
+    necks = []
+    while not leaving.is_done:
+        leaving.step(held, DT_S, is_still=True)
+        found = leaving.companions(beside)
+        necks.append(found[keys.action_neck()])
+        assert found[keys.action_hand("left")] is beside[keys.action_hand("left")]
+    assert np.abs(necks[-1]).max() < 1e-12
+    assert np.abs(np.diff([beside[keys.action_neck()], *necks], axis=0)).max() < 0.02

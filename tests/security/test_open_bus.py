@@ -193,7 +193,7 @@ def test_acl_command_prints_hashes_and_leaves_the_passwords_in_a_closed_file(tmp
     done = _acl("--passwords", str(file))
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
     passwords = [line.split()[1] for line in file.read_text().splitlines()]
-    assert len(passwords) == 6
+    assert len(passwords) == 7
     assert not [word for word in passwords if word in done.stdout + done.stderr]
     assert done.stdout.startswith("user default reset off\n")
     assert "PASSWORD-OF-command" in _acl().stdout

@@ -42,6 +42,7 @@ class OperatedStation:
         faults: Of the script.
         motion: What the fake operator does.
         record: Whether there is a recorder.
+        start_armed: Whether the robot starts armed.
         teleop: Settings of the teleoperation server.
     """
 
@@ -53,6 +54,7 @@ class OperatedStation:
         *,
         motion: str = "builtin:wave",
         record: bool = False,
+        start_armed: bool = True,
         **teleop: Any,
     ) -> None:
         self.data = folder / "data"
@@ -64,7 +66,7 @@ class OperatedStation:
         self.log = Log(self.server.address)
         self.supervisor = Supervisor(self.bus, folder / "logs")
         try:
-            self._start("g1", G1Config(physics_dt_s=0.002, real_time_priority=0))
+            self._start("g1", G1Config(physics_dt_s=0.002, real_time_priority=0, start_armed=start_armed))
             if record:
                 self._start("recorder", RecorderConfig(data=self.data, min_free_mb=0))
             self._start("teleop", TeleopConfig(device="pico", **teleop))
@@ -82,6 +84,11 @@ class OperatedStation:
         """Wait until something was told so often; return the event."""
         wait_until(lambda: len(self.told(name)) >= count, TIMEOUT_S)
         return self.told(name)[count - 1]
+
+    def why_not(self) -> str:
+        """Return what the status line says of why nobody drives; "" where nothing is known."""
+        health = self.supervisor.health("teleop")
+        return str(health.detail.get("why_not", "")) if health is not None else ""
 
     def wait_for_gate(self, state: str) -> None:
         """Wait until the gate is in a state."""

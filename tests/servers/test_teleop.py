@@ -12,11 +12,16 @@ from servers.teleop import TeleopConfig
 from station import config, registry
 from station.bus import codec, keys
 from station.bus.address import BusAddress
+from station.bus.client import Bus
 from station.episode.check import check
 from station.episode.reader import open_episode
 from station.errors import ConfigError
+from station.life.arming import RAMP_S
+from station.life.server import Life
 from station.life.stop_button import StopButton
-from tests.servers.g1_station import ROBOT
+from station.operator.buttons import HOLD_S
+from station.operator.requests import ArmButtons
+from tests.servers.g1_station import ROBOT, logged
 from tests.servers.operated_station import OperatedStation
 from tests.waiting import wait_until
 
@@ -105,6 +110,46 @@ def test_stop_button_latches_and_only_a_new_press_moves_the_robot_after_it(tmp_p
         station.wait_for("operator-engaged", 2)
         station.wait_for_gate("tracking")
         assert station.restarts_at_engaging()[-1] <= SAME
+
+
+def test_buttons_arm_and_disarm_a_robot_and_a_refusal_is_told_in_event_and_status_line(tmp_path: Path) -> None:
+    def squeeze(at_s: float) -> dict[str, Any]:
+        every = {f"{side}_{what}": 1.0 for side in ("left", "right") for what in ("trigger", "grip")}
+        return {"at_s": at_s, "set": every, "for_s": HOLD_S + 0.6}
+
+    controls = [
+        press(1, A),
+        squeeze(3),
+        press(9, A),
+        press(13, "left_menu"),
+        press(15, "left_stick_click"),
+        squeeze(17),
+    ]
+    with OperatedStation(tmp_path, controls, start_armed=False) as station:
+        assert station.wait_for("operator-refused").detail["reason"] == "the robot is disarmed"
+        wait_until(lambda: "hold left_grip+left_trigger+right_grip+right_trigger to arm" in station.why_not())
+        assert "button of pico" in station.wait_for("arming").detail["who"]
+        assert (station.wait_for("armed").wall_ns - station.told("arming")[0].wall_ns) * 1e-9 > 0.9 * RAMP_S
+        station.wait_for("operator-engaged")
+        station.wait_for_gate("tracking")
+        station.wait_for("disarmed")
+        assert station.wait_for("operator-disengaged").detail["reason"] == "disarmed"
+        assert station.log.gate()["arming"] == "disarmed"
+        refused = station.wait_for("arm-refused")
+        assert "the emergency stop is latched (" in refused.detail["reason"]
+        wait_until(lambda: refused.detail["reason"] in station.why_not())
+        assert not station.told("operator-arm-failed")
+        assert station.restarts_at_engaging() == [0.0]
+
+
+def test_an_arm_button_that_nobody_answers_is_told(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="teleop") as line, logged(bus_server) as log:
+        life = Life(registry.find("server", "teleop"), "teleop", line, "")
+        buttons = ArmButtons(life, ROBOT, "pico")
+        buttons.press("arm")
+        wait_until(lambda: log.events("operator-arm-failed"))
+        wait_until(lambda: buttons.refusal.startswith("no low-level server runs on"))
+        life.end("over")
 
 
 def test_buttons_record_mark_and_begin_anew(tmp_path: Path) -> None:

@@ -60,10 +60,10 @@ def play(bus: Bus, *, tilt_rad: float = 0.1, phase: str = "playing") -> None:
     )
 
 
-def shown(progress: Progress, step: str = "") -> str:
+def shown(progress: Progress, step: str = "", died: dict[str, str] | None = None) -> str:
     console = Console(width=100, record=True, file=open(os.devnull, "w"))  # noqa: SIM115  closed with the process
     with console.capture() as captured:
-        console.print(progress_panel.panel(progress, NAMES, step))
+        console.print(progress_panel.panel(progress, NAMES, step, died))
     console.file.close()
     return captured.get()
 
@@ -118,6 +118,13 @@ def test_while_servers_come_up_their_states_are_shown(bus: Bus) -> None:
     text = shown(seen, step="start g1")
     assert "start g1" in text
     assert "g1 loading   recorder starting   motion ready" in text
+
+
+def test_a_server_that_died_is_not_said_to_be_starting(bus: Bus) -> None:
+    say(bus, "g1", "active")
+    text = shown(ProgressReader(bus, NAMES).look(), died={"motion": "was killed by SIGKILL"})
+    assert "g1 running   recorder starting   motion died" in text
+    assert "died: was killed by SIGKILL" in text
 
 
 def test_what_is_on_the_bus_of_others_is_not_shown(bus: Bus) -> None:

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import msgspec
 
@@ -110,11 +110,6 @@ def _check_times(path: Path, steps: tuple[S, ...], period_s: float | None) -> No
         raise BadFile(f"{path}: period_s is {period_s:g}; expected more than {last_s:g} s, the time of the last step")
 
 
-def began() -> dict[str, Any]:
-    """Return what a manifest says of a script that begins now: since when it is played, on the wall clock [ns]."""
-    return {"fake_began_wall_ns": time.time_ns()}
-
-
 class Play(Generic[S]):
     """Plays a script.
 
@@ -140,6 +135,10 @@ class Play(Generic[S]):
         if self._began_s is None:
             self._began_s = now_s
         return now_s - self._began_s
+
+    def begin(self, start_s: float = 0.0) -> None:
+        """Take the first look, at a time of the script [s] that need not be its beginning."""
+        self._began_s = self._clock() - start_s
 
     def due(self, until_s: float) -> Iterator[tuple[float, S]]:
         """Yield, once, each step up to a time since the first look, with its own time [s]."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from adapters.devices.pico.headset import DEFAULT_PORT
 from station.operator.device import DeviceKind
+from station.operator.measure import OperatorMeasure
 
 _HOST = "127.0.0.1"
 _LOOK_S = 0.2
@@ -28,6 +29,12 @@ def _play(file: Path, port: int | None) -> None:
     run_for_person(file, DEFAULT_PORT if port is None else port)
 
 
+def _measure() -> OperatorMeasure:
+    from adapters.retarget.operators import BodyMeasure
+
+    return BodyMeasure()
+
+
 KIND = DeviceKind(
     name="pico",
     about="headset, controllers, body and hands",
@@ -37,4 +44,5 @@ KIND = DeviceKind(
     plugged_in=_plugged_in,
     play=_play,
     port=DEFAULT_PORT,
+    measure=_measure,
 )

@@ -17,6 +17,9 @@ PROBE = keys.TAP_PROBE.encode()
 CALL_TIMEOUT_S = 2.0  # answers to set-up requests; a tap is not part of a control loop
 _PROBE_LIFE_MS = 10_000
 
+MOST_KEYS = 20_000
+"""Keys that a tap remembers where it has to; a client that invents keys must not fill the memory. A station has 100."""
+
 
 class Write(NamedTuple):
     """One write as the bus saw it.
@@ -56,11 +59,18 @@ class Tap(Protocol):
         backend: How it listens.
         is_lossless: Whether every single write arrives; else a value may be overwritten before it is read.
         resumed: None when no resumption was asked for; True when it goes on without a hole, False when there is one.
+        is_catching_up: Whether what `read` returns was written long before, while no tap was there.
     """
 
     backend: Backend
     is_lossless: bool
     resumed: bool | None
+    is_catching_up: bool
+
+    @property
+    def not_mirrored(self) -> int:
+        """How many changes of keys so far it knows of and cannot show."""
+        ...
 
     def read(self, timeout_s: float) -> list[Write]:
         """Return what arrived, in the order of the bus; empty when nothing came in time.
@@ -68,6 +78,10 @@ class Tap(Protocol):
         Raises:
             BusError: the link is lost; open another tap, with `position` where there is one.
         """
+        ...
+
+    def may_wait(self) -> bool:
+        """Whether nothing would be lost if what comes were read a little later."""
         ...
 
     def position(self) -> Position | None:

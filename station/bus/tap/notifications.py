@@ -6,13 +6,27 @@ native writers tell afterwards how many are missing.
 
 from __future__ import annotations
 
+import logging
 import time
+from typing import NamedTuple
 
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.connection import Connection, ConnectionLost
-from station.bus.tap.base import PROBE, Backend, Position, TapRefused, Write, connect, key_name, write_probe
+from station.bus.tap.base import (
+    MOST_KEYS,
+    PROBE,
+    Backend,
+    Position,
+    TapRefused,
+    Write,
+    connect,
+    key_name,
+    write_probe,
+)
 from station.errors import BusError
+
+log = logging.getLogger(__name__)
 
 NEEDED_EVENTS = "K$gx"  # keyspace channels; strings; generic (del, rename); expired
 _ARM_TIMEOUT_S = 2.0
@@ -21,8 +35,18 @@ _NO_CHANGE = frozenset((b"expire", b"persist"))
 _REMOVED = frozenset((b"del", b"expired", b"evicted", b"rename_from", b"move_from"))
 
 
+class _Delivered(NamedTuple):
+    """What was delivered of a key last: its value's hash in place of an image of 100 kB, and its stamp."""
+
+    value_hash: int
+    stamp: bytes | None
+
+
 class NotificationTap:
     """Writes by keyspace notification.
+
+    Of `MOST_KEYS` keys it remembers what it delivered. Beyond, those that were silent longest are forgotten, and the
+    next write of one may be delivered twice.
 
     Args:
         address: The bus; only its database is tapped.
@@ -31,16 +55,22 @@ class NotificationTap:
     Raises:
         TapRefused: the server sends no notifications to us.
         BusError: it cannot be reached.
+
+    Attributes:
+        forgotten: How often a key was forgotten.
     """
 
     backend: Backend = "notifications"
     is_lossless = False
+    is_catching_up = False
+    not_mirrored = 0
 
     def __init__(self, address: BusAddress, resume: Position | None = None) -> None:
         self.resumed = False if resume is not None else None
         self._address = address
         self._prefix = f"__keyspace@{address.db}__:".encode()
-        self._delivered: dict[bytes, tuple[bytes, bytes | None]] = {}
+        self.forgotten = 0
+        self._delivered: dict[bytes, _Delivered] = {}  # the newest last
         self._unstamped: set[bytes] = set()  # keys whose last notification was not followed by their stamp's, so far
         self._waiting: list[Write] = []
         self._checked_at = time.monotonic()
@@ -65,6 +95,10 @@ class NotificationTap:
             if time.monotonic() >= deadline:
                 break
         return writes
+
+    def may_wait(self) -> bool:
+        """Return False: what is not read at once is overwritten."""
+        return False
 
     def position(self) -> None:
         """Return None: what was missed cannot be asked for."""
@@ -134,6 +168,7 @@ class NotificationTap:
     def _forget(self, key: bytes) -> bool:
         """Forget a key that is gone; False for a stamp that was never delivered as a key of its own."""
         was_known = self._delivered.pop(key, None) is not None
+        self._unstamped.discard(key)
         return was_known or not keys.is_stamp(key_name(key))
 
     def _foreign(self, events: list[tuple[bytes, bytes]]) -> set[bytes]:
@@ -149,6 +184,8 @@ class NotificationTap:
             elif key in self._unstamped:
                 found.add(key)
             else:
+                if len(self._unstamped) >= MOST_KEYS:  # one foreign write over a native key may then pass for native
+                    self._unstamped.clear()
                 self._unstamped.add(key)
         return found
 
@@ -160,13 +197,21 @@ class NotificationTap:
         A value is often read before its notification has come; the notification then finds nothing new. A stamp that
         stands still while its key is written means that a foreign script overwrote a native key.
         """
-        known_value, known_stamp = self._delivered.get(key, (None, None))
-        self._delivered[key] = (value, stamp)
-        if stamp is None or stamp != known_stamp:
+        known, new = self._delivered.pop(key, None), _Delivered(hash(value), stamp)
+        self._delivered[key] = new
+        if known is None and len(self._delivered) > MOST_KEYS:
+            self._forget_oldest()
+        if stamp is None or known is None or stamp != known.stamp:
             return value, stamp
-        if value != known_value or is_foreign:
+        if new.value_hash != known.value_hash or is_foreign:
             return value, None
         return None
+
+    def _forget_oldest(self) -> None:
+        del self._delivered[next(iter(self._delivered))]
+        if not self.forgotten:
+            log.warning("more than %d keys: writes of those that are seldom written may be told twice", MOST_KEYS)
+        self.forgotten += 1
 
 
 def _owner(key: bytes) -> bytes:

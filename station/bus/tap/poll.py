@@ -6,11 +6,14 @@ foreign writer that repeats the same bytes is not seen at all.
 
 from __future__ import annotations
 
+import logging
 import time
 
 from station.bus.address import BusAddress
-from station.bus.tap.base import PROBE, Backend, Position, Write, connect, key_name, write_probe
+from station.bus.tap.base import MOST_KEYS, PROBE, Backend, Position, Write, connect, key_name, write_probe
 from station.errors import BusError
+
+log = logging.getLogger(__name__)
 
 RATE_HZ = 200.0
 _SCAN_PERIOD_S = 0.1  # how long a new key can stay unseen
@@ -23,6 +26,8 @@ _Content = tuple[bytes, bytes | None]  # value and stamp of a key
 class PollTap:
     """Writes by comparison.
 
+    It looks at `MOST_KEYS` keys at most, and keeps what they held last.
+
     Args:
         address: The bus; only its database is tapped.
         resume: A position cannot be honoured here: `resumed` is then False.
@@ -30,15 +35,20 @@ class PollTap:
 
     Raises:
         BusError: the bus cannot be reached, or may not be read.
+
+    Attributes:
+        not_mirrored: The most keys so far that there were beyond those that it looks at.
     """
 
     backend: Backend = "poll"
     is_lossless = False
+    is_catching_up = False
 
     def __init__(self, address: BusAddress, resume: Position | None = None, *, rate_hz: float = RATE_HZ) -> None:
         self.resumed = False if resume is not None else None
         self._address = address
         self._period_s = 1.0 / rate_hz
+        self.not_mirrored = 0
         self._keys: list[bytes] = []
         self._contents: dict[bytes, _Content] = {}
         self._waiting: list[Write] = []
@@ -62,6 +72,10 @@ class PollTap:
             if time.monotonic() >= deadline:
                 break
         return writes
+
+    def may_wait(self) -> bool:
+        """Return False: what is not read at once is overwritten."""
+        return False
 
     def position(self) -> None:
         """Return None: what was missed cannot be asked for."""
@@ -103,13 +117,27 @@ class PollTap:
         return writes
 
     def _scan(self) -> list[bytes]:
-        found: dict[bytes, None] = {}
-        cursor = b"0"
+        """Return the keys to look at: those that are known and still there, then new ones as long as there is room."""
+        known = {PROBE, *self._keys}
+        kept: dict[bytes, None] = {}
+        new: dict[bytes, None] = {}
+        beyond, cursor = 0, b"0"
         while True:
             cursor, page = self._connection.call("SCAN", cursor, "COUNT", _SCAN_COUNT)
-            found.update(dict.fromkeys(page))
+            for key in page:
+                if key in known:
+                    kept[key] = None
+                elif len(known) + len(new) < MOST_KEYS:
+                    new[key] = None
+                else:
+                    beyond += key not in new
             if cursor == b"0":
-                return list(found)
+                break
+        if beyond > self.not_mirrored:
+            if not self.not_mirrored:
+                log.warning("more than %d keys: writes of %d keys or more are not seen", MOST_KEYS, beyond)
+            self.not_mirrored = beyond
+        return [*kept, *new]
 
     def _fetch(self) -> dict[bytes, _Content]:
         """Return what every string key holds now; one request, so that a value and its stamp belong together."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 import time
-from collections import deque
 
 from station.bus.address import BusAddress
 from station.bus.connection import Connection, ConnectionLost
 from station.bus.tap.base import Backend, Position, Write, connect, write_probe
 from station.bus.tap.link import Link
+from station.bus.tap.server_lag import ServerLag
 from station.bus.tap.stream import Stream
 from station.errors import BusError
 
@@ -18,10 +18,14 @@ log = logging.getLogger(__name__)
 _ARM_TIMEOUT_S = 20.0  # without any progress; measured 0.01 to 0.06 s
 _DEFAULT_PING_PERIOD_S = 10
 _SHORTEST_SILENCE_S = 5.0
+_NEAR_BYTES = 1 << 20  # in 30 ms so much comes from three cameras, and a busy machine wakes a reader as late
 
 
 class ReplicationTap:
     """Every write, plain SETs of third parties included.
+
+    One that goes on where another was lost finds what was written meanwhile at the server, which keeps it until it is
+    read: nothing of it is gathered here.
 
     Args:
         address: The bus; only its database is tapped.
@@ -30,6 +34,9 @@ class ReplicationTap:
     Raises:
         TapRefused: the server does not let us be a replica.
         BusError: it cannot be reached, or the probe did not come back.
+
+    Attributes:
+        is_catching_up: Whether what `read` returns was written long before.
     """
 
     backend: Backend = "replication"
@@ -42,11 +49,17 @@ class ReplicationTap:
         selected = resume.db if resume is not None and resume.db is not None and self.resumed else address.db
         self._stream = Stream(db=address.db, offset=self._link.offset, selected_db=selected)
         self._consumed = self._place()
-        self._waiting: deque[tuple[list[Write], Position]] = deque()  # came while we were arming, each with its end
+        self._early: list[Write] = []  # came while we were arming
+        self._lag: ServerLag | None = None
+        self.is_catching_up = self.resumed is True
         try:
-            self._arm()
+            self._probe = self._write_probe()
+            if self.is_catching_up:  # that the server goes on tells that it sends us what is written
+                self._lag = ServerLag(address)
+            else:
+                self._arm()
         except BaseException:
-            self._link.close()
+            self.close()
             raise
 
     @property
@@ -54,22 +67,21 @@ class ReplicationTap:
         """Commands of others so far that changed a key without carrying its whole value (APPEND, INCR, HSET …)."""
         return self._stream.not_mirrored
 
-    @property
-    def is_catching_up(self) -> bool:
-        """Whether the next `read` returns what had waited at the server before this tap was there."""
-        return self.resumed is True and bool(self._waiting)
+    def may_wait(self) -> bool:
+        """Whether the server can keep what comes a little longer, also if we were killed now."""
+        behind = self._behind()
+        return self._lag is not None and behind is not None and behind <= self._lag.limit
 
     def read(self, timeout_s: float) -> list[Write]:
         """Return what arrived, in order; empty when nothing came in time."""
-        if self._waiting:
-            writes, self._consumed = self._waiting.popleft()
-            return writes
-        deadline = time.monotonic() + timeout_s
-        while True:
-            writes = self._receive(max(0.0, deadline - time.monotonic()))
-            if writes or time.monotonic() >= deadline:
-                break
+        if self._early:
+            writes, self._early = self._early, []
+        else:
+            writes = self._read(timeout_s)
         self._consumed = self._place()
+        if self.is_catching_up and self._stream.probe == self._probe:
+            behind = self._behind()
+            self.is_catching_up = behind is not None and behind > _NEAR_BYTES
         return writes
 
     def position(self) -> Position:
@@ -79,6 +91,18 @@ class ReplicationTap:
     def close(self) -> None:
         """Hang up; a second call does nothing."""
         self._link.close()
+        if self._lag is not None:
+            self._lag.close()
+
+    def _read(self, timeout_s: float) -> list[Write]:
+        deadline = time.monotonic() + timeout_s
+        while True:
+            writes = self._receive(max(0.0, deadline - time.monotonic()))
+            if writes or time.monotonic() >= deadline:
+                return writes
+
+    def _behind(self) -> int | None:
+        return self._lag.behind(self._stream.offset) if self._lag is not None else None
 
     def _receive(self, timeout_s: float) -> list[Write]:
         data = self._link.receive(timeout_s)
@@ -91,18 +115,21 @@ class ReplicationTap:
             self._link.acknowledge()
         return writes
 
-    def _arm(self) -> None:
+    def _write_probe(self) -> bytes:
         connection = connect(self._address)
         try:
             token = write_probe(connection)
             self._link.silence_limit_s = _silence_limit_s(connection)
         finally:
             connection.close()
+        return token
+
+    def _arm(self) -> None:
+        """Wait until the probe has come back."""
         progress_at = time.monotonic()
-        while self._stream.probe != token:
+        while self._stream.probe != self._probe:
             before = self._stream.offset
-            if writes := self._receive(0.1):
-                self._waiting.append((writes, self._place()))
+            self._early += self._receive(0.1)
             now = time.monotonic()
             if self._stream.offset != before:
                 progress_at = now

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +38,10 @@ class Shadow:
         """Follow the height of the pelvis."""
         assert body is not None
         return self._walker.step(TICK_S, Wish(height=float(body.positions[0, 2])))
+
+    def facts(self) -> dict[str, Any]:
+        """Nothing but the name."""
+        return {"retarget": "shadow"}
 
 
 def hand(time_s: float, side: str) -> Pose:

@@ -67,6 +67,12 @@ def test_a_device_that_does_not_track_or_tell_the_time_is_told() -> None:
     assert driver.look(replace(body(0.0), capture_ns=None)).flaw == "the device does not say when it saw the body"
 
 
+def test_a_manifest_is_told_what_the_retargeting_is_set_to() -> None:
+    facts = BodyDriver(Shadow(), calibration={"operator": "ada"}).facts()
+    assert facts["calibration"] == {"operator": "ada"}
+    assert facts["retarget"] == Shadow().facts()
+
+
 def test_a_body_that_is_centred_anew_is_a_jump() -> None:
     before, now = body(0.0).body, body(0.0).body
     assert before is not None

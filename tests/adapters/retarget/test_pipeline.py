@@ -17,6 +17,7 @@ from adapters.retarget.calibration import of_person
 from adapters.retarget.evaluate import evaluate
 from adapters.retarget.human import INDEX, standing
 from adapters.retarget.pipeline import BodyLost, BodyRetarget
+from adapters.retarget.weights import Weights
 from adapters.robots.g1 import joints as g1
 from station import rotations
 from station.bus.joints import G1_29
@@ -167,6 +168,8 @@ def test_facts_tell_whose_body_it_is_and_how_late_the_layers_are() -> None:
     facts = fresh().facts()
     assert facts["calibrated"]["height_m"] == pytest.approx(1.72, abs=0.01)
     assert facts["latency_s"] == {"smoothing_at_1_mps": pytest.approx(0.0066, abs=1e-4), "velocity": 0.03}
+    assert facts["ik"]["weights"]["foot"] == Weights().foot
+    assert facts["lengths_m"]["thigh"] == pytest.approx(ADULT.thigh, abs=0.001)
     assert json.dumps(facts)
 
 

@@ -156,3 +156,18 @@ def test_read_waits_no_longer_than_it_was_told(tap: NotificationTap) -> None:
     started = time.monotonic()
     assert tap.read(0.2) == []
     assert 0.2 <= time.monotonic() - started < 2.0
+
+
+def test_of_keys_without_end_the_newest_are_remembered_and_the_others_counted(
+    bus_server: BusAddress, writer: Connection, collect: Collect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(notifications, "MOST_KEYS", 50)
+    tap = NotificationTap(bus_server)
+    for number in range(300):
+        writer.call("SET", f"invented{number}", "1")
+        writer.call("MSET", "a", "same", "a@", str(number))
+    seen = collect(tap)
+    assert len({write.key for write in seen}) == 301
+    assert max(len(tap._delivered), len(tap._unstamped)) <= 50
+    assert tap.forgotten >= 250
+    tap.close()

@@ -12,11 +12,12 @@ import pytest
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
 from station.bus.redis_server import RedisServer, ServerOptions
-from station.bus.tap import Position
+from station.bus.tap import Position, Write, poll
 from station.bus.tap.poll import PollTap
 from station.errors import BusError
 from tests.bus.tap.conftest import Collect
 from tests.bus.tap.traffic import read, read_until_lost
+from tests.waiting import wait_until
 
 
 @pytest.fixture
@@ -101,3 +102,24 @@ def test_read_waits_no_longer_than_it_was_told(tap: PollTap) -> None:
     started = time.monotonic()
     assert tap.read(0.2) == []
     assert 0.2 <= time.monotonic() - started < 2.0
+
+
+def test_of_keys_without_end_those_that_were_there_first_are_looked_at_and_the_others_counted(
+    bus_server: BusAddress, writer: Connection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(poll, "MOST_KEYS", 50)
+    writer.call("SET", "a", "1")
+    tap = PollTap(bus_server)
+    writer.pipeline([("SET", f"invented{number}", "1") for number in range(300)])
+    seen: list[Write] = []
+
+    def has_looked() -> bool:
+        seen.extend(tap.read(0.05))
+        return tap.not_mirrored > 0
+
+    wait_until(has_looked)
+    assert tap.not_mirrored == 300 - len([write for write in seen if write.key.startswith("invented")])
+    assert len(tap._contents) <= 50
+    writer.call("SET", "a", "2")
+    assert [write[:3] for write in read(tap, 1)] == [("a", b"2", None)]
+    tap.close()

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import closing
 
+import msgspec
 import pytest
 
 from station.bus.address import BusAddress
@@ -172,3 +173,58 @@ def test_server_that_took_over_continues_the_history_under_a_new_id(tmp_path_fac
             assert tap.position().replication_id == info(heir)["master_replid"] != position.replication_id
             assert content(read(tap, 1)) == [("a", b"heir", None)]
             tap.close()
+
+
+def test_a_tap_that_goes_on_leaves_what_waited_at_the_server_until_it_is_read(
+    bus_server: BusAddress, writer: Connection
+) -> None:
+    tap = ReplicationTap(bus_server)
+    tap.close()
+    write_all(writer, [("a", bytes(100_000), None)] * 300)
+    tap = ReplicationTap(bus_server, tap.position())
+    before = tap.position()
+    assert (tap.is_catching_up, tap.may_wait()) == (True, True)
+    assert len(read(tap, 300)) == 300
+    assert tap.position().offset > before.offset + 30_000_000
+    wait_until(lambda: tap.read(0.01) == [] and not tap.is_catching_up)
+    tap.close()
+
+
+def test_a_tap_may_wait_while_the_server_keeps_it_all_twice_over(bus_server: BusAddress, writer: Connection) -> None:
+    writer.call("CONFIG", "SET", "repl-backlog-size", 20_000_000)
+    tap = ReplicationTap(bus_server)
+    tap.close()
+    write_all(writer, [("a", bytes(100_000), None)] * 120)
+    tap = ReplicationTap(bus_server, tap.position())
+    assert tap.resumed is True
+    assert not tap.may_wait()
+    read(tap, 40)
+    wait_until(tap.may_wait)
+    assert tap.is_catching_up
+    tap.close()
+
+
+def test_what_the_output_buffer_takes_counts_as_well(bus_server: BusAddress, writer: Connection) -> None:
+    writer.call("CONFIG", "SET", "client-output-buffer-limit", "replica 0 3000000 60")
+    tap = ReplicationTap(bus_server)
+    tap.close()
+    tap = ReplicationTap(bus_server, tap.position())
+    assert tap.may_wait()
+    write_all(writer, [("a", bytes(100_000), None)] * 20)
+    wait_until(lambda: not tap.may_wait())
+    tap.close()
+
+
+def test_where_the_server_does_not_say_how_much_it_keeps_nothing_waits(
+    bus_server: BusAddress, writer: Connection
+) -> None:
+    writer.call("ACL", "SETUSER", "mute", "on", ">secret", "~*", "&*", "+@all", "-info", "-config")
+    mute = msgspec.structs.replace(bus_server, username="mute", password="secret")
+    tap = ReplicationTap(mute)
+    tap.close()
+    writer.call("SET", "a", "1")
+    tap = ReplicationTap(mute, tap.position())
+    assert (tap.resumed, tap.may_wait()) == (True, False)
+    assert content(read(tap, 1)) == [("a", b"1", None)]
+    wait_until(lambda: tap.read(0.01) == [] and not tap.is_catching_up)
+    tap.close()

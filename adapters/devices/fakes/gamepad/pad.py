@@ -20,7 +20,7 @@ from typing import Any
 
 import msgspec
 
-from adapters.devices.fakes.script import Clock, Play, Script, Step, began
+from adapters.devices.fakes.script import Clock, Play, Script, Step
 from adapters.devices.gamepad import names
 from station.errors import did_you_mean
 from station.operator.device import DeviceError
@@ -118,10 +118,9 @@ class FakePad:
         self._thread = threading.Thread(target=self._plug_by_script, name="fake-gamepad", daemon=True)
         self._thread.start()
 
-    def begin(self) -> dict[str, Any]:
-        """Start the script's clock, until then nobody touches the pad; return what a manifest says of it."""
-        self._play.time_s()
-        return began()
+    def begin(self, start_s: float = 0.0) -> None:
+        """Start the script's clock, at a time of the script [s]; until then nobody touches the pad."""
+        self._play.begin(start_s)
 
     def plug(self) -> None:
         """Plug it in; nothing where it is."""

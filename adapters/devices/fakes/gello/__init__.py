@@ -9,7 +9,6 @@ import shutil
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 from adapters.devices.fakes import script
 from adapters.devices.fakes.gello.leader import FakeLeader, LeaderStep, arms_of
@@ -23,6 +22,7 @@ class FakeGello:
         file: The script.
         clock: Tells the time [s].
         folder: Where the ports and calibrations appear; a temporary one without it.
+        start_s: Time of the script to begin at [s].
 
     Attributes:
         leaders: They, left before right.
@@ -33,23 +33,20 @@ class FakeGello:
         BadFile: the script cannot be read.
     """
 
-    def __init__(self, file: Path, clock: Clock = time.monotonic, folder: Path | None = None) -> None:
+    def __init__(
+        self, file: Path, clock: Clock = time.monotonic, folder: Path | None = None, start_s: float = 0.0
+    ) -> None:
         steps = script.load(file, "gello", LeaderStep)
         arms = arms_of(steps, file)
         self._is_temporary = folder is None
         self.folder = folder or Path(tempfile.mkdtemp(prefix="fake-gello-"))
         self.calibrations = self.folder / "calibrations"
-        self.leaders = [FakeLeader(arm, steps, clock, self.folder) for arm in arms]
+        self.leaders = [FakeLeader(arm, steps, clock, self.folder, start_s) for arm in arms]
 
-    def begin(self) -> dict[str, Any]:
-        """Start the script's clock: until then the leaders are held as at its beginning, and nothing goes wrong.
-
-        Returns:
-            What a manifest says of it.
-        """
+    def begin(self) -> None:
+        """Start the script's clock: until then the leaders are held as at that time, and nothing goes wrong."""
         for leader in self.leaders:
             leader.begin()
-        return script.began()
 
     def close(self) -> None:
         """Take the ports away."""

@@ -17,6 +17,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from adapters.devices.fakes.gello.port import FakePort
@@ -63,11 +64,12 @@ class FakeLeader:
         script: What happens.
         clock: Tells the time [s].
         folder: Where the port appears, and its calibration in ``calibrations`` beneath.
+        start_s: Time of the script to begin at, and to be held as at until then [s].
     """
 
-    def __init__(self, arm: Arm, script: Script[LeaderStep], clock: Clock, folder: Path) -> None:
+    def __init__(self, arm: Arm, script: Script[LeaderStep], clock: Clock, folder: Path, start_s: float = 0.0) -> None:
         self.arm, self.serial = arm, f"FAKE-{arm.upper()}"
-        self._play = Play(script, clock)
+        self._play, self._start_s = Play(script, clock), start_s
         self._period_s = script.period_s
         self._times_s, self._held = _keyframes(arm, script)
         self._turns_lost = np.zeros(self._held.shape[1])
@@ -76,13 +78,16 @@ class FakeLeader:
         self._lock = threading.Lock()
         self._ticks = [0] * self._held.shape[1]
         self.servos = [Servo(index + 1, self._position_of(index)) for index in range(len(self._ticks))]
-        self._update(0.0)
+        self._update(start_s)
         self.port = FakePort(folder, self.serial, Chain(self.servos), before_reply=self._before_reply)
 
     def begin(self) -> None:
-        """Start the script's clock."""
+        """Start the script's clock; answers that were torn before its time are not torn again."""
         with self._lock:
-            self._play.time_s()
+            self._play.begin(self._start_s)
+            if self._start_s > 0.0:
+                for at_s, step in self._play.due(self._start_s):
+                    self._do(at_s, msgspec.structs.replace(step, broken=None))
 
     def close(self) -> None:
         """Take the port away."""

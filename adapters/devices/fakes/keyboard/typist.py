@@ -17,9 +17,8 @@ import threading
 import time
 import tty
 from pathlib import Path
-from typing import Any
 
-from adapters.devices.fakes.script import Clock, Play, Script, Step, began
+from adapters.devices.fakes.script import Clock, Play, Script, Step
 from adapters.devices.keyboard import keys
 from station.errors import did_you_mean
 
@@ -64,10 +63,12 @@ class Typing:
         self._play = Play(script, clock)
         self._coming: list[tuple[float, int, bytes | bool]] = []
         self._count = 0
+        self._start_s = 0.0
 
-    def begin(self) -> None:
-        """Start the clock."""
-        self._play.time_s()
+    def begin(self, start_s: float = 0.0) -> None:
+        """Start the clock, at a time of the script [s]: what was typed before is not typed again."""
+        self._start_s = start_s
+        self._play.begin(start_s)
 
     def due(self) -> list[bytes | bool]:
         """Return, once, what is typed by now in order, and True or False where the terminal comes or goes."""
@@ -76,9 +77,11 @@ class Typing:
         now_s = self._play.time_s()
         for at_s, step in self._play.due(now_s):
             self._plan(at_s, step)
-        found = []
+        found: list[bytes | bool] = []
         while self._coming and self._coming[0][0] <= now_s + _ROUNDING_S:
-            found.append(heapq.heappop(self._coming)[2])
+            at_s, _, what = heapq.heappop(self._coming)
+            if at_s >= self._start_s or isinstance(what, bool):
+                found.append(what)
         return found
 
     def _plan(self, at_s: float, step: TypistStep) -> None:
@@ -120,10 +123,9 @@ class FakeTerminal:
         self._thread = threading.Thread(target=self._run, name="fake-keyboard", daemon=True)
         self._thread.start()
 
-    def begin(self) -> dict[str, Any]:
-        """Start the script's clock; return what a manifest says of it."""
-        self._typing.begin()
-        return began()
+    def begin(self, start_s: float = 0.0) -> None:
+        """Start the script's clock, at a time of the script [s]."""
+        self._typing.begin(start_s)
 
     def close(self) -> None:
         """Take the terminal away."""

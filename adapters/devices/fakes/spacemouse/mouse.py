@@ -60,6 +60,7 @@ class FakeMouse:
         path: Its name on this machine.
         number: Number of its interface.
         denied: Whether it may not be opened.
+        start_s: Time of the script to begin at, with the first look [s].
     """
 
     def __init__(
@@ -72,13 +73,15 @@ class FakeMouse:
         path: str = "/dev/hidraw-fake",
         number: int = 0,
         denied: bool = False,
+        start_s: float = 0.0,
     ) -> None:
         self.vendor_id, self.product_id = model
         self.name, self.serial, self.path, self.number, self.denied = MODELS[model].name, serial, path, number, denied
         self.usage = MOTION_USAGE
         self._in_one = MODELS[model].in_one_report
-        self._play = Play(script, clock)
+        self._play, self._start_s = Play(script, clock), start_s
         self._held: list[bytes] = []
+        self._pressed: list[int] = []
         self._repeat_at_s = math.inf
         self._reports: deque[bytes] = deque()
         self._is_plugged, self._was_torn_out = True, False
@@ -100,7 +103,20 @@ class FakeMouse:
 
     def _catch_up(self) -> None:
         """Do what is due by now, in the order of time."""
-        now_s = self._play.time_s()
+        if not self._play.has_begun and self._start_s > 0.0:
+            self._begin_midway()
+        self._do_until(self._play.time_s())
+
+    def _begin_midway(self) -> None:
+        """Bring everything to where the script stands; of what was reported before that nothing is left."""
+        self._play.begin(self._start_s)
+        self._do_until(self._start_s)
+        self._reports.clear()
+        self._was_torn_out = False
+        if self._is_plugged and self._pressed:
+            self._reports.append(encode_buttons(self._pressed))
+
+    def _do_until(self, now_s: float) -> None:
         for at_s, step in self._play.due(now_s):
             self._hold_until(at_s - _ROUNDING_S)
             self._do(at_s, step)
@@ -116,6 +132,7 @@ class FakeMouse:
             self._reports.extend(self._held)
             self._repeat_at_s = at_s + REPEAT_S if any(step.twist) else math.inf
         if step.buttons is not None and self._is_plugged:
+            self._pressed = step.buttons
             self._reports.append(encode_buttons(step.buttons))
         if step.report is not None and self._is_plugged:
             self._reports.append(bytes.fromhex(step.report))

@@ -31,6 +31,9 @@ OTHER = [0.0] * 7 + [1.0]
 Play = Callable[..., FakeGello]
 Open = Callable[..., Gello]
 
+PATIENCE_S = 1.0
+"""Far above what a busy machine takes to answer as a servo [s]: servos and adapter share this process."""
+
 
 @pytest.fixture
 def clock() -> HandClock:
@@ -63,6 +66,7 @@ def opened() -> Iterator[Open]:
             "leaders": len(fake.leaders),
             "calibrations_folder": fake.calibrations,
             "by_id": fake.folder,
+            "patience_s": PATIENCE_S,
             **options,
         }
         devices.append(Gello(**options))

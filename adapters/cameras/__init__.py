@@ -1,0 +1,1 @@
+"""Sources of pictures: one module per kind, all of them `station.camera.source.Camera`."""

@@ -1,0 +1,134 @@
+"""The kinds of cameras as they are registered: by name, with options; libraries are imported when one is opened."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from station.bus import keys
+from station.camera.source import Camera, CameraKind, Newest, Wishes
+
+
+class UvcOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Options of the source `uvc`.
+
+    Attributes:
+        device: Its file (``/dev/video0``; ``/dev/v4l/by-id/…`` stays the same wherever it is plugged in), or a part of
+            its name; "" for the only one.
+        serial: Its serial number, where several have the same name.
+        format: ``MJPG``, passed on as it comes; ``YUYV``, encoded here; ``auto`` takes the first that fits.
+        devices: Folder with the files of the devices.
+    """
+
+    device: str = ""
+    serial: str = ""
+    format: Literal["auto", "MJPG", "YUYV"] = "auto"
+    devices: Path = Path("/dev")
+
+
+class FilesOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Options of the source `files`.
+
+    Attributes:
+        path: A folder of pictures, or a video file.
+        loop: Whether it begins again at the end.
+    """
+
+    path: Path
+    loop: bool = True
+
+
+class MujocoOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Options of the source `mujoco`.
+
+    Attributes:
+        camera: Name of the camera in the model: ``head``, ``left_wrist``, ``right_wrist`` of the built-in one.
+        model: MJCF file with a G1, a path or ``collection:path``.
+        robot: Suffix of the robot's keys.
+        detail: ``fine`` draws shadows and smooth edges, which takes a graphics card.
+    """
+
+    camera: str = "head"
+    model: str = "builtin:g1.xml"
+    robot: str = keys.TWIST2_ROBOT
+    detail: Literal["plain", "fine"] = "plain"
+
+
+class ZmqOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Options of the source `zmq`.
+
+    Attributes:
+        address: Where the sender is: the robot's, in TWIST2.
+    """
+
+    address: str = "tcp://192.168.123.164:5555"
+
+
+def _plugged_in() -> Sequence[str]:
+    from adapters.cameras import v4l2
+
+    return [str(camera) for camera in v4l2.found()]
+
+
+def _uvc(options: UvcOptions, wishes: Wishes, _newest: Newest) -> Camera:
+    from adapters.cameras.uvc import UvcCamera
+
+    return UvcCamera(options.device, options.serial, options.format, wishes, devices=options.devices)
+
+
+def _files(options: FilesOptions, wishes: Wishes, _newest: Newest) -> Camera:
+    from adapters.cameras.files import FilesCamera
+
+    return FilesCamera(options.path, wishes, is_looped=options.loop)
+
+
+def _mujoco(options: MujocoOptions, wishes: Wishes, newest: Newest) -> Camera:
+    from adapters.cameras.mujoco_g1 import MujocoCamera
+
+    key = keys.sim_qpos(options.robot)
+    return MujocoCamera(options.model, options.camera, key, wishes, newest, is_fine=options.detail == "fine")
+
+
+def _zmq(options: ZmqOptions, wishes: Wishes, _newest: Newest) -> Camera:
+    from adapters.cameras.zmq_stream import ZmqCamera
+
+    return ZmqCamera(options.address, wishes)
+
+
+UVC = CameraKind(
+    name="uvc",
+    about="USB camera through Video4Linux: MJPG as it comes, or YUYV",
+    library="linuxpy",
+    extra="video",
+    options=UvcOptions,
+    open=_uvc,
+    plugged_in=_plugged_in,
+)
+FILES = CameraKind(
+    name="files",
+    about="a folder of pictures, or a video file, in real time",
+    library="av",
+    extra="video",
+    options=FilesOptions,
+    open=_files,
+)
+MUJOCO = CameraKind(
+    name="mujoco",
+    about="what head or wrist cameras of a simulated G1 see",
+    library="simplejpeg",
+    extra="video",
+    options=MujocoOptions,
+    open=_mujoco,
+    keys=lambda options: (keys.sim_qpos(options.robot),),
+)
+ZMQ = CameraKind(
+    name="zmq",
+    about="the picture stream of TWIST2's robot",
+    library="pyzmq",
+    extra="video",
+    options=ZmqOptions,
+    open=_zmq,
+)

@@ -1,0 +1,235 @@
+"""The capture devices of Video4Linux: which there are, what they offer, and what to tell whoever asked for another.
+
+All that is asked of the kernel goes through linuxpy.
+"""
+
+from __future__ import annotations
+
+import errno
+import grp
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from adapters.cameras.encode import library
+from station.camera.source import CameraError
+
+DEVICES = Path("/dev")
+_SYSFS = Path("/sys/class/video4linux")
+_SAME_RATE = 0.01  # 29.97 is 30
+_GONE = (errno.ENODEV, errno.ENXIO, errno.ENOENT)
+
+
+def video() -> Any:
+    """Return the module of linuxpy.
+
+    Raises:
+        CameraError: it is not installed.
+    """
+    return library("linuxpy.video.device", "linuxpy", "a USB camera")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """A capture device.
+
+    Attributes:
+        path: Its file.
+        card: What it calls itself.
+        serial: Its serial number; "" for none.
+        bus: Where it is plugged in.
+        flaw: Why it cannot be used, or "".
+    """
+
+    path: Path
+    card: str = ""
+    serial: str = ""
+    bus: str = ""
+    flaw: str = ""
+
+    def __str__(self) -> str:
+        if self.flaw:
+            return f"{self.path} ({self.flaw})"
+        return f"{self.path} {self.card}" + (f" (serial {self.serial})" if self.serial else "")
+
+
+def found(folder: Path = DEVICES) -> list[Found]:
+    """Return the capture devices that can be seen, in the order of their numbers.
+
+    Raises:
+        CameraError: linuxpy is not installed.
+    """
+    module = video()
+    seen: list[Found] = []
+    for path in sorted(folder.glob("video*"), key=lambda path: (len(path.name), path.name)):
+        if path.is_char_device():
+            seen += _look(module, path)
+    return seen
+
+
+def choose(wanted: str, serial: str, folder: Path) -> Found:
+    """Return the one camera that is there, or the one of several that was asked for.
+
+    Args:
+        wanted: Its file, or a part of its name; "" for any.
+        serial: Its serial number; "" for any.
+        folder: Where the files of the devices are.
+
+    Raises:
+        CameraError: there is none, none that fits, or more than one.
+    """
+    if wanted.startswith("/"):
+        return _named(Path(wanted), folder)
+    cameras = found(folder)
+    fitting = [camera for camera in cameras if wanted.lower() in camera.card.lower() and serial in ("", camera.serial)]
+    if len(fitting) == 1:
+        return fitting[0]
+    wish = " and ".join(filter(None, [wanted and f"name {wanted!r}", serial and f"serial {serial!r}"]))
+    if not fitting:
+        raise CameraError(f"no camera{f' with {wish}' if wish else ''} found; {_there(cameras)}")
+    raise CameraError(f"{len(fitting)} cameras{f' with {wish}' if wish else ''}; {_there(fitting)}; choose one with "
+                      "options.device or options.serial")  # fmt: skip
+
+
+def _named(path: Path, folder: Path) -> Found:
+    if not path.exists():
+        raise CameraError(f"{path}: no such device; {_there(found(folder))}")
+    if not path.is_char_device():
+        raise CameraError(f"{path}: no video device; {_there(found(folder))}")
+    return Found(path=path, serial=_serial(path))
+
+
+def _there(cameras: Sequence[Found]) -> str:
+    if not cameras:
+        return "none is there: plug one in (`lsusb` lists it)"
+    return "there are " + ", ".join(map(str, cameras))
+
+
+def _look(module: Any, path: Path) -> Iterator[Found]:
+    try:
+        with closing(open_device(module, path)) as device:
+            info = device.info
+            if module.Capability.VIDEO_CAPTURE in info.device_capabilities:  # the others give metadata
+                yield Found(path=path, card=info.card, serial=_serial(path), bus=info.bus_info)
+    except CameraError as error:
+        yield Found(path=path, flaw=str(error).removeprefix(f"{path}: ").split(";")[0])
+
+
+def open_device(module: Any, path: Path) -> Any:
+    """Open a device for calls that do not block.
+
+    Raises:
+        CameraError: it cannot be opened, or is no video device.
+    """
+    device = module.Device(str(path))
+    try:
+        device.open()
+        device.info.raw_capabilities  # noqa: B018 - asked for here, and kept
+    except OSError as error:
+        device.close()
+        raise CameraError(f"{path}: {why(error, path)}") from error
+    return device
+
+
+def why(error: OSError, path: Path) -> str:
+    """Say what an error of a call means, and what to do."""
+    if error.errno in (errno.EACCES, errno.EPERM):
+        group = _group(path)
+        return f"permission denied; add yourself to the group {group} and log in again: sudo usermod -aG {group} $USER"
+    if error.errno == errno.EBUSY:
+        return f"busy: another program reads it; `fuser -v {path}` names it"
+    if error.errno in _GONE:
+        return "gone; plug it in again"
+    if error.errno == errno.ENOTTY:
+        return "no video device"
+    return error.strerror or str(error)
+
+
+def _group(path: Path) -> str:
+    try:
+        return grp.getgrgid(path.stat().st_gid).gr_name
+    except (KeyError, OSError):
+        return "video"
+
+
+def _serial(path: Path) -> str:
+    """Return the serial number of the USB device that a video device belongs to, or ""."""
+    try:
+        return (_SYSFS / os.path.basename(os.path.realpath(path)) / "device" / ".." / "serial").read_text().strip()
+    except OSError:  # it has none, or is none of USB's
+        return ""
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A format, size and rate that a camera offers; fps 0 where it does not say."""
+
+    form: str
+    width: int
+    height: int
+    fps: tuple[float, ...]
+
+    def has_rate(self, fps: float) -> bool:
+        """Whether it gives that many pictures per second."""
+        return not self.fps or any(abs(offered - fps) <= _SAME_RATE * fps for offered in self.fps)
+
+    def __str__(self) -> str:
+        rates = "/".join(f"{fps:g}" for fps in sorted(self.fps, reverse=True))
+        return f"{self.form} {self.width}x{self.height}" + (f"@{rates}" if rates else "")
+
+
+def modes(module: Any, device: Any, wanted: tuple[int, int], fps: float) -> list[Mode]:
+    """Return what a camera offers; of sizes and rates that it takes from a range, those that are wanted if they fit."""
+    offered = []
+    for form in device.info.buffer_formats(module.BufferType.VIDEO_CAPTURE):
+        name = form.pixel_format.human_str().rstrip()
+        for size in device.info.format_frame_sizes(form.pixel_format):
+            width, height = _size(module, size, wanted)
+            rates = _rates(module, device.info.fps_intervals(form.pixel_format, width, height), fps)
+            offered.append(Mode(name, width, height, rates))
+    return offered
+
+
+def _size(module: Any, size: Any, wanted: tuple[int, int]) -> tuple[int, int]:
+    if size.type == module.FrameSizeType.DISCRETE:
+        return size.info.width, size.info.height
+    least, most = (size.info.min_width, size.info.min_height), (size.info.max_width, size.info.max_height)
+    fits = all(low <= want <= high for low, want, high in zip(least, wanted, most, strict=True))
+    return wanted if fits else most
+
+
+def _rates(module: Any, intervals: Sequence[Any], fps: float) -> tuple[float, ...]:
+    rates: list[float] = []
+    for interval in intervals:
+        ends = sorted((float(interval.min_fps), float(interval.max_fps)))  # the least interval is the greatest rate
+        is_range = interval.type != module.FrameIntervalType.DISCRETE
+        rates += [fps] if is_range and ends[0] <= fps <= ends[1] else ends[1:]
+    return tuple(rate for rate in rates if rate > 0)
+
+
+def pick(offered: Sequence[Mode], forms: Sequence[str], size: tuple[int, int], fps: float, path: Path) -> Mode:
+    """Return the first mode with one of the formats, in their order, that has the size and the rate.
+
+    Raises:
+        CameraError: the camera offers none; the message lists what it offers.
+    """
+    for form in forms:
+        for mode in offered:
+            if mode.form == form and (mode.width, mode.height) == size and mode.has_rate(fps):
+                return mode
+    listed = ", ".join(str(mode) for mode in offered if mode.form in ("MJPG", "YUYV")) or ", ".join(map(str, offered))
+    raise CameraError(
+        f"{path}: offers no {' or '.join(forms)} {size[0]}x{size[1]}@{fps:g}; it offers {listed or 'no pictures'}; "
+        "set width, height and fps to one of these"
+    )
+
+
+def quietly(act: Callable[[], object]) -> None:
+    """Do what a device that is gone refuses."""
+    try:
+        act()
+    except OSError:  # it is let go of either way
+        return

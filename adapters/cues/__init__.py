@@ -1,0 +1,1 @@
+"""Voices: how an operator hears cues (`station.operator.voice`)."""

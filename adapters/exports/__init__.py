@@ -1,0 +1,1 @@
+"""One format per module; `station.export` holds what they share."""

@@ -1,0 +1,37 @@
+"""The formats that `station export` knows, by their registered names; what is heavy is imported when it is used."""
+
+from __future__ import annotations
+
+from adapters.exports import csv_tables, jointstate, named_rows, npz_arrays
+from adapters.exports.lerobot import kind as lerobot
+from station.export.kind import ExportKind
+
+LEROBOT = ExportKind(
+    name="lerobot",
+    summary="LeRobot data set, v3.0 or v2.1: rows on one clock, video per camera, statistics, GR00T's modality.json.",
+    options=lerobot.LeRobotOptions,
+    prepare=lerobot.prepare,
+    convert=lerobot.convert,
+    join=lerobot.join,
+)
+CSV = ExportKind(
+    name="csv",
+    summary="A table per key with named columns, for a spreadsheet or a quick plot.",
+    options=named_rows.QuickLookOptions,
+    prepare=named_rows.prepare,
+    convert=csv_tables.convert,
+)
+NPZ = ExportKind(
+    name="npz",
+    summary="Arrays, names and units of every key in one numpy file per episode, without pickle.",
+    options=named_rows.QuickLookOptions,
+    prepare=named_rows.prepare,
+    convert=npz_arrays.convert,
+)
+JOINTSTATE_MCAP = ExportKind(
+    name="jointstate-mcap",
+    summary="Joints as ROS 2 JointState in MCAP: Rerun draws them by name without any code.",
+    options=named_rows.QuickLookOptions,
+    prepare=named_rows.prepare,
+    convert=jointstate.convert,
+)

@@ -1,0 +1,138 @@
+"""From shards to a data set: episodes and tasks get their numbers, statistics are of all, a card tells of it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from adapters.exports.lerobot import card, parquet, stats
+from adapters.exports.lerobot.episode import ROWS, STATS, Measured
+from adapters.exports.lerobot.features import INDEX, info
+from adapters.exports.lerobot.layouts import Episode, Layout, layout_of, write_json
+from adapters.exports.lerobot.modality import modality
+from adapters.exports.lerobot.parquet import Columns
+from adapters.exports.lerobot.plan import Plan
+from adapters.exports.lerobot.split import ranges, split
+from station.errors import EpisodeError
+from station.export.kind import LeftOut, Shard
+
+
+def join(shards: Sequence[Shard], left_out: Sequence[LeftOut], plan: Plan, folder: Path) -> dict[str, Any]:
+    """Make the data set of shards, one of them in memory at a time.
+
+    Raises:
+        EpisodeError: a video has not as many pictures as its episode has rows.
+        OSError: the disk refuses.
+    """
+    parts = split(shards, plan.val, plan.seed)
+    ordered = [shard for part in parts.values() for shard in part]
+    tasks = list(dict.fromkeys(shard.made.facts["task"] for shard in ordered))
+    episodes = list(_numbered(ordered, tasks, plan))
+    totals = _totals(ordered, episodes, plan.fps)
+    with _opened(plan, folder) as layout:
+        for shard, episode in zip(ordered, episodes, strict=True):
+            rows = {**parquet.read(shard.folder / ROWS), **_index(episode, plan.fps)}
+            if {len(values) for values in rows.values()} != {episode.length}:
+                raise EpisodeError(
+                    f"{shard.source.episode_id}: its shard has not {episode.length} rows; export it anew"
+                )
+            for column, values in rows.items():
+                totals.columns[column].add(values)
+            layout.add(_with_stats(episode, shard, plan.fps), rows)
+        layout.finish(tasks, totals.result())
+    rows_in_all = sum(episode.length for episode in episodes)
+    splits = ranges(parts)
+    document = info(plan, episodes=len(episodes), rows=rows_in_all, tasks=len(tasks), splits=splits)
+    write_json(folder / "meta/info.json", document)
+    write_json(folder / "meta/modality.json", modality(plan.common))
+    named = {name: [shard.source.episode_id for shard in part] for name, part in parts.items()}
+    write_json(folder / "meta/splits.json", {"seed": plan.seed, "val": plan.val, "episodes": named})
+    write_json(folder / "meta/station.json", card.provenance(ordered, left_out, plan))
+    (folder / "README.md").write_text(card.text(ordered, left_out, plan, document), encoding="utf-8")
+    return {"rows": rows_in_all, "tasks": len(tasks), "splits": splits, "layout": plan.layout,
+            "cameras": [camera.name for camera in plan.common.cameras]}  # fmt: skip
+
+
+class _Totals:
+    """Statistics of all columns and cameras over all episodes."""
+
+    def __init__(self) -> None:
+        self.columns: dict[str, stats.Totals] = {}
+        self.pictures: dict[str, stats.PixelCounts] = {}
+
+    def know(self, measured: Measured, index: Mapping[str, stats.Stats]) -> None:
+        for column, found in {**measured.columns, **index}.items():
+            self.columns.setdefault(column, stats.Totals()).know(found)
+        for column, counted in measured.pictures.items():
+            self.pictures.setdefault(column, stats.PixelCounts()).merge(stats.PixelCounts(**counted))
+
+    def result(self) -> dict[str, Any]:
+        numbers = {column: total.result() for column, total in self.columns.items()}
+        return {**numbers, **{name: stats.as_image(pixels.stats()) for name, pixels in self.pictures.items()}}
+
+
+def _numbered(shards: Sequence[Shard], tasks: Sequence[str], plan: Plan) -> Iterator[Episode]:
+    first_row = 0
+    for number, shard in enumerate(shards):
+        task = shard.made.facts["task"]
+        videos = {camera.column: shard.folder / f"{camera.column}.mp4" for camera in plan.common.cameras}
+        yield Episode(
+            index=number, task=task, task_index=tasks.index(task), length=shard.made.rows, first_row=first_row,
+            videos=videos,
+        )  # fmt: skip
+        first_row += shard.made.rows
+
+
+def _totals(shards: Sequence[Shard], episodes: Sequence[Episode], fps: int) -> _Totals:
+    totals = _Totals()
+    for shard, episode in zip(shards, episodes, strict=True):
+        totals.know(_measured(shard), _index_stats(episode, fps))
+    return totals
+
+
+def _index(episode: Episode, fps: int) -> Columns:
+    """Return the columns that LeRobot itself gives every data set."""
+    frames = np.arange(episode.length, dtype=np.int64)
+    found = {
+        "timestamp": frames / fps,
+        "frame_index": frames,
+        "episode_index": np.full(episode.length, episode.index),
+        "index": episode.first_row + frames,
+        "task_index": np.full(episode.length, episode.task_index),
+    }
+    return {name: found[name].astype(kind) for name, kind in INDEX.items()}
+
+
+def _index_stats(episode: Episode, fps: int) -> dict[str, stats.Stats]:
+    return {name: stats.of_rows(values) for name, values in _index(episode, fps).items()}
+
+
+def _with_stats(episode: Episode, shard: Shard, fps: int) -> Episode:
+    measured = _measured(shard)
+    pictures = {name: stats.PixelCounts(**counted).stats() for name, counted in measured.pictures.items()}
+    found = {
+        **measured.columns,
+        **_index_stats(episode, fps),
+        **{name: stats.as_image(values) for name, values in pictures.items()},
+    }
+    return dataclasses.replace(episode, stats=found)
+
+
+def _measured(shard: Shard) -> Measured:
+    return msgspec.json.decode((shard.folder / STATS).read_bytes(), type=Measured)
+
+
+@contextmanager
+def _opened(plan: Plan, folder: Path) -> Iterator[Layout]:
+    layout = layout_of(plan, folder)
+    try:
+        yield layout
+    except BaseException:
+        layout.abandon()
+        raise

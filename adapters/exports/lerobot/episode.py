@@ -1,0 +1,139 @@
+"""One episode as a shard: ``rows.parquet``, ``stats.json``, and one ``observation.images.NAME.mp4`` per camera."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from adapters.exports.lerobot import parquet, stats
+from adapters.exports.lerobot.plan import ACTION, AGE, STATE, TIME, Plan, cameras_of, open_source
+from station.episode.manifest import Manifest
+from station.episode.messages import Ints
+from station.episode.reader import EpisodeReader
+from station.export import tracks
+from station.export.columns import KeyColumns, expect_same
+from station.export.kind import Made, Source
+from station.export.resample import Column, Table, ages_s, resample
+from station.protocols import Floats, Floats32
+
+if TYPE_CHECKING:
+    from adapters.exports.lerobot.pictures import Encoded
+
+ROWS = "rows.parquet"
+STATS = "stats.json"
+
+_BLOCK = 1 << 20
+
+
+class Measured(msgspec.Struct, frozen=True):
+    """What stands in `STATS`: statistics by column, and by picture column what `stats.PixelCounts` takes."""
+
+    columns: dict[str, stats.Stats]
+    pictures: dict[str, dict[str, Any]]
+
+
+def convert(source: Source, plan: Plan, folder: Path) -> Made:
+    """Write the shard of an episode.
+
+    Raises:
+        EpisodeError: it does not fit the plan, or cannot be read; names key or camera.
+        OSError: the disk refuses.
+    """
+    common = plan.common
+    reader = open_source(source)
+    expect_same(reader, common.read)
+    cameras = cameras_of(reader, [camera.name for camera in common.cameras])
+    recorded = tracks.read(reader, common.read, cameras.values())
+    table = resample(recorded, common.state, common.action, plan.fps, reader.episode_id)
+    encoded = _encode(reader, plan, table, folder)
+    columns: parquet.Columns = {
+        STATE: _joined(table.state, common.state),
+        ACTION: _joined(table.action, common.action),
+        AGE + STATE: _ages(table.state, common.state),
+        AGE + ACTION: _ages(table.action, common.action),
+        **_picture_ages(plan, recorded.pictures, table, encoded),
+        TIME: table.ticks_ns,
+    }
+    parquet.write(folder / ROWS, parquet.table(columns))
+    measured = Measured(
+        columns={name: stats.of_rows(values) for name, values in columns.items()},
+        pictures={camera.column: encoded[camera.key].pixels.plain() for camera in common.cameras},
+    )
+    (folder / STATS).write_bytes(msgspec.json.encode(measured))
+    facts = {
+        "task": task_of(reader.manifest),
+        "pictures": {camera.name: _picture_facts(encoded[camera.key]) for camera in common.cameras},
+        "head_s": table.head_s,
+        "tail_s": table.tail_s,
+        "without_own_step": table.without_own_step,
+        "skipped": dict(tracks.skipped(recorded)),
+        **provenance(reader),
+    }
+    return Made(seconds=len(table.ticks_ns) / plan.fps, rows=len(table.ticks_ns), facts=facts)
+
+
+def task_of(manifest: Manifest) -> str:
+    """Return what the robot was told to do, in words: the instruction, or else the name of the task."""
+    return " ".join((manifest.task.instruction or manifest.task.name).split()) or "untitled"
+
+
+def provenance(reader: EpisodeReader) -> dict[str, Any]:
+    """Return where an episode comes from: hashes, who, when, with which policy, how good."""
+    manifest = reader.manifest
+    return {
+        "sha256": {file.name: _sha256(file) for file in sorted(reader.folder.glob("*.mcap"))},
+        "recorded": manifest.timing.started,
+        "operator": manifest.operator.interface,
+        "policy": manifest.policy.name,
+        "checkpoint": Path(manifest.policy.checkpoint).name,
+        "checkpoint_sha256": manifest.policy.sha256,
+        "verdict": str(manifest.quality.get("verdict", "")),
+    }
+
+
+def _encode(reader: EpisodeReader, plan: Plan, table: Table, folder: Path) -> Mapping[str, Encoded]:
+    if not plan.common.cameras:
+        return {}
+    from adapters.exports.lerobot import pictures
+
+    return pictures.encode(reader, plan, {key: one.numbers for key, one in table.pictures.items()}, folder)
+
+
+def _joined(values: Mapping[str, Column], keys: Sequence[KeyColumns]) -> Floats32:
+    return np.concatenate([values[one.key].values for one in keys], axis=1).astype(np.float32)
+
+
+def _ages(values: Mapping[str, Column], keys: Sequence[KeyColumns]) -> Floats32:
+    return _column([values[one.key].ages_s for one in keys])
+
+
+def _picture_ages(
+    plan: Plan, taken: Mapping[str, Ints], table: Table, encoded: Mapping[str, Encoded]
+) -> dict[str, Floats32]:
+    """Return tick minus capture of the pictures that the videos really show [s]."""
+    return {
+        AGE + camera.column: _column([ages_s(table.ticks_ns, taken[camera.key][encoded[camera.key].shown])])
+        for camera in plan.common.cameras
+    }
+
+
+def _column(ages: Sequence[Floats]) -> Floats32:
+    """Return ages as a column; a single one is a plain number, as LeRobot stores what has one element."""
+    return (ages[0] if len(ages) == 1 else np.stack(ages, axis=1)).astype(np.float32)
+
+
+def _picture_facts(encoded: Encoded) -> dict[str, Any]:
+    return {"bad": encoded.bad, "distinct": len(np.unique(encoded.shown))}
+
+
+def _sha256(file: Path) -> str:
+    digest = hashlib.sha256()
+    with file.open("rb") as stream:
+        while block := stream.read(_BLOCK):
+            digest.update(block)
+    return digest.hexdigest()

@@ -1,0 +1,112 @@
+"""Parquet as LeRobot reads it: vectors as lists of a fixed length, single numbers as plain columns."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+pa: Any = importlib.import_module("pyarrow")  # has no types of its own
+pq: Any = importlib.import_module("pyarrow.parquet")
+
+Columns = dict[str, NDArray[Any]]
+"""By name, shape (n,) or (n, m)."""
+
+_COMPRESSION = "snappy"
+
+
+def table(columns: Mapping[str, NDArray[Any]]) -> Any:
+    """Return columns as an Arrow table."""
+    return pa.table({name: _array(values) for name, values in columns.items()})
+
+
+def read(file: Path) -> Columns:
+    """Return the columns of a file that `write` wrote."""
+    found = pq.ParquetFile(file).read()
+    return {name: _values(found.column(name).combine_chunks()) for name in found.column_names}
+
+
+def write(file: Path, rows: Any) -> None:
+    """Write a table."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(rows, file, compression=_COMPRESSION)
+
+
+class Appender:
+    """Writes tables one behind the other into files of a limited size, each table as one row group.
+
+    Args:
+        folder: Where ``chunk-000/file-000.parquet`` … go.
+        limit_bytes: A file that has grown beyond this is the last but one.
+        per_chunk: Files per folder.
+    """
+
+    def __init__(self, folder: Path, *, limit_bytes: int, per_chunk: int) -> None:
+        self._folder, self._limit, self._per_chunk = folder, limit_bytes, per_chunk
+        self._number = -1
+        self._writer: Any = None
+        self._stream: Any = None
+
+    def place(self) -> tuple[int, int]:
+        """Return chunk and file that the next table goes to; begins a new file when the present one is full."""
+        if self._stream is None or self._stream.tell() >= self._limit:
+            self.close()
+            self._number += 1
+        return divmod(self._number, self._per_chunk)
+
+    def add(self, rows: Any) -> None:
+        """Write a table to where `place` said."""
+        if self._writer is None:
+            chunk, number = divmod(self._number, self._per_chunk)
+            file = self._folder / f"chunk-{chunk:03d}" / f"file-{number:03d}.parquet"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            self._stream = file.open("wb")
+            self._writer = pq.ParquetWriter(self._stream, rows.schema, compression=_COMPRESSION)
+        self._writer.write_table(rows, row_group_size=max(1, rows.num_rows))
+
+    def close(self) -> None:
+        """Finish the present file."""
+        if self._writer is not None:
+            self._writer.close()
+            self._stream.close()
+        self._writer = self._stream = None
+
+    def abandon(self) -> None:
+        """Let go of the present file without finishing it."""
+        with contextlib.suppress(OSError, pa.ArrowException):  # what it was abandoned for is told by who abandons it
+            self.close()
+
+
+def write_tasks(file: Path, tasks: Sequence[str]) -> None:
+    """Write tasks as a pandas reader expects them: the number of each, with its text as the index."""
+    rows = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks, pa.string())})
+    columns = [
+        {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64"},
+        {"name": "task", "field_name": "task", "pandas_type": "unicode", "numpy_type": "object"},
+    ]
+    about = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": [{**column, "metadata": None} for column in columns],
+        "pandas_version": "2.2.0",
+    }
+    write(file, rows.replace_schema_metadata({"pandas": json.dumps(about)}))
+
+
+def _array(values: NDArray[Any]) -> Any:
+    if values.ndim == 1:
+        return pa.array(values)
+    flat = pa.array(np.ascontiguousarray(values).reshape(-1))
+    return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+
+
+def _values(array: Any) -> NDArray[Any]:
+    if not pa.types.is_fixed_size_list(array.type):
+        return np.asarray(array.to_numpy(zero_copy_only=False))
+    return np.asarray(array.flatten().to_numpy(zero_copy_only=False)).reshape(len(array), array.type.list_size)

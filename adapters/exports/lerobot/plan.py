@@ -1,0 +1,163 @@
+"""What all episodes of a data set have in common, found out from the first one that fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from station.bus import keys
+from station.episode import frames
+from station.episode.folder import signals_file
+from station.episode.reader import EpisodeReader
+from station.errors import EpisodeError, StationError, did_you_mean
+from station.export import verdict
+from station.export.columns import KeyColumns, key_columns, robot_of, unique_names
+from station.export.kind import MinQuality, Source
+from station.export.resample import state_of_step
+
+Layout = Literal["v3.0", "v2.1"]
+Codec = Literal["h264", "av1"]
+
+STATE = "observation.state"
+ACTION = "action"
+IMAGES = "observation.images."
+AGE = "age_s."
+"""Before the name of a column: how old what stands there is. Names that begin with ``observation`` or ``action`` would
+be taken for inputs and outputs of a policy by LeRobot, whatever they hold."""
+TIME = "time_ns"
+PIXELS = "yuv420p"
+"""Colour planes of every video: what all decoders read."""
+
+
+class Camera(msgspec.Struct, frozen=True, kw_only=True):
+    """One camera: its name, its key, and the size of its pictures as they are encoded [pixels]."""
+
+    name: str
+    key: str
+    height: int
+    width: int
+
+    @property
+    def column(self) -> str:
+        """Its name in the data set."""
+        return IMAGES + self.name
+
+
+class Common(msgspec.Struct, frozen=True, kw_only=True):
+    """What every episode must have to be in the data set.
+
+    Attributes:
+        robot: Suffix of the robot's keys, "" where the keys were named and none was needed.
+        state, action: Keys, in the order in which their numbers stand in a row.
+        read: These, and the states of the policy steps that made the action.
+        cameras: By name.
+    """
+
+    robot: str
+    state: tuple[KeyColumns, ...]
+    action: tuple[KeyColumns, ...]
+    read: tuple[KeyColumns, ...]
+    cameras: tuple[Camera, ...]
+
+    @property
+    def state_names(self) -> list[str]:
+        """Names of the numbers of the state."""
+        return unique_names(self.state)
+
+    @property
+    def action_names(self) -> list[str]:
+        """Names of the numbers of the action."""
+        return unique_names(self.action)
+
+
+class Plan(msgspec.Struct, frozen=True, kw_only=True):
+    """Everything that decides what a data set is, but for its episodes; as in `LeRobotOptions`."""
+
+    layout: Layout
+    fps: int
+    codec: Codec
+    val: float
+    seed: int
+    common: Common
+
+
+class Wish(msgspec.Struct, frozen=True, kw_only=True):
+    """What was asked for: keys, empty for the defaults; cameras, None for all there are; least verdict."""
+
+    state: tuple[str, ...] = ()
+    action: tuple[str, ...] = ()
+    cameras: tuple[str, ...] | None = None
+    min_quality: MinQuality = "any"
+
+
+def common(sources: Sequence[Source], wish: Wish) -> Common:
+    """Return what the data set is made of, by the first episode that is good enough and has all that is asked for.
+
+    Raises:
+        StationError: there is no such episode; the reason of the first one.
+    """
+    first: StationError | None = None
+    for source in sources:
+        try:
+            verdict.expect(source, wish.min_quality)
+            return _of(open_source(source), wish)
+        except StationError as error:
+            first = first or error
+    more = f" (nor any of {len(sources) - 1} others)" if len(sources) > 1 else ""
+    raise EpisodeError(f"nothing to export{more}: {first}") from first
+
+
+def open_source(source: Source) -> EpisodeReader:
+    """Open an episode.
+
+    Raises:
+        EpisodeError: it cannot be read.
+    """
+    return EpisodeReader(signals_file(Path(source.folder)))
+
+
+def cameras_of(reader: EpisodeReader, names: Sequence[str]) -> dict[str, str]:
+    """Return the key of each named camera.
+
+    Raises:
+        EpisodeError: the episode lacks one; names it.
+    """
+    found = frames.cameras(reader)
+    for name in names:
+        if name not in found:
+            has = f"it has {', '.join(found)}" if found else "it has none"
+            raise EpisodeError(
+                f"{reader.episode_id}: no camera {name!r} in it{did_you_mean(name, found)}; {has}; "
+                "leave it out with --camera, or export this episode apart"
+            )
+    return {name: found[name] for name in names}
+
+
+def _of(reader: EpisodeReader, wish: Wish) -> Common:
+    robot = "" if wish.state and wish.action else robot_of(reader)
+    state = tuple(key_columns(reader, key) for key in wish.state or (keys.robot_state(robot),))
+    action = tuple(key_columns(reader, key) for key in wish.action or (keys.command_used(robot),))
+    chosen = {one.key: one for one in (*state, *action)}
+    steps = {state_of_step(one.key) for one in action if one.role == "policy"}
+    paces = {key: key_columns(reader, key) for key in sorted(key for key in steps if key and key not in chosen)}
+    wanted = list(frames.cameras(reader)) if wish.cameras is None else wish.cameras
+    return Common(
+        robot=robot or reader.manifest.robot.suffix,
+        state=state,
+        action=action,
+        read=tuple({**chosen, **paces}.values()),
+        cameras=tuple(_camera(reader, name, key) for name, key in cameras_of(reader, wanted).items()),
+    )
+
+
+def _camera(reader: EpisodeReader, name: str, key: str) -> Camera:
+    from adapters.exports.lerobot.pictures import Decoder
+
+    first = next(frames.frames(reader, key), None)
+    picture = Decoder().picture(first.jpeg) if first is not None else None
+    if picture is None:
+        raise EpisodeError(f"{reader.episode_id}: the first picture of camera {name!r} is no JPEG that can be read")
+    return Camera(name=name, key=key, height=picture.height // 2 * 2, width=picture.width // 2 * 2)

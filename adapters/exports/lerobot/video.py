@@ -1,0 +1,159 @@
+"""Video by PyAV: encoded picture by picture, counted, and put one behind the other without encoding again."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from adapters.exports.lerobot.av_library import av
+from adapters.exports.lerobot.plan import PIXELS, Codec
+from station.errors import EpisodeError
+
+_ENCODERS: dict[Codec, tuple[str, dict[str, str]]] = {
+    # A key picture every second one, as LeRobot has it: training reads single pictures at random. No pictures that
+    # refer to later ones: then order and number of the packets are those of the rows. One thread: episodes are
+    # converted side by side, and the bytes do not depend on the machine.
+    "h264": ("libx264", {"preset": "veryfast", "crf": "23", "g": "2", "bf": "0"}),
+    "av1": ("libsvtav1", {"preset": "12", "crf": "30", "g": "2", "svtav1-params": "lp=1"}),
+}
+
+
+class VideoWriter:
+    """An mp4 file of a fixed rate, one call per picture.
+
+    Args:
+        file: To be written.
+        height, width: Even numbers of pixels.
+        fps: Pictures per second.
+        codec: How they are encoded.
+    """
+
+    def __init__(self, file: Path, height: int, width: int, fps: int, codec: Codec) -> None:
+        os.environ.setdefault("SVT_LOG", "1")  # errors alone: else every video is told of on standard error
+        encoder, options = _ENCODERS[codec]
+        self._period = Fraction(1, fps)
+        self._count = 0
+        self._container = _create(file)
+        stream: Any = self._container.add_stream(encoder, rate=fps, options=options)
+        stream.height, stream.width, stream.pix_fmt = height, width, PIXELS
+        context = stream.codec_context
+        context.thread_count = 1
+        context.color_range, context.colorspace = _LIMITED_RANGE, _BT601
+        self._stream = stream
+
+    def add(self, picture: Any) -> None:
+        """Encode a picture (an `av.VideoFrame` of the video's size and pixel format) as the next one."""
+        picture.pts, picture.time_base = self._count, self._period
+        self._count += 1
+        self._container.mux(self._stream.encode(picture))
+
+    def close(self) -> None:
+        """Write what is left, and the index."""
+        self._container.mux(self._stream.encode())
+        self._container.close()
+
+    def abandon(self) -> None:
+        """Release the file as it is."""
+        self._container.close()
+
+
+_LIMITED_RANGE, _BT601 = 1, 5  # AVCOL_RANGE_MPEG, AVCOL_SPC_BT470BG: what players take for small untagged video
+
+
+def _create(file: Path) -> Any:
+    """Begin a file whose index will stand at its beginning, so that a player on a network finds it."""
+    return av.open(str(file), "w", format="mp4", options={"movflags": "faststart"})
+
+
+def packets(file: Path) -> Iterator[Any]:
+    """Iterate over the encoded pictures of a video, in order."""
+    with av.open(str(file)) as container:
+        yield from (packet for packet in container.demux(video=0) if packet.size)
+
+
+def expect_frames(file: Path, rows: int, what: str) -> None:
+    """Count the pictures of a finished video.
+
+    Raises:
+        EpisodeError: there are not as many as rows; `what` names the video.
+    """
+    found = sum(1 for _ in packets(file))
+    if found != rows:
+        raise EpisodeError(f"{what}: {found} pictures in its video for {rows} rows; export it again")
+
+
+class Concatenation:
+    """Puts videos of one camera one behind the other, packet by packet, into files of a limited size.
+
+    Args:
+        folder: Where ``chunk-000/file-000.mp4`` … go.
+        fps: Pictures per second of all of them.
+        limit_bytes: A file that has grown beyond this is the last but one.
+        per_chunk: Files per folder.
+    """
+
+    def __init__(self, folder: Path, fps: int, *, limit_bytes: int, per_chunk: int) -> None:
+        self._folder, self._period = folder, Fraction(1, fps)
+        self._limit, self._per_chunk = limit_bytes, per_chunk
+        self._number, self._frames, self._bytes = -1, 0, 0
+        self._header = b""
+        self._container: Any = None
+        self._stream: Any = None
+
+    def add(self, file: Path, rows: int) -> tuple[int, int, float, float]:
+        """Append a video; return chunk, file, and where in it the video begins and ends [s].
+
+        Raises:
+            EpisodeError: it has not as many pictures as rows.
+        """
+        with av.open(str(file)) as source:
+            template = source.streams.video[0]
+            header = bytes(template.codec_context.extradata or b"")
+            if self._container is None or self._bytes >= self._limit or header != self._header:
+                self._next(template, header)
+            count = 0
+            for packet in source.demux(template):
+                if not packet.size:
+                    continue
+                packet.stream, packet.time_base = self._stream, self._period
+                packet.pts = packet.dts = self._frames + count
+                packet.duration = 1
+                self._bytes += packet.size
+                self._container.mux(packet)
+                count += 1
+        if count != rows:
+            raise EpisodeError(f"{file.name}: {count} pictures for {rows} rows; remove what was exported, begin anew")
+        begin, self._frames = self._frames, self._frames + count
+        chunk, number = divmod(self._number, self._per_chunk)
+        return chunk, number, float(begin * self._period), float(self._frames * self._period)
+
+    def close(self) -> None:
+        """Finish the present file, and count its pictures.
+
+        Raises:
+            EpisodeError: not as many as were put in.
+        """
+        if self._container is not None:
+            self._container.close()
+            self._container = None
+            expect_frames(self._file(), self._frames, str(self._file().relative_to(self._folder.parent)))
+
+    def abandon(self) -> None:
+        """Release the present file as it is."""
+        if self._container is not None:
+            self._container.close()
+
+    def _next(self, template: Any, header: bytes) -> None:
+        self.close()
+        self._number, self._frames, self._bytes, self._header = self._number + 1, 0, 0, header
+        self._file().parent.mkdir(parents=True, exist_ok=True)
+        self._container = _create(self._file())
+        self._stream = self._container.add_stream_from_template(template, opaque=True)  # copied, not encoded
+        self._stream.time_base = self._period
+
+    def _file(self) -> Path:
+        chunk, number = divmod(self._number, self._per_chunk)
+        return self._folder / f"chunk-{chunk:03d}" / f"file-{number:03d}.mp4"

@@ -1,0 +1,1 @@
+"""What other recorders write, read one file format per module; `station.foreign` makes episodes of it."""

@@ -1,0 +1,119 @@
+"""The camera server: pictures of one camera, as JPEG files on the bus.
+
+One process per camera. What a camera is, an adapter knows (`adapters.cameras`, found by the setting `source`). A
+runbook starts several under names of their own:
+
+    - start: head
+      server: camera
+      with: {source: uvc, options: {device: /dev/video0}}
+
+It moves nothing, so it may be started again by itself, and it stands back behind whatever else this machine does.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from typing import Any
+
+import msgspec
+
+from station import config as configs
+from station import registry
+from station.camera.serve import serve_camera
+from station.camera.source import CameraKind, Newest, Wishes
+from station.config import to_plain
+from station.errors import ConfigError
+from station.life.server import Life, ServerKind
+
+_NAME = re.compile(r"[a-z0-9_]+")
+
+
+class CameraConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Configuration of the camera server.
+
+    Attributes:
+        source: Where the pictures come from: ``uvc``, ``files``, ``mujoco``, ``zmq``, or as it is registered.
+        options: The source's.
+        name: Of the camera, in its key ``camera_image_NAME``; "" for the server's own name.
+        fps: Pictures per second [Hz]; None for the source's own: 30, or as files or senders have it.
+        width, height: Size of the pictures [px]; None for the source's own: 640x480, or as files or senders have it.
+        quality: JPEG quality of pictures that are encoded here, 1 to 100.
+        niceness: How far the process stands back behind others, 0 to 19: pictures may wait, a robot may not.
+    """
+
+    source: str = "uvc"
+    options: dict[str, Any] = {}
+    name: str = ""
+    fps: float | None = None
+    width: int | None = None
+    height: int | None = None
+    quality: int = 90
+    niceness: int = 5
+
+    def __post_init__(self) -> None:
+        registry.expect("camera", self.source)
+        if self.name and not _NAME.fullmatch(self.name):
+            raise ValueError(f"name is {self.name!r}; expected small letters, digits and _, for example left_wrist")
+        if self.fps is not None and not 0.1 <= self.fps <= 240.0:
+            raise ValueError(f"fps is {self.fps:g}; expected 0.1 to 240 Hz")
+        for field, value in (("width", self.width), ("height", self.height)):
+            if value is not None and not 16 <= value <= 8192:
+                raise ValueError(f"{field} is {value}; expected 16 to 8192 px")
+        if not 1 <= self.quality <= 100:
+            raise ValueError(f"quality is {self.quality}; expected 1 to 100")
+        if not 0 <= self.niceness <= 19:
+            raise ValueError(f"niceness is {self.niceness}; expected 0 to 19")
+        self.typed_options()
+
+    @property
+    def kind(self) -> CameraKind:
+        """The kind of its source."""
+        found: CameraKind = registry.find("camera", self.source)
+        return found
+
+    def typed_options(self) -> Any:
+        """Return the options as the source's type has them.
+
+        Raises:
+            ValueError: they are none of its options; the message names the field.
+        """
+        try:
+            return configs.build(self.kind.options, self.options, where=f"options of the source {self.source}")
+        except ConfigError as error:
+            raise ValueError(str(error)) from None
+
+    @property
+    def wishes(self) -> Wishes:
+        """What is wanted of the pictures."""
+        return Wishes(fps=self.fps, width=self.width, height=self.height, quality=self.quality)
+
+
+def main(config: CameraConfig, life: Life) -> int:
+    """Publish pictures until asked to stop; return the exit code."""
+    kind, options = config.kind, config.typed_options()
+    os.nice(config.niceness)
+    watched = kind.keys(options)
+    if not watched:
+        return _serve(config, life, kind, options, lambda _key: None)
+    with life.bus.watch(watched) as watch:
+        return _serve(config, life, kind, options, watch.latest)
+
+
+def _serve(config: CameraConfig, life: Life, kind: CameraKind, options: Any, newest: Newest) -> int:
+    return serve_camera(
+        life,
+        lambda: kind.open(options, config.wishes, newest),
+        name=config.name or life.name,
+        facts={"source": config.source, "config": to_plain(config)},
+        fps=config.fps,
+    )
+
+
+KIND = ServerKind(
+    name="camera",
+    role="sensor",
+    summary="pictures of a camera: USB, files, simulated, or TWIST2's stream",
+    config=CameraConfig,
+    main=main,
+)

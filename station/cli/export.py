@@ -1,0 +1,254 @@
+"""``station export``: episodes as files for training, or for a quick look."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import msgspec
+
+from station import registry
+from station.cli.fields import options_of
+from station.cli.options import Decorator, Verbs, data_option, jobs_option, json_option
+from station.errors import StationError, UnknownName, UsageError
+from station.printable import printable
+
+if TYPE_CHECKING:
+    from station.export.columns import KeyColumns
+    from station.export.kind import ExportKind, LeftOut
+    from station.export.run import Exported, Preview, Where
+    from station.export.shards import Outcome
+
+_TOLD = 20  # episodes that are not in the result and are told; the rest are counted
+
+
+class _Formats(Verbs):
+    """One verb per registered format, made of the format's own options."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return registry.names("export")
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        return _verb(_kind(cmd_name)) if cmd_name in registry.names("export") else None
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the format that the first word names.
+
+        Raises:
+            UnknownName: there is none.
+        """
+        if not args[0].startswith("-") and args[0] not in (known := registry.names("export")):
+            raise UnknownName("export format", args[0], known)
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Formats"):
+            formatter.write_dl([(name, _summary(name)) for name in registry.names("export")])
+
+
+def _list(ctx: click.Context, _option: click.Parameter, is_asked: bool) -> None:
+    if is_asked:
+        width = max((len(name) for name in registry.names("export")), default=0)
+        for name in registry.names("export"):
+            click.echo(f"{name:{width}}  {_summary(name)}")
+        ctx.exit()
+
+
+@click.group("export", cls=_Formats, subcommand_metavar="FORMAT EPISODES... --out DIR [OPTIONS]")
+@click.option("--list", is_flag=True, is_eager=True, expose_value=False, callback=_list, help="List the formats.")
+def command() -> None:
+    """Make training data, or files for a quick look, of episodes.
+
+    \b
+    station export lerobot --task cabinet --out cabinet       every episode of a task
+    station export csv latest --out look                      one episode, to look into
+    station export lerobot --task cabinet --out cabinet --dry-run
+
+    An export that is interrupted goes on where it was when it is called again. Exit code 1 when an episode could not
+    be converted; the result holds all others.
+    """
+
+
+def _kind(name: str) -> ExportKind:
+    kind: ExportKind = registry.find("export", name)
+    return kind
+
+
+def _summary(name: str) -> str:
+    try:
+        return _kind(name).summary
+    except (ImportError, AttributeError) as error:  # of a third party: the others are still to be seen
+        return f"cannot be loaded: {error}"
+
+
+def _verb(kind: ExportKind) -> click.Command:
+    """Return the verb of a format: what all have, and the format's own options."""
+    fields = options_of(kind.options)
+
+    @click.command(kind.name, help=_HELP.format(summary=kind.summary), short_help=kind.summary)
+    @_of_every_format
+    def verb(
+        episodes: Sequence[str], out: Path | None, data: Path | None, task: str | None, jobs: int, ray: str | None,
+        dry_run: bool, as_json: bool, **given: Any,
+    ) -> None:  # fmt: skip
+        from station.config import build
+        from station.export.run import Where
+        from station.export.select import sources
+
+        options = build(kind.options, fields.values(given), where=f"export {kind.name}")
+        if out is None and not dry_run:
+            raise UsageError(f"export {kind.name}: say which folder to make with --out")
+        chosen, where = sources(episodes, data, task=task), Where(jobs=jobs, ray_address=ray)
+        if out is None or dry_run:
+            _preview(kind, chosen, options, where, as_json)
+        else:
+            _export(kind, chosen, options, out, where, as_json)
+
+    verb.params.extend(fields.params)
+    return verb
+
+
+def _of_every_format(function: Callable[..., None]) -> Callable[..., None]:
+    """Add what every format can be asked."""
+    folder = click.Path(file_okay=False, path_type=Path)
+    on_ray = "Work on a Ray cluster: host:port, ray://host:port, auto, or local (extra 'ray')."
+    options: list[Decorator] = [
+        click.argument("episodes", nargs=-1),
+        click.option("--out", "-o", metavar="DIR", type=folder, help="Folder to make."),
+        data_option,
+        click.option("--task", default=None, metavar="NAME", help="Episodes of this task alone."),
+        jobs_option,
+        click.option("--ray", metavar="ADDRESS", default=None, help=on_ray),
+        click.option("--dry-run", is_flag=True, help="Say what would be exported, and write nothing."),
+        json_option,
+    ]
+    for option in reversed(options):
+        function = option(function)
+    return function
+
+
+_HELP = """{summary}
+
+EPISODES are paths, ids, beginnings of ids, `latest`, or patterns ('2026-11-21-*'); none at all takes every episode of
+the data folder."""
+
+
+def _export(kind: ExportKind, chosen: Sequence[Any], options: Any, out: Path, where: Where, as_json: bool) -> None:
+    from station.export.kind import LeftOut
+    from station.export.progress import progress
+    from station.export.run import export
+
+    seen: list[Outcome] = []
+    try:
+        with progress(len(chosen), f"export {kind.name}", is_quiet=as_json) as tell:
+
+            def on_done(outcome: Outcome) -> None:
+                seen.append(outcome)
+                tell(is_lost=outcome.made is None)
+
+            done = export(kind, chosen, options, out, where=where, on_done=on_done)
+    except KeyboardInterrupt:
+        safe = sum(outcome.made is not None for outcome in seen)
+        again = "; the same command goes on from there" if safe else ""
+        raise _Interrupted(f"interrupted; {safe} of {len(chosen)} episodes are converted and kept{again}") from None
+    except StationError:
+        lost = [LeftOut(source=outcome.source, reason=outcome.reason) for outcome in seen if outcome.made is None]
+        _tell_lost("failed", lost if len(lost) > 1 else [])  # of one alone the error tells
+        raise
+    _tell_lost("failed", done.failed)
+    _tell_lost("left out", done.left_out)
+    if as_json:
+        click.echo(msgspec.json.encode(done, enc_hook=str))
+    else:
+        click.echo(_result(kind, done))
+    raise SystemExit(1 if done.failed else 0)
+
+
+class _Interrupted(StationError):
+    """Ctrl-C, with what there is to say of it; the exit code is a shell's."""
+
+    exit_code = 130
+
+
+def _tell_lost(what: str, lost: Sequence[LeftOut]) -> None:
+    for each in lost[:_TOLD]:
+        click.echo(f"{what}: {printable(each.reason)}", err=True)
+    if more := lost[_TOLD:]:
+        click.echo(f"{what}: {len(more)} more", err=True)
+
+
+def _result(kind: ExportKind, done: Exported) -> str:
+    lost = [f"{len(those)} {what}" for what, those in (("failed", done.failed), ("left out", done.left_out)) if those]
+    kept = [f"{done.kept} of them converted before"] if done.kept else []
+    counts = "; ".join([f"{done.episodes} episode{'s' if done.episodes != 1 else ''}", *kept, *lost])
+    size = f"{done.size_bytes / 1e6:.1f} MB in {done.files} files"
+    return (
+        f"{kind.name}: {counts}; {_duration(done.seconds)} of robot time, {done.rows} rows, {size}, "
+        f"in {_duration(done.took_s)}: {done.out}"
+    )
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def _preview(kind: ExportKind, chosen: Sequence[Any], options: Any, where: Where, as_json: bool) -> None:
+    from station.export.columns import KeyColumns
+    from station.export.progress import progress
+    from station.export.run import preview
+
+    with progress(len(chosen), "looking", is_quiet=as_json) as tell:
+        seen = preview(kind, chosen, options, where=where, on_done=tell)
+    if as_json:
+        click.echo(json.dumps(_plain(seen)))
+    else:
+        for source in seen.sources:
+            click.echo(f"goes in   {source.episode_id}")
+        for lost in seen.left_out:
+            click.echo(f"left out  {printable(lost.reason)}")
+        if seen.plan is not None:
+            for line in _columns(within(seen.plan, KeyColumns)):
+                click.echo(line)
+            click.echo(f"as        {json.dumps(_settings(seen.plan))}")
+        click.echo(f"{len(seen.sources)} of {len(chosen)} episodes would go in; nothing was written")
+    raise SystemExit(0 if seen.sources else 1)
+
+
+def _plain(seen: Preview) -> dict[str, Any]:
+    return {
+        "sources": msgspec.to_builtins(seen.sources),
+        "left_out": msgspec.to_builtins(seen.left_out),
+        "plan": msgspec.to_builtins(seen.plan, enc_hook=str),
+    }
+
+
+def within(value: Any, kind: type) -> Iterable[Any]:
+    """Yield the objects of a type within a plan, in order."""
+    if isinstance(value, kind):
+        yield value
+    elif isinstance(value, msgspec.Struct):
+        for name in value.__struct_fields__:
+            yield from within(getattr(value, name), kind)
+    elif isinstance(value, (list, tuple)):
+        for item in value:
+            yield from within(item, kind)
+
+
+def _columns(found: Iterable[KeyColumns]) -> Iterable[str]:
+    """Yield a line per key; a plan may name one more than once."""
+    for each in {each.key: each for each in found}.values():
+        named = [f"{name} [{unit}]" if unit else name for name, unit in zip(each.names, each.units, strict=True)]
+        yield f"columns   {each.key} ({each.role}, {len(named)}): {', '.join(named)}"
+
+
+def _settings(plan: Any) -> dict[str, Any]:
+    """Return what of a plan is a single value: rate, layout, codec …"""
+    plain = msgspec.to_builtins(plan, enc_hook=str)
+    return {name: value for name, value in plain.items() if isinstance(value, (str, int, float))}

@@ -1,0 +1,205 @@
+"""What a check found, for a person."""
+
+from __future__ import annotations
+
+from rich.console import Console
+
+from station.cli.tables import Column, plain, print_table
+from station.episode.quality import Interruption, Quality, Spread, StepQuality, StreamQuality
+from station.episode.quality_parts import Alignment, CameraQuality, MotionQuality
+
+_MOST_ROWS = 20
+_KINDS = {
+    "bus-silent": ("silent once", "silent {} times"),
+    "bus-lost": ("lost once", "lost {} times"),
+    "bus-refused": ("refused writes once", "refused writes {} times"),
+    "watch-cut": ("unheard by a server once", "unheard by servers {} times"),
+    "tap-cut": ("recording link cut once and resumed,", "recording link cut {} times and resumed"),
+    "hole": ("1 hole in the recording,", "{} holes in the recording"),
+    "recorder-restart": ("recorder restarted once, away", "recorder restarted {} times"),
+}
+_COLOURS = {"good": "green", "usable": "yellow", "reject": "red"}
+
+
+def print_quality(quality: Quality) -> None:
+    """Print verdict, reasons, streams and steps."""
+    console = Console(highlight=False)
+    colour = _COLOURS[quality.verdict]
+    console.print(
+        f"[bold]{plain(quality.episode_id)}[/]: [{colour}]{quality.verdict}[/]   {_headline(quality)}", soft_wrap=True
+    )
+    for reason in quality.reasons:
+        console.print(
+            f"  [{_COLOURS[reason.verdict]}]{reason.verdict}[/] {reason.rule}: {plain(reason.text)}", soft_wrap=True
+        )
+    _print_interruptions(console, quality)
+    console.print()
+    _print_streams(quality.streams)
+    _print_cameras(console, quality.cameras)
+    for steps in quality.steps:
+        console.print()
+        _print_steps(console, steps, lock_step=quality.lock_step)
+    _print_motion(console, quality)
+    if len(quality.rules) > 1:
+        last = quality.rules[-1]
+        console.print(
+            f"\n[dim]judged by the rules of {plain(last.file)} (sha256 {last.sha256[:12]}…)[/]", soft_wrap=True
+        )
+
+
+def _headline(quality: Quality) -> str:
+    lost = sum(stream.lost for stream in quality.streams)
+    dropped = f", {quality.dropped} dropped" if quality.dropped else ""
+    tap = f"{plain(quality.backend or 'unknown')} tap{'' if quality.is_lossless else ' (lossy)'}"
+    return (
+        f"{quality.duration_s:.1f} s, {quality.messages} messages, {lost} lost{dropped}, {quality.falls} falls, "
+        f"{quality.resets} resets, {quality.recorder_restarts} recorder restarts, {tap}"
+    )
+
+
+def _print_interruptions(console: Console, quality: Quality) -> None:
+    """Print what became of the bus and of the recorder's link to it, a line each."""
+    found = quality.interruptions
+    if not found:
+        console.print("\n[dim]bus: no interruption[/]")
+        return
+    console.print(f"\n[bold]bus[/]: {_summary(found)}", soft_wrap=True)
+    columns = [*map(Column, ("at", "lasted", "lost")), Column("what", "left"), Column("told by", "left")]
+    rows = [
+        (
+            f"{item.at_s:.2f} s",
+            "to the end" if item.seconds is None else f"{item.seconds:.2f} s",
+            "–" if item.lost is None else f"[red]{item.lost}[/]" if item.lost else "0",
+            plain(f"{item.kind}: {item.reason}" if item.reason else item.kind),
+            plain(", ".join(item.told_by)),
+        )
+        for item in found[:_MOST_ROWS]
+    ]
+    print_table(columns, rows, indent=2)
+    if len(found) > _MOST_ROWS:
+        console.print(f"  [dim]… and {len(found) - _MOST_ROWS} more; --json has all[/]")
+
+
+def _summary(found: list[Interruption]) -> str:
+    """Say in a line what the interruptions were, and what they cost."""
+    words = []
+    for kind, (one, several) in _KINDS.items():
+        items = [item for item in found if item.kind == kind]
+        if items:
+            lost = sum(item.lost or 0 for item in items)
+            cost = "" if all(item.lost is None for item in items) else f" ({lost} writes lost)"
+            longest = max(item.seconds or 0.0 for item in items)
+            how = f"{one} for" if len(items) == 1 else f"{several.format(len(items))}, longest"
+            words.append(f"{how} {longest:.2f} s{cost}")
+    return "; ".join(words)
+
+
+def _print_streams(streams: list[StreamQuality]) -> None:
+    columns = [
+        Column("key", "left"),
+        Column("writer", "left"),
+        *map(Column, ("count", "lost", "rate", "jitter p99", "gap")),
+    ]
+    rows = [
+        (
+            plain(item.key),
+            plain(item.writer),
+            str(item.count),
+            f"[red]{item.lost}[/]" if item.lost else ("0" if item.is_native else "–"),
+            _unit(item.rate_hz, 1, "Hz"),
+            _unit(item.jitter_p99_s, 1e3, "ms"),
+            _unit(item.longest_gap_s, 1e3, "ms", digits=0),
+        )
+        for item in streams
+    ]
+    print_table(columns, rows)
+
+
+def _print_steps(console: Console, steps: StepQuality, *, lock_step: bool) -> None:
+    shares = ", ".join(f"{plain(state)} {share:.0%}" for state, share in steps.gate_shares.items())
+    text = f"[bold]{plain(steps.robot)}[/]: {steps.steps} policy steps, {steps.missing_steps} missing; gate: {shares}"
+    console.print(text, soft_wrap=True)
+    if steps.mean_joint_error_rad is not None:
+        console.print(
+            f"  mean joint error {steps.mean_joint_error_rad:.3f} rad over {steps.compared_steps} steps "
+            f"(worst {plain(steps.worst_joint)} {steps.worst_joint_error_rad:.3f} rad)"
+            + _height(steps.mean_root_height_error_m),
+            soft_wrap=True,
+        )
+    if lock_step:
+        console.print("  [dim]lock-step: commands wait for states, so latencies say nothing of the control[/]")
+        return
+    columns = [Column("time between", "left"), *map(Column, ("p50", "p99", "max"))]
+    spreads = {"command age at use": steps.command_age, **steps.stages}
+    rows = [(name.replace("_to_", " → ").replace("_", " "), *_times(spread)) for name, spread in spreads.items()]
+    print_table(columns, rows, indent=2)
+
+
+def _print_cameras(console: Console, cameras: list[CameraQuality]) -> None:
+    """Print what became of each camera's pictures."""
+    if not cameras:
+        return
+    titles = ("pictures", "missing", "rate", "longest gap", "age at write p50", "p99")
+    rows = [
+        (
+            plain(item.name), str(item.frames), f"[red]{item.missing}[/]" if item.missing else "0",
+            _unit(item.rate_hz, 1, "Hz"), _unit(item.longest_gap_s, 1e3, "ms", digits=0),
+            _unit(item.age_p50_s, 1e3, "ms"), _unit(item.age_p99_s, 1e3, "ms"),
+        )
+        for item in cameras
+    ]  # fmt: skip
+    console.print()
+    print_table([Column("camera", "left"), *map(Column, titles)], rows)
+
+
+def _print_motion(console: Console, quality: Quality) -> None:
+    """Print how the joints of each robot moved, and how commands lay beside states, a line for each finding."""
+    told = {steps.robot for steps in quality.steps}
+    for item in quality.motion:
+        if item.robot not in told:
+            console.print(f"\n[bold]{plain(item.robot)}[/]: {item.samples} states", soft_wrap=True)
+        for line in _motion(item):
+            console.print(f"  {line}", soft_wrap=True)
+    for found in quality.alignment:
+        for line in _aligned(found, lock_step=quality.lock_step):
+            console.print(f"  {line}", soft_wrap=True)
+
+
+def _motion(item: MotionQuality) -> list[str]:
+    lines = [f"nothing moves in the first {item.idle_head_s:.1f} s and in the last {item.idle_tail_s:.1f} s"]
+    if item.jerk_p99_rad_s3 is not None:
+        worst = f"most {plain(item.worst_jerk_joint)} {item.jerk_max_rad_s3 or 0.0:.0f}"
+        lines.append(f"jerk p99 {item.jerk_p99_rad_s3:.0f} rad/s³, {worst}")
+    if item.limit_joints:
+        joints = ", ".join(f"{plain(joint)} {share:.1%}" for joint, share in list(item.limit_joints.items())[:3])
+        lines.append(f"joints came to their ends {item.limit_hits} times: {joints} of the time")
+    elif item.limits_from:
+        lines.append("no joint came to its end")
+    return lines
+
+
+def _aligned(found: Alignment, *, lock_step: bool) -> list[str]:
+    lines = []
+    if found.lag_s is not None and found.lag_correlation is not None:
+        lines.append(
+            f"joints follow the command by {found.lag_s * 1e3:.0f} ms (correlation {found.lag_correlation:.2f})"
+        )
+    if found.lead_p50_s is not None and not lock_step:
+        p50, p99 = _unit(found.lead_p50_s, 1e3, "ms"), _unit(found.lead_p99_s, 1e3, "ms")
+        lines.append(f"commands were written before the state that they were used with: p50 {p50}, p99 {p99}")
+    if found.steps:
+        lines.append(f"{found.repeated} steps used a command again, {found.skipped} commands were not used")
+    return lines
+
+
+def _height(error_m: float | None) -> str:
+    return "" if error_m is None else f"; mean height error {error_m:.3f} m"
+
+
+def _times(spread: Spread) -> tuple[str, str, str]:
+    p50, p99, top = (_unit(value, 1e3, "ms", digits=2) for value in (spread.p50_s, spread.p99_s, spread.max_s))
+    return p50, p99, top
+
+
+def _unit(value: float | None, scale: float, unit: str, *, digits: int = 1) -> str:
+    return "–" if value is None else f"{value * scale:.{digits}f} {unit}"

@@ -1,0 +1,126 @@
+"""The message types of Foxglove that viewers draw, and how ours become them.
+
+Names, numbers and types of the fields are those that Foxglove publishes (``foxglove-sdk``, ``schemas/proto``); fields
+that we never fill are left out, which is what protobuf allows. Quaternions: ours are ``w x y z``, theirs have names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+from station.enrich import protobuf
+from station.enrich.protobuf import TIMESTAMP, Field, Schema
+from station.life.events import Event, Severity
+
+_NANOSECONDS = 1_000_000_000
+_VECTOR3, _QUATERNION, _POSE = "foxglove.Vector3", "foxglove.Quaternion", "foxglove.Pose"
+
+COMPRESSED_IMAGE = "foxglove.CompressedImage"
+FRAME_TRANSFORM = "foxglove.FrameTransform"
+LOG = "foxglove.Log"
+POSE_IN_FRAME = "foxglove.PoseInFrame"
+POSES_IN_FRAME = "foxglove.PosesInFrame"
+
+_TYPES: dict[str, tuple[Field, ...]] = {
+    _VECTOR3: (Field("x", 1, "double"), Field("y", 2, "double"), Field("z", 3, "double")),
+    _QUATERNION: tuple(Field(axis, number, "double") for number, axis in enumerate("xyzw", 1)),
+    _POSE: (Field("position", 1, _VECTOR3), Field("orientation", 2, _QUATERNION)),
+    POSE_IN_FRAME: (Field("timestamp", 1, TIMESTAMP), Field("frame_id", 2, "string"), Field("pose", 3, _POSE)),
+    POSES_IN_FRAME: (
+        Field("timestamp", 1, TIMESTAMP), Field("frame_id", 2, "string"), Field("poses", 3, _POSE, is_repeated=True),
+    ),
+    FRAME_TRANSFORM: (
+        Field("timestamp", 1, TIMESTAMP), Field("parent_frame_id", 2, "string"), Field("child_frame_id", 3, "string"),
+        Field("translation", 4, _VECTOR3), Field("rotation", 5, _QUATERNION),
+    ),
+    COMPRESSED_IMAGE: (
+        Field("timestamp", 1, TIMESTAMP), Field("data", 2, "bytes"), Field("format", 3, "string"),
+        Field("frame_id", 4, "string"),
+    ),
+    LOG: (
+        Field("timestamp", 1, TIMESTAMP), Field("level", 2, "enum:foxglove.Log.Level"), Field("message", 3, "string"),
+        Field("name", 4, "string"), Field("file", 5, "string"), Field("line", 6, "fixed32"),
+    ),
+}  # fmt: skip
+_ENUMS = {LOG: [("Level", ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL"))]}
+_LEVELS: dict[Severity, int] = {"info": 2, "warning": 3, "error": 4}
+
+
+@cache
+def schema(name: str) -> Schema:
+    """Return the schema of one of the types above."""
+    order: list[str] = []
+    _visit(name, order)
+    files = [
+        protobuf.timestamp_file() if used == TIMESTAMP else
+        protobuf.message_file(used, _TYPES[used], enums=_ENUMS.get(used, ()))
+        for used in order
+    ]  # fmt: skip
+    return Schema(name, protobuf.file_set(files))
+
+
+def image(jpeg: bytes, captured_ns: int, camera: str) -> bytes:
+    """Return a picture: a whole JPEG file, when it was taken [ns since the epoch], and whose it is."""
+    message = _stamped(COMPRESSED_IMAGE, captured_ns)
+    message.data, message.format, message.frame_id = jpeg, "jpeg", camera
+    return bytes(message.SerializeToString())
+
+
+def log(event: Event, time_ns: int) -> bytes:
+    """Return an event as a line of a log; time in [ns since the epoch]."""
+    message = _stamped(LOG, time_ns)
+    message.level, message.message, message.name = _LEVELS[event.severity], str(event), event.source
+    return bytes(message.SerializeToString())
+
+
+def pose(values: Sequence[float], time_ns: int, frame: str) -> bytes:
+    """Return a pose: x y z [m] qw qx qy qz in a frame."""
+    message = _stamped(POSE_IN_FRAME, time_ns)
+    message.frame_id = frame
+    _place(message.pose.position, message.pose.orientation, values)
+    return bytes(message.SerializeToString())
+
+
+def poses(values: Sequence[float], time_ns: int, frame: str) -> bytes:
+    """Return several poses, seven numbers each as in `pose`."""
+    message = _stamped(POSES_IN_FRAME, time_ns)
+    message.frame_id = frame
+    for start in range(0, len(values), 7):
+        added = message.poses.add()
+        _place(added.position, added.orientation, values[start : start + 7])
+    return bytes(message.SerializeToString())
+
+
+def transform(values: Sequence[float], time_ns: int, parent: str, child: str) -> bytes:
+    """Return where a child frame stands in its parent: seven numbers as in `pose`."""
+    message = _stamped(FRAME_TRANSFORM, time_ns)
+    message.parent_frame_id, message.child_frame_id = parent, child
+    _place(message.translation, message.rotation, values)
+    return bytes(message.SerializeToString())
+
+
+def _visit(name: str, order: list[str]) -> None:
+    """Add a type to the order of files, behind the types that it is made of."""
+    for field in _TYPES.get(name, ()):
+        if field.type == TIMESTAMP or field.type in _TYPES:
+            _visit(field.type, order)
+    if name not in order:
+        order.append(name)
+
+
+@cache
+def _class(name: str) -> Any:
+    return protobuf.message_class(schema(name))
+
+
+def _stamped(name: str, time_ns: int) -> Any:
+    message = _class(name)()
+    message.timestamp.seconds, message.timestamp.nanos = divmod(time_ns, _NANOSECONDS)
+    return message
+
+
+def _place(position: Any, orientation: Any, values: Sequence[float]) -> None:
+    position.x, position.y, position.z = values[:3]
+    orientation.w, orientation.x, orientation.y, orientation.z = values[3:]

@@ -1,0 +1,42 @@
+"""A recorder that went on where the one before it was killed has caught up when nothing waits for it any more."""
+
+from __future__ import annotations
+
+from station.bus.tap import Tap
+
+_FULL = 3 / 8  # of the queue before the disk: before anything is dropped
+_DRAINED = 1 / 4
+_LONGEST_S = 20.0  # as long as whoever asks a recorder waits for its answer, which comes in the order of the stream
+
+
+class CatchingUp:
+    """Says when a tap that is late is to be read: as long as the bus can keep what the disk cannot take, not before.
+
+    Late is a tap that was resumed, until it has read what was written while no tap was there, and the queue before the
+    disk has drained once. What comes meanwhile waits at the bus; read at once, it would be dropped. Where the disk
+    stays slower than what is written, the bus would have to keep more and more: then, or after a while, all is read,
+    and the queue drops what it must.
+
+    Args:
+        tap: The tap.
+        now_s: The time [s, monotonic].
+
+    Attributes:
+        is_late: Whether what the tap returns was written long before it came.
+    """
+
+    def __init__(self, tap: Tap, now_s: float) -> None:
+        self._tap = tap
+        self._ends_s = now_s + _LONGEST_S
+        self.is_late = tap.is_catching_up
+
+    def must_wait(self, load: float, now_s: float) -> bool:
+        """Return whether the tap is not to be read now, and take note of how far it is.
+
+        Args:
+            load: How full the queue before the disk is, 0..1.
+            now_s: The time [s, monotonic].
+        """
+        if self.is_late and (now_s >= self._ends_s or (load < _DRAINED and not self._tap.is_catching_up)):
+            self.is_late = False
+        return self.is_late and load > _FULL and self._tap.may_wait()

@@ -1,0 +1,124 @@
+"""Which keys become the columns of a table, what each number of them is called, and its unit: from contracts only."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import msgspec
+
+from station.bus import contracts, keys
+from station.bus.contracts import Contract, Role
+from station.episode import steps
+from station.episode.reader import EpisodeReader
+from station.errors import EpisodeError, did_you_mean
+
+NumberCodec = Literal["json-vector", "f64", "f32"]
+
+
+class KeyColumns(msgspec.Struct, frozen=True, kw_only=True):
+    """One key of a table.
+
+    Attributes:
+        key: The key.
+        role: Its role, which decides how it is resampled; see `station.export.resample`.
+        codec: How its bytes are read.
+        names: What its n numbers are called, in order.
+        units: Their units, "" for none.
+        rate_hz: Nominal rate of its writes [Hz]; None when it is written as things happen.
+    """
+
+    key: str
+    role: Role
+    codec: NumberCodec
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    rate_hz: float | None = None
+
+
+def key_columns(reader: EpisodeReader, key: str) -> KeyColumns:
+    """Return the columns of a key as an episode recorded them.
+
+    Raises:
+        EpisodeError: the episode has no such key, or nobody has said what its numbers are; names key and cure.
+    """
+    found = recorded_contracts(reader)
+    if key not in found:
+        raise EpisodeError(
+            f"{reader.episode_id}: no key {key!r} in it{did_you_mean(key, found)}; "
+            f"`station episodes show {reader.episode_id}` lists its keys"
+        )
+    contract = found[key] or contracts.contract(key)  # one that was described only after it had been recorded
+    if contract is None:
+        raise EpisodeError(
+            f"{reader.episode_id}: key {key!r} has no contract, so nobody knows what its numbers are; "
+            "describe it in station/bus/contracts.py, or leave it out"
+        )
+    if contract.codec not in ("json-vector", "f64", "f32"):
+        raise EpisodeError(f"{reader.episode_id}: key {key!r} holds {contract.codec}, no numbers; leave it out")
+    if not contract.elements:
+        raise EpisodeError(
+            f"{reader.episode_id}: the contract of key {key!r} names no elements, so its columns would have no names; "
+            "name them in station/bus/contracts.py, or leave it out"
+        )
+    units = tuple(element.unit for element in contract.elements)
+    return KeyColumns(
+        key=key, role=contract.role, codec=contract.codec, names=contract.names, units=units, rate_hz=contract.rate_hz
+    )
+
+
+def expect_same(reader: EpisodeReader, wanted: Sequence[KeyColumns]) -> None:
+    """Refuse an episode whose keys do not hold what the table has.
+
+    Raises:
+        EpisodeError: a key is missing or has other elements; names it.
+    """
+    for columns in wanted:
+        found = key_columns(reader, columns.key)
+        if found.names == columns.names:
+            continue
+        odd = ", ".join(sorted(set(found.names) ^ set(columns.names))[:3]) or "in another order"
+        raise EpisodeError(
+            f"{reader.episode_id}: key {columns.key!r} has {len(found.names)} elements, "
+            f"the data set {len(columns.names)} ({odd}); export episodes of one robot at a time"
+        )
+
+
+def unique_names(columns: Sequence[KeyColumns]) -> list[str]:
+    """Return the name of every number of several keys: as in the contract, with the key before it where two agree."""
+    counts = Counter(name for one in columns for name in one.names)
+    return [name if counts[name] == 1 else f"{one.key}.{name}" for one in columns for name in one.names]
+
+
+def recorded_contracts(reader: EpisodeReader) -> Mapping[str, Contract | None]:
+    """Return the recorded contract of every key of an episode, None where it has none."""
+    found: dict[str, Contract | None] = {}
+    for stream in reader.streams():
+        if not stream.channel.is_deletion:
+            found[stream.channel.topic] = found.get(stream.channel.topic) or stream.channel.contract
+    return found
+
+
+def robot_of(reader: EpisodeReader) -> str:
+    """Return the suffix of the robot of an episode: by its policy steps, else by its manifest.
+
+    Raises:
+        EpisodeError: it has none, or several.
+    """
+    topics = reader.topics()
+    found = steps.robots(topics)
+    suffix = reader.manifest.robot.suffix
+    if len(found) > 1 and suffix not in found:
+        raise EpisodeError(
+            f"{reader.episode_id}: several robots ({', '.join(found)}); name the keys with --state and --action"
+        )
+    if suffix or found:
+        return suffix if suffix in found or not found else found[0]
+    state = keys.robot_state("")
+    robots = sorted(topic.removeprefix(state) for topic in topics if topic.startswith(state))
+    if len(robots) == 1:
+        return robots[0]
+    raise EpisodeError(
+        f"{reader.episode_id}: no robot in it that the defaults could mean; name the keys with --state and --action"
+    )

@@ -1,0 +1,117 @@
+"""What an export format is; formats are found by name through the registry (entry points ``station.exports``).
+
+An export goes through four steps, whatever the format. Only the second is heavy, and it is one call per episode:
+
+1. ``prepare(sources, options)`` looks at as few episodes as it can and returns a *plan*: everything that must be the
+   same in all of them (columns, rate, size of pictures). Here a request that fits no episode is refused.
+2. ``convert(source, plan, folder)`` writes what one episode gives, its *shard*, into an empty folder, and returns
+   `Made`. It runs in a process of its own, possibly on another machine, one episode at a time. An episode that cannot
+   be converted raises `StationError` with one line that names the key; it is left out and told of, nothing else stops.
+3. `station.export.shards` gives a whole shard its name by one rename. A shard is known by its episode, the plan and the
+   version of the format, so an export that was killed goes on with what is missing.
+4. ``join(shards, plan, folder)`` makes the result of all shards in an empty folder, which then gets its final name by
+   one rename: nothing half is ever visible. A format without a join has the files of all shards as its result, so
+   their names must differ: begin them with the episode's id.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+MinQuality = Literal["good", "usable", "any"]
+
+
+class ExportOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What every format can be asked; a format's own options extend it.
+
+    Each field is one option of the command line: its name with dashes, its ``Meta(description=…)`` as help, a
+    `Literal` as a choice, a ``tuple[str, ...]`` as names with commas between them. A field that the type or
+    ``__post_init__`` refuses raises `ValueError`, which `station.config.build` turns into one line.
+
+    Attributes:
+        min_quality: Least verdict of `station check` that an episode needs; one that was never measured is measured.
+    """
+
+    min_quality: Annotated[MinQuality, msgspec.Meta(description="Least verdict of `station check`.")] = "usable"
+
+
+class Source(msgspec.Struct, frozen=True, kw_only=True):
+    """One episode to be exported.
+
+    Attributes:
+        episode_id: Its id; no two sources of an export have the same.
+        folder: Its folder, absolute.
+    """
+
+    episode_id: str
+    folder: str
+
+
+class Made(msgspec.Struct, frozen=True, kw_only=True):
+    """What `convert` says of the shard that it wrote; it is kept as JSON beside the shard.
+
+    Attributes:
+        seconds: Length of the robot's time in it [s].
+        rows: Rows (messages, where a format has no rows).
+        facts: Anything that `join` needs without reading the shard again; plain values that JSON can hold.
+    """
+
+    seconds: float
+    rows: int
+    facts: dict[str, Any] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """A whole shard: the episode it is of, its folder with the files that `convert` wrote, and what that said."""
+
+    source: Source
+    folder: Path
+    made: Made
+
+
+class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
+    """An episode that is not in the result, and why in one line that names the episode."""
+
+    source: Source
+    reason: str
+
+
+Prepare = Callable[[Sequence[Source], Any], msgspec.Struct]
+Convert = Callable[[Source, Any, Path], Made]
+Join = Callable[[Sequence[Shard], Sequence[LeftOut], Any, Path], dict[str, Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class ExportKind:
+    """One format.
+
+    Attributes:
+        name: As it is registered, for example ``lerobot``.
+        summary: What it makes, in one line, for ``station export --help``.
+        options: Type of its options.
+        prepare: ``(sources, options) -> plan``. The plan is a `msgspec.Struct` that survives pickling and JSON (it is
+            part of a shard's fingerprint, so it holds no times and no paths of the output). `sources` is never empty.
+            Raises `StationError` when no source can be exported so: one line that names key and cure.
+        convert: ``(source, plan, folder) -> Made``. A function of a module (workers import it by the format's name);
+            `folder` exists and is empty. It holds no more than this one episode in memory, pictures one at a time.
+            Raises `StationError` for an episode that does not fit, `OSError` when the disk refuses.
+        join: ``(shards, left_out, plan, folder) -> facts``, or None. Shards come in the order of their sources;
+            `folder` exists and is empty; shards are not to be changed (`station.export.shards.place` links a file
+            instead of copying it). Returns facts of the result for people and programs, plain values. Never called
+            without shards.
+        version: Counted up when the same episode and plan give other bytes; then older shards are made anew.
+    """
+
+    name: str
+    summary: str
+    options: type[ExportOptions]
+    prepare: Prepare
+    convert: Convert
+    join: Join | None = None
+    version: int = 1

@@ -1,0 +1,169 @@
+"""A whole export: episodes in, one folder out, resumed where an earlier run of it ended."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from station.errors import StationError
+from station.export import shards, verdict
+from station.export.jobs import Attempt, DiskRefuses, map_episodes
+from station.export.kind import ExportKind, ExportOptions, LeftOut, MinQuality, Source
+
+Told = Callable[[shards.Outcome], None]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Where:
+    """Where the work is done: `jobs` processes here (0: one per core), or a Ray cluster as of `jobs.map_episodes`."""
+
+    jobs: int = 0
+    ray_address: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Exported:
+    """What an export made.
+
+    Attributes:
+        out: The folder.
+        episodes: Episodes in it.
+        kept: How many of them an earlier run had converted.
+        left_out: Episodes that are not good enough, and why.
+        failed: Episodes that could not be converted, and why.
+        seconds: Robot time in it [s].
+        rows: Rows in it.
+        size_bytes, files: Of the folder.
+        took_s: How long it took [s].
+        facts: What the format says of it.
+    """
+
+    out: Path
+    episodes: int
+    kept: int
+    left_out: tuple[LeftOut, ...]
+    failed: tuple[LeftOut, ...]
+    seconds: float
+    rows: int
+    size_bytes: int
+    files: int
+    took_s: float
+    facts: dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Preview:
+    """What an export would be: episodes that would go in, those that would not and why, and the format's plan."""
+
+    sources: tuple[Source, ...]
+    left_out: tuple[LeftOut, ...]
+    plan: Any
+
+
+def export(
+    kind: ExportKind, sources: Sequence[Source], options: ExportOptions, out: Path, *, where: Where,
+    on_done: Told | None = None,
+) -> Exported:  # fmt: skip
+    """Export episodes into a folder.
+
+    Killed at any moment, or out of disk, it goes on where it was when it is called again with the same arguments.
+
+    Args:
+        kind: The format.
+        sources: The episodes, at least one.
+        options: Of the type that the format asks for.
+        out: Folder to make; may exist if it is empty.
+        where: Where the work is done.
+        on_done: Called with what became of each episode, in any order.
+
+    Raises:
+        StationError: nothing can be exported so, or the disk is full; one line.
+    """
+    began_s, outcomes = time.monotonic(), list[shards.Outcome]()
+
+    def note(attempt: Attempt[shards.Task, shards.Outcome]) -> None:
+        outcomes.append(_outcome(attempt))
+        if on_done is not None:
+            on_done(outcomes[-1])
+
+    plan = kind.prepare(sources, options)
+    with shards.open_work(out) as work:
+        tasks = [
+            shards.Task(format=kind.name, source=source, plan=plan, min_quality=options.min_quality, work=str(work))
+            for source in sources
+        ]
+        try:
+            done = map_episodes(shards.make_shard, tasks, jobs=where.jobs, ray_address=where.ray_address, on_done=note)
+            facts = shards.finish(kind, plan, [_outcome(attempt) for attempt in done], work, out)
+        except (DiskRefuses, OSError) as error:
+            raise _full(error, out, sum(outcome.made is not None for outcome in outcomes), len(tasks)) from error
+    return _exported(out, outcomes, facts, time.monotonic() - began_s)
+
+
+def _full(error: DiskRefuses | OSError, out: Path, safe: int, tasks: int) -> StationError:
+    why = error if isinstance(error, DiskRefuses) else f"{error.filename or out}: {error.strerror or error}"
+    return StationError(
+        f"{why}; {safe} of {tasks} episodes are converted and kept beside {out}: make room, then run the same "
+        "command again"
+    )
+
+
+def preview(
+    kind: ExportKind, sources: Sequence[Source], options: ExportOptions, *, where: Where,
+    on_done: Callable[[], None] | None = None,
+) -> Preview:  # fmt: skip
+    """Say what an export would be, and write nothing.
+
+    Raises:
+        StationError: nothing can be exported so; one line.
+    """
+    attempts = map_episodes(
+        _Look(options.min_quality), sources, jobs=where.jobs, ray_address=where.ray_address,
+        on_done=None if on_done is None else lambda _: on_done(),
+    )  # fmt: skip
+    left_out = [LeftOut(source=each.item, reason=each.error) for each in attempts if each.error]
+    fit = [each.item for each in attempts if not each.error]
+    return Preview(sources=tuple(fit), left_out=tuple(left_out), plan=kind.prepare(fit, options) if fit else None)
+
+
+class _Look:
+    """Looks whether an episode is good enough; an object of a class, since it travels to other processes."""
+
+    def __init__(self, least: MinQuality) -> None:
+        self._least = least
+
+    def __call__(self, source: Source) -> None:
+        verdict.expect(source, self._least)
+
+
+def _outcome(attempt: Attempt[shards.Task, shards.Outcome]) -> shards.Outcome:
+    """Return what became of an episode, also of one whose process died."""
+    if attempt.result is not None:
+        return attempt.result
+    source = attempt.item.source
+    return shards.Outcome(source=source, status="failed", reason=f"{source.episode_id}: {attempt.error}")
+
+
+def _exported(out: Path, outcomes: Sequence[shards.Outcome], facts: dict[str, Any], took_s: float) -> Exported:
+    def those(status: str) -> tuple[LeftOut, ...]:
+        found = [LeftOut(source=each.source, reason=each.reason) for each in outcomes if each.status == status]
+        return tuple(sorted(found, key=lambda each: each.source.episode_id))
+
+    made = [each.made for each in outcomes if each.made is not None]
+    sizes = [path.stat().st_size for path in out.rglob("*") if path.is_file()]
+    return Exported(
+        out=out,
+        episodes=len(made),
+        kept=sum(each.status == "kept" for each in outcomes),
+        left_out=those("left-out"),
+        failed=those("failed"),
+        seconds=sum(each.seconds for each in made),
+        rows=sum(each.rows for each in made),
+        size_bytes=sum(sizes),
+        files=len(sizes),
+        took_s=took_s,
+        facts=facts,
+    )

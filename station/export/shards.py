@@ -1,0 +1,228 @@
+"""Shards: what one episode gives, made in a process of its own, whole or not there, and found again by a later run.
+
+While an export is under way everything lies in ``.NAME.export`` beside the folder NAME that is asked for. NAME itself
+appears by one rename, at the end. All of it is on one file system, which workers on other machines must share.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import hashlib
+import os
+import shutil
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from station import registry
+from station.episode import layout
+from station.episode.atomic import sync_folder, write_atomic
+from station.errors import BadFile, EpisodeError, StationError
+from station.export import verdict
+from station.export.kind import ExportKind, LeftOut, Made, MinQuality, Shard, Source
+
+_RECORD = "made.json"
+_FILES = "files"
+_SHARDS, _MAKING, _JOINED = "shards", "making", "joined"
+_OF_AN_EPISODE = (layout.MANIFEST, layout.SIGNALS, layout.ACTIVE)
+
+
+class Task(msgspec.Struct, frozen=True, kw_only=True):
+    """One call of `make_shard`: picklable, complete, the same wherever it runs.
+
+    Attributes:
+        format: Registered name of the format.
+        source: The episode.
+        plan: What the format's `prepare` returned.
+        min_quality: Least verdict that the episode needs.
+        work: From `open_work`.
+    """
+
+    format: str
+    source: Source
+    plan: Any
+    min_quality: MinQuality
+    work: str
+
+
+class Outcome(msgspec.Struct, frozen=True, kw_only=True):
+    """What became of one episode.
+
+    Attributes:
+        source: The episode.
+        status: ``made`` now, ``kept`` from an earlier run, ``left-out`` because it is not good enough, or ``failed``.
+        reason: Why it is not there, in one line that names the episode.
+        made: Of a shard that is there.
+    """
+
+    source: Source
+    status: Literal["made", "kept", "left-out", "failed"]
+    reason: str = ""
+    made: Made | None = None
+
+
+class _Record(msgspec.Struct, frozen=True, kw_only=True):
+    fingerprint: str
+    made: Made
+
+
+@contextmanager
+def open_work(out: Path) -> Iterator[Path]:
+    """Claim an output folder for this process; give the folder in which the export works, kept when it is left.
+
+    Raises:
+        BadFile: the output is there already and not empty, somebody else exports to it, or it cannot be made.
+    """
+    out = out.absolute()
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise BadFile(f"{out}: is there already and not empty; remove it, or name another folder with --out")
+    work = out.parent / f".{out.name}.export"
+    try:
+        (work / _SHARDS).mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(work / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise BadFile(f"{out}: cannot export there: {error.strerror}; name another folder with --out") from error
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise BadFile(f"{out}: another export to it is under way; wait for it, or name another folder") from None
+        shutil.rmtree(work / _MAKING, ignore_errors=True)  # of a run that was killed
+        shutil.rmtree(work / _JOINED, ignore_errors=True)
+        yield work
+    finally:
+        os.close(descriptor)
+
+
+def make_shard(task: Task) -> Outcome:
+    """Make the shard of one episode, or find it made; what is wrong with an episode is told, not raised.
+
+    Raises:
+        OSError: the disk refuses, which is not the episode's fault; a later run goes on here.
+    """
+    kind: ExportKind = registry.find("export", task.format)
+    place = Path(task.work) / _SHARDS / task.source.episode_id
+    try:
+        before = _fingerprint(kind, task)
+        if (record := _record(place)) is not None and record.fingerprint == before:
+            return Outcome(source=task.source, status="kept", made=record.made)
+        verdict.expect(task.source, task.min_quality)
+        made = _make(kind, task, place, before)
+    except verdict.NotGoodEnough as error:
+        return Outcome(source=task.source, status="left-out", reason=str(error))
+    except StationError as error:
+        return Outcome(source=task.source, status="failed", reason=_named(task.source, str(error)))
+    return Outcome(source=task.source, status="made", made=made)
+
+
+def finish(kind: ExportKind, plan: Any, outcomes: Sequence[Outcome], work: Path, out: Path) -> dict[str, Any]:
+    """Join all shards, give the result its name, and remove what the export worked in; return the result's facts.
+
+    Raises:
+        EpisodeError: not one episode could be converted; names the first reason.
+        OSError: the disk refuses; the shards stay for a later run.
+    """
+    left_out = [LeftOut(source=o.source, reason=o.reason) for o in outcomes if o.made is None]
+    shards = [
+        Shard(outcome.source, work / _SHARDS / outcome.source.episode_id / _FILES, outcome.made)
+        for outcome in outcomes
+        if outcome.made is not None
+    ]
+    if not shards:
+        more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
+        raise EpisodeError(
+            f"no episode could be exported; {left_out[0].reason if left_out else 'none was named'}{more}"
+        )
+    joined = work / _JOINED
+    shutil.rmtree(joined, ignore_errors=True)
+    joined.mkdir()
+    facts = kind.join(shards, left_out, plan, joined) if kind.join else _all_files(shards, joined)
+    _sync(joined)
+    if out.is_dir():
+        out.rmdir()  # empty, or this refuses
+    os.replace(joined, out)
+    sync_folder(out.absolute().parent)
+    shutil.rmtree(work, ignore_errors=True)
+    return facts
+
+
+def place(file: Path, target: Path) -> None:
+    """Give a shard's file a place in the result too: by a link, or a copy where the file system has none."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.link(file, target)
+    except OSError as error:
+        if error.errno not in (errno.EPERM, errno.EOPNOTSUPP, errno.EMLINK, errno.EXDEV):
+            raise
+        shutil.copyfile(file, target)
+
+
+def _make(kind: ExportKind, task: Task, place: Path, before: str) -> Made:
+    making = Path(task.work) / _MAKING / f"{task.source.episode_id}.{os.getpid()}"
+    shutil.rmtree(making, ignore_errors=True)
+    (making / _FILES).mkdir(parents=True)
+    try:
+        made = kind.convert(task.source, task.plan, making / _FILES)
+        if _fingerprint(kind, task) != before:
+            raise EpisodeError("changed while it was read; export it again when nobody writes it")
+        _sync(making)
+        write_atomic(making / _RECORD, msgspec.json.encode(_Record(fingerprint=before, made=made)))
+        shutil.rmtree(place, ignore_errors=True)  # an older one, of other options
+        os.replace(making, place)
+    finally:
+        shutil.rmtree(making, ignore_errors=True)
+    return made
+
+
+def _fingerprint(kind: ExportKind, task: Task) -> str:
+    """Name an episode as it is now, together with everything that decides what becomes of it."""
+    folder = Path(task.source.folder)
+    files = sorted(path for pattern in _OF_AN_EPISODE for path in folder.glob(pattern))
+    if not files:
+        raise EpisodeError(f"{folder}: no episode any more; was it moved?")
+    manifest = folder / layout.MANIFEST
+    facts = [
+        kind.name, kind.version, task.min_quality, task.plan,
+        [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in files if path != manifest],
+        hashlib.sha256(manifest.read_bytes()).hexdigest() if manifest in files else "",
+    ]  # fmt: skip
+    return hashlib.sha256(msgspec.json.encode(facts)).hexdigest()
+
+
+def _record(place: Path) -> _Record | None:
+    """Return what stands beside a shard; one that cannot be read is none."""
+    try:
+        return msgspec.json.decode((place / _RECORD).read_bytes(), type=_Record)
+    except (OSError, msgspec.DecodeError):
+        return None
+
+
+def _all_files(shards: Iterable[Shard], folder: Path) -> dict[str, Any]:
+    count = 0
+    for shard in shards:
+        for file in sorted(path for path in shard.folder.rglob("*") if path.is_file()):
+            place(file, folder / file.relative_to(shard.folder))
+            count += 1
+    return {"files": count}
+
+
+def _named(source: Source, text: str) -> str:
+    return text if source.episode_id in text else f"{source.episode_id}: {text}"
+
+
+def _sync(folder: Path) -> None:
+    """Wait until every file of a folder is on the disk."""
+    for path in sorted(folder.rglob("*")):
+        if path.is_file():
+            descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+        else:
+            sync_folder(path)
+    sync_folder(folder)

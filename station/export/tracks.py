@@ -1,0 +1,121 @@
+"""What an export reads of an episode, in one pass: numbers of keys and times of pictures, on one clock.
+
+The clock is the episode's. A write falls on it by its writer's own time where writer and recorder share a monotonic
+clock, else by its arrival at the recorder: another machine's wall clock may be wrong by more than a step.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from station.bus import codec
+from station.episode import frames
+from station.episode.messages import Channel, Ints, Message
+from station.episode.reader import EpisodeReader
+from station.export.columns import KeyColumns
+from station.protocols import Floats
+
+
+@dataclass(frozen=True)
+class Track:
+    """One key.
+
+    Attributes:
+        times_ns: When each of k values was written, ascending [ns since the epoch].
+        values: Shape (k, m).
+        writers: Which of its writers wrote it, a small number, shape (k,).
+        skipped: Values that did not fit the contract, or were not finite, and are not among the k.
+    """
+
+    times_ns: Ints
+    values: Floats
+    writers: Ints
+    skipped: int
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Tracks by key, and for each camera's key when its pictures were taken, in order of arrival [ns]."""
+
+    tracks: dict[str, Track]
+    pictures: dict[str, Ints]
+
+
+@dataclass
+class _Collector:
+    columns: KeyColumns
+    times: array[int] = field(default_factory=lambda: array("q"))
+    writers: array[int] = field(default_factory=lambda: array("q"))
+    values: bytearray = field(default_factory=bytearray)
+    skipped: int = 0
+
+    def feed(self, message: Message, time_ns: int, writer: int) -> None:
+        row = _numbers(message.data, self.columns)
+        if row is None:
+            self.skipped += 1
+            return
+        self.times.append(time_ns)
+        self.writers.append(writer)
+        self.values += row.tobytes()
+
+    def track(self) -> Track:
+        times, writers = np.array(self.times, dtype=np.int64), np.array(self.writers, dtype=np.int64)
+        values = np.frombuffer(bytes(self.values)).reshape(len(times), len(self.columns.names))
+        order = np.argsort(times, kind="stable")
+        return Track(times[order], values[order], writers[order], self.skipped)
+
+
+def read(reader: EpisodeReader, columns: Sequence[KeyColumns], cameras: Collection[str]) -> Recorded:
+    """Read the numbers of keys and the times of pictures of an episode; pictures themselves are not kept.
+
+    Args:
+        reader: The episode.
+        columns: Keys; one without a fitting value has an empty track.
+        cameras: Keys of cameras.
+
+    Raises:
+        EpisodeError: the file is damaged.
+    """
+    collectors = {one.key: _Collector(one) for one in columns}
+    taken = {key: array("q") for key in cameras}
+    boot = reader.anchor.boot if reader.anchor is not None else ""
+    writers: dict[str, int] = {}
+    for message in reader.messages({*collectors, *taken}, stamps=bool(taken)):
+        if message.channel.is_deletion:
+            continue
+        if message.topic in taken:
+            taken[message.topic].append(frames.captured_ns(message))
+        else:
+            writer = writers.setdefault(message.channel.source, len(writers))
+            collectors[message.topic].feed(message, written_ns(message, boot), writer)
+    tracks = {key: collector.track() for key, collector in collectors.items()}
+    return Recorded(tracks, {key: np.array(times, dtype=np.int64) for key, times in taken.items()})
+
+
+def written_ns(message: Message, boot: str) -> int:
+    """Return when a value was written, on the episode's clock, whose monotonic clock is that of a boot [ns]."""
+    return message.publish_ns if shares_clock(message.channel, boot) else message.log_ns
+
+
+def shares_clock(channel: Channel, boot: str) -> bool:
+    """Whether a writer stamped on the monotonic clock that the recorder had (the same machine, not restarted)."""
+    return bool(boot) and channel.source.split(".")[2:3] == [boot]
+
+
+def skipped(recorded: Recorded) -> Mapping[str, int]:
+    """Return how many values of each key did not fit, where some did not."""
+    return {key: track.skipped for key, track in recorded.tracks.items() if track.skipped}
+
+
+def _numbers(data: bytes, columns: KeyColumns) -> Floats | None:
+    try:
+        if columns.codec == "json-vector":
+            return codec.parse_json_vector(data, len(columns.names))
+        row = codec.parse_f64(data) if columns.codec == "f64" else codec.parse_f32(data).astype(np.float64)
+    except codec.BadValue:
+        return None
+    return row if len(row) == len(columns.names) and np.isfinite(row).all() else None

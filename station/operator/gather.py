@@ -1,0 +1,92 @@
+"""Samples of a device by the bus, gathered for a while: for calibrations, not for control."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from station.bus.client import Bus
+from station.errors import NotReady
+from station.operator.ear import Ear
+from station.operator.reading import Reading
+
+_LOOK_S = 0.004  # a headset sends every 11 to 14 ms
+_LASTS_S = 1.5  # what is over before needs nobody
+
+
+class Gatherer:
+    """Hears a device server; a context manager.
+
+    Args:
+        bus: Where it speaks.
+        device: Name of the device server.
+    """
+
+    def __init__(self, bus: Bus, device: str) -> None:
+        self._device = device
+        self._watch = bus.watch(Ear.watched(device))
+        self._ear = Ear(self._watch, device)
+
+    def wait_for(
+        self, flaw: Callable[[Reading], str], within_s: float, tell: Callable[[str], None], look: Callable[[], None]
+    ) -> None:
+        """Wait for a sample without a flaw.
+
+        Args:
+            flaw: Says what a sample lacks, or "".
+            within_s: How long to wait [s].
+            tell: Is told why there is none yet, where a reason lasts.
+            look: Called again and again; may raise what makes waiting useless.
+
+        Raises:
+            NotReady: there was none in time; says why.
+        """
+        began_s = since_s = time.monotonic()
+        told = why = ""
+        while reason := self._lack(flaw):
+            look()
+            now_s = time.monotonic()
+            if now_s - began_s > within_s:
+                raise NotReady(f"{self._device}: nothing to measure within {within_s:g} s: {reason}")
+            if reason != why:
+                why, since_s = reason, now_s
+            elif reason != told and now_s - since_s > _LASTS_S:
+                told = reason
+                tell(reason)
+            time.sleep(_LOOK_S)
+
+    def gather(self, flaw: Callable[[Reading], str], for_s: float) -> list[Reading]:
+        """Return the samples without a flaw that come within a time [s], each once.
+
+        Raises:
+            NotReady: none came; says why.
+        """
+        found: list[Reading] = []
+        seen, ends_s, why = -1, time.monotonic() + for_s, ""
+        while time.monotonic() < ends_s:
+            heard = self._ear.hear()
+            if heard.reading is None:
+                why = heard.flaw
+            elif heard.sample != seen:
+                seen = heard.sample
+                if not (lack := flaw(heard.reading)):
+                    found.append(heard.reading)
+                why = lack or why
+            time.sleep(_LOOK_S)
+        if not found:
+            raise NotReady(f"{self._device}: no sample came within {for_s:g} s: {why}")
+        return found
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._watch.close()
+
+    def __enter__(self) -> Gatherer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _lack(self, flaw: Callable[[Reading], str]) -> str:
+        heard = self._ear.hear()
+        return heard.flaw if heard.reading is None else flaw(heard.reading)

@@ -1,0 +1,147 @@
+"""Everything that an operator should be told of, as events: those of the bus, and those that nobody is left to say.
+
+A server that was killed says nothing, where nobody supervises it; a bus that is gone says nothing at all; and a stop
+is to be heard whether a robot obeys it or not. What is read of heartbeats, the line and the stop's own key is made an
+event of the usual name, so that whoever listens knows one kind of news.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+
+from station.bus import keys
+from station.bus.client import Bus
+from station.errors import BusError
+from station.life import estop, events
+from station.life.event_feed import EventFeed
+from station.life.events import Event
+from station.life.server import DEAD_AFTER_S, Health, read_health
+
+LOOK_S = 0.5
+"""Time between two looks at the heartbeats [s]; they come as often."""
+
+_NAME = "station"  # who says what nobody else said
+_BUS_GONE_S = 1.0
+
+
+class Vigil:
+    """Which servers have fallen silent without a farewell. Pure: times are given."""
+
+    def __init__(self) -> None:
+        self._heard: dict[str, tuple[int, float]] = {}  # newest word, and when it came
+        self._alive: set[str] = set()
+        self._told: set[str] = set()
+
+    def hear(self, event: Event) -> None:
+        """Take note of who was already said to be gone."""
+        if event.name in ("server-died", "server-silent", "server-given-up"):
+            self._told.add(str(event.detail.get("server")))
+        elif event.name in ("server-failed", "server-crashed"):
+            self._told.add(event.source)
+
+    def step(self, health: Iterable[Health], now_s: float) -> list[Event]:
+        """Return who died or came back since the last look."""
+        found = []
+        for said in health:
+            name, (word, heard_s) = said.name, self._heard.get(said.name, (0, now_s))
+            if said.wall_ns != word:
+                is_new = name in self._heard
+                self._heard[name] = (said.wall_ns, now_s)
+                found += self._hear(said, is_new=is_new)
+            elif name in self._alive and now_s - heard_s > DEAD_AFTER_S:
+                self._alive.discard(name)
+                if name not in self._told:
+                    self._told.add(name)
+                    found.append(_event("server-died", server=name, silent_s=round(now_s - heard_s, 1)))
+        return found
+
+    def forget(self) -> None:
+        """Begin anew: nobody could speak meanwhile."""
+        self._heard.clear()
+        self._alive.clear()
+
+    def _hear(self, said: Health, *, is_new: bool) -> list[Event]:
+        """Take note of a word; the first one may be old, and says only that there once was such a server."""
+        if said.state == "finalized":
+            self._alive.discard(said.name)
+        elif is_new:
+            self._alive.add(said.name)
+            if said.name in self._told and said.state == "active":
+                self._told.discard(said.name)
+                return [_event("server-back", server=said.name)]
+        return []
+
+
+class Onlooker:
+    """Listens to a bus from now on; a context manager.
+
+    Args:
+        bus: Where everything is said.
+        name: The server's own, whose heartbeat is nobody's business.
+    """
+
+    def __init__(self, bus: Bus, name: str = "") -> None:
+        self._bus, self._name = bus, name
+        self._feed = EventFeed(bus)
+        self._watch = bus.watch([keys.ESTOP])
+        self._stop_seen = self._watch.latest(keys.ESTOP)  # one from before our time is no news
+        self._vigil = Vigil()
+        self._look_s = self._connected_s = time.monotonic()
+        self._is_lost = False
+
+    def take(self) -> Sequence[Event]:
+        """Return what happened since the last call; never waits for the bus for long."""
+        now_s = time.monotonic()
+        found = list(self._feed.take())
+        for event in found:
+            self._vigil.hear(event)
+        found += self._stop()
+        if now_s - self._look_s >= LOOK_S:
+            self._look_s = now_s
+            found += self._look(now_s)
+        return found
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._feed.close()
+        self._watch.close()
+
+    def __enter__(self) -> Onlooker:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _stop(self) -> list[Event]:
+        sample = self._watch.latest(keys.ESTOP)
+        if sample is self._stop_seen:
+            return []
+        self._stop_seen = sample
+        if sample is None or sample.arrived_ns is None:
+            return []
+        request = estop.read(sample.value)
+        return [_event("estop", reason=request.reason)] if request.stop else []
+
+    def _look(self, now_s: float) -> list[Event]:
+        if self._watch.is_connected:
+            self._connected_s = now_s
+        if now_s - self._connected_s > _BUS_GONE_S:
+            return self._lose()
+        try:
+            health = [said for said in read_health(self._bus) if said.name != self._name]
+        except BusError:  # the watch will say so, if it lasts
+            self._vigil.forget()
+            return []
+        found = [_event("bus-back")] if self._is_lost else []
+        self._is_lost = False
+        return [*found, *self._vigil.step(health, now_s)]
+
+    def _lose(self) -> list[Event]:
+        was_lost, self._is_lost = self._is_lost, True
+        self._vigil.forget()
+        return [] if was_lost else [_event("bus-lost")]
+
+
+def _event(name: str, **detail: object) -> Event:
+    return events.make(_NAME, name, "warning", **detail)

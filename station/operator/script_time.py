@@ -1,0 +1,40 @@
+"""Where the script of a fake device stands: told with a device server's configuration, and found again after a restart.
+
+A device server may be started again by itself. Its fake's operator goes on meanwhile, as a real one would.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from typing import Any
+
+from station.bus import codec, keys
+from station.life.restarts import RESTARTS_VARIABLE
+from station.life.server import Life
+
+_BEGAN = "fake_began_wall_ns"
+
+
+def began(start_s: float = 0.0) -> dict[str, Any]:
+    """Return what a manifest says of a script that stands at a time [s] now: since when it is played."""
+    return {_BEGAN: time.time_ns() - round(start_s * 1e9)}
+
+
+def begin(at: Callable[[float], object], start_s: float) -> dict[str, Any]:
+    """Let a fake begin at a time of its script [s]; return what a manifest says of it."""
+    at(start_s)
+    return began(start_s)
+
+
+def now_s(life: Life) -> float:
+    """Return where the script stands [s]: 0, or after a restart of this server the time since it began."""
+    if os.environ.get(RESTARTS_VARIABLE, "0") == "0":
+        return 0.0
+    stated = life.bus.get(keys.server_config(life.name))
+    try:
+        began_ns = codec.parse_json(stated).get(_BEGAN) if stated is not None else None
+    except (codec.BadValue, AttributeError):  # somebody else's words
+        return 0.0
+    return max(0.0, (time.time_ns() - began_ns) * 1e-9) if isinstance(began_ns, int) else 0.0

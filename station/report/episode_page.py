@@ -1,0 +1,138 @@
+"""The part of a report that is about one episode."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from station.episode.quality import Quality
+from station.report import episode_tables
+from station.report.gather import Episode
+from station.report.html import Html, details, join, picture, table, tag
+from station.report.lanes import time_line
+from station.report.story import Story
+from station.report.strip import Small
+
+_MOST_REASONS = 12
+
+
+def anchor(episode: Episode) -> str:
+    """Return what links to an episode's section point at."""
+    return f"ep-{episode.name}"
+
+
+def badge(verdict: str) -> Html:
+    """Return a verdict as a word on its colour."""
+    return tag("span", verdict, class_=f"badge {verdict}" if verdict in ("good", "usable", "reject") else "badge")
+
+
+def section(
+    episode: Episode,
+    story: Story | None,
+    plot: bytes | None,
+    strips: Mapping[str, Sequence[Small]],
+    *,
+    problem: str = "",
+) -> Html:
+    """Return the section of an episode.
+
+    Args:
+        episode: The episode.
+        story: What happened in it; None for a short section, without time line and pictures.
+        plot: PNG of how it was tracked.
+        strips: Small pictures by camera.
+        problem: Why there is no time line, in a line.
+    """
+    quality = episode.quality
+    body = [
+        _header(episode),
+        tag("p", episode.manifest.task.instruction, class_="soft") if episode.manifest.task.instruction else None,
+        _reasons(quality),
+        _facts(episode),
+        tag("p", problem, class_="bad") if problem else None,
+    ]
+    if story is not None:
+        body += [tag("h3", "What happened when"), time_line(story, quality, episode.manifest)]
+    if plot is not None:
+        body += [
+            tag("h3", "How it was followed"),
+            picture(plot, "png", "joints as commanded and as measured", class_="plot"),
+        ]
+    body += [_strip(name, pictures) for name, pictures in strips.items() if pictures]
+    body += _tables(quality), _events(story), _provenance(episode)
+    return tag("section", body, class_=f"card episode {quality.verdict}", id=anchor(episode))
+
+
+def _tables(quality: Quality) -> Html:
+    halves = tag("div", episode_tables.latency(quality)), tag("div", episode_tables.motion(quality))
+    streams = details(f"Streams ({len(quality.streams)})", episode_tables.streams(quality.streams))
+    return join([tag("div", halves, class_="two"), episode_tables.cameras(quality), streams])
+
+
+def _provenance(episode: Episode) -> Html:
+    return details("Where it comes from: operator, commands, software, hashes", episode_tables.provenance(episode))
+
+
+def _header(episode: Episode) -> Html:
+    verdict = badge(episode.quality.verdict)
+    top = tag("a", "↑ all episodes", href="#top", class_="top")
+    discarded = badge("discarded") if episode.quality.discarded else None
+    task = tag("span", episode.manifest.task.name, class_="soft")
+    return tag("header", tag("h2", episode.name), verdict, discarded, task, top)
+
+
+def _reasons(quality: Quality) -> Html | None:
+    if not quality.reasons:
+        return None
+    items = [
+        tag("li", tag("b", reason.rule), " ", reason.text, class_=reason.verdict)
+        for reason in quality.reasons[:_MOST_REASONS]
+    ]
+    more = len(quality.reasons) - _MOST_REASONS
+    return tag("ul", items, tag("li", f"and {more} more", class_="soft") if more > 0 else None, class_="reasons")
+
+
+def _facts(episode: Episode) -> Html:
+    manifest, quality = episode.manifest, episode.quality
+    success = {None: "not said", True: "yes", False: "no"}[quality.success]
+    started = episode.started
+    facts = {
+        "started": "" if started is None else f"{started:%Y-%m-%d %H:%M:%S}",
+        "length": f"{quality.duration_s:.1f} s, {quality.messages} messages",
+        "operator": f"{manifest.operator.id or '–'} by {manifest.operator.interface or '–'}",
+        "task succeeded": success,
+        "robot": manifest.robot.suffix,
+        "policy": manifest.policy.name,
+        "lost · dropped": f"{sum(stream.lost for stream in quality.streams)} · {quality.dropped} writes",
+        "falls · resets · stops": f"{quality.falls} · {quality.resets} · {quality.estops}",
+    }
+    if quality.discarded:
+        facts["discarded because"] = episode.discarded_for or "nobody said why"
+    cells = [tag("div", tag("span", name), value) for name, value in facts.items() if value]
+    return tag("div", cells, class_="facts")
+
+
+def _strip(name: str, pictures: Sequence[Small]) -> Html:
+    figures = [
+        tag(
+            "figure",
+            picture(one.jpeg, "jpeg", f"{name} at {one.at_s:.1f} s")
+            if one.jpeg is not None
+            else tag("p", "no picture", class_="bad"),
+            tag("figcaption", f"{one.at_s:.1f} s"),
+        )
+        for one in pictures
+    ]
+    return join([tag("h3", f"Camera {name}"), tag("div", figures, class_="strip")])
+
+
+def _events(story: Story | None) -> Html | None:
+    if story is None or not story.events:
+        return None
+    rows = [
+        (f"{event.at_s:.2f} s", tag("b", event.name) if event.severity == "error" else event.name, event.severity,
+         event.source, event.text)
+        for event in story.events
+    ]  # fmt: skip
+    left_out = story.events_in_all - len(story.events)
+    more = tag("p", f"and {left_out} more, which `station view` shows", class_="soft") if left_out else None
+    return details(f"Events ({story.events_in_all})", table(("at", "event", "severity", "by", "what"), rows), more)

@@ -1,0 +1,247 @@
+"""What happened when in one episode, and how well it was tracked, in one pass that holds no more than a plot shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from station.bus import codec, contracts, keys
+from station.bus.contracts import Contract
+from station.episode import interruptions, steps
+from station.episode.measuring import start_ns
+from station.episode.messages import Message
+from station.episode.reader import EpisodeReader
+from station.episode.steps import Step, StepJoiner
+from station.protocols import Floats
+from station.view import clips
+
+POINTS = 1200
+"""Of a curve, at least where there are as many steps, and not twice as many."""
+MOST_SPANS, MOST_EVENTS = 400, 400
+PLAYING, TRACKING = "playing", "tracking"
+_JOINT = "_pos"
+_LONGEST_TEXT = 300
+
+
+class Span(NamedTuple):
+    """Something that lasted [s]."""
+
+    start_s: float
+    end_s: float
+    name: str
+
+
+class Happened(NamedTuple):
+    """An event: when [s], its name, severity and source, and its numbers as a text."""
+
+    at_s: float
+    name: str
+    severity: str
+    source: str
+    text: str
+
+
+class Tracks(NamedTuple):
+    """Joints as asked and as measured.
+
+    Attributes:
+        times_s: n instants, shape (n,).
+        mean_rad, most_rad: Mean and greatest |measured - asked| over the joints, of all steps that an instant stands
+            for, shape (n,).
+        joints: Names of m joints.
+        asked, measured: Positions, shape (n, m) [rad].
+        errors_rad: Mean error of each joint while the gate tracked, shape (m,); nan where it never did.
+    """
+
+    times_s: Floats
+    mean_rad: Floats
+    most_rad: Floats
+    joints: tuple[str, ...]
+    asked: Floats
+    measured: Floats
+    errors_rad: Floats
+
+
+@dataclass
+class Story:
+    """What happened in an episode.
+
+    Attributes:
+        robot: Suffix of the robot that a policy drove, "" for none.
+        first_s, last_s: First and last message, from the start of the episode [s].
+        gate: States of the gate.
+        phases: Clips that played, else the phase of the motion.
+        events: The first events, and `events_in_all` how many there are.
+        tracks: How well it was tracked; None where nothing tells.
+        contracts: What each key holds, as it was recorded.
+    """
+
+    robot: str = ""
+    first_s: float = 0.0
+    last_s: float = 0.0
+    gate: list[Span] = field(default_factory=list)
+    phases: list[Span] = field(default_factory=list)
+    events: list[Happened] = field(default_factory=list)
+    events_in_all: int = 0
+    tracks: Tracks | None = None
+    contracts: dict[str, Contract] = field(default_factory=dict)
+
+
+def read(reader: EpisodeReader) -> Story:
+    """Read what happened in an episode.
+
+    Raises:
+        EpisodeError: a chunk in the middle of the file is damaged.
+    """
+    streams = [stream for stream in reader.streams() if stream.count]
+    begin_ns = start_ns(reader)
+    story = Story(robot=next(iter(steps.robots(reader.topics())), ""))
+    story.first_s = (min((stream.first_ns for stream in streams), default=begin_ns) - begin_ns) * 1e-9
+    story.last_s = (max((stream.last_ns for stream in streams), default=begin_ns) - begin_ns) * 1e-9
+    story.contracts = {s.channel.topic: s.channel.contract for s in streams if s.channel.contract is not None}
+    teller = _Teller(reader, story, begin_ns)
+    for message in reader.messages(teller.topics):
+        teller.feed(message)
+    teller.finish()
+    return story
+
+
+class _Teller:
+    """Takes the messages of an episode, and puts what they tell into a story."""
+
+    def __init__(self, reader: EpisodeReader, story: Story, begin_ns: int) -> None:
+        robot, self._story, self._begin_ns = story.robot, story, begin_ns
+        self._gate_key, self._source_key = keys.command_gate(robot), keys.command_source(robot)
+        self._joiner = StepJoiner(robot)
+        self._phase_of = _Phases(reader, robot)
+        count = sum(stream.count for stream in reader.streams() if stream.channel.topic == keys.command_used(robot))
+        self._tracker = _Tracker(robot, max(1, count // POINTS), begin_ns)
+        self._state = ""
+        self.topics = (self._joiner.topics | {self._source_key} if robot else set()) | {keys.EVENT}
+
+    def feed(self, message: Message) -> None:
+        at_s = (message.log_ns - self._begin_ns) * 1e-9
+        if message.topic == keys.EVENT:
+            self._note_event(at_s, _object(message.data))
+        elif message.topic == self._source_key:
+            _extend(self._story.phases, at_s, self._phase_of(_object(message.data)))
+        else:
+            if message.topic == self._gate_key:
+                self._state = str(_object(message.data).get("state", ""))[:40]
+                _extend(self._story.gate, at_s, self._state)
+            step = self._joiner.feed(message)
+            if step is not None:
+                self._tracker.feed(step)
+
+    def finish(self) -> None:
+        for step in self._joiner.finish():
+            self._tracker.feed(step)
+        self._story.tracks = self._tracker.result()
+
+    def _note_event(self, at_s: float, event: Mapping[str, Any]) -> None:
+        self._story.events_in_all += 1
+        if len(self._story.events) >= MOST_EVENTS:
+            return
+        detail = event.get("detail")
+        pairs = islice(detail.items(), 20) if isinstance(detail, Mapping) else ()
+        shown = ", ".join(
+            f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}" for key, value in pairs
+        )
+        name, severity, source = (str(event.get(part, ""))[:_LONGEST_TEXT] for part in ("name", "severity", "source"))
+        when_s = at_s - interruptions.late_s(event)
+        self._story.events.append(Happened(when_s, name, severity, source, shown[:_LONGEST_TEXT]))
+
+
+class _Tracker:
+    """Gathers the distance of the joints from the command, a point for each `stride` steps."""
+
+    def __init__(self, robot: str, stride: int, begin_ns: int) -> None:
+        self._stride, self._begin_ns = stride, begin_ns
+        self._state_key, self._asked_key = keys.robot_state(robot), keys.command_used(robot)
+        self._gate_key = keys.command_gate(robot)
+        state, asked = (_names(key) for key in (self._state_key, self._asked_key))
+        shared = [name for name in state if name.endswith(_JOINT) and name in asked]
+        self._sizes = 8 * len(state), 8 * len(asked)
+        self._columns = [state.index(name) for name in shared], [asked.index(name) for name in shared]
+        self._joints = tuple(name.removesuffix(_JOINT) for name in shared)
+        self._points: list[tuple[float, float, float]] = []
+        self._curves: list[tuple[Floats, Floats]] = []
+        self._held: list[tuple[float, float]] = []
+        self._sum, self._tracked = np.zeros(len(shared)), 0
+
+    def feed(self, step: Step) -> None:
+        state, asked = step.values.get(self._state_key, b""), step.values.get(self._asked_key, b"")
+        if (len(state), len(asked)) != self._sizes or not self._joints:
+            return
+        q, wanted = codec.parse_f64(state)[self._columns[0]], codec.parse_f64(asked)[self._columns[1]]
+        with np.errstate(all="ignore"):
+            errors = np.abs(q - wanted)
+        if not np.isfinite(errors).all():
+            return
+        self._held.append((float(errors.mean()), float(errors.max())))
+        if _object(step.values.get(self._gate_key, b"")).get("state") == TRACKING:
+            self._sum += errors
+            self._tracked += 1
+        if len(self._held) >= self._stride:
+            means, mosts = zip(*self._held, strict=True)
+            self._points.append(((step.at_ns - self._begin_ns) * 1e-9, sum(means) / len(means), max(mosts)))
+            self._curves.append((q, wanted))
+            self._held = []
+
+    def result(self) -> Tracks | None:
+        if not self._points:
+            return None
+        times, means, mosts = (np.array(column) for column in zip(*self._points, strict=True))
+        measured, asked = (np.array(column) for column in zip(*self._curves, strict=True))
+        mean = self._sum / self._tracked if self._tracked else np.full(len(self._joints), np.nan)
+        return Tracks(times, means, mosts, self._joints, asked, measured, mean)
+
+
+def _names(key: str) -> tuple[str, ...]:
+    contract = contracts.contract(key)
+    return contract.names if contract is not None else ()
+
+
+class _Phases:
+    """Names what is playing: a clip of the motion where its server told of clips, else the phase."""
+
+    def __init__(self, reader: EpisodeReader, robot: str) -> None:
+        stated = (facts.get("motion") for facts in reader.manifest.servers.values() if facts.get("robot") == robot)
+        facts = next((motion for motion in stated if isinstance(motion, Mapping)), {})
+        self._whole = clips.short_name(str(facts.get("file", "")))[:80]
+        try:
+            self._clips = clips.clips(facts)
+        except (TypeError, ValueError):  # a stranger's manifest; the phases are told all the same
+            self._clips = []
+
+    def __call__(self, source: Mapping[str, Any]) -> str:
+        phase, time_s = str(source.get("phase", ""))[:40], source.get("time_s")
+        if phase != PLAYING:
+            return phase
+        clip = clips.name_at(self._clips, float(time_s)) if isinstance(time_s, (int, float)) else ""
+        return clip or self._whole or phase
+
+
+def _extend(spans: list[Span], at_s: float, name: str) -> None:
+    """Let the last state last until now; begin another when it changed. The last one stands for all beyond the most."""
+    if spans:
+        spans[-1] = spans[-1]._replace(end_s=at_s)
+    if (not spans or spans[-1].name != name) and len(spans) < MOST_SPANS:
+        spans.append(Span(at_s, at_s, name))
+
+
+def _object(data: bytes) -> dict[str, Any]:
+    try:
+        value = codec.parse_json(data)
+    except codec.BadValue:
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
+def named(spans: Iterable[Span]) -> list[Span]:
+    """Return the spans that have a name and lasted."""
+    return [span for span in spans if span.name and span.end_s > span.start_s]

@@ -1,0 +1,156 @@
+"""What a simulated G1's cameras see: of which state, when, and exactly where in the picture."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from adapters.cameras.mujoco_g1 import MujocoCamera, intrinsics
+from adapters.robots.g1.mujoco_g1 import START_Q, START_ROOT_POS
+from station.bus import codec
+from station.bus import stamp as stamps
+from station.bus.sample import Sample
+from station.bus.stamp import Stamp
+from station.camera.source import Camera, CameraError, Wishes
+from station.protocols import Floats
+from tests.adapters.cameras import pictures
+
+G1 = Path("adapters/robots/g1/g1.xml")
+SMALL = Wishes(fps=200.0, width=160, height=120)
+
+
+def standing(*, yaw_rad: float = 0.0, elbow_rad: float = 1.2) -> Floats:
+    q = np.array(START_Q, dtype=float)
+    q[18] = elbow_rad
+    return np.concatenate([START_ROOT_POS, [np.cos(yaw_rad / 2), 0, 0, np.sin(yaw_rad / 2)], q])
+
+
+class Bus:
+    """What a watch would hold."""
+
+    def __init__(self) -> None:
+        self.sample: Sample | None = None
+
+    def write(self, value: bytes, *, boot: str = "") -> int:
+        now_ns = time.monotonic_ns()
+        source = f"g1.1.{boot or stamps.boot_id()}.abcd"
+        self.sample = Sample("key", value, Stamp(1, now_ns, 0, source), now_ns + 1000)
+        return now_ns
+
+    def newest(self, _key: str) -> Sample | None:
+        return self.sample
+
+
+def made(bus: Bus, camera: str = "head", model: str = str(G1), wishes: Wishes = SMALL) -> MujocoCamera:
+    try:
+        return MujocoCamera(model, camera, "key", wishes, bus.newest)
+    except CameraError as error:
+        if "cannot render" in str(error) or "no picture" in str(error):
+            pytest.skip(str(error))
+        raise
+
+
+def picture_of(camera: MujocoCamera, bus: Bus, qpos: Floats) -> bytes:
+    bus.write(codec.f64(qpos))
+    picture = camera.read(5.0)
+    assert picture is not None
+    return picture.jpeg
+
+
+def test_a_picture_is_of_the_newest_state_and_taken_when_that_was_written() -> None:
+    bus = Bus()
+    camera = made(bus)
+    assert isinstance(camera, Camera)
+    assert camera.read(1.0) is None
+    assert camera.why_silent() == "key: nobody writes it; is the simulation running?"
+    written_ns = bus.write(codec.f64(standing()))
+    picture = camera.read(1.0)
+    assert picture is not None
+    assert picture.capture_ns == written_ns
+    assert pictures.decoded(picture.jpeg).shape == (120, 160, 3)
+    assert camera.read(1.0) is None, "a state gives one picture"
+    camera.close()
+
+
+def test_the_time_of_another_machine_is_not_taken_for_ours() -> None:
+    bus = Bus()
+    camera = made(bus)
+    written_ns = bus.write(codec.f64(standing()), boot="00000000")
+    picture = camera.read(1.0)
+    assert picture is not None
+    assert picture.capture_ns == written_ns + 1000
+    camera.close()
+
+
+def test_what_moves_shows_where_the_camera_looks() -> None:
+    def difference(name: str, before: Floats, after: Floats) -> float:
+        bus = Bus()
+        camera = made(bus, name)
+        first, second = (pictures.decoded(picture_of(camera, bus, qpos)) for qpos in (before, after))
+        camera.close()
+        return float(np.abs(first.astype(int) - second).mean())
+
+    assert difference("head", standing(), standing(yaw_rad=0.5)) > 3.0
+    assert difference("left_wrist", standing(), standing(elbow_rad=0.2)) > 3.0
+    assert difference("right_wrist", standing(), standing(elbow_rad=0.2)) < 3.0
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        (b"short", "key: "),
+        (codec.f64(np.zeros(35)), "35 numbers, expected 36"),
+        (codec.f64(np.full(36, np.nan)), "finite"),
+    ],
+)
+def test_a_state_that_is_none_gives_no_picture_and_a_reason(value: bytes, told: str) -> None:
+    bus = Bus()
+    camera = made(bus)
+    bus.write(value)
+    assert camera.read(1.0) is None
+    assert camera.drops.torn == 1
+    assert told in camera.why_silent()
+    camera.close()
+
+
+def test_a_camera_that_the_model_has_not_is_refused_with_those_it_has() -> None:
+    with pytest.raises(CameraError, match=r"no camera 'haed'; it has .*head.*left_wrist.*; set options.camera"):
+        made(Bus(), "haed")
+
+
+def test_intrinsics_say_to_the_pixel_where_a_point_is_seen(tmp_path: Path) -> None:
+    """A small ball is put where it is drawn off the centre, and looked for in the picture."""
+    spec = mujoco.MjSpec.from_file(str(G1))
+    spec.add_material(name="beacon", rgba=[1, 0, 0, 1], emission=1.0)
+    place = np.array([0.9, 0.25, 0.6])
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.012, 0, 0], pos=place, material="beacon",
+                            contype=0, conaffinity=0)  # fmt: skip
+    model = spec.compile()
+    file = tmp_path / "scene.xml"
+    file.write_text(spec.to_xml())
+    bus, wishes = Bus(), Wishes(fps=200.0, width=640, height=480, quality=98)
+    camera = made(bus, model=str(file), wishes=wishes)
+    shown = pictures.decoded(picture_of(camera, bus, standing())).astype(int)
+    facts = camera.facts()
+    camera.close()
+
+    data = mujoco.MjData(model)
+    data.qpos[:] = standing()
+    mujoco.mj_forward(model, data)
+    right, up, back = data.cam("head").xmat.reshape(3, 3).T @ (place - data.cam("head").xpos)
+    inner = facts["intrinsics"]
+    expected = inner["cx"] + inner["fx"] * right / -back, inner["cy"] - inner["fy"] * up / -back
+    rows, columns = np.nonzero(shown[:, :, 0] - shown[:, :, 1:].max(axis=2) > 60)
+    assert len(rows) > 20
+    np.testing.assert_allclose((columns.mean(), rows.mean()), expected, atol=0.5)
+    assert facts["mount"]["body"] == "torso_link"
+
+
+def test_intrinsics_of_a_right_angle() -> None:
+    inner = intrinsics(90.0, 640, 480)
+    assert inner["fx"] == pytest.approx(240.0)
+    assert (inner["cx"], inner["cy"]) == (319.5, 239.5)

@@ -1,0 +1,79 @@
+"""Open a data set with the real LeRobot, in an environment of its own; no part of the tests, run by hand.
+
+    python tests/adapters/exports/lerobot/real_loader.py SET --env FOLDER [--python python3.12]
+
+LeRobot pins older releases of torch, numpy and PyAV than the station uses, so the two cannot share an environment.
+FOLDER gets a virtual environment with it (5.4 GB, minutes), or is used when it has one. What is printed was read by
+LeRobot alone. It reads v3.0; a v2.1 set is for GR00T and openpi.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+LEROBOT = "lerobot[dataset]==0.6.1"  # needs Python 3.12
+
+
+def main() -> int:
+    """Make the environment where there is none, and look at the data set in it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("dataset", type=Path, help="folder that `station export lerobot` made")
+    parser.add_argument("--env", type=Path, help="folder of the environment; made when it is not there")
+    parser.add_argument("--python", default="python3.12", help="for a new environment")
+    asked = parser.parse_args()
+    if asked.env is None:
+        return look(asked.dataset.absolute())
+    inside = asked.env / "bin/python"
+    if not inside.exists():
+        subprocess.run([asked.python, "-m", "venv", str(asked.env)], check=True)
+        subprocess.run([str(inside), "-m", "pip", "install", LEROBOT], check=True)
+    return subprocess.run([str(inside), __file__, str(asked.dataset)], check=False).returncode
+
+
+def look(root: Path) -> int:
+    """Load everything that a training run loads, and print what came."""
+    import importlib
+    from importlib.metadata import version
+
+    torch: Any = importlib.import_module("torch")
+    datasets: Any = importlib.import_module("lerobot.datasets.lerobot_dataset")
+    say(f"lerobot {version('lerobot')}, torch {torch.__version__}, Python {sys.version.split()[0]}")
+    dataset = datasets.LeRobotDataset("station/export", root=root, video_backend="pyav")
+    meta = dataset.meta
+    say(f"{meta.total_episodes} episodes, {meta.total_frames} rows at {meta.fps} Hz, {meta.robot_type}")
+    splits = meta.info["splits"] if isinstance(meta.info, dict) else meta.info.splits
+    say(f"splits {splits}; tasks {list(meta.tasks.index)}")
+    row = dataset[len(dataset) // 2]
+    for name in sorted(row):
+        value = row[name]
+        shape = (
+            f"{str(value.dtype).removeprefix('torch.')} {tuple(value.shape)}" if torch.is_tensor(value) else repr(value)
+        )
+        say(f"  {name}: {shape}")
+    steps = {"action": [k / meta.fps for k in range(16)]}
+    cameras = {name: [-1 / meta.fps, 0.0] for name in meta.camera_keys}
+    windows = datasets.LeRobotDataset(
+        "station/export", root=root, video_backend="pyav", delta_timestamps={**steps, **cameras}
+    )
+    batch = next(iter(torch.utils.data.DataLoader(windows, batch_size=8, shuffle=True)))
+    say("windows in a batch of 8: " + ", ".join(f"{name} {tuple(batch[name].shape)}" for name in (*steps, *cameras)))
+    shift = (torch.stack([dataset[k]["timestamp"] for k in (0, 1)]).diff() * meta.fps).item()
+    say(f"rows are {shift:.3f} periods apart; statistics of {len(meta.stats)} columns, quantiles "
+        f"{'q01' in meta.stats['observation.state']}")  # fmt: skip
+    features: Any = importlib.import_module("lerobot.utils.feature_utils")
+    found = features.dataset_to_policy_features(meta.features)
+    say("as inputs and outputs of a policy: " + ", ".join(f"{k} {f.type.name}" for k, f in found.items()))
+    return 0
+
+
+def say(line: str) -> None:
+    """Print a line."""
+    sys.stdout.write(line + "\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,182 @@
+"""``station export`` and ``station import`` as a user runs them."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from station.bus import keys
+from tests.cli.at_terminal import AtTerminal
+from tests.cli.running import Home, new_home, one_line
+from tests.episode.synthetic import EpisodeBuilder, walk
+from tests.faults.disks import small_disk
+from tests.foreign.recorded import STARTED_MS, document, record
+from tests.waiting import wait_until
+
+
+@pytest.fixture(scope="module")
+def walked() -> Iterator[Home]:
+    """A home with two good episodes, one that fell, and one that its recorder left open."""
+    with new_home() as home:
+        for number in (1, 2, 3, 4):
+            builder = EpisodeBuilder(home.data, number=number)
+            walk(builder, seconds=1.0)
+            if number == 3:
+                builder.event("fall", at_s=0.5, tilt_rad=1.2)
+            builder.finish(torn=number == 4)
+        yield home
+
+
+def test_an_export_says_what_it_made_and_what_it_left_out_and_why(walked: Home, tmp_path: Path) -> None:
+    out = tmp_path / "look"
+    done = walked.run("export", "csv", "--out", str(out), "--min-quality", "usable")
+    assert done.returncode == 1, "one could not be converted"
+    failed, left_out = sorted(done.stderr.splitlines())
+    assert failed.startswith("failed: 2026-11-21-g1-walk-0004: not finished")
+    assert left_out.startswith("left out: 2026-11-21-g1-walk-0003: reject, and --min-quality asks for usable: 1 fall")
+    assert done.stdout.startswith("csv: 2 episodes; 1 failed; 1 left out; ")
+    assert done.stdout.endswith(f": {out}\n")
+    assert sorted(path.name for path in out.iterdir()) == ["2026-11-21-g1-walk-0001", "2026-11-21-g1-walk-0002"]
+    again = walked.run("export", "csv", "--out", str(out))
+    assert one_line(again).startswith(f"{out}: is there already and not empty")
+
+
+def test_what_is_only_left_out_is_no_failure_and_json_is_for_programs(walked: Home, tmp_path: Path) -> None:
+    done = walked.run("export", "npz", "*-000[1-3]", "--min-quality", "usable", "--out", str(tmp_path / "x"), "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert (found["episodes"], len(found["left_out"]), found["failed"]) == (2, 1, [])
+    assert found["files"] == len(list((tmp_path / "x").rglob("*.npz")))
+
+
+def test_a_dry_run_names_episodes_and_columns_and_writes_nothing(walked: Home, tmp_path: Path) -> None:
+    done = walked.run("export", "lerobot", "--dry-run", "--out", str(tmp_path / "set"))
+    assert done.returncode == 0, done.stderr
+    assert "goes in   2026-11-21-g1-walk-0001\n" in done.stdout
+    assert "left out  2026-11-21-g1-walk-0003: reject" in done.stdout
+    assert f"columns   {keys.robot_state(keys.TWIST2_ROBOT)} (state, 65): left_hip_pitch_pos [rad], " in done.stdout
+    assert done.stdout.endswith("2 of 4 episodes would go in; nothing was written\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_formats_are_listed_and_their_options_explained(walked: Home) -> None:
+    assert walked.run("export", "--list").stdout.splitlines()[0].startswith("csv ")
+    told = " ".join(walked.run("export", "lerobot", "--help").stdout.split())
+    assert "--min-quality [good|usable|any] Least verdict of `station check`. [default: usable]" in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["lerobt"], "unknown export format 'lerobt' (did you mean 'lerobot'?)"),
+        (["csv"], "export csv: say which folder to make with --out"),
+        (["lerobot", "--out", "x", "--fps", "0"], "export lerobot: fps: expected int >= 1"),
+        (["csv", "nobody", "--out", "x"], "episode 'nobody': not found in"),
+        (["csv", "--task", "run", "--out", "x"], "no episodes of task 'run' in"),
+        (["csv", "--out", "x", "--keys", "nothing"], "no episode could be exported; "),
+        (["csv", "--out", "x", "--ray", "nowhere"], "--ray 'nowhere': expected host:port"),
+    ],
+)
+def test_what_cannot_be_is_told_in_a_line(walked: Home, arguments: list[str], told: str) -> None:
+    done = walked.run("export", *arguments)
+    assert done.returncode in (1, 2)
+    assert done.stdout == ""
+    assert done.stderr.splitlines()[-1].startswith(f"station: {told}")
+    assert "Traceback" not in done.stderr
+
+
+@pytest.fixture
+def many(walked: Home, tmp_path: Path) -> Path:
+    """A data folder with so many episodes that an export can be met in the middle."""
+    (tmp_path / "data" / "walk").mkdir(parents=True)
+    for number in range(300):
+        (tmp_path / "data" / "walk" / f"{number:04d}").symlink_to(walked.data / "walk" / "2026-11-21-g1-walk-0001")
+    return tmp_path / "data"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_an_export_that_ends_in_the_middle_goes_on_when_it_is_called_again(
+    walked: Home, many: Path, tmp_path: Path, number: signal.Signals
+) -> None:
+    command = ("export", "npz", "--data", str(many), "--out", str(tmp_path / "out"), "--jobs", "2")
+    shards = tmp_path / ".out.export" / "shards"
+    with AtTerminal(walked, *command) as terminal:
+        wait_until(lambda: shards.is_dir() and len(list(shards.iterdir())) > 3)
+        os.killpg(terminal.process.pid, number)  # as Ctrl-C does
+        code = terminal.finish()
+        if number == signal.SIGINT:
+            assert code == 130
+            assert "of 300 episodes are converted and kept; the same command goes on from there" in terminal.screen
+            assert "/300" in terminal.screen, "a bar moved"
+    assert not (tmp_path / "out").exists(), "never half of it"
+    done = walked.run(*command, "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["episodes"] == 300
+    assert 3 < found["kept"] < 300
+    assert len(list((tmp_path / "out").iterdir())) == 300
+    assert not (tmp_path / ".out.export").exists()
+
+
+def test_an_export_onto_a_full_disk_says_so_in_a_line_and_goes_on_when_there_is_room(
+    walked: Home, many: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "disk").mkdir()
+    with small_disk(tmp_path / "disk", 64) as disk:
+        (disk.path / "filler").write_bytes(bytes(62 << 20))
+        command = ("export", "npz", "--data", str(many), "--out", str(disk.path / "out"), "--jobs", "2")
+        told = one_line(walked.run(*command))
+        assert re.search(
+            r"No space left on device; [1-9]\d* of 300 episodes are converted and kept beside .*/out: make", told
+        )
+        assert not (disk.path / "out").exists()
+        (disk.path / "filler").unlink()
+        done = walked.run(*command, "--json")
+        assert done.returncode == 0, done.stderr
+        found = json.loads(done.stdout)
+        assert found["episodes"] == 300
+        assert found["kept"] > 0
+
+
+def test_recordings_of_twist2_become_episodes_that_list_check_show_and_export(home: Home, tmp_path: Path) -> None:
+    upstream = tmp_path / "upstream"
+    for number in range(2):
+        data = document(40, started_ms=STARTED_MS + 60_000 * number)
+        record(upstream / "cabinet" / f"episode_{number:04d}", data)
+    (upstream / "cabinet" / "episode_0002" / "rgb").mkdir(parents=True)
+    done = home.run("import", "twist2", str(upstream), "--instruction", "open the cabinet")
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"failed: {upstream}/cabinet/episode_0002/data.json: not there: TWIST2's recorder")
+    assert done.stdout.splitlines()[-1].startswith("2 imported, 1 failed; ")
+    shutil.rmtree(upstream / "cabinet" / "episode_0002")
+    again = home.run("import", "twist2", str(upstream))
+    assert (again.returncode, again.stdout.splitlines()[-1][:21]) == (0, "0 imported, 2 there a")
+    rows = home.json("episodes", "list")
+    assert {(row["task"], row["state"], row["operator"]) for row in rows} == {("cabinet", "finished", "ada")}
+    checked = home.run("check", rows[0]["episode_id"])
+    assert "recorded by TWIST2's recorder, which cannot promise every foreign write" in checked.stdout
+    shown = home.run("episodes", "show", rows[0]["episode_id"]).stdout
+    assert "whether the task succeeded; whether the robot fell" in shown
+    exported = home.run("export", "csv", "--out", str(tmp_path / "look"))
+    assert exported.returncode == 0, exported.stderr
+    table = tmp_path / "look" / rows[0]["episode_id"] / f"{keys.action_neck()}.csv"
+    assert len(table.read_text().splitlines()) == 41
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["twist3", "."], "unknown format of recordings 'twist3' (did you mean 'twist2'?); known: twist2"),
+        (["twist2", "nowhere"], "nowhere: no such folder"),
+        (["twist2", "docs"], "docs: no recording of twist2 in it; expected TWIST2's recorder: episode_NNNN folders"),
+    ],
+)
+def test_what_is_nothing_to_import_is_told_in_a_line(home: Home, arguments: list[str], told: str) -> None:
+    assert one_line(home.run("import", *arguments)).startswith(told)

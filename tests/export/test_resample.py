@@ -1,0 +1,123 @@
+"""Rows on one clock: which value stands in which row, and how old it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from station.bus import contracts, keys
+from station.episode.folder import signals_file
+from station.episode.messages import Ints
+from station.episode.reader import EpisodeReader
+from station.errors import EpisodeError
+from station.export import clock, tracks
+from station.export.columns import KeyColumns, key_columns, unique_names
+from station.export.resample import Table, nearest, resample, rule_of
+from tests.episode.synthetic import ROBOT, EpisodeBuilder
+from tests.export.pictured import HEAD, walked
+
+STATE, ACTION = keys.robot_state(ROBOT), keys.command_used(ROBOT)
+
+
+def table_of(folder: str, *, fps: int = 50, action: str = ACTION, cameras: tuple[str, ...] = ()) -> Table:
+    reader = EpisodeReader(signals_file(Path(folder)))
+    state, asked = key_columns(reader, STATE), key_columns(reader, action)
+    recorded = tracks.read(reader, [state, asked], cameras)
+    return resample(recorded, [state], [asked], fps, "it")
+
+
+@pytest.mark.parametrize("jitter_s", [0.0, 0.001])
+@pytest.mark.parametrize("fps", [50, 25, 10])
+def test_the_action_of_a_row_is_what_the_step_made_of_its_state(tmp_path: Path, fps: int, jitter_s: float) -> None:
+    table = table_of(walked(tmp_path, camera_hz=0, jitter_s=jitter_s).folder, fps=fps)
+    steps = np.round(table.state[STATE].values[:, 0] * 1000)
+    asked = np.round(table.action[ACTION].values[:, 6] * 1000) - 500
+    assert len(steps) > 1.8 * fps
+    assert (steps == asked).all()
+    assert table.without_own_step == 0
+
+
+def test_jitter_of_the_writers_neither_repeats_nor_skips_a_step(tmp_path: Path) -> None:
+    table = table_of(walked(tmp_path, camera_hz=0, jitter_s=0.002).folder)
+    steps = np.round(table.state[STATE].values[:, 0] * 1000).astype(int)
+    assert (np.diff(steps) == 1).mean() > 0.97
+    assert (table.state[STATE].ages_s >= 0).all()
+
+
+def test_a_command_as_it_was_sent_is_the_newest_at_the_tick(tmp_path: Path) -> None:
+    table = table_of(walked(tmp_path, camera_hz=0).folder, action=keys.action_body())
+    assert (table.action[keys.action_body()].ages_s >= 0).all()
+    assert (table.action[keys.action_body()].ages_s < 0.021).all()
+
+
+def test_the_picture_of_a_row_is_the_nearest_by_capture_not_by_arrival(tmp_path: Path) -> None:
+    table = table_of(walked(tmp_path).folder, cameras=(HEAD,))
+    assert np.abs(table.pictures[HEAD].ages_s).max() <= 1 / 60 + 1e-6
+    assert (np.diff(table.pictures[HEAD].numbers) >= 0).all()
+
+
+def test_ticks_are_exactly_apart_however_long_they_go_on() -> None:
+    ticks = clock.ticks(7, 3_600_000_000_007, 30, np.array([0]))
+    assert len(ticks) == 108_001
+    assert ticks[-1] == 3_600_000_000_007
+
+
+def test_a_picture_that_runs_backwards_is_never_chosen() -> None:
+    times: Ints = np.array([0, 10, 5, 20, 20, 30])
+    found = nearest(times, np.array([-5, 4, 6, 12, 21, 99]))
+    assert found.tolist() == [0, 0, 1, 1, 3, 5]
+
+
+def test_a_step_whose_action_was_lost_is_counted(tmp_path: Path) -> None:
+    source = walked(tmp_path, camera_hz=0)
+    reader = EpisodeReader(signals_file(Path(source.folder)))
+    columns = [key_columns(reader, STATE), key_columns(reader, ACTION)]
+    recorded = tracks.read(reader, columns, ())
+    track = recorded.tracks[ACTION]
+    kept = np.arange(len(track.times_ns)) != 40
+    recorded.tracks[ACTION] = tracks.Track(track.times_ns[kept], track.values[kept], track.writers[kept], 0)
+    assert resample(recorded, columns[:1], columns[1:], 50, "it").without_own_step == 1
+
+
+def test_a_rate_above_the_state_is_refused_with_the_rate_that_would_do(tmp_path: Path) -> None:
+    with pytest.raises(EpisodeError, match=r"--fps 100 is more than its state has \(50 Hz\).*ask for 50 or less"):
+        table_of(walked(tmp_path, camera_hz=0).folder, fps=100)
+
+
+def test_a_key_without_a_contract_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    builder = EpisodeBuilder(tmp_path)
+    builder.foreign("my_force", b"[1.0, 2.0]", at_s=0.1)
+    builder.write({keys.policy_obs(ROBOT): bytes(32)}, at_s=0.1)
+    reader = EpisodeReader(signals_file(builder.finish()))
+    with pytest.raises(EpisodeError, match=r"'my_force' has no contract.*describe it in station/bus/contracts\.py"):
+        key_columns(reader, "my_force")
+    with pytest.raises(EpisodeError, match="names no elements"):
+        key_columns(reader, keys.policy_obs(ROBOT))
+    with pytest.raises(EpisodeError, match=r"no key 'my_farce'.*did you mean 'my_force'"):
+        key_columns(reader, "my_farce")
+
+
+def test_names_are_the_contracts_and_get_the_key_only_where_two_agree() -> None:
+    def columns(key: str) -> KeyColumns:
+        found = contracts.contract(key)
+        assert found is not None
+        units = tuple(item.unit for item in found.elements)
+        return KeyColumns(key=key, role=found.role, codec="f64", names=found.names, units=units)
+
+    names = unique_names([columns(STATE), columns(keys.sim_qpos(ROBOT))])
+    assert len(set(names)) == len(names)
+    assert "gyro_x" in names
+    assert f"{keys.sim_qpos(ROBOT)}.left_knee_pos" in names
+    assert rule_of(columns(ACTION), as_action=True) == "step"
+    assert rule_of(columns(ACTION), as_action=False) == "newest"
+
+
+def test_values_that_do_not_fit_are_left_out_and_counted(tmp_path: Path) -> None:
+    builder = EpisodeBuilder(tmp_path)
+    for number, value in enumerate((b"[1.0]", b"oops", b"[" + b"0.5, " * 34 + b"0.5]")):
+        builder.foreign(keys.action_body(), value, at_s=0.1 * number)
+    reader = EpisodeReader(signals_file(builder.finish()))
+    track = tracks.read(reader, [key_columns(reader, keys.action_body())], ()).tracks[keys.action_body()]
+    assert (len(track.times_ns), track.skipped) == (1, 2)

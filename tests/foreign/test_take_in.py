@@ -1,0 +1,111 @@
+"""Another recorder's recording becomes an episode of ours: once, whole, marked, and usable as any other."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from station.bus import keys
+from station.episode import frames
+from station.episode.check import check
+from station.episode.folder import find_episodes
+from station.episode.listing import list_episodes
+from station.episode.reader import open_episode
+from station.errors import BadFile
+from station.export.jobs import map_episodes
+from station.foreign import take_in as module
+from station.foreign.take_in import Order, TakenIn, take_in
+from tests.foreign.recorded import PERIOD_MS, STARTED_MS, document, jpeg, record
+from tests.waiting import wait_until
+
+ROOT = Path(__file__).parents[2]
+
+
+def taken(folder: Path, data: Path, **more: str) -> TakenIn:
+    return take_in(Order(format="twist2", path=str(folder), data=str(data), **more))
+
+
+def test_every_value_and_picture_is_in_the_episode_at_its_time(tmp_path: Path) -> None:
+    done = taken(record(tmp_path / "cabinet" / "episode_0003"), tmp_path / "data", instruction="open the cabinet")
+    reader = open_episode(done.path)
+    assert reader.torn is None
+    assert (done.is_new, done.messages, done.are_times_measured) == (True, 60, True)
+    body = list(reader.messages([keys.action_body()]))
+    assert [m.data for m in body] == [json.dumps([0.01 * n, *[0.5] * 34]).encode() for n in range(5)]
+    assert [m.log_ns for m in body] == [(STARTED_MS + n * PERIOD_MS) * 1_000_000 for n in range(5)]
+    assert not any(message.channel.is_native for message in reader.messages()), "nobody numbered them"
+    cameras = frames.cameras(reader)
+    assert list(cameras) == ["rgb"]
+    shown = list(frames.frames(reader, cameras["rgb"]))
+    assert [frame.jpeg for frame in shown] == [jpeg(n) for n in range(5)]
+    assert [frame.captured_ns for frame in shown] == [m.log_ns for m in body]
+    manifest = reader.manifest
+    assert (manifest.task.name, manifest.task.instruction) == ("cabinet", "open the cabinet")
+    assert manifest.recorder.backend == "TWIST2's recorder"
+    assert not manifest.recorder.is_lossless
+
+
+def test_the_manifest_says_what_it_was_made_of_and_what_is_not_known(tmp_path: Path) -> None:
+    data = document(3)
+    for entry in data["data"]:
+        entry |= {"t_img": None, "t_action": None, "t_state": None}
+    done = taken(record(tmp_path / "cabinet" / "episode_0000", data), tmp_path / "data")
+    assert not done.are_times_measured
+    manifest = open_episode(done.path).manifest
+    imported = manifest.foreign[module.IMPORTED]
+    assert imported["times"]["source"] == "nominal"
+    assert imported["facts"]["text"]["goal"] == "pick up the cup"
+    assert "t_img: in no entry" in imported["unknown"]
+    assert manifest.timing.started == ""
+    assert manifest.timing.duration_s == pytest.approx(2 / 30, abs=1e-6)
+    quality = check(open_episode(done.path))
+    assert quality.verdict == "usable"
+    assert any("times not measured: 30 Hz is nominal" in reason.text for reason in quality.reasons)
+
+
+def test_a_recording_is_taken_in_once_whatever_its_task_is_called(tmp_path: Path) -> None:
+    folder, data = record(tmp_path / "cabinet" / "episode_0000"), tmp_path / "data"
+    first = taken(folder, data)
+    before = sorted((path, path.stat().st_mtime_ns) for path in data.rglob("*"))
+    again = taken(folder, data, task="another")
+    assert (again.is_new, again.path) == (False, first.path)
+    assert sorted((path, path.stat().st_mtime_ns) for path in data.rglob("*")) == before
+    other = taken(record(tmp_path / "b" / "episode_0000", document(started_ms=STARTED_MS + 1)), data, task="cabinet")
+    assert other.is_new, "the same task and number in another folder is another recording"
+    assert [row.task for row in list_episodes(data)] == ["cabinet", "cabinet"]
+
+
+def test_a_recording_that_turns_out_bad_half_way_leaves_nothing(tmp_path: Path) -> None:
+    folder, data = record(tmp_path / "cabinet" / "episode_0000", pictures=4), tmp_path / "data"
+    with pytest.raises(BadFile, match=r"data\[4\]\.rgb: 'rgb/000004\.jpg' is not there"):
+        taken(folder, data)
+    assert list(data.iterdir()) == []
+    (folder / "rgb" / "000004.jpg").write_bytes(jpeg(4))
+    assert taken(folder, data).is_new
+
+
+def test_one_that_was_killed_in_the_middle_is_no_episode_and_is_done_anew(tmp_path: Path) -> None:
+    entries = [{"idx": n, "t_img": STARTED_MS + n, "action_neck": [0.0, 0.0]} for n in range(40_000)]
+    folder, data = record(tmp_path / "cabinet" / "episode_0000", {"data": entries}, pictures=0), tmp_path / "data"
+    code = "import sys; from tests.foreign.test_take_in import *; taken(Path(sys.argv[1]), Path(sys.argv[2]))"
+    with subprocess.Popen([sys.executable, "-c", code, folder, data], cwd=ROOT) as process:
+        wait_until(lambda: list(data.glob(".importing-*/*.active")))
+        process.send_signal(signal.SIGKILL)
+    assert process.returncode == -signal.SIGKILL
+    assert find_episodes(data) == []
+    done = taken(folder, data)
+    assert (done.is_new, done.messages) == (True, 80_000)
+    assert [path.name for path in data.iterdir()] == ["cabinet"]
+
+
+def test_a_data_folder_that_cannot_be_made_is_told_in_a_line(tmp_path: Path) -> None:
+    (tmp_path / "data").write_text("a file")
+    order = Order(format="twist2", path=str(record(tmp_path / "episode_0000")), data=str(tmp_path / "data"))
+    (attempt,) = map_episodes(take_in, [order], jobs=1)
+    assert attempt.error.startswith(f"{tmp_path}/data/.importing-")
+    assert attempt.error.endswith(": Not a directory")

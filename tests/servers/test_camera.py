@@ -1,0 +1,278 @@
+"""The camera server as a process of its own: the real linuxpy over a fake driver, files, and a real bus."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from servers.camera import CameraConfig
+from station.bus import keys
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.bus.redis_server import RedisServer, ServerOptions
+from station.config import build
+from station.errors import ConfigError
+from tests.adapters.cameras import pictures
+from tests.adapters.cameras.fake_v4l2 import fake
+from tests.adapters.cameras.fake_v4l2.fake import FakeCamera, Mode
+from tests.servers.camera_station import CameraStation, camera_station
+from tests.waiting import DEADLINE_S, wait_until
+
+SMALL = {"width": 160, "height": 120}
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return fake.build(tmp_path_factory.mktemp("v4l2"))
+
+
+@pytest.fixture
+def devices() -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(prefix="dev") as name:  # short: a socket's path has 108 characters at most
+        yield Path(name)
+
+
+@pytest.fixture
+def station(bus_server: BusAddress, tmp_path: Path) -> Iterator[CameraStation]:
+    with camera_station("head", bus_server, tmp_path) as made:
+        yield made
+
+
+def begin(station: CameraStation, camera: FakeCamera, **settings: object) -> None:
+    """Start the server on a camera, and wait until it takes pictures."""
+    options = {"devices": str(camera.path.parent)}
+    station.start("uvc", environment=camera.environment, **{"options": options, **SMALL, **settings})
+    station.until_active()
+
+
+def pass_on(station: CameraStation, camera: FakeCamera, *numbers: int) -> list[int]:
+    """Take pictures one by one, each when the one before has arrived; return when they were taken [ns]."""
+    taken = []
+    for number in numbers:
+        before = len(station.shots)
+        taken.append(camera.take(pictures.jpeg(number)))
+        station.until(lambda before=before: len(station.shots) > before)  # type: ignore[misc]
+    return taken
+
+
+def test_a_cameras_jpeg_files_come_through_unchanged_with_the_drivers_times(
+    station: CameraStation, library: Path, devices: Path
+) -> None:
+    with fake.camera(library, devices, [Mode("YUYV"), Mode("MJPG")], is_exposure_known=True) as camera:
+        begin(station, camera)
+        taken = pass_on(station, camera, *range(100, 110))
+        assert [shot.jpeg for shot in station.shots] == [pictures.jpeg(number) for number in range(100, 110)]
+        assert [shot.stamp.capture_ns for shot in station.shots] == taken
+        assert [shot.stamp.seq for shot in station.shots] == list(range(1, 11))
+        facts = station.facts
+        assert (facts["format"], facts["width"], facts["height"], facts["fps"]) == ("MJPG", 160, 120, 30.0)
+        assert (facts["device"], facts["card"]) == (str(camera.path), "Fake Cam")
+        assert facts["exposure"] == {"is_auto": False, "time_s": 0.01}
+        assert facts["key"] == keys.camera_image("head")
+        station.until(lambda: station.detail.get("pictures") == 10)
+        assert station.detail["dropped"] == 0
+        assert station.stop() == 0
+
+
+def test_what_the_camera_lost_or_spoiled_is_counted_by_reason_and_told_once(
+    station: CameraStation, library: Path, devices: Path
+) -> None:
+    with fake.camera(library, devices) as camera:
+        begin(station, camera)
+        pass_on(station, camera, 1)
+        camera.sequence += 3
+        pass_on(station, camera, 2)
+        camera.take(pictures.jpeg(3)[:-40])
+        camera.take(pictures.jpeg(4), is_damaged=True)
+        station.until(lambda: station.detail.get("torn") == 2)
+        pass_on(station, camera, 5)
+        assert [pictures.number(shot.jpeg) for shot in station.shots] == [1, 2, 5]
+        assert (station.detail["lost"], station.detail["dropped"]) == (3, 5)
+        station.until(lambda: station.told("camera-dropping"))
+        station.until(lambda: station.told("camera-steady"))
+        assert sum(event.detail["dropped"] for event in station.told("camera-steady")) == 5
+
+
+def test_of_pictures_that_waited_the_newest_goes_to_the_bus(
+    station: CameraStation, library: Path, devices: Path
+) -> None:
+    with fake.camera(library, devices) as camera:
+        begin(station, camera)
+        pass_on(station, camera, 1)
+        station.process.send_signal(signal.SIGSTOP)
+        for number in (2, 3, 4):
+            camera.take(pictures.jpeg(number))
+        station.process.send_signal(signal.SIGCONT)
+        station.until(lambda: pictures.number(station.shots[-1].jpeg) == 4)
+        assert [pictures.number(shot.jpeg) for shot in station.shots] == [1, 4]
+        station.until(lambda: station.detail.get("skipped") == 2)
+
+
+def test_a_camera_that_is_torn_out_is_lost_and_comes_back_by_itself(
+    station: CameraStation, library: Path, devices: Path
+) -> None:
+    with fake.camera(library, devices) as camera:
+        begin(station, camera)
+        pass_on(station, camera, 1)
+        camera.unplug()
+        station.until(lambda: station.told("camera-lost"))
+        assert "gone; plug it in again" in station.told("camera-lost")[0].detail["reason"]
+        station.until(lambda: "no camera found" in station.told("camera-lost")[-1].detail["reason"])
+        station.until(lambda: station.detail.get("camera") == "lost")
+        camera.plug_in()
+        taken = pass_on(station, camera, 2)
+        station.until(lambda: station.told("camera-back"))
+        assert station.shots[-1].jpeg == pictures.jpeg(2)
+        assert station.shots[-1].stamp.capture_ns == taken[0]
+        assert len(station.told("camera-back")) == 1
+        station.until(lambda: station.detail.get("camera") == "live")
+        assert station.detail["lost"] == 0, "a stream that begins anew has no hole"
+        assert station.stop() == 0
+
+
+def test_a_camera_that_gives_nothing_is_lost_until_it_does(
+    station: CameraStation, library: Path, devices: Path
+) -> None:
+    with fake.camera(library, devices) as camera:
+        begin(station, camera)
+        station.until(lambda: station.told("camera-lost"))
+        assert "gives no pictures; is it covered by a switch" in station.told("camera-lost")[0].detail["reason"]
+        pass_on(station, camera, 1)
+        station.until(lambda: station.told("camera-back"))
+
+
+def test_raw_pictures_are_encoded_here_and_a_time_that_is_none_is_that_of_arrival(
+    station: CameraStation, library: Path, devices: Path
+) -> None:
+    with fake.camera(library, devices, [Mode("YUYV")]) as camera:
+        begin(station, camera, quality=80)
+        camera.take(pictures.yuyv(1234), is_stamped=False, age_s=0.5)
+        station.until(lambda: station.shots)
+        (shot,) = station.shots
+        assert pictures.number(shot.jpeg) == 1234
+        assert 0 <= shot.stamp.mono_ns - (shot.stamp.capture_ns or 0) < 450_000_000
+        assert (station.facts["format"], station.facts["is_passed_through"], station.facts["quality"]) == (
+            "YUYV", False, 80,
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("driver", "settings", "message"),
+    [
+        ({}, {"options": {"device": "/nowhere/video7"}},
+         r"/nowhere/video7: no such device; there are .*/video0 Fake Cam"),
+        ({}, {"options": {"serial": "B2"}}, r"no camera with serial 'B2' found; there are .*/video0 Fake Cam"),
+        ({"open_errno": 13}, {}, r"permission denied; add yourself to the group .* sudo usermod -aG \w+ \$USER"),
+        ({"buffers_errno": 16}, {}, r"busy: another program reads it; `fuser -v .*/video0` names it"),
+        ({"format_errno": 16}, {}, r"busy: another program reads it"),
+        ({}, {"width": 640, "height": 480},
+         r"offers no MJPG or YUYV 640x480@30; it offers MJPG 160x120@30; set width, height and fps to one of these"),
+        ({}, {"fps": 60}, r"offers no MJPG or YUYV 160x120@60; it offers MJPG 160x120@30"),
+    ],
+    ids=["no such device", "no such serial", "no permission", "busy", "busy at once", "size", "rate"],
+)  # fmt: skip
+def test_a_camera_that_cannot_be_used_ends_the_start_with_one_line_that_says_what_to_do(
+    station: CameraStation, library: Path, devices: Path, driver: dict[str, int], settings: dict[str, object],
+    message: str,
+) -> None:  # fmt: skip
+    with fake.camera(library, devices, (Mode(),), **driver) as camera:
+        default = {"device": str(camera.path)} if driver else {}
+        options = {"devices": str(devices), **default, **settings.pop("options", {})}  # type: ignore[dict-item]
+        station.start("uvc", environment=camera.environment, **{**SMALL, **settings}, options=options)
+        code, line = station.ends()
+    assert code == 1
+    assert re.search(message, line), line
+
+
+def test_a_bus_that_stalls_gets_no_old_pictures_afterwards(tmp_path: Path) -> None:
+    for number in range(64):
+        (tmp_path / f"{number}.jpg").write_bytes(pictures.jpeg(number))
+    options = ServerOptions(folder=tmp_path / "bus", socket=tmp_path / "bus.sock")
+    options.folder.mkdir()
+    with (
+        RedisServer.start(options) as server,
+        camera_station("head", server.address, tmp_path) as station,
+    ):
+        station.start("files", options={"path": str(tmp_path)}, fps=50.0)
+        station.until(lambda: len(station.shots) > 10)
+        os.kill(server.pid, signal.SIGSTOP)
+        stalled_ns = station.shots[-1].stamp.mono_ns
+        try:
+            wait_until(lambda: _is_over(stalled_ns, 1.5))
+        finally:
+            os.kill(server.pid, signal.SIGCONT)
+        before = len(station.shots)
+        station.until(lambda: len(station.shots) > before + 20)
+        station.until(lambda: station.detail.get("unsent"))
+        late = [shot for shot in station.shots if shot.stamp.mono_ns > stalled_ns]
+        during = [shot for shot in late if shot.stamp.mono_ns < stalled_ns + 1_400_000_000]
+        assert len(during) < 20, "of seventy pictures a stalled bus gets those that were on their way"
+        for shot in late:
+            assert shot.stamp.mono_ns - (shot.stamp.capture_ns or 0) < 500_000_000, "an old picture"
+
+
+def _is_over(since_ns: int, seconds: float) -> bool:
+    return time.monotonic_ns() - since_ns > seconds * 1e9
+
+
+BOOK = """
+runbook: two-cameras
+robot: unitree_g1_with_hands
+steps:
+  - start: head
+    server: camera
+    with: {{source: files, options: {{path: {folder}}}, fps: 20}}
+  - start: left_wrist
+    server: camera
+    with: {{source: files, options: {{path: {folder}}}, fps: 20}}
+"""
+
+
+def test_a_runbook_starts_several_under_names_of_their_own(bus_server: BusAddress, tmp_path: Path) -> None:
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    (folder / "1.jpg").write_bytes(pictures.jpeg(1))
+    book = tmp_path / "book.yaml"
+    book.write_text(BOOK.format(folder=folder))
+    command = [sys.executable, "-m", "station", "up", str(book), "--yes", "--for", "60s", "--bus", bus_server.url]
+    with (
+        subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        ) as process,
+        Bus(bus_server, name="test") as bus,
+    ):
+        wanted = [keys.camera_image("head"), keys.camera_image("left_wrist")]
+        wait_until(lambda: process.poll() is not None or len(bus.read(wanted)) == 2, 2 * DEADLINE_S)
+        found = bus.read(wanted)
+        process.send_signal(signal.SIGINT)
+        told = process.communicate(timeout=DEADLINE_S)[0].decode()
+    assert sorted(found) == wanted, told
+    assert {sample.stamp.writer for sample in found.values() if sample.stamp} == {"head", "left_wrist"}
+    assert "start head (camera)" in told
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"source": "uvcc"}, "unknown camera 'uvcc' (did you mean 'uvc'?); known: files, mujoco, uvc, zmq"),
+        ({"options": {"devise": "x"}}, "unknown key 'devise' (did you mean 'device'?)"),
+        ({"source": "files"}, "options of the source files: missing key path"),
+        ({"fps": 0}, "fps is 0; expected 0.1 to 240 Hz"),
+        ({"width": 5}, "width is 5; expected 16 to 8192 px"),
+        ({"quality": 101}, "quality is 101; expected 1 to 100"),
+        ({"name": "Head Cam"}, "name is 'Head Cam'; expected small letters, digits and _"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused_by_name(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        build(CameraConfig, settings, where="test")
+    assert message in str(caught.value)
