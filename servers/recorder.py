@@ -194,4 +194,5 @@ KIND = ServerKind(
     summary="Records every write of the bus, byte for byte, into episodes.",
     config=RecorderConfig,
     main=main,
+    bus_timeout_s=1.0,
 )

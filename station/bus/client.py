@@ -73,6 +73,13 @@ class Bus:
         """Whether the server owes the answer to a write."""
         return bool(self._unanswered)
 
+    def set_timeout(self, timeout_s: float) -> None:
+        """Set the longest wait for any answer [s]."""
+        with self._lock:
+            self._timeout_s = timeout_s
+            if self._connection is not None:
+                self._connection.set_timeout(timeout_s)
+
     def publish(self, values: Mapping[str, bytes], *, capture_ns: int | None = None) -> bool:
         """Write keys and their stamps as one atomic command.
 

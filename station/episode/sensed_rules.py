@@ -54,7 +54,7 @@ def _idle_ends(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]
 def _jerky(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for robot in quality.motion:
         jerk = robot.jerk_p99_rad_s3
-        if jerk is not None and jerk > limits.jerky.p99_above_rad_s3:
+        if not quality.lock_step and jerk is not None and jerk > limits.jerky.p99_above_rad_s3:
             worst = f"most {robot.worst_jerk_joint} with {robot.jerk_max_rad_s3 or 0.0:.0f}"
             yield "usable", f"{robot.robot}: jerk {jerk:.0f} rad/s\u00b3 (p99), {worst}"
 

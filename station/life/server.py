@@ -49,6 +49,8 @@ class ServerKind(msgspec.Struct, frozen=True, kw_only=True):
         summary: What it does, in a line.
         config: Type of its configuration.
         main: Runs it until it is asked to stop; returns an exit code. Imports what is heavy only when called.
+        bus_timeout_s: Longest wait for an answer of the bus while it runs [s]; longer for one that moves nothing, and
+            would rather wait for a bus that is busy (with the picture that it takes for a new recorder, say) than end.
     """
 
     name: str
@@ -56,6 +58,7 @@ class ServerKind(msgspec.Struct, frozen=True, kw_only=True):
     summary: str
     config: type[msgspec.Struct]
     main: Callable[[Any, Life], int]
+    bus_timeout_s: float = 0.05
 
 
 class Health(msgspec.Struct, kw_only=True):
@@ -102,6 +105,7 @@ class Health(msgspec.Struct, kw_only=True):
         return False
 
 
+_PATIENCE_S = 1.0  # for an answer of the bus, while a server loads and nothing moves
 _HEALTH_FIELDS = ("rate_hz", "jitter_p50_ms", "jitter_p99_ms", "overruns")
 
 
@@ -110,6 +114,7 @@ class Life:
 
     def __init__(self, kind: ServerKind, name: str, bus: Bus, config_sha256: str) -> None:
         self.name = name
+        self._bus_timeout_s = kind.bus_timeout_s
         self.bus = bus
         self.stop_event = threading.Event()
         self._leash = leash.from_environment(self.stop_event.set)
@@ -149,6 +154,7 @@ class Life:
                 pass
         if self.stopping:
             return False
+        self.bus.set_timeout(self._bus_timeout_s)
         self._become("active")
         return True
 
@@ -227,7 +233,7 @@ def serve(kind: ServerKind, config: msgspec.Struct, *, address: BusAddress | Non
         Refused: a live server already has this name.
     """
     name = name or kind.name
-    with Bus(for_role(address or addresses.default(), kind.role), name=name) as bus:
+    with Bus(for_role(address or addresses.default(), kind.role), name=name, timeout_s=_PATIENCE_S) as bus:
         _claim(bus, name)
         _warn_of_strangers(bus)
         life = Life(kind, name, bus, _config_hash(config))

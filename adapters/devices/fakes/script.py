@@ -137,8 +137,9 @@ class Play(Generic[S]):
         return now_s - self._began_s
 
     def begin(self, start_s: float = 0.0) -> None:
-        """Take the first look, at a time of the script [s] that need not be its beginning."""
-        self._began_s = self._clock() - start_s
+        """Take the first look, at a time of the script [s] that need not be its beginning; later ones do nothing."""
+        if self._began_s is None:
+            self._began_s = self._clock() - start_s
 
     def due(self, until_s: float) -> Iterator[tuple[float, S]]:
         """Yield, once, each step up to a time since the first look, with its own time [s]."""
