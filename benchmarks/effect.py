@@ -18,7 +18,7 @@ from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.contracts import TIMING_STAGES
-from station.episode import remote
+from station.episode.recorder import remote
 
 _SMALL_PER_S, _IMAGE_MB_PER_S, _COMMAND_HZ = 1_000.0, 30.0, 100.0
 _SETTLE_S = 1.0

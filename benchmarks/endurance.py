@@ -16,8 +16,9 @@ from benchmarks.recorded import recorder
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.episode import layout, remote
-from station.episode.request import RecorderState
+from station.episode.recorder import remote
+from station.episode.storage import layout
+from station.episode.storage.request import RecorderState
 
 _SAMPLE_S = 2.0
 _KEPT_BYTES = 1 << 30  # of the episode on the disk; what is older is given back

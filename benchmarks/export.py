@@ -19,14 +19,14 @@ from station import registry
 from station.bus import codec, contracts, keys
 from station.bus.stamp import Stamp, boot_id
 from station.bus.tap import Write
-from station.episode import layout
-from station.episode.anchor import Anchor
-from station.episode.check import check, write_measured
-from station.episode.closing import close_manifest
-from station.episode.manifest import Manifest, Robot, Task, Timing, dump_manifest, load_manifest
-from station.episode.progress import Totals
-from station.episode.reader import open_episode
-from station.episode.writer import EpisodeWriter
+from station.episode.quality.check import check, write_measured
+from station.episode.reading.reader import open_episode
+from station.episode.recorder.writer import EpisodeWriter
+from station.episode.storage import layout
+from station.episode.storage.anchor import Anchor
+from station.episode.storage.manifest import Manifest, Robot, Task, Timing, dump_manifest, load_manifest
+from station.episode.storage.progress import Totals
+from station.episode.writing.closing import close_manifest
 from station.export.kind import ExportKind, Source
 from station.export.run import Exported, Where, export
 from station.export.select import sources

@@ -14,10 +14,10 @@ from mcap.reader import make_reader
 
 from benchmarks import processes, upstream
 from benchmarks.harness import Benchmark, Row, Settings, Target, alternate, compare
-from station.episode.audit import audit
-from station.episode.folder import signals_file
-from station.episode.reader import EpisodeReader
-from station.episode.recorded_policy import load_policy, recorded_policy
+from station.episode.reading.reader import EpisodeReader
+from station.episode.replaying.audit import audit
+from station.episode.replaying.recorded_policy import load_policy, recorded_policy
+from station.episode.storage.folder import signals_file
 
 _RUN_S = 180.0
 

@@ -14,8 +14,8 @@ from benchmarks.harness import Benchmark, Rounds, Row, Settings, Target, alterna
 from benchmarks.recorded import recorder
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.episode import remote
-from station.episode.reader import open_episode
+from station.episode.reading.reader import open_episode
+from station.episode.recorder import remote
 
 METHOD = """\
 Writers publish 10,000 small values (180 B of JSON, ten keys) and 455 incompressible pictures of 66 kB (30 MB) a second

@@ -1,4 +1,4 @@
-"""The JSON schema of an episode's manifest, made from `station.episode.manifest.Manifest`."""
+"""The JSON schema of an episode's manifest, made from `station.episode.storage.manifest.Manifest`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from station.episode.manifest import Manifest
+from station.episode.storage.manifest import Manifest
 
 SCHEMA_FILE = Path(__file__).with_name("episode.schema.json")
 EXAMPLE_FILE = Path(__file__).with_name("episode.example.yaml")

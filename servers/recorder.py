@@ -12,13 +12,13 @@ import msgspec
 
 from station.bus import codec, keys
 from station.config import to_plain
-from station.episode.claim import Claim
-from station.episode.folder import data_folder
-from station.episode.heap import give_back_large_blocks
-from station.episode.intake import Intake
-from station.episode.options import RecordingOptions
-from station.episode.progress import WriterOptions
-from station.episode.request import RecorderState
+from station.episode.recorder.heap import give_back_large_blocks
+from station.episode.recorder.intake import Intake
+from station.episode.recorder.options import RecordingOptions
+from station.episode.storage.claim import Claim
+from station.episode.storage.folder import data_folder
+from station.episode.storage.progress import WriterOptions
+from station.episode.storage.request import RecorderState
 from station.errors import BusError
 from station.life.server import Life, ServerKind
 from station.software import software

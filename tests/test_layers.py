@@ -36,13 +36,23 @@ WHAT_ADAPTERS_NEED = {
 """Facts, formats and how to find things: no connection, no loop, no process, no episode."""
 
 WHAT_EXPORTS_NEED = {
-    "station.episode.folder", "station.episode.frames", "station.episode.manifest", "station.episode.messages",
-    "station.episode.reader", "station.episode.vectors",
+    "station.episode.reading.frames", "station.episode.reading.messages", "station.episode.reading.reader",
+    "station.episode.reading.vectors", "station.episode.storage.folder", "station.episode.storage.manifest",
     "station.export.columns", "station.export.kind", "station.export.resample", "station.export.shards",
     "station.export.tracks", "station.export.verdict",
     "station.software",
 }  # fmt: skip
 """What reads an episode, and what every export shares; for `adapters/exports` alone."""
+
+ROOMS_OF_AN_EPISODE = {
+    "storage": set[str](),
+    "writing": {"storage"},
+    "reading": {"storage"},
+    "recorder": {"storage", "writing"},
+    "quality": {"storage", "reading"},
+    "replaying": {"storage", "reading"},
+}
+"""What each room of `station/episode` may use of the others."""
 
 NO_VERBS = {
     "__init__", "calibrate_operator", "face", "fields", "keyboard", "main", "options", "quality", "stop_key", "tables",
@@ -50,14 +60,14 @@ NO_VERBS = {
 """Modules of `station.cli` that verbs share."""
 
 A_KEY = re.compile(
-    r"(action_(body|hand|neck|mimic)|state_(body|hand|neck)|robot_state|policy_(obs|action|timing)|target|sim_qpos"
-    r"|command_(gate|used|source))_(?=$|\{|g1|unitree)"
+    r"(action_(body|hand|neck|mimic|joints)|state_(body|hand|neck|joints|tcp|counters|controller)|robot_state|policy_(obs|action|timing)|target|sim_qpos"
+    r"|command_(gate|used|source))_(?=$|\{|g1|unitree|kassow)"
     r"|^operator_(status|controls|head|left|right|body_(pos|quat)|hand_(left|right)|twist|joints)_(?=$|\{)"
     r"|^camera_image_(?=$|\{)"
     r"|^station:\S|^t_(action|state)$|^controller_data$"
     r"|^motion_(start|exit)_signal$|" + keys.TWIST2_ROBOT
 )
-NO_KEYS = {("station/episode/layout.py", "station:recorder:stamps")}
+NO_KEYS = {("station/episode/storage/layout.py", "station:recorder:stamps")}
 """A topic of a file, which no bus ever sees."""
 
 
@@ -100,6 +110,16 @@ def test_the_station_imports_no_server_adapter_or_bridge(path: Path) -> None:
     assert not within(ours(path), *OUTER)
 
 
+@pytest.mark.parametrize("room", ROOMS_OF_AN_EPISODE)
+def test_a_room_of_an_episode_uses_only_those_below_it(room: str) -> None:
+    used = {
+        name.split(".")[2]
+        for path in sources(f"station/episode/{room}")
+        for name in within(ours(path), "station.episode")
+    }
+    assert used <= ROOMS_OF_AN_EPISODE[room] | {room}
+
+
 @pytest.mark.parametrize("path", sources("adapters"), ids=told)
 def test_an_adapter_imports_other_adapters_and_the_pure_part_of_the_station(path: Path) -> None:
     used = ours(path)
@@ -139,7 +159,11 @@ def strings(path: Path) -> Iterator[str]:
 
 
 def test_the_pattern_knows_every_key() -> None:
-    spelled = [text for text in strings(ROOT / "station/bus/keys.py") if text not in ("@", "_", keys.TWIST_ROBOT)]
+    spelled = [
+        text
+        for text in strings(ROOT / "station/bus/keys.py")
+        if text not in ("@", "_", keys.TWIST_ROBOT, keys.KASSOW_FAMILY, "kr810")
+    ]
     assert spelled
     assert [text for text in spelled if not A_KEY.search(text)] == []
 

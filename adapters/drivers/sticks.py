@@ -29,16 +29,16 @@ class Sticks:
     def wish(self, controls: Mapping[str, float], dt_s: float) -> Wish:
         """Return what controls ask for after a period [s]; one that is missing rests."""
         return self.deflected(
-            _summed(controls, _FORWARD), _summed(controls, _LEFT), _summed(controls, _TURN_LEFT),
-            _summed(controls, _UP), dt_s,
+            summed(controls, _FORWARD), summed(controls, _LEFT), summed(controls, _TURN_LEFT),
+            summed(controls, _UP), dt_s,
         )  # fmt: skip
 
     def deflected(self, forward: float, left: float, turn_left: float, up: float, dt_s: float) -> Wish:
         """Return what deflections from -1 to 1 ask for after a period [s]."""
-        self.height = min(max(self.height + _live(up) * HEIGHT_RATE * dt_s, LOWEST_M), HIGHEST_M)
-        ahead = _live(forward)
+        self.height = min(max(self.height + live(up) * HEIGHT_RATE * dt_s, LOWEST_M), HIGHEST_M)
+        ahead = live(forward)
         fastest = FASTEST[0] if ahead > 0.0 else FASTEST_BACK
-        sideways, turning = _live(left) * FASTEST[1], _live(turn_left) * FASTEST[2]
+        sideways, turning = live(left) * FASTEST[1], live(turn_left) * FASTEST[2]
         return Wish(float(ahead * fastest), float(sideways), float(turning), self.height)
 
     def rest(self) -> Wish:
@@ -46,11 +46,12 @@ class Sticks:
         return Wish(height=self.height)
 
 
-def _summed(controls: Mapping[str, float], signs: Mapping[str, float]) -> float:
+def summed(controls: Mapping[str, float], signs: Mapping[str, float]) -> float:
+    """Return the sum of controls with their signs; one that is missing rests."""
     return sum(sign * controls.get(name, 0.0) for name, sign in signs.items())
 
 
-def _live(deflection: float) -> float:
-    """Take the dead band out of a deflection: zero in it, growing from zero beyond it, 1 at the end."""
+def live(deflection: float) -> float:
+    """Return a deflection without its dead band: zero in it, growing from zero beyond it, 1 at the end."""
     size = min(abs(deflection), 1.0)
     return float(np.sign(deflection)) * max(size - DEAD_BAND, 0.0) / (1.0 - DEAD_BAND)

@@ -15,8 +15,8 @@ import msgspec
 import numpy as np
 
 from station.bus import contracts
-from station.episode.reader import EpisodeReader, open_episode
-from station.episode.vectors import decoder
+from station.episode.reading.reader import EpisodeReader, open_episode
+from station.episode.reading.vectors import decoder
 from station.errors import EpisodeError, UsageError
 from station.export.columns import KeyColumns, key_columns, recorded_contracts
 from station.export.kind import ExportOptions, Made, MinQuality, Source

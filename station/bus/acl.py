@@ -25,11 +25,13 @@ _HEALTH = (keys.server(_ANY), keys.server_config(_ANY), keys.EVENT)
 _COMMANDS = (
     keys.action_body(_ANY), keys.action_hand(_ANY, _ANY), keys.action_neck(_ANY), keys.T_ACTION, keys.CONTROLLER_DATA,
     keys.action_mimic(_ANY), keys.action_hands(_ANY), keys.command_source(_ANY),
+    keys.action_joints(_ANY),
 )  # fmt: skip
 _STATES = (
     keys.state_body(_ANY), keys.state_hand(_ANY, _ANY), keys.state_neck(_ANY), keys.T_STATE, keys.state_hands(_ANY),
     keys.robot_state(_ANY), keys.policy_obs(_ANY), keys.policy_action(_ANY), keys.policy_timing(_ANY),
     keys.target(_ANY), keys.sim_qpos(_ANY), keys.command_gate(_ANY), keys.command_used(_ANY),
+    keys.state_joints(_ANY), keys.state_tcp(_ANY), keys.state_counters(_ANY), keys.state_controller(_ANY),
 )  # fmt: skip
 _SIGNALS = (
     keys.MOTION_START_SIGNAL,
@@ -50,7 +52,7 @@ WRITES: dict[str, tuple[str, ...]] = {
     "sensor": (*_OPERATOR, keys.camera_image(_ANY), keys.CONTROLLER_DATA, *_HEALTH, keys.ESTOP),
     "observer": _HEALTH,
     "viewer": (),
-    "operator": (*_COMMANDS, *_SIGNALS, *_BUTTONS, keys.EVENT, keys.MOTION_CONTROL),
+    "operator": (*_COMMANDS, *_SIGNALS, *_BUTTONS, keys.CONTROLLER, keys.EVENT, keys.MOTION_CONTROL),
 }
 """Patterns of the keys that each role may write, stamps left out; an e-stop may come from all who can move or sense."""
 

@@ -6,73 +6,34 @@ A contract is written beside the bytes of a recording, never into them, so a wro
 from __future__ import annotations
 
 from functools import cache
-from typing import Literal
 
-import msgspec
+from station.bus import arm_contracts, joints, keys
+from station.bus.contract import (
+    POSE,
+    TIMING_STAGES,
+    Codec,
+    Contract,
+    Element,
+    Role,
+    elements,
+    positions,
+    velocities,
+)  # fmt: skip
 
-from station.bus import joints, keys
-
-Role = Literal["command", "state", "policy", "sensor", "network", "event", "control"]
-Codec = Literal["json-vector", "json", "f32", "f64", "jpeg", "text", "integer"]
-
-
-class Element(msgspec.Struct, frozen=True):
-    """One number of a vector: a name that is a valid field name anywhere, and its unit ("" for none)."""
-
-    name: str
-    unit: str
-
-
-class Contract(msgspec.Struct, frozen=True, kw_only=True):
-    """What a key holds.
-
-    Attributes:
-        key: The key.
-        family: ``twist``, ``twist2`` or ``station``.
-        role: What the value is to a station.
-        codec: How the bytes are read.
-        elements: Names and units of a vector's numbers in order; empty for other values.
-        rate_hz: Nominal rate of writes [Hz]; None when it is written on events only.
-        note: Frame, order and traps, in a sentence.
-    """
-
-    key: str
-    family: Literal["twist", "twist2", "station"]
-    role: Role
-    codec: Codec
-    elements: tuple[Element, ...] = ()
-    rate_hz: float | None = None
-    note: str = ""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the elements, in order."""
-        return tuple(element.name for element in self.elements)
+__all__ = [
+    "BODY_COMMAND_TWIST", "BODY_COMMAND_TWIST2", "TIMING_STAGES", "Codec", "Contract", "Element", "Role", "contract",
+    "contracts", "elements", "positions", "velocities",
+]  # fmt: skip
 
 
 def contract(key: str) -> Contract | None:
     """Return the contract of a key, or None for a key that nobody has described."""
-    return _catalogue().get(key) or _by_prefix(key) or _of_operator(key) or _of_camera(key)
+    return _catalogue().get(key) or _by_prefix(key) or _of_operator(key) or _of_camera(key) or _of_another_arm(key)
 
 
 def contracts() -> tuple[Contract, ...]:
     """Return every contract with a fixed key, in catalogue order."""
     return tuple(_catalogue().values())
-
-
-def elements(*groups: tuple[tuple[str, ...], str]) -> tuple[Element, ...]:
-    """Build elements from groups of names that share a unit."""
-    return tuple(Element(name, unit) for names, unit in groups for name in names)
-
-
-def positions(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Element names of joint positions."""
-    return tuple(f"{name}_pos" for name in names)
-
-
-def velocities(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Element names of joint velocities."""
-    return tuple(f"{name}_vel" for name in names)
 
 
 BODY_COMMAND_TWIST2 = elements(
@@ -171,10 +132,6 @@ def _ours(robot: str, command: tuple[Element, ...], names: tuple[str, ...]) -> l
     ]  # fmt: skip
 
 
-TIMING_STAGES = ("command_written", "command_arrived", "state_read", "observed", "inferred", "sent")
-"""Instants of one policy step, in the order of `keys.policy_timing`."""
-
-
 def _station() -> list[Contract]:
     def make(key: str, role: Role, codec: Codec, note: str) -> Contract:
         return Contract(key=key, family="station", role=role, codec=codec, note=note)
@@ -182,6 +139,12 @@ def _station() -> list[Contract]:
     return [
         make(keys.ESTOP, "control", "json", "latched emergency stop: who asked for it and why; 0 when reset"),
         make(keys.ARM, "control", "json", "arm or disarm: who asked and why; answered in the robot's command_gate"),
+        make(
+            keys.CONTROLLER,
+            "control",
+            "json",
+            "clear a controller's faults, or choose its profile or throttle; answered in the robot's command_gate",
+        ),
         make(keys.EVENT, "event", "json", "one event: name, severity, source, numbers"),
         make(
             keys.MOTION_CONTROL, "control", "json", "start, pause, resume, seek, loop or leave, for the motion server"
@@ -206,19 +169,18 @@ def _by_prefix(key: str) -> Contract | None:
     return None
 
 
-_POSE = elements((("x", "y", "z"), "m"), (("qw", "qx", "qy", "qz"), ""))
 _TWIST = elements((("vx", "vy", "vz", "wx", "wy", "wz"), ""))
 _BODY_POS = elements((tuple(f"{name}_{axis}" for name in joints.SMPL_24 for axis in "xyz"), "m"))
 _BODY_QUAT = elements((tuple(f"{name}_q{axis}" for name in joints.SMPL_24 for axis in "wxyz"), ""))
-_HAND = tuple(Element(f"{name}_{item.name}", item.unit) for name in joints.HAND_26 for item in _POSE)
+_HAND = tuple(Element(f"{name}_{item.name}", item.unit) for name in joints.HAND_26 for item in POSE)
 _WORLD = "the operator's world: x forward, y left, z up"
 
 _OPERATOR: dict[str, tuple[Codec, tuple[Element, ...], str]] = {
     keys.operator_status(""): ("json", (), "live, stale or lost, and why; counts of new samples and of repetitions"),
     keys.operator_controls(""): ("json", (), "number by name: axes -1 to 1, triggers 0 to 1, buttons 0 or 1"),
-    keys.operator_head(""): ("f64", _POSE, _WORLD),
-    keys.operator_left(""): ("f64", _POSE, _WORLD),
-    keys.operator_right(""): ("f64", _POSE, _WORLD),
+    keys.operator_head(""): ("f64", POSE, _WORLD),
+    keys.operator_left(""): ("f64", POSE, _WORLD),
+    keys.operator_right(""): ("f64", POSE, _WORLD),
     keys.operator_body_pos(""): ("f64", _BODY_POS, _WORLD),
     keys.operator_body_quat(""): ("f64", _BODY_QUAT, f"{_WORLD}; a bone's orientation stands at its upper joint"),
     keys.operator_hand_left(""): ("f64", _HAND, _WORLD),
@@ -227,6 +189,14 @@ _OPERATOR: dict[str, tuple[Codec, tuple[Element, ...], str]] = {
     keys.operator_joints(""): ("f64", (), "joint positions of the leader [rad], then its gripper from 0 to 1"),
 }
 """Codec, elements and note by the beginning of a key; the name of the device server follows."""
+
+
+def _of_another_arm(key: str) -> Contract | None:
+    """Arms of a family differ in their limits, not in what is said of them."""
+    _, family, model = key.partition(f"_{keys.KASSOW_FAMILY}")
+    if not model or keys.is_stamp(key):
+        return None
+    return next((item for item in arm_contracts.of(family[1:] + model) if item.key == key), None)
 
 
 def _of_operator(key: str) -> Contract | None:
@@ -253,6 +223,7 @@ def _catalogue() -> dict[str, Contract]:
         *_twist(),
         *_ours(keys.TWIST2_ROBOT, BODY_COMMAND_TWIST2, joints.G1_29),
         *_ours(keys.TWIST_ROBOT, BODY_COMMAND_TWIST, joints.G1_29),
+        *arm_contracts.of(keys.KASSOW_KR810),
         *_station(),
     ]
     return {item.key: item for item in every}

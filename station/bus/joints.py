@@ -1,4 +1,4 @@
-"""Joint names of the wire: how TWIST and TWIST2 list the joints of a Unitree G1, and trackers those of a person.
+"""Joint names of the wire: how TWIST and TWIST2 list the joints of a Unitree G1, trackers those of a person, arms.
 
 The order is part of the wire format, so it stands here; limits, gains and masses are in `adapters.robots.g1`.
 Source: `facts` of YanjieZe/TWIST and amazon-far/TWIST2, checked against `g1_sim2sim_29dof.xml`; for the person SMPL's
@@ -37,6 +37,9 @@ def hand(side: str) -> tuple[str, ...]:
     """Return the seven joints of one Dex3-1 hand, side included in the names."""
     return _sided(HAND_LEFT if side == "left" else HAND_RIGHT, f"{side}_hand")
 
+
+ARM_7 = tuple(f"joint_{number}" for number in range(1, 8))
+"""Joints of a seven-axis arm, from its base to its flange."""
 
 SMPL_24 = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",

@@ -1,13 +1,16 @@
 """Every key of the bus, spelled here and nowhere else.
 
 Three families: TWIST2 (suffix ``unitree_g1_with_hands``, fixed in the stock scripts), TWIST (suffix ``g1``) and the
-station's own. What a key holds is told by `station.bus.contracts`.
+station's own. The suffix of an arm holds its model, ``kassow_kr810``: another model has other joints and limits. What a
+key holds is told by `station.bus.contracts`.
 """
 
 from __future__ import annotations
 
 TWIST2_ROBOT = "unitree_g1_with_hands"
 TWIST_ROBOT = "g1"
+KASSOW_FAMILY = "kassow_"
+KASSOW_KR810 = KASSOW_FAMILY + "kr810"
 
 # -- TWIST2: one robot suffix, hard-coded upstream ---------------------------------------------------------------
 T_ACTION = "t_action"
@@ -109,6 +112,42 @@ def command_source(robot: str) -> str:
     return f"command_source_{robot}"
 
 
+# -- Ours, per arm: a robot of n joints behind a controller of its own ------------------------------------------------
+def action_joints(robot: str) -> str:
+    """Command of an arm: absolute targets of its n joints [rad], a JSON list in the order of the joints.
+
+    Who commands writes it in each of its ticks (up to 250 Hz), moved or not: the age says that somebody commands, the
+    numbers say where to. A list equal to the one before costs the controller nothing: only what moved is sent on.
+    After 100 ms of silence the arm holds and nothing is sent; after 300 ms the next command is entered anew. Positions
+    are absolute and never wrapped: a joint may turn by 360 degrees either way. Who begins to command begins with
+    `command_used`, which is where the arm is while nobody is followed.
+    """
+    return f"action_joints_{robot}"
+
+
+def state_joints(robot: str) -> str:
+    """Positions, velocities and torques of an arm's joints, n of each, 125 times a second."""
+    return f"state_joints_{robot}"
+
+
+def state_tcp(robot: str) -> str:
+    """Pose of an arm's tool centre point in the frame of its base, 125 times a second."""
+    return f"state_tcp_{robot}"
+
+
+def state_counters(robot: str) -> str:
+    """What the real-time session with an arm's controller has counted and measured, 125 times a second.
+
+    Counters only grow; whoever wants a rate takes the difference over a time.
+    """
+    return f"state_counters_{robot}"
+
+
+def state_controller(robot: str) -> str:
+    """What an arm's controller says of itself: backend, profile, flags, alarm, newest event; ten times a second."""
+    return f"state_controller_{robot}"
+
+
 # -- Ours, per input device: what an operator does, in FLU and SI units, whatever the device --------------------------
 def operator_status(device: str) -> str:
     """Whether the device is live, why not, and what its newest sample holds; written every tick."""
@@ -174,6 +213,7 @@ def camera_image(camera: str) -> str:
 # -- Ours, of the station ----------------------------------------------------------------------------------------
 ESTOP = "station:estop"
 ARM = "station:arm"
+CONTROLLER = "station:controller"
 EVENT = "station:event"
 MOTION_CONTROL = "station:motion"
 RECORD = "station:record"

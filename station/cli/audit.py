@@ -21,8 +21,8 @@ def command(episode: str, data: Path | None, checkpoint: str | None, robot: str 
 
     Exit code 1 when any bit of any action or observation differs.
     """
-    from station.episode.audit import Audit, audit
-    from station.episode.reader import open_episode
+    from station.episode.reading.reader import open_episode
+    from station.episode.replaying.audit import Audit, audit
 
     found = audit(open_episode(episode, data), checkpoint=checkpoint, robot=robot)
     if as_json:
@@ -35,7 +35,7 @@ def command(episode: str, data: Path | None, checkpoint: str | None, robot: str 
 
 def print_audit(found: object) -> None:
     """Print what an audit found."""
-    from station.episode.audit import Audit
+    from station.episode.replaying.audit import Audit
 
     assert isinstance(found, Audit)
     observed = found.observations

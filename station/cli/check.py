@@ -13,7 +13,7 @@ from station.cli.options import data_option, json_option
 def _print_rules(context: click.Context, _option: click.Parameter, is_wanted: bool) -> None:
     """Print the rules that ship with us, to be edited, and leave."""
     if is_wanted:
-        from station.episode.quality_rules import SHIPPED
+        from station.episode.quality.rule_file import SHIPPED
 
         click.echo(SHIPPED.read_text(encoding="utf-8"), nl=False)
         context.exit()
@@ -31,11 +31,11 @@ def _print_rules(context: click.Context, _option: click.Parameter, is_wanted: bo
 def command(episode: str, rules: Path | None, no_write: bool, data: Path | None, as_json: bool) -> None:
     """Check EPISODE (a path, an id, the beginning of one, or `latest`); exit code 1 when it is to be rejected."""
     from station.cli.quality import print_quality
-    from station.episode import quality_rules
-    from station.episode.check import check, write_measured
-    from station.episode.reader import open_episode
+    from station.episode.quality import rule_file
+    from station.episode.quality.check import check, write_measured
+    from station.episode.reading.reader import open_episode
 
-    book = quality_rules.of_user() if rules is None else quality_rules.load(rules)
+    book = rule_file.of_user() if rules is None else rule_file.load(rules)
     reader = open_episode(episode, data)
     quality = check(reader, book)
     if quality.is_finished and not no_write:

@@ -16,7 +16,7 @@ from station.cli.options import data_option, set_option
 from station.errors import StationError
 
 if TYPE_CHECKING:
-    from station.episode.reader import EpisodeReader
+    from station.episode.reading.reader import EpisodeReader
 
 _INTERRUPTED = 130
 
@@ -39,7 +39,7 @@ def command(for_: str | None, sets: tuple[str, ...], data: Path | None) -> None:
     """
     from station import config
     from station.cli import up
-    from station.episode.folder import data_folder
+    from station.episode.storage.folder import data_folder
     from station.life import runbook as runbooks
     from station.life.session import Recording
 
@@ -73,15 +73,15 @@ def _report(episode: Path, gl: str, data: Path | None) -> int:
     """Print what was measured, draw the pictures, say what to try next; return an exit code."""
     from station.cli.audit import print_audit
     from station.cli.quality import print_quality
-    from station.episode import quality_rules
-    from station.episode.audit import audit
-    from station.episode.check import check, write_measured
-    from station.episode.reader import open_episode
+    from station.episode.quality import rule_file
+    from station.episode.quality.check import check, write_measured
+    from station.episode.reading.reader import open_episode
+    from station.episode.replaying.audit import audit
 
     click.echo()
     with _busy("measuring the episode"):
         reader = open_episode(episode)
-        quality = check(reader, quality_rules.of_user())
+        quality = check(reader, rule_file.of_user())
         write_measured(episode, quality)
     print_quality(quality)
     click.echo()

@@ -53,7 +53,7 @@ def command(episodes: Sequence[str], is_all: bool, is_forced: bool, data: Path |
 
 
 def _finished(data: Path | None) -> list[str]:
-    from station.episode.listing import list_episodes
+    from station.episode.reading.listing import list_episodes
 
     rows = [row for row in list_episodes(data) if not row.is_discarded]
     for row in rows:
@@ -65,7 +65,7 @@ def _finished(data: Path | None) -> list[str]:
 def _enriched(name: str, data: Path | None, *, is_forced: bool, is_quiet: bool) -> Enriched:
     """Enrich one episode and say in a line what became of it."""
     from station.enrich.enrich import enrich
-    from station.episode.reader import open_episode
+    from station.episode.reading.reader import open_episode
 
     reader = open_episode(name, data)
     with _bar(reader.episode_id) as progress:

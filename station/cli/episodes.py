@@ -17,8 +17,8 @@ from station.printable import printable
 _LONGEST = 10_000  # characters of a line of a manifest
 
 if TYPE_CHECKING:
-    from station.episode.listing import EpisodeRow
-    from station.episode.repair import Repaired
+    from station.episode.reading.listing import EpisodeRow
+    from station.episode.writing.repair import Repaired
 
 
 @click.group("episodes", cls=Verbs)
@@ -46,9 +46,9 @@ def listing(
     success: Literal["yes", "no", "unknown"] | None, since_: str | None, data: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     """List the episodes of a data folder, oldest first; every option leaves out what does not fit it."""
-    from station.episode.folder import data_folder
-    from station.episode.left_open import offer
-    from station.episode.listing import Wanted, list_episodes, since
+    from station.episode.reading.listing import Wanted, list_episodes, since
+    from station.episode.storage.folder import data_folder
+    from station.episode.storage.left_open import offer
 
     wanted = Wanted(
         task=task, operator=operator, verdicts=verdicts, least=least, success=success,
@@ -103,9 +103,9 @@ def _print_rows(rows: Sequence[EpisodeRow]) -> None:
 @json_option
 def show(episode: str, data: Path | None, as_json: bool) -> None:
     """Show what EPISODE says of itself, and count its streams from the file."""
-    from station.episode.manifest import dump_manifest
-    from station.episode.reader import open_episode
-    from station.episode.show import show as facts_of
+    from station.episode.reading.reader import open_episode
+    from station.episode.reading.show import show as facts_of
+    from station.episode.storage.manifest import dump_manifest
 
     facts = facts_of(open_episode(episode, data))
     if as_json:
@@ -133,8 +133,8 @@ def repair(episode: str | None, is_all: bool, out: Path | None, data: Path | Non
 
     Every whole chunk is kept; the torn file stays as it is, beside the good one, as signals.mcap.torn.
     """
-    from station.episode.folder import data_folder, resolve
-    from station.episode.left_open import left_open
+    from station.episode.storage.folder import data_folder, resolve
+    from station.episode.storage.left_open import left_open
     from station.errors import EpisodeError, UsageError
 
     if (episode is None) != is_all:
@@ -161,7 +161,7 @@ def _folder(episode: Path) -> Path:
 
 def _repaired(folder: Path, out: Path | None, *, is_quiet: bool) -> Repaired:
     """Repair one episode and say in a line what became of it."""
-    from station.episode.repair import repair
+    from station.episode.writing.repair import repair
 
     done = repair(folder, out=out)
     words = {

@@ -70,7 +70,7 @@ def command(
 def _orders(
     kind: ForeignKind, folders: Sequence[Path], data: Path | None, task: str, instruction: str
 ) -> list[Order]:  # fmt: skip
-    from station.episode.folder import data_folder
+    from station.episode.storage.folder import data_folder
     from station.foreign.take_in import Order
 
     base = data_folder(data).absolute()

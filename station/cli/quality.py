@@ -5,8 +5,8 @@ from __future__ import annotations
 from rich.console import Console
 
 from station.cli.tables import Column, plain, print_table
-from station.episode.quality import Interruption, Quality, Spread, StepQuality, StreamQuality
-from station.episode.quality_parts import Alignment, CameraQuality, MotionQuality
+from station.episode.quality.finding_parts import Alignment, CameraQuality, MotionQuality
+from station.episode.quality.findings import Interruption, Quality, Spread, StepQuality, StreamQuality
 
 _MOST_ROWS = 20
 _KINDS = {

@@ -69,7 +69,7 @@ def _ask(action: Any, bus: str | None, as_json: bool, **fields: Any) -> None:
     import msgspec
 
     from station.bus.client import Bus
-    from station.episode import remote
+    from station.episode.recorder import remote
     from station.life.server import read_health
 
     with Bus(address_of(bus), name="record", timeout_s=1.0) as line:

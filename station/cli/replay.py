@@ -13,7 +13,7 @@ import msgspec
 from station.cli.options import bus_option, data_option, json_option
 
 if TYPE_CHECKING:
-    from station.episode.reader import EpisodeReader
+    from station.episode.reading.reader import EpisodeReader
 
 
 @click.command("replay")
@@ -41,7 +41,7 @@ def command(
     sim    the recorded commands through a fresh simulation; tells how it differs from the recorded run
     rerun  robot, command and state curves with names, events
     """
-    from station.episode.reader import open_episode
+    from station.episode.reading.reader import open_episode
 
     reader = open_episode(episode, data)
     if target == "bus":
@@ -56,7 +56,7 @@ def _to_bus(
     reader: EpisodeReader, bus: str | None, speed: float, roles: tuple[str, ...], allow_live: bool, as_json: bool
 ) -> None:
     from station.cli.options import address_of
-    from station.episode.replay import to_bus
+    from station.episode.replaying.replay import to_bus
 
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -77,7 +77,7 @@ def _to_bus(
 
 
 def _to_sim(reader: EpisodeReader, as_json: bool) -> None:
-    from station.episode.resimulate import to_sim
+    from station.episode.replaying.resimulate import to_sim
 
     report = to_sim(reader)
     if as_json:

@@ -36,7 +36,7 @@ def command(
 
     The page is one file that fetches nothing and runs nothing. What was not checked yet is measured now.
     """
-    from station.episode import quality_rules
+    from station.episode.quality import rule_file
     from station.export.progress import progress
     from station.export.select import sources
     from station.report import make
@@ -44,7 +44,7 @@ def command(
 
     if out.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--out {out}: expected a file that ends in .html")
-    book = quality_rules.of_user() if rules is None else quality_rules.load(rules)
+    book = rule_file.of_user() if rules is None else rule_file.load(rules)
     folders = [Path(source.folder) for source in sources(episodes, data, task=task)]
     with progress(len(folders), "measuring") as measured:
         found, unread = gather(folders, book, named=bool(episodes), is_judged_anew=rules is not None, tell=measured)

@@ -14,8 +14,8 @@ import click
 from station import config
 from station.bus.client import Bus
 from station.cli.options import bus_option, data_option, set_option
-from station.episode.folder import data_folder
-from station.episode.request import RecordAnswer
+from station.episode.storage.folder import data_folder
+from station.episode.storage.request import RecordAnswer
 from station.life import runbook as runbooks
 from station.life.runbook import Runbook, StartStep
 from station.life.session import Recording, Session

@@ -13,7 +13,7 @@ from station.cli.options import address_of, bus_option, data_option
 from station.errors import StationError, UsageError
 
 if TYPE_CHECKING:
-    from station.episode.reader import EpisodeReader
+    from station.episode.reading.reader import EpisodeReader
 
 _IN_ITS_FOLDER = ""  # FILE was left out
 
@@ -65,7 +65,7 @@ def _show_episode(
     episode: str, data: Path | None, save_as: Path | None, contact_sheet: str | None, plot: str | None,
     robot_model: str | None,
 ) -> None:  # fmt: skip
-    from station.episode.reader import open_episode
+    from station.episode.reading.reader import open_episode
     from station.view import names
 
     reader = open_episode(episode, data)

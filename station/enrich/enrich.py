@@ -17,9 +17,9 @@ from station.enrich.scalars import Shape
 from station.enrich.siblings import Siblings, siblings
 from station.enrich.vector import type_name
 from station.enrich.whole_file import whole_file
-from station.episode.left_open import is_left_open
-from station.episode.messages import Channel
-from station.episode.reader import EpisodeReader
+from station.episode.reading.messages import Channel
+from station.episode.reading.reader import EpisodeReader
+from station.episode.storage.left_open import is_left_open
 from station.errors import EpisodeError
 
 __all__ = ["Enriched", "Progress", "enrich"]

@@ -27,9 +27,9 @@ from station.enrich import foxglove
 from station.enrich.protobuf import Schema
 from station.enrich.scalars import ObjectType, Shape
 from station.enrich.vector import VectorType
-from station.episode.frames import captured_ns
-from station.episode.messages import Message
-from station.episode.vectors import decoder
+from station.episode.reading.frames import captured_ns
+from station.episode.reading.messages import Message
+from station.episode.reading.vectors import decoder
 from station.life import events
 
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import msgspec
 
-from station.episode.reader import EpisodeReader
-from station.episode.records import metadata_at_head
+from station.episode.reading.reader import EpisodeReader
+from station.episode.storage.records import metadata_at_head
 from station.errors import EpisodeError
 
 ENRICHED = "enriched.mcap"

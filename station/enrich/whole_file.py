@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from station.episode.atomic import sync_folder
+from station.episode.storage.atomic import sync_folder
 from station.errors import EpisodeError
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from station.episode.messages import Ints
+from station.episode.reading.messages import Ints
 
 NANOSECONDS = 1_000_000_000
 

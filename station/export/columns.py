@@ -10,8 +10,8 @@ import msgspec
 
 from station.bus import contracts, keys
 from station.bus.contracts import Contract, Role
-from station.episode import steps
-from station.episode.reader import EpisodeReader
+from station.episode.reading import steps
+from station.episode.reading.reader import EpisodeReader
 from station.errors import EpisodeError, did_you_mean
 
 NumberCodec = Literal["json-vector", "f64", "f32"]

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.bus import keys
-from station.episode import steps
-from station.episode.messages import Ints
+from station.episode.reading import steps
+from station.episode.reading.messages import Ints
 from station.errors import EpisodeError
 from station.export import clock
 from station.export.columns import KeyColumns

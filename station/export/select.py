@@ -7,8 +7,8 @@ import glob
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from station.episode.folder import data_folder, find_episodes, resolve, slug
-from station.episode.manifest import load_manifest
+from station.episode.storage.folder import data_folder, find_episodes, resolve, slug
+from station.episode.storage.manifest import load_manifest
 from station.errors import EpisodeError, UsageError
 from station.export.kind import Source
 

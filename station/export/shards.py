@@ -19,8 +19,8 @@ from typing import Any, Literal
 import msgspec
 
 from station import registry
-from station.episode import layout
-from station.episode.atomic import sync_folder, write_atomic
+from station.episode.storage import layout
+from station.episode.storage.atomic import sync_folder, write_atomic
 from station.errors import BadFile, EpisodeError, StationError
 from station.export import verdict
 from station.export.kind import ExportKind, LeftOut, Made, MinQuality, Shard, Source

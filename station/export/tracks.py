@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from station.bus import codec
-from station.episode import frames
-from station.episode.messages import Channel, Ints, Message
-from station.episode.reader import EpisodeReader
+from station.episode.reading import frames
+from station.episode.reading.messages import Channel, Ints, Message
+from station.episode.reading.reader import EpisodeReader
 from station.export.columns import KeyColumns
 from station.protocols import Floats
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from station.episode.check import check
-from station.episode.folder import signals_file
-from station.episode.manifest import Manifest
-from station.episode.quality import Verdict
-from station.episode.quality_rules import of_user
-from station.episode.reader import EpisodeReader
+from station.episode.quality.check import check
+from station.episode.quality.findings import Verdict
+from station.episode.quality.rule_file import of_user
+from station.episode.reading.reader import EpisodeReader
+from station.episode.storage.folder import signals_file
+from station.episode.storage.manifest import Manifest
 from station.errors import EpisodeError
 from station.export.kind import MinQuality, Source
 

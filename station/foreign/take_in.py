@@ -13,15 +13,14 @@ import msgspec
 
 from station import registry
 from station.bus.tap import Write
-from station.episode import layout
-from station.episode.anchor import Anchor
-from station.episode.atomic import sync_folder
-from station.episode.closing import close_manifest
-from station.episode.folder import slug
-from station.episode.manifest import Manifest, Operator, Recorder, Robot, Task, Timing, load_manifest
-from station.episode.progress import Totals
-from station.episode.take import iso
-from station.episode.writer import EpisodeWriter
+from station.episode.recorder.writer import EpisodeWriter
+from station.episode.storage import layout
+from station.episode.storage.anchor import Anchor, iso
+from station.episode.storage.atomic import sync_folder
+from station.episode.storage.folder import slug
+from station.episode.storage.manifest import Manifest, Operator, Recorder, Robot, Task, Timing, load_manifest
+from station.episode.storage.progress import Totals
+from station.episode.writing.closing import close_manifest
 from station.errors import EpisodeError, StationError
 from station.foreign.kind import ForeignKind, ForeignWrite, Recording
 from station.software import software

@@ -13,13 +13,10 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from station.errors import ConfigError
-from station.life.arming import RAMP_S, Arming, why_not_arm
-from station.life.events import Severity
-from station.life.gate import Decision, Gate, GateConfig
-from station.life.inlet import CommandSample, Inlet
-from station.life.slew import Bounds
-from station.life.slewing import Slewing
-from station.life.writers import spoken
+from station.life.arming import why_not_arm
+from station.life.commanded import Commanded, Happening
+from station.life.gate import Decision, GateConfig
+from station.life.inlet import CommandSample
 from station.protocols import CommandFormat, Fall, Floats, Floats32, JointTargets, Policy, Robot, RobotState
 
 _UPRIGHT_AGAIN_S = 1.0  # a fallen robot bounces; a fall is over when it has stood this long
@@ -32,15 +29,6 @@ class Resettable(Protocol):
     def reset(self) -> None:
         """Return to the start pose, at rest."""
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class Happening:
-    """Something that happened within a step, for an event on the bus."""
-
-    name: str
-    severity: Severity
-    detail: dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +68,10 @@ class ControlStep:
         form: Format of the command.
         gate: Times of the gate.
         is_armed: Whether targets are sent from the start; False for real robots.
+        reset_after_s: A simulated robot is put back on its feet this long after a fall [s]; None: never.
+
+    Attributes:
+        commanded: Inlet, gate and arming.
 
     Raises:
         ConfigError: the policy's joints are not the robot's, or it follows another format.
@@ -93,21 +85,18 @@ class ControlStep:
         *,
         gate: GateConfig | None = None,
         is_armed: bool = True,
+        reset_after_s: float | None = None,
     ) -> None:
         _check_fit(robot, policy, form)
         self.robot, self.policy = robot, policy
-        config = gate or GateConfig()
-        self.gate = Gate(form.default, config, Bounds.of(form, config.rate_factor))
-        self.inlet = Inlet(form)
-        self.arming = Arming(is_armed=is_armed)
-        self._tick = 0
+        self.commanded = Commanded(form, gate or GateConfig(), is_armed=is_armed)
+        self.gate, self.inlet, self.arming = self.commanded.gate, self.commanded.inlet, self.commanded.arming
+        self._note = self.commanded.note
+        self._reset_after_s, self._fell_at_s = reset_after_s, math.inf
+        self._tick = self._falls = 0
         self._is_down = False
         self._stood_since_s = 0.0
-        self._refusing: str | None = None
-        self._rival = ""  # why somebody else's command was refused in this step
-        self._slewing = Slewing(form)
         self._action_is_bad = False
-        self._happenings: list[Happening] = []
 
     def sense(self) -> RobotState:
         """Return the state that the next `step` acts on."""
@@ -122,7 +111,7 @@ class ControlStep:
             now_s: The instant, on the clock of `CommandSample.arrived_s` [s].
         """
         self._tick += 1
-        decision = self._decide(sample, now_s)
+        decision = self.commanded.decide(sample, now_s)
         observation = self.policy.observe(state, decision.vector)
         observed_ns = time.monotonic_ns()
         action = self.policy.act(observation)
@@ -131,6 +120,7 @@ class ControlStep:
         allowed = self._allowed(targets, now_s)
         sent_ns = time.monotonic_ns()  # before `write`, which in a simulation also runs the physics
         sent = _nothing(targets) if allowed is None else self.robot.write(allowed)
+        fall = self._note_fall(now_s)
         good = self.inlet.good
         stages = (good.written_ns if good else 0, good.arrived_ns if good else 0)
         return StepRecord(
@@ -140,17 +130,15 @@ class ControlStep:
             observation=observation,
             action=action,
             sent=sent,
-            fall=self._note_fall(now_s),
+            fall=fall,
             command_seq=good.seq if good else 0,
             timing_ns=(*stages, state.mono_ns, observed_ns, inferred_ns, sent_ns),
-            happenings=self._taken(),
+            happenings=self.commanded.taken(),
         )
 
     def stop(self, reason: str) -> None:
         """Latch the emergency stop: from the next step on the joints are only damped."""
-        if self.gate.state != "stopped":
-            self.gate.stop(reason)
-            self._note("estop", "error", reason=reason)
+        self.commanded.stop(reason)
 
     def reset(self, reason: str) -> None:
         """Leave the emergency stop; a simulated robot is put back on its feet, a real one needs arming again."""
@@ -168,24 +156,15 @@ class ControlStep:
 
     def arm(self, now_s: float, who: str = "") -> str:
         """Begin to arm the robot; return why not, or ""."""
-        refusal = self._why_not_arm(now_s)
-        if refusal:
-            self._note("arm-refused", "warning", who=who, reason=refusal)
-        elif self.arming.state == "disarmed":
-            self.arming.arm(now_s)
-            self._note("arming", "warning", who=who, ramp_s=RAMP_S)
-        return refusal
+        return self.commanded.arm(now_s, who, self._why_not_arm(now_s))
 
     def disarm(self, who: str = "") -> None:
         """Send nothing to the robot from the next step on."""
-        if self.arming.state != "disarmed":
-            self.arming.disarm()
-            self._note("disarmed", "warning", who=who)
+        self.commanded.disarm(who)
 
-    def refuse_rivals(self, count: int, reason: str) -> None:
-        """Count commands that came from others than who is obeyed, before the step that they came for."""
-        self.inlet.refused["second-writer"] += count
-        self._rival = f"second-writer: {reason}"
+    def health(self) -> dict[str, Any]:
+        """Return what a server's heartbeat tells of this robot."""
+        return {"falls": self._falls}
 
     def _why_not_arm(self, now_s: float) -> str:
         if self.arming.state != "disarmed" and self.gate.state != "stopped":
@@ -212,22 +191,6 @@ class ControlStep:
             self._note("armed", "warning")
         return allowed
 
-    def _decide(self, sample: CommandSample | None, now_s: float) -> Decision:
-        inlet, before = self.inlet, self.inlet.good
-        if inlet.take(sample):
-            self._note_refusal()
-        if before is not None and inlet.good is not None and before.source != inlet.good.source:
-            self.gate.change_hands(f"{spoken(inlet.good.source)} commands in place of {spoken(before.source)}")
-        refusal = self._rival if inlet.refusal is None else f"{inlet.refusal.kind}: {inlet.refusal.text}"
-        self._rival = ""
-        decision = self.gate.step(now_s, inlet.vector, inlet.age_s(now_s), refusal=refusal)
-        for change in decision.transitions:
-            severity: Severity = "warning" if change.after in ("holding", "returning") else "info"
-            self._note("gate", severity, **{"from": change.before, "to": change.after, "reason": change.reason})
-        for name, detail in self._slewing.note(decision.limited, now_s):
-            self._note(name, "warning", **detail)
-        return decision
-
     def _targets(self, action: Floats32, state: RobotState, decision: Decision) -> JointTargets:
         """Return the policy's targets, or damping alone when stopped or when the network gave no number."""
         targets = self.policy.targets(action, decision.vector)
@@ -242,36 +205,21 @@ class ControlStep:
             return JointTargets(q, np.zeros_like(targets.kp), targets.kd)
         return targets
 
-    def _note_refusal(self) -> None:
-        """Say once that commands are refused, again when the reason changes, and once that they are good again."""
-        refusal, inlet = self.inlet.refusal, self.inlet
-        kind = refusal.kind if refusal is not None else None
-        if kind == self._refusing:
-            return
-        total = inlet.refused.total()
-        if refusal is not None:
-            self._note("refused-command", "warning", reason=f"{refusal.kind}: {refusal.text}", count=total)
-        else:
-            self._note("command-good-again", "info", count=total)
-        self._refusing = kind
-
     def _note_fall(self, now_s: float) -> Fall | None:
         fall = self.robot.fallen()
         if fall is not None:
             if not self._is_down:
                 self._note("fall", "error", tilt_rad=fall.tilt_rad, contacts=list(fall.contacts))
+                self._falls += 1
+                self._fell_at_s = now_s
             self._is_down, self._stood_since_s = True, math.inf
         elif self._is_down:
             self._stood_since_s = min(self._stood_since_s, now_s)
             self._is_down = now_s - self._stood_since_s < _UPRIGHT_AGAIN_S
+        if self._reset_after_s is not None and now_s - self._fell_at_s >= self._reset_after_s:
+            self._fell_at_s = math.inf
+            self.restart("fell")
         return fall
-
-    def _note(self, name: str, severity: Severity, **detail: Any) -> None:
-        self._happenings.append(Happening(name, severity, detail))
-
-    def _taken(self) -> tuple[Happening, ...]:
-        happenings, self._happenings = tuple(self._happenings), []
-        return happenings
 
 
 def _nothing(targets: JointTargets) -> JointTargets:

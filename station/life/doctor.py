@@ -14,7 +14,7 @@ from station.bus.client import Bus
 from station.bus.sample import Sample
 from station.bus.server_options import LARGEST_VALUE
 from station.bus.watch import Watch
-from station.episode.request import RecorderState
+from station.episode.storage.request import RecorderState
 from station.errors import BusError, StationError, UnknownName
 from station.life import estop
 from station.life.findings import Finding, bus_access, machine

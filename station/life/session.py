@@ -14,8 +14,9 @@ from typing import Any
 import msgspec
 
 from station.bus.client import Bus
-from station.episode import left_open, remote
-from station.episode.request import RecordAnswer
+from station.episode.recorder import remote
+from station.episode.storage import left_open
+from station.episode.storage.request import RecordAnswer
 from station.errors import BusError, ConfigError, NotReady, Refused, StationError
 from station.life.deaths import Deaths
 from station.life.event_feed import EventFeed

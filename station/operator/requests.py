@@ -12,8 +12,8 @@ from typing import Any
 from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.watch import Watch
-from station.episode import remote
-from station.episode.request import RecorderState
+from station.episode.recorder import remote
+from station.episode.storage.request import RecorderState
 from station.errors import BusError, NotReady, Refused, StationError
 from station.life import arm_request
 from station.life.arm_request import Action

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from datetime import datetime
 from statistics import median
 
-from station.episode.quality import Spread
+from station.episode.quality.findings import Spread
 from station.report import figures
 from station.report.episode_page import anchor, badge
 from station.report.episode_tables import words

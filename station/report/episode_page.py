@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from station.episode.quality import Quality
+from station.episode.quality.findings import Quality
 from station.report import episode_tables
 from station.report.gather import Episode
 from station.report.html import Html, details, join, picture, table, tag

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from station.episode.quality import Quality, Spread, StreamQuality
+from station.episode.quality.findings import Quality, Spread, StreamQuality
 from station.report.gather import Episode
 from station.report.html import Child, Html, join, table, tag
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from station.episode.quality import Verdict
+from station.episode.quality.findings import Verdict
 from station.report.gather import Episode
 
 BREAK_S = 900.0

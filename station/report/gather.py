@@ -9,13 +9,13 @@ from pathlib import Path
 
 import msgspec
 
-from station.episode.check import check
-from station.episode.folder import signals_file
-from station.episode.manifest import Manifest
-from station.episode.quality import Quality
-from station.episode.quality_rules import RuleBook
-from station.episode.reader import EpisodeReader
-from station.episode.rules import judge
+from station.episode.quality.check import check
+from station.episode.quality.findings import Quality
+from station.episode.quality.rule_file import RuleBook
+from station.episode.quality.rules import judge
+from station.episode.reading.reader import EpisodeReader
+from station.episode.storage.folder import signals_file
+from station.episode.storage.manifest import Manifest
 from station.errors import EpisodeError
 
 

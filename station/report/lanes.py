@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from station.episode.manifest import Manifest
-from station.episode.quality import Quality
+from station.episode.quality.findings import Quality
+from station.episode.storage.manifest import Manifest
 from station.report.html import Html, tag
 from station.report.story import Happened, Span, Story, named
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TextIO
 
 from station.bus.contracts import Contract
-from station.episode.folder import signals_file
-from station.episode.reader import EpisodeReader
+from station.episode.reading.reader import EpisodeReader
+from station.episode.storage.folder import signals_file
 from station.errors import EpisodeError, StationError
 from station.report import columns_page, data_page, episode_page, story, strip, tracking_plot
 from station.report.gather import Episode, Unread

@@ -11,11 +11,12 @@ import numpy as np
 
 from station.bus import codec, contracts, keys
 from station.bus.contracts import Contract
-from station.episode import interruptions, steps
-from station.episode.measuring import start_ns
-from station.episode.messages import Message
-from station.episode.reader import EpisodeReader
-from station.episode.steps import Step, StepJoiner
+from station.episode.quality import interruptions
+from station.episode.quality.measuring import start_ns
+from station.episode.reading import steps
+from station.episode.reading.messages import Message
+from station.episode.reading.reader import EpisodeReader
+from station.episode.reading.steps import Step, StepJoiner
 from station.protocols import Floats
 from station.view import clips
 

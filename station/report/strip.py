@@ -5,10 +5,10 @@ from __future__ import annotations
 import io
 from typing import NamedTuple
 
-from station.episode import frames
-from station.episode.frames import Frame
-from station.episode.measuring import start_ns
-from station.episode.reader import EpisodeReader
+from station.episode.quality.measuring import start_ns
+from station.episode.reading import frames
+from station.episode.reading.frames import Frame
+from station.episode.reading.reader import EpisodeReader
 
 PICTURES = 7
 _WIDTH, _HEIGHT, _QUALITY = 220, 220, 72

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from station.episode.reader import EpisodeReader
+from station.episode.reading.reader import EpisodeReader
 from station.errors import StationError
 from station.view import offscreen
 from station.view import plot_style as style

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from station.bus import keys
 from station.bus.contracts import TIMING_STAGES, Contract
-from station.episode.reader import EpisodeReader
+from station.episode.reading.reader import EpisodeReader
 from station.protocols import Floats
 from station.view import curves, layout
 from station.view.layout import JOINTS, TIMELINE

@@ -10,8 +10,8 @@ import msgspec
 import rerun as rr
 
 from station.bus import keys
-from station.episode import steps
-from station.episode.reader import EpisodeReader
+from station.episode.reading import steps
+from station.episode.reading.reader import EpisodeReader
 from station.errors import StationError
 from station.view import layout, poses, scene
 from station.view.episode_curves import Source, draw_curves

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from station import rotations
-from station.episode.reader import EpisodeReader
+from station.episode.reading.reader import EpisodeReader
 from station.errors import StationError
 from station.protocols import FALL_TILT_RAD, Floats
 from station.view import plot_style as style

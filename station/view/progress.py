@@ -12,7 +12,7 @@ from station import rotations
 from station.bus import codec, contracts, keys
 from station.bus.client import Bus
 from station.bus.sample import Sample
-from station.episode.request import RecorderState
+from station.episode.storage.request import RecorderState
 from station.life.server import Health, read_health
 from station.protocols import Floats
 from station.view import clips

@@ -12,7 +12,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from station.episode.falls import UPRIGHT_RAD
+from station.episode.quality.falls import UPRIGHT_RAD
 from station.life.server import Health
 from station.printable import printable
 from station.protocols import FALL_TILT_RAD

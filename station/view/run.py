@@ -13,11 +13,12 @@ import numpy as np
 
 from station import rotations
 from station.bus import codec, keys
-from station.episode import falls, steps
-from station.episode.messages import Message
-from station.episode.quality import FallSeen
-from station.episode.reader import EpisodeReader
-from station.episode.vectors import numbers
+from station.episode.quality import falls
+from station.episode.quality.findings import FallSeen
+from station.episode.reading import steps
+from station.episode.reading.messages import Message
+from station.episode.reading.reader import EpisodeReader
+from station.episode.reading.vectors import numbers
 from station.protocols import Floats
 from station.view import clips, poses
 from station.view.poses import Ints, Numbers, Posture

@@ -10,8 +10,8 @@ from subprocess import CompletedProcess
 
 import pytest
 
-from station.episode.audit import audit
-from station.episode.reader import open_episode
+from station.episode.reading.reader import open_episode
+from station.episode.replaying.audit import audit
 from station.view import names
 from tests.cli.at_terminal import at_a_terminal
 from tests.cli.running import SHORT, Home, are_gone, new_home

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from station.enrich.source import ENRICHED
-from station.episode.records import walk as walk_records
+from station.episode.storage.records import walk as walk_records
 from tests.cli.at_terminal import AtTerminal
 from tests.cli.running import Home, one_line
 from tests.enrich.read_back import topics

@@ -11,7 +11,7 @@ import pytest
 
 from station.bus import codec, keys
 from station.bus.client import Bus
-from station.episode.manifest import load_manifest
+from station.episode.storage.manifest import load_manifest
 from tests.cli.at_terminal import AtTerminal
 from tests.cli.running import COMMANDS_ONLY, SHORT, Home
 from tests.waiting import wait_until

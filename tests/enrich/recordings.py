@@ -10,9 +10,9 @@ from PIL import Image
 
 from station.bus import codec, keys
 from station.bus.tap import Write
-from station.episode.anchor import take_anchor
-from station.episode.manifest import Manifest
-from station.episode.writer import EpisodeWriter
+from station.episode.recorder.writer import EpisodeWriter
+from station.episode.storage.anchor import take_anchor
+from station.episode.storage.manifest import Manifest
 from tests.episode.synthetic import EpisodeBuilder, walk
 from tests.episode.writes import Native
 from tests.waiting import DEADLINE_S

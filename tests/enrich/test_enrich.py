@@ -15,8 +15,8 @@ from station.bus import codec, keys
 from station.bus.contracts import Element, contract
 from station.enrich import source
 from station.enrich.enrich import Enriched, enrich
-from station.episode.frames import frames
-from station.episode.reader import open_episode
+from station.episode.reading.frames import frames
+from station.episode.reading.reader import open_episode
 from station.errors import EpisodeError
 from tests.enrich.read_back import comments, decoded, topics
 from tests.enrich.recordings import FALL_S, POSE, filmed, jpeg, walked

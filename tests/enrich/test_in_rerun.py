@@ -16,7 +16,7 @@ from station.bus import keys
 from station.bus.contracts import contract
 from station.enrich import source
 from station.enrich.enrich import enrich
-from station.episode.reader import open_episode
+from station.episode.reading.reader import open_episode
 from tests.enrich.read_back import topics
 from tests.enrich.recordings import filmed, jpeg, walked
 from tests.episode.synthetic import ROBOT

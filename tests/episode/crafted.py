@@ -6,7 +6,7 @@ import struct
 
 import zstandard
 
-from station.episode import layout
+from station.episode.storage import layout
 from tests.episode.synthetic import WALL_START_NS
 
 

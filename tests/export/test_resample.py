@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from station.bus import contracts, keys
-from station.episode.folder import signals_file
-from station.episode.messages import Ints
-from station.episode.reader import EpisodeReader
+from station.episode.reading.messages import Ints
+from station.episode.reading.reader import EpisodeReader
+from station.episode.storage.folder import signals_file
 from station.errors import EpisodeError
 from station.export import clock, tracks
 from station.export.columns import KeyColumns, key_columns, unique_names

@@ -21,10 +21,10 @@ from station.bus.client import Bus
 from station.bus.connection import Connection
 from station.bus.keeper import KeptServer
 from station.bus.server_options import ServerOptions
-from station.episode.check import check
-from station.episode.manifest import load_manifest
-from station.episode.quality import Interruption, Quality
-from station.episode.reader import EpisodeReader, open_episode
+from station.episode.quality.check import check
+from station.episode.quality.findings import Interruption, Quality
+from station.episode.reading.reader import EpisodeReader, open_episode
+from station.episode.storage.manifest import load_manifest
 from station.errors import BusError
 from tests.faults.recorded_station import RecordedStation
 from tests.waiting import wait_until

@@ -16,8 +16,8 @@ from servers.recorder import RecorderConfig
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
-from station.episode import remote
-from station.episode.request import RecordAnswer
+from station.episode.recorder import remote
+from station.episode.storage.request import RecordAnswer
 from station.errors import BusError
 from station.life.restarts import Restarts
 from station.life.server import Health, read_health

@@ -18,10 +18,10 @@ from servers.recorder import RecorderConfig
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.episode import remote
-from station.episode.manifest import load_manifest
-from station.episode.reader import open_episode
-from station.episode.request import RecordAnswer, RecorderState
+from station.episode.reading.reader import open_episode
+from station.episode.recorder import remote
+from station.episode.storage.manifest import load_manifest
+from station.episode.storage.request import RecordAnswer, RecorderState
 from station.life.restarts import Restarts
 from station.life.supervisor import Supervisor
 from tests.waiting import wait_until

@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from station.episode.check import check
-from station.episode.reader import open_episode
+from station.episode.quality.check import check
+from station.episode.reading.reader import open_episode
 from station.errors import BusError
 from tests.faults.control_trials import CLIPS
 from tests.faults.moving_station import MovingStation

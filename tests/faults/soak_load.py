@@ -10,7 +10,7 @@ from benchmarks.processes import Beside, Stop
 from station.bus import codec
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.episode.reader import EpisodeReader
+from station.episode.reading.reader import EpisodeReader
 from station.life.loop import Rate
 
 SMALL = tuple(f"soak_state_{index}" for index in range(10))

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from station.bus import codec, keys
-from station.episode.check import check
-from station.episode.reader import open_episode
+from station.episode.quality.check import check
+from station.episode.reading.reader import open_episode
 from station.rotations import tilt
 from tests.servers.g1_station import ROBOT
 from tests.servers.operated_station import OperatedStation

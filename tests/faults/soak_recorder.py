@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 from station.bus.redis_server import RedisServer, ServerOptions
-from station.episode.manifest import Manifest, load_manifest
+from station.episode.storage.manifest import Manifest, load_manifest
 from tests.faults.recorded_station import RecordedStation, Writers, assert_holds_everything, recorded_station
 
 EPISODE_S = 60.0

@@ -11,10 +11,10 @@ import pytest
 
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
-from station.episode.check import check
-from station.episode.manifest import Manifest, load_manifest
-from station.episode.progress import load_resume_point
-from station.episode.reader import open_episode
+from station.episode.quality.check import check
+from station.episode.reading.reader import open_episode
+from station.episode.storage.manifest import Manifest, load_manifest
+from station.episode.storage.progress import load_resume_point
 from tests.faults.disks import BadDisk
 from tests.faults.recorded_station import RecordedStation, Writers, assert_holds_everything, recorded_station
 from tests.waiting import wait_until

@@ -12,9 +12,9 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import Connection
 from station.bus.redis_server import RedisServer, ServerOptions
-from station.episode.check import check
-from station.episode.manifest import load_manifest
-from station.episode.reader import open_episode
+from station.episode.quality.check import check
+from station.episode.reading.reader import open_episode
+from station.episode.storage.manifest import load_manifest
 from station.life import estop
 from tests.bus.proxy import Proxy
 from tests.cli.running import COMMANDS_ONLY, SHORT, new_home

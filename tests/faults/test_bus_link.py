@@ -10,8 +10,8 @@ from pathlib import Path
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
-from station.episode.manifest import load_manifest
-from station.episode.reader import open_episode
+from station.episode.reading.reader import open_episode
+from station.episode.storage.manifest import load_manifest
 from tests.faults import recorded_station as exact
 from tests.faults.bus_station import Writers, checked, frozen, kept_bus, lost, missing, of_kind, pause, rules, soon
 from tests.faults.recorded_station import BODY, RecordedStation, assert_holds_everything, recorded_station

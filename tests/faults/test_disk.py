@@ -12,11 +12,11 @@ import pytest
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.contracts import TIMING_STAGES
-from station.episode.claim import is_claimed
-from station.episode.manifest import load_manifest
-from station.episode.progress import load_resume_point
-from station.episode.reader import open_episode
-from station.episode.repair import repair
+from station.episode.reading.reader import open_episode
+from station.episode.storage.claim import is_claimed
+from station.episode.storage.manifest import load_manifest
+from station.episode.storage.progress import load_resume_point
+from station.episode.writing.repair import repair
 from station.errors import Refused
 from tests.faults.disks import CAMERA, BadDisk, camera, small_disk
 from tests.faults.recorded_station import BODY, RecordedStation, Writers, assert_holds_everything, recorded_station

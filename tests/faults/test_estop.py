@@ -10,7 +10,7 @@ from pathlib import Path
 from servers.g1 import G1Config
 from station.bus import codec, keys
 from station.bus.connection import Connection
-from station.episode.reader import open_episode
+from station.episode.reading.reader import open_episode
 from station.life.server import HEARTBEAT_S, Health, read_health
 from tests.cli.running import Home, are_gone, new_home
 from tests.faults.moving_station import MovingStation

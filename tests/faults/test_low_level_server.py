@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from station.episode.audit import audit
-from station.episode.check import check
-from station.episode.reader import open_episode
+from station.episode.quality.check import check
+from station.episode.reading.reader import open_episode
+from station.episode.replaying.audit import audit
 from tests.faults.moving_station import MovingStation
 
 

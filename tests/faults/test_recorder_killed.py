@@ -17,9 +17,9 @@ import pytest
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
-from station.episode.check import check
-from station.episode.manifest import load_manifest
-from station.episode.reader import open_episode
+from station.episode.quality.check import check
+from station.episode.reading.reader import open_episode
+from station.episode.storage.manifest import load_manifest
 from tests.cli.running import COMMANDS_ONLY, SHORT, are_gone, new_home
 from tests.faults.recorded_station import BODY, Writers, assert_holds_everything, recorded_station
 from tests.waiting import wait_until

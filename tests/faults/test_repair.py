@@ -17,14 +17,14 @@ from mcap.reader import make_reader
 
 from station.bus import codec, keys
 from station.bus.tap import Write
-from station.episode.anchor import take_anchor
-from station.episode.left_open import left_open, offer
-from station.episode.manifest import Manifest, Task, Timing, load_manifest, save_manifest
-from station.episode.progress import WriterOptions
-from station.episode.reader import EpisodeReader, open_episode
-from station.episode.records import ChunkPlace
-from station.episode.repair import repair
-from station.episode.writer import EpisodeWriter
+from station.episode.reading.reader import EpisodeReader, open_episode
+from station.episode.recorder.writer import EpisodeWriter
+from station.episode.storage.anchor import take_anchor
+from station.episode.storage.left_open import left_open, offer
+from station.episode.storage.manifest import Manifest, Task, Timing, load_manifest, save_manifest
+from station.episode.storage.progress import WriterOptions
+from station.episode.storage.records import ChunkPlace
+from station.episode.writing.repair import repair
 from station.errors import EpisodeError
 from tests.episode.writes import Native, foreign
 from tests.waiting import wait_until
@@ -189,7 +189,7 @@ def test_an_episode_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
 KILLED_AT = """
 import os, sys
 from pathlib import Path
-from station.episode.repair import repair
+from station.episode.writing.repair import repair
 step, seen = int(sys.argv[2]), 0
 
 def count(event, arguments):

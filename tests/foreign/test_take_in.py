@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from station.bus import keys
-from station.episode import frames
-from station.episode.check import check
-from station.episode.folder import find_episodes
-from station.episode.listing import list_episodes
-from station.episode.reader import open_episode
+from station.episode.quality.check import check
+from station.episode.reading import frames
+from station.episode.reading.listing import list_episodes
+from station.episode.reading.reader import open_episode
+from station.episode.storage.folder import find_episodes
 from station.errors import BadFile
 from station.export.jobs import map_episodes
 from station.foreign import take_in as module

@@ -19,7 +19,7 @@ from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
-from station.episode.manifest import load_manifest
+from station.episode.storage.manifest import load_manifest
 from station.errors import BusError, ConfigError, Refused
 from station.life import events, runbook
 from station.life.event_feed import EventFeed

@@ -18,8 +18,8 @@ from mcap.reader import make_reader
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.episode.reader import EpisodeReader, open_episode
-from station.episode.request import RecorderState
+from station.episode.reading.reader import EpisodeReader, open_episode
+from station.episode.storage.request import RecorderState
 from tests.main_job.station_runs import Terminal, up
 from tests.main_job.writers import FOREIGN_KEY, NATIVE_HZ, NATIVE_KEY, ForeignWriter, NativeWriter, running
 from tests.waiting import wait_until

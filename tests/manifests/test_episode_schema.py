@@ -8,7 +8,7 @@ import msgspec
 import yaml
 
 from manifests.episode_schema import EXAMPLE_FILE, SCHEMA_FILE, episode_schema, episode_schema_text
-from station.episode.manifest import Manifest, dump_manifest, load_manifest
+from station.episode.storage.manifest import Manifest, dump_manifest, load_manifest
 
 
 def properties(schema: dict[str, Any], name: str) -> dict[str, Any]:

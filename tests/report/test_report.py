@@ -14,10 +14,10 @@ import pytest
 from PIL import Image
 
 from station.bus import keys
-from station.episode import quality_rules
-from station.episode.check import check, write_measured
-from station.episode.manifest import load_manifest
-from station.episode.reader import open_episode
+from station.episode.quality import rule_file
+from station.episode.quality.check import check, write_measured
+from station.episode.reading.reader import open_episode
+from station.episode.storage.manifest import load_manifest
 from station.errors import StationError
 from station.report import figures, html, make
 from station.report.gather import Episode, gather
@@ -75,7 +75,7 @@ def episode(data: Path, number: int = 1, *, seconds: float = 1.0, fall: bool = F
 
 
 def report(folders: list[Path], out: Path, *, named: bool = True, pictured: int = make.PICTURED) -> Page:
-    found, unread = gather(folders, quality_rules.shipped(), named=named)
+    found, unread = gather(folders, rule_file.shipped(), named=named)
     make.write(out, found, unread, title="Task walk", pictured=pictured)
     return Page(out.read_text(encoding="utf-8"))
 
@@ -154,7 +154,7 @@ def test_what_was_measured_is_taken_and_what_was_not_is_measured(tmp_path: Path)
     measured = check(open_episode(folders[0]))
     measured.duration_s = 77.0  # so that it can be told whose number it is
     write_measured(folders[0], measured)
-    found, _ = gather(folders, quality_rules.shipped(), named=True)
+    found, _ = gather(folders, rule_file.shipped(), named=True)
     assert [round(one.quality.duration_s) for one in found] == [77, 1]
     assert load_manifest(folders[1]).quality == {}, "a report changes no manifest"
 
@@ -166,7 +166,7 @@ def test_an_episode_that_was_discarded_after_its_check_is_told_with_the_reason(t
     (folder / "manifest.yaml").write_text(
         re.sub(r"(quality_flags:.*?discarded: )false", r"\1true", text, count=1, flags=re.S)
     )
-    (found,), _ = gather([folder], quality_rules.shipped(), named=True)
+    (found,), _ = gather([folder], rule_file.shipped(), named=True)
     assert (found.quality.verdict, found.discarded_for) == ("reject", "cup fell")
     assert "cup fell" in report([folder], tmp_path / "r.html").text
 
@@ -189,7 +189,7 @@ def test_a_torn_episode_is_drawn_as_far_as_it_goes(tmp_path: Path) -> None:
 
 
 def loaded(tmp_path: Path, folders: list[Path]) -> list[Episode]:
-    return gather(folders, quality_rules.shipped(), named=True)[0]
+    return gather(folders, rule_file.shipped(), named=True)[0]
 
 
 def test_takes_per_hour_are_those_of_sessions_without_breaks(tmp_path: Path) -> None:
@@ -225,7 +225,7 @@ def test_a_folder_that_is_not_there_is_one_line_and_leaves_nothing(tmp_path: Pat
 def test_no_half_page_is_left_when_something_breaks(tmp_path: Path) -> None:
     out = tmp_path / "r.html"
     out.write_text("the old one")
-    found, _ = gather([episode(tmp_path)], quality_rules.shipped(), named=True)
+    found, _ = gather([episode(tmp_path)], rule_file.shipped(), named=True)
 
     def stop() -> None:
         raise KeyboardInterrupt

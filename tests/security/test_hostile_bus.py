@@ -16,10 +16,10 @@ from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import Connection
-from station.episode import remote
-from station.episode.check import check
-from station.episode.reader import open_episode
-from station.episode.request import RecordAnswer
+from station.episode.quality.check import check
+from station.episode.reading.reader import open_episode
+from station.episode.recorder import remote
+from station.episode.storage.request import RecordAnswer
 from station.errors import Refused
 from station.life.server import read_health
 from station.printable import printable

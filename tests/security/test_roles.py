@@ -18,7 +18,7 @@ from station.bus.client import Bus
 from station.bus.connection import Connection
 from station.bus.redis_server import RedisServer
 from station.bus.tap import open_tap
-from station.episode.reader import open_episode
+from station.episode.reading.reader import open_episode
 from station.errors import BusError
 from station.life.server import read_health
 from tests.security.conftest import As
@@ -169,7 +169,7 @@ def test_a_whole_station_works_with_a_user_for_each_of_its_servers(
 
 
 def _ask_recorder(address: BusAddress, action: str) -> str:
-    from station.episode import remote
+    from station.episode.recorder import remote
 
     with Bus(address, name="cli", timeout_s=5.0) as bus:
         answer = remote.ask(bus, action, timeout_s=30.0, **({"task": "roles"} if action == "start" else {}))  # type: ignore[arg-type]

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from station import config, safe_yaml
-from station.episode.manifest import Manifest, dump_manifest, parse_manifest
+from station.episode.storage.manifest import Manifest, dump_manifest, parse_manifest
 from station.errors import BadFile, ConfigError, EpisodeError, UsageError
 from station.life import runbook
 

@@ -20,12 +20,12 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import Connection
 from station.bus.redis_server import RedisServer, ServerOptions
-from station.episode import remote
-from station.episode.listing import list_episodes
-from station.episode.manifest import load_manifest
-from station.episode.progress import load_resume_point
-from station.episode.reader import open_episode
-from station.episode.request import RecorderState
+from station.episode.reading.listing import list_episodes
+from station.episode.reading.reader import open_episode
+from station.episode.recorder import remote
+from station.episode.storage.manifest import load_manifest
+from station.episode.storage.progress import load_resume_point
+from station.episode.storage.request import RecorderState
 from station.errors import ConfigError, Refused
 from tests.waiting import wait_until
 

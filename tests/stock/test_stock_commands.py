@@ -11,7 +11,7 @@ import pytest
 from station import registry
 from station.bus import keys
 from station.bus.client import Bus
-from station.episode.reader import open_episode
+from station.episode.reading.reader import open_episode
 from station.protocols import CommandFormat, Motion
 from tests.stock.conftest import OpenBus, Serve, finish, health
 from tests.stock.stock_twist2 import ACTIONS, BODY, STANDING, STATE_BODY, MotionServer, waving

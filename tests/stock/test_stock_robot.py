@@ -13,7 +13,7 @@ import pytest
 
 from station.bus import keys
 from station.bus.client import Bus
-from station.episode.reader import open_episode
+from station.episode.reading.reader import open_episode
 from tests.stock.conftest import OpenBus, Serve, finish
 from tests.stock.stock_twist2 import ACTIONS, LOOP_S, STANDING, STATE_BODY, LowLevelServer
 from tests.waiting import wait_until

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from station.bus import codec, keys
-from station.episode.reader import EpisodeReader, open_episode
+from station.episode.reading.reader import EpisodeReader, open_episode
 from station.errors import StationError
 from station.view import offscreen, plot_style
 from station.view.contact_sheet import save_sheet

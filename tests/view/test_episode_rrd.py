@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from station.bus import codec, joints, keys
-from station.episode.reader import open_episode
+from station.episode.reading.reader import open_episode
 from station.errors import BadFile, StationError
 from station.view.episode_rrd import save
 from station.view.layout import TIMELINE

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from station.bus import codec, keys
-from station.episode.reader import open_episode
+from station.episode.reading.reader import open_episode
 from station.errors import StationError
 from station.view import plot_style as style
 from station.view.plots import save_plot

@@ -15,7 +15,7 @@ from rich.console import Console
 from station.bus import codec, contracts, keys, stamp
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.episode.request import RecorderState
+from station.episode.storage.request import RecorderState
 from station.life.server import Health
 from station.view import progress_panel
 from station.view.progress import Progress, ProgressReader

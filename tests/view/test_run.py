@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from station.bus import codec, joints, keys
-from station.episode.reader import open_episode
+from station.episode.reading.reader import open_episode
 from station.view.run import Run, read_run
 from station.view.tracking import joint_errors
 from tests.episode.synthetic import ROBOT, STANDING, EpisodeBuilder, command, tick, walk

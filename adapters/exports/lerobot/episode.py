@@ -12,9 +12,9 @@ import numpy as np
 
 from adapters.exports.lerobot import parquet, stats
 from adapters.exports.lerobot.plan import ACTION, AGE, STATE, TIME, Plan, cameras_of, open_source
-from station.episode.manifest import Manifest
-from station.episode.messages import Ints
-from station.episode.reader import EpisodeReader
+from station.episode.reading.messages import Ints
+from station.episode.reading.reader import EpisodeReader
+from station.episode.storage.manifest import Manifest
 from station.export import tracks
 from station.export.columns import KeyColumns, expect_same
 from station.export.kind import Made, Source

@@ -14,8 +14,8 @@ from adapters.exports.lerobot.av_library import av
 from adapters.exports.lerobot.plan import PIXELS, Camera, Plan
 from adapters.exports.lerobot.stats import PixelCounts
 from adapters.exports.lerobot.video import VideoWriter, expect_frames
-from station.episode.messages import Ints
-from station.episode.reader import EpisodeReader
+from station.episode.reading.messages import Ints
+from station.episode.reading.reader import EpisodeReader
 from station.errors import EpisodeError
 
 _MOST_BAD = 0.01  # of a camera's pictures; more is no transmission error but a fault of the camera

@@ -9,9 +9,9 @@ from typing import Literal
 import msgspec
 
 from station.bus import keys
-from station.episode import frames
-from station.episode.folder import signals_file
-from station.episode.reader import EpisodeReader
+from station.episode.reading import frames
+from station.episode.reading.reader import EpisodeReader
+from station.episode.storage.folder import signals_file
 from station.errors import EpisodeError, StationError, did_you_mean
 from station.export import verdict
 from station.export.columns import KeyColumns, key_columns, robot_of, unique_names

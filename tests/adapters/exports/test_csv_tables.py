@@ -11,7 +11,7 @@ from adapters.exports.csv_tables import CONTENTS, file_names
 from adapters.exports.named_rows import in_seconds
 from station.bus import codec, keys
 from station.bus.contracts import contract
-from station.episode.reader import open_episode
+from station.episode.reading.reader import open_episode
 from station.errors import EpisodeError, UsageError
 from tests.adapters.exports.quick_looks import converted
 from tests.enrich.recordings import walked

@@ -15,7 +15,7 @@ from rerun.chunk import McapReader
 from adapters.exports.jointstate import SCHEMA_NAME, JointStates
 from adapters.exports.named_rows import Row
 from station.bus import joints, keys
-from station.episode.reader import open_episode
+from station.episode.reading.reader import open_episode
 from station.errors import EpisodeError
 from station.export.columns import KeyColumns
 from tests.adapters.exports.quick_looks import converted

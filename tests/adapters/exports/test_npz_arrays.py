@@ -6,7 +6,7 @@ import numpy as np
 
 from station.bus import keys
 from station.bus.contracts import contract
-from station.episode.reader import open_episode
+from station.episode.reading.reader import open_episode
 from tests.adapters.exports.quick_looks import converted
 from tests.enrich.recordings import walked
 from tests.episode.synthetic import ROBOT, WALL_START_NS

@@ -1,0 +1,65 @@
+"""What a contract of a key is, and what contracts are made of; `station.bus.contracts` holds those of every key."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+Role = Literal["command", "state", "policy", "sensor", "network", "event", "control"]
+Codec = Literal["json-vector", "json", "f32", "f64", "jpeg", "text", "integer"]
+
+
+class Element(msgspec.Struct, frozen=True):
+    """One number of a vector: a name that is a valid field name anywhere, and its unit ("" for none)."""
+
+    name: str
+    unit: str
+
+
+class Contract(msgspec.Struct, frozen=True, kw_only=True):
+    """What a key holds.
+
+    Attributes:
+        key: The key.
+        family: ``twist``, ``twist2`` or ``station``.
+        role: What the value is to a station.
+        codec: How the bytes are read.
+        elements: Names and units of a vector's numbers in order; empty for other values.
+        rate_hz: Nominal rate of writes [Hz]; None when it is written on events only.
+        note: Frame, order and traps, in a sentence.
+    """
+
+    key: str
+    family: Literal["twist", "twist2", "station"]
+    role: Role
+    codec: Codec
+    elements: tuple[Element, ...] = ()
+    rate_hz: float | None = None
+    note: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the elements, in order."""
+        return tuple(element.name for element in self.elements)
+
+
+def elements(*groups: tuple[tuple[str, ...], str]) -> tuple[Element, ...]:
+    """Build elements from groups of names that share a unit."""
+    return tuple(Element(name, unit) for names, unit in groups for name in names)
+
+
+def positions(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Element names of joint positions."""
+    return tuple(f"{name}_pos" for name in names)
+
+
+def velocities(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Element names of joint velocities."""
+    return tuple(f"{name}_vel" for name in names)
+
+
+POSE = elements((("x", "y", "z"), "m"), (("qw", "qx", "qy", "qz"), ""))
+
+TIMING_STAGES = ("command_written", "command_arrived", "state_read", "observed", "inferred", "sent")
+"""Instants of one policy step, in the order of `keys.policy_timing`."""

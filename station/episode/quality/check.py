@@ -1,0 +1,137 @@
+"""Checking an episode: one pass over the file, every number from the file, and a verdict with its reasons."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from station.episode.quality import falls, interruptions, pauses, rule_file
+from station.episode.quality.findings import FallSeen, Quality
+from station.episode.quality.measuring import Measuring
+from station.episode.quality.rule_file import RuleBook
+from station.episode.quality.rules import judge
+from station.episode.quality.streams import rivals
+from station.episode.reading.reader import EpisodeReader
+from station.episode.storage.drops import Drops
+from station.episode.storage.manifest import MAX_STREAMS, Manifest, load_manifest, save_manifest
+from station.episode.storage.manifest_parts import Recorder
+from station.errors import EpisodeError
+
+_LOCK_STEP_PACE = "command"  # of a low-level server: it waits for a command after each state
+
+
+def check(reader: EpisodeReader, book: RuleBook | None = None) -> Quality:
+    """Measure an episode and judge it, by our own rules where no others are given.
+
+    A torn or unfinished file is measured as far as it goes.
+    """
+    rules = book or rule_file.shipped()
+    quality = _assemble(reader, Measuring(reader))
+    quality.verdict, quality.reasons = judge(quality, rules.limits)
+    quality.rules = list(rules.files)
+    return quality
+
+
+def write_measured(folder: Path, quality: Quality) -> Manifest:
+    """Put what was measured into the manifest of an episode, as its ``quality``, and return the manifest.
+
+    Raises:
+        EpisodeError: the episode is not finished (its recorder would overwrite it), or the disk refused.
+    """
+    if not quality.is_finished:
+        raise EpisodeError(
+            f"episode {quality.episode_id}: not finished, its recorder still owns the manifest; "
+            "stop the recording and check again (an episode whose recorder was killed keeps its manifest as it is)"
+        )
+    manifest = load_manifest(folder)
+    listed = msgspec.structs.replace(  # as the manifest's own
+        quality, streams=quality.streams[:MAX_STREAMS], cameras=quality.cameras[:MAX_STREAMS]
+    )
+    manifest.quality = {"measured_at": datetime.now(UTC).isoformat(), **msgspec.to_builtins(listed)}
+    save_manifest(manifest, folder)
+    return manifest
+
+
+def is_lock_step(manifest: Manifest) -> bool:
+    """Whether a server of the episode paced itself by states instead of by the clock."""
+    return any(_paces_by_state(facts) for facts in manifest.servers.values())
+
+
+def _paces_by_state(facts: Mapping[str, Any]) -> bool:
+    config = facts.get("config")
+    return facts.get("pace") == _LOCK_STEP_PACE or (
+        isinstance(config, Mapping) and config.get("pace") == _LOCK_STEP_PACE
+    )
+
+
+def _assemble(reader: EpisodeReader, measured: Measuring) -> Quality:
+    manifest, flags, drops = reader.manifest, reader.manifest.quality_flags, reader.drops()
+    counter, start_ns = measured.counter, measured.start_ns
+    streams, commands = counter.streams(start_ns, drops, measured.ends), list(counter.commands())
+    paused = pauses.find(commands, measured.ends)
+    return Quality(
+        episode_id=reader.episode_id,
+        duration_s=max((s.last_s for s in streams), default=0.0) - min((s.first_s for s in streams), default=0.0),
+        messages=counter.messages,
+        streams=streams,
+        steps=[meter.result(paused) for meter in measured.steps.values()],
+        alignment=[meter.result() for meter in measured.alignment.values()],
+        motion=[moved for meter in measured.motion if (moved := meter.result()) is not None],
+        cameras=measured.cameras.result(streams),
+        rivals=rivals(commands, measured.ends),
+        pauses=pauses.described(paused, start_ns),
+        **_told(measured, manifest),
+        **_recorded(manifest.recorder, drops),
+        holes=len(manifest.holes) + manifest.holes_not_listed,
+        lock_step=is_lock_step(manifest),
+        is_finished=not reader.is_active,
+        torn=reader.torn,
+        success=flags.success,
+        discarded=flags.discarded,
+    )
+
+
+def _told(measured: Measuring, manifest: Manifest) -> dict[str, Any]:
+    """Return what follows from events: falls, stops, interruptions."""
+    names = Counter(str(event.get("name", "")) for _, event in measured.events)
+    reported = [_fall(at_s, event) for at_s, event in measured.events if event.get("name") == "fall"]
+    seen = falls.merged(reported, [fall for meter in measured.steps.values() for fall in meter.falls()])
+    found = interruptions.find(measured.events, manifest)
+    return {
+        "falls": len(seen),
+        "falls_seen": seen,
+        "resets": names["operator-reset"],
+        "estops": names["estop"],
+        "interruptions": found,
+        "bus_lost": sum(item.kind == "bus-lost" for item in found),
+        "events": dict(sorted(names.items())),
+    }
+
+
+def _recorded(recorder: Recorder, drops: Drops) -> dict[str, Any]:
+    """Return how the recorder fared."""
+    return {
+        "recorder_restarts": recorder.restarts,
+        "dropped": max(recorder.dropped, drops.total),
+        "dropped_bulky": drops.bulky,
+        "dropped_keys": drops.by_key(20),
+        "backend": recorder.backend,
+        "is_lossless": recorder.is_lossless,
+    }
+
+
+def _fall(at_s: float, event: Mapping[str, Any]) -> FallSeen:
+    detail = {**event, **(event["detail"] if isinstance(event.get("detail"), dict) else {})}
+    tilt, contacts = detail.get("tilt_rad"), detail.get("contacts")
+    return FallSeen(
+        at_s=at_s,
+        robot=str(detail.get("robot", "")),
+        tilt_rad=float(tilt) if isinstance(tilt, (int, float)) else None,
+        seen_by="event",
+        contacts=[str(name) for name in contacts] if isinstance(contacts, (list, tuple)) else [],
+    )

@@ -1,0 +1,112 @@
+"""What a check finds of cameras, of motion, and of a command beside the state that it was used with."""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class RulesFile(msgspec.Struct, frozen=True):
+    """A file of rules that an episode was judged by: its path (``shipped`` for what comes with us), and its hash."""
+
+    file: str
+    sha256: str
+
+
+class CameraQuality(msgspec.Struct, frozen=True, kw_only=True):
+    """The pictures of one camera, by the times at which they were taken.
+
+    Attributes:
+        name: The camera.
+        key: Its key on the bus.
+        frames: Pictures in the file.
+        expected: Pictures that belong between the first and the last: those that are there, and `missing`.
+        missing: The greater of two counts: `lost`, and the empty places on the camera's own beat (the median interval),
+            where a camera or its line dropped what never got a number.
+        lost: Sequence numbers that are not in the file, what the recorder dropped included.
+        drop_share: `missing` of `expected`, 0..1.
+        rate_hz: The camera's own rate, from the median interval [Hz]; None for fewer than two pictures.
+        nominal_hz: Rate by contract [Hz].
+        longest_gap_s: Longest time between two pictures [s].
+        age_p50_s, age_p99_s: From the taking of a picture to its write [s]; 0 where the camera does not say.
+    """
+
+    name: str
+    key: str
+    frames: int
+    expected: int
+    missing: int
+    lost: int
+    drop_share: float
+    rate_hz: float | None
+    nominal_hz: float | None
+    longest_gap_s: float | None
+    age_p50_s: float | None
+    age_p99_s: float | None
+
+
+class MotionQuality(msgspec.Struct, frozen=True, kw_only=True):
+    """How one robot's joints moved; `station.episode.quality.motion` states the formulas.
+
+    Attributes:
+        robot: Suffix of its keys.
+        state_key, command_key: Where the positions come from; "" where there are none.
+        samples: Measured positions.
+        idle_head_s, idle_tail_s: Time at the beginning and at the end in which neither command nor state moved [s];
+            where nothing ever moved the head is all of it, and the tail 0.
+        idle_below_rad: What counts as moving: a joint that covers more than this ...
+        idle_window_s: ... within this time.
+        jerk_p99_rad_s3, jerk_max_rad_s3: 99th percentile and greatest of the jerk of the joint that jerks most, over
+            all instants [rad/s^3]; None where too few samples follow each other.
+        worst_jerk_joint: The joint with the greatest.
+        limits_from: What says where the joints end; "" where nothing does, and the next three say nothing.
+        limit_hits: How often a joint came to its end.
+        limit_share: Share of time that the joint was at its end which was there longest, 0..1.
+        limit_joints: That share for each joint that ever was, the longest first.
+        beyond_limit_rad: How far beyond its end a joint was at most [rad]; negative when all stayed within.
+    """
+
+    robot: str
+    state_key: str
+    command_key: str
+    samples: int
+    idle_head_s: float
+    idle_tail_s: float
+    idle_below_rad: float
+    idle_window_s: float
+    jerk_p99_rad_s3: float | None
+    jerk_max_rad_s3: float | None
+    worst_jerk_joint: str
+    limits_from: str
+    limit_hits: int
+    limit_share: float
+    limit_joints: dict[str, float]
+    beyond_limit_rad: float | None
+
+
+class Alignment(msgspec.Struct, frozen=True, kw_only=True):
+    """How the applied command lies beside the state that it was used with, over the steps that followed a command.
+
+    Attributes:
+        robot: Suffix of its keys.
+        steps: Steps with both instants.
+        lead_p50_s, lead_p99_s, lead_least_s, lead_max_s: How long before the state was read the command was written
+            (arrived, for a writer without stamps) [s]. Negative: the command is younger than the state, as in
+            lock-step.
+        repeated: Steps that used the command of the step before once more.
+        skipped: Commands that no step used.
+        lag_s: By how much the measured joints follow the applied command: the shift at which their speeds agree best
+            [s]. None where too little moved, or nothing agrees. Negative: the state moves before its command, so times
+            are wrong.
+        lag_correlation: How well they agree at that shift, up to 1.
+    """
+
+    robot: str
+    steps: int
+    lead_p50_s: float | None
+    lead_p99_s: float | None
+    lead_least_s: float | None
+    lead_max_s: float | None
+    repeated: int
+    skipped: int
+    lag_s: float | None
+    lag_correlation: float | None

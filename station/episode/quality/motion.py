@@ -1,0 +1,297 @@
+"""How the joints of a robot moved: idle ends, jerk, and how often a joint came to its end.
+
+All three look at joint positions as they were published, in blocks, so an hour takes no more memory than a minute but
+for one number per instant.
+
+Idle: time is cut into windows of 0.5 s that begin every 0.1 s. In a window that is not idle a joint, commanded or
+measured, covers more than 0.05 rad. Head and tail are what lies before the first and behind the last of those.
+
+Jerk: the third derivative of the cubic that fits 7 neighbouring positions best (Savitzky-Golay), their time taken as
+even: 6 c3 / dt^3 with dt the mean interval of the seven (or of as many as span 0.12 s). So a time stamp that is a
+millisecond off says nothing, and a quantum of 0.1 mrad 1.5 rad/s^3; a walk has thousands. Neighbours with a gap between
+them (1.5 times the median interval) are not fitted.
+
+At its end is a joint within 1 mrad of its limit, or beyond it.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Iterable
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from station.bus import keys
+from station.bus.contracts import Contract
+from station.episode.quality.finding_parts import MotionQuality
+from station.episode.quality.joint_limits import JointLimits, limits
+from station.episode.reading import steps
+from station.episode.reading.messages import Message
+from station.episode.reading.vectors import numbers
+from station.protocols import Floats
+
+Ints = NDArray[np.int64]
+
+IDLE_BELOW_RAD = 0.05
+IDLE_WINDOW_S = 0.5
+AT_LIMIT_RAD = 1e-3
+
+_STATES = (keys.robot_state, keys.state_body)
+_COMMANDS = (keys.command_used, keys.action_body, keys.action_mimic)
+_BLOCK = 512  # messages that are decoded at once
+_BUCKET_NS = 100_000_000
+_BUCKETS = round(IDLE_WINDOW_S * 1e9 / _BUCKET_NS)
+_JERK_S, _LEAST_POINTS, _MOST_POINTS = 0.12, 7, 101
+_GAP = 1.5  # of the median interval
+_JOINT = "_pos"
+
+
+def meters(topics: Iterable[str]) -> list[MotionMeter]:
+    """Return a meter for each robot of which some of the topics tell."""
+    known = set(topics)
+    found = []
+    for robot in sorted({*steps.robots(known), keys.TWIST2_ROBOT, keys.TWIST_ROBOT}):
+        state = next((family(robot) for family in _STATES if family(robot) in known), "")
+        command = next((family(robot) for family in _COMMANDS if family(robot) in known), "")
+        if state or command:
+            found.append(MotionMeter(robot, state, command))
+    return found
+
+
+class MotionMeter:
+    """Takes the messages of a robot's state and command, and tells at the end how its joints moved."""
+
+    def __init__(self, robot: str, state_key: str, command_key: str) -> None:
+        self._robot, self._state_key, self._command_key = robot, state_key, command_key
+        self._stillness = [Stillness(), Stillness()]
+        self._jerk, self._ends = Jerk(), Ends(robot)
+        self._sides = {
+            state_key: _Blocks(self._take_state),
+            command_key: _Blocks(lambda times, _, q: self._stillness[1].feed(times, q)),
+        }
+        self._sides.pop("", None)
+
+    def feed(self, message: Message) -> None:
+        """Take a message; those of other keys are passed over."""
+        side = self._sides.get(message.topic)
+        if side is not None and not message.channel.is_deletion:
+            side.feed(message)
+
+    def result(self) -> MotionQuality | None:
+        """Return how the joints moved; None where no message held any."""
+        for side in self._sides.values():
+            side.flush()
+        moved = [one for one in self._stillness if one.first_ns is not None]
+        if not moved:
+            return None
+        head_s, tail_s = _idle(moved)
+        p99, most, worst = self._jerk.result()
+        return MotionQuality(
+            robot=self._robot,
+            state_key=self._state_key,
+            command_key=self._command_key,
+            samples=self._ends.samples,
+            idle_head_s=head_s,
+            idle_tail_s=tail_s,
+            idle_below_rad=IDLE_BELOW_RAD,
+            idle_window_s=IDLE_WINDOW_S,
+            jerk_p99_rad_s3=p99,
+            jerk_max_rad_s3=most,
+            worst_jerk_joint=worst,
+            limits_from=self._ends.said_by,
+            limit_hits=self._ends.hits,
+            limit_share=max(self._ends.shares().values(), default=0.0),
+            limit_joints=self._ends.shares(),
+            beyond_limit_rad=self._ends.beyond_rad,
+        )
+
+    def _take_state(self, times: Ints, joints: tuple[str, ...], q: Floats) -> None:
+        self._stillness[0].feed(times, q)
+        self._jerk.feed(times, joints, q)
+        self._ends.feed(joints, q)
+
+
+class _Blocks:
+    """Gathers messages of one key and hands out times (k,) [ns], names and positions (k, n) [rad] of its joints."""
+
+    def __init__(self, take: Callable[[Ints, tuple[str, ...], Floats], None]) -> None:
+        self._take = take
+        self._held: list[Message] = []
+
+    def feed(self, message: Message) -> None:
+        self._held.append(message)
+        if len(self._held) >= _BLOCK:
+            self.flush()
+
+    def flush(self) -> None:
+        held, self._held = self._held, []
+        contract = next((message.channel.contract for message in held if message.channel.contract), None)
+        joints, columns = _joints(contract)
+        if contract is None or not joints or contract.codec == "integer":
+            return
+        found, _ = numbers(contract.key, held)
+        if len(found.values):
+            self._take(found.publish_ns, joints, np.asarray(found.values[:, columns], dtype=np.float64))
+
+
+def _joints(contract: Contract | None) -> tuple[tuple[str, ...], list[int]]:
+    """Return the joints that a contract names, and their columns."""
+    is_vector = contract is not None and contract.codec in ("json-vector", "f64", "f32")
+    pairs = [
+        (element.name.removesuffix(_JOINT), column)
+        for column, element in enumerate(contract.elements if contract is not None and is_vector else ())
+        if element.name.endswith(_JOINT) and element.unit == "rad"
+    ]
+    return tuple(name for name, _ in pairs), [column for _, column in pairs]
+
+
+class Stillness:
+    """When joints moved first and last.
+
+    Attributes:
+        first_ns, last_ns: First and last instant that was told of; None before one.
+        moved_ns, rested_ns: Beginning of the first window in which something moved, and end of the last; None for none.
+    """
+
+    def __init__(self) -> None:
+        self.first_ns: int | None = None
+        self.last_ns = 0
+        self.moved_ns: int | None = None
+        self.rested_ns = 0
+        self._buckets: list[tuple[int, Floats, Floats]] = []  # number, least and greatest position of each joint
+
+    def feed(self, times: Ints, q: Floats) -> None:
+        """Take positions (k, n) [rad] at times (k,) [ns]."""
+        whole = np.isfinite(q).all(axis=1)
+        times, q = times[whole], q[whole]
+        if not len(times):
+            return
+        if self.first_ns is None:
+            self.first_ns = int(times.min())
+        self.last_ns = max(self.last_ns, int(times.max()))
+        numbers_ = (times - self.first_ns) // _BUCKET_NS
+        starts = np.flatnonzero(np.diff(numbers_, prepend=numbers_[0] - 1))
+        least, most = np.minimum.reduceat(q, starts), np.maximum.reduceat(q, starts)
+        for number, low, high in zip(numbers_[starts].tolist(), least, most, strict=True):
+            self._bucket(number, low, high)
+
+    def _bucket(self, number: int, low: Floats, high: Floats) -> None:
+        assert self.first_ns is not None
+        self._buckets = [one for one in self._buckets if number - one[0] < _BUCKETS and len(one[1]) == len(low)]
+        self._buckets.append((number, low, high))
+        least = np.min([one[1] for one in self._buckets], axis=0)
+        most = np.max([one[2] for one in self._buckets], axis=0)
+        if (most > least + IDLE_BELOW_RAD).any():
+            if self.moved_ns is None:
+                self.moved_ns = self.first_ns + self._buckets[0][0] * _BUCKET_NS
+            self.rested_ns = min(self.first_ns + (number + 1) * _BUCKET_NS, self.last_ns)
+
+
+def _idle(sides: list[Stillness]) -> tuple[float, float]:
+    """Return how long all sides were still at the beginning and at the end [s]."""
+    begin, end = min(side.first_ns or 0 for side in sides), max(side.last_ns for side in sides)
+    moved = [side.moved_ns for side in sides if side.moved_ns is not None]
+    if not moved:
+        return (end - begin) * 1e-9, 0.0
+    rested = max(side.rested_ns for side in sides if side.moved_ns is not None)
+    return (min(moved) - begin) * 1e-9, max(0, end - rested) * 1e-9
+
+
+class Jerk:
+    """The greatest jerk of any joint, for each instant."""
+
+    def __init__(self) -> None:
+        self._tail: tuple[Ints, Floats] | None = None
+        self._weights: Floats = np.empty(0)
+        self._greatest = array("d")
+        self._most, self._joint = 0.0, ""
+
+    def feed(self, times: Ints, joints: tuple[str, ...], q: Floats) -> None:
+        """Take positions (k, n) [rad] at times (k,) [ns]."""
+        if self._tail is not None and self._tail[1].shape[1] == q.shape[1]:
+            times, q = np.concatenate([self._tail[0], times]), np.concatenate([self._tail[1], q])
+        intervals = np.diff(times) * 1e-9
+        if not len(intervals) or (median := float(np.median(intervals))) <= 0:
+            return
+        if not len(self._weights):
+            self._weights = _third_derivative(round(_JERK_S / median) + 1)
+        points = len(self._weights)
+        self._tail = times[-(points - 1) :], q[-(points - 1) :]
+        if len(times) < points:
+            return
+        spans = sliding_window_view(intervals, points - 1)
+        fits = (spans.max(axis=1) <= _GAP * median) & (spans.min(axis=1) > 0)
+        with np.errstate(all="ignore"):  # of numbers that no robot writes nothing finite comes, and it is left out
+            jerk = np.abs(sliding_window_view(q, points, axis=0) @ self._weights) / spans.mean(axis=1)[:, None] ** 3
+        self._note(jerk[fits & np.isfinite(jerk).all(axis=1)], joints)
+
+    def _note(self, jerk: Floats, joints: tuple[str, ...]) -> None:
+        if not len(jerk):
+            return
+        greatest = jerk.max(axis=1)
+        self._greatest.frombytes(greatest.tobytes())
+        top = int(greatest.argmax())
+        if greatest[top] > self._most:
+            self._most, self._joint = float(greatest[top]), joints[int(jerk[top].argmax())]
+
+    def result(self) -> tuple[float | None, float | None, str]:
+        """Return 99th percentile and greatest [rad/s^3], and the joint of the greatest."""
+        if not len(self._greatest):
+            return None, None, ""
+        return float(np.percentile(np.frombuffer(self._greatest), 99)), self._most, self._joint
+
+
+def _third_derivative(points: int) -> Floats:
+    """Return the weights that make of evenly spaced values the third derivative of their best cubic, times dt^3."""
+    points = min(max(points, _LEAST_POINTS), _MOST_POINTS) // 2 * 2 + 1
+    places = np.arange(points) - points // 2
+    return np.asarray(6.0 * np.linalg.pinv(np.vander(places, 4, increasing=True))[3])
+
+
+class Ends:
+    """How often and how long joints were at their ends.
+
+    Attributes:
+        samples: Positions that were looked at.
+        hits: How often a joint came to its end.
+        beyond_rad: How far beyond its end a joint was at most; None where nothing says where joints end.
+    """
+
+    def __init__(self, robot: str) -> None:
+        self._robot = robot
+        self._joints: tuple[str, ...] = ()
+        self._limits: JointLimits | None = None
+        self._counts: NDArray[np.int64] = np.empty(0, np.int64)
+        self._was: NDArray[np.bool_] = np.empty(0, np.bool_)
+        self.samples = self.hits = 0
+        self.beyond_rad: float | None = None
+
+    @property
+    def said_by(self) -> str:
+        """What says where the joints end."""
+        return self._limits.said_by if self._limits is not None else ""
+
+    def feed(self, joints: tuple[str, ...], q: Floats) -> None:
+        """Take positions (k, n) [rad]."""
+        if not self._joints:
+            self._joints, self._limits = joints, limits(self._robot, joints)
+            self._counts, self._was = np.zeros(len(joints), np.int64), np.zeros(len(joints), np.bool_)
+        self.samples += len(q)
+        if self._limits is None or joints != self._joints:
+            return
+        beyond = np.maximum(self._limits.lower - q, q - self._limits.upper)
+        at = beyond > -AT_LIMIT_RAD  # what is no number is at no end
+        self._counts += at.sum(axis=0)
+        self.hits += int((at & ~np.concatenate([self._was[None], at[:-1]])).sum())
+        self._was = at[-1]
+        known = beyond[np.isfinite(beyond)]
+        if len(known):
+            self.beyond_rad = max(float(known.max()), -np.inf if self.beyond_rad is None else self.beyond_rad)
+
+    def shares(self) -> dict[str, float]:
+        """Return the share of time at its end for each joint that ever was, the longest first."""
+        pairs = zip(self._joints, self._counts.tolist(), strict=True)
+        found = {joint: count / self.samples for joint, count in pairs if count}
+        return dict(sorted(found.items(), key=lambda item: -item[1]))

@@ -1,0 +1,274 @@
+"""From what was found to a verdict: one small function per rule, each silent where it has nothing to say."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from station.episode.quality.findings import Interruption, Quality, Reason, StepQuality, StreamQuality, Verdict
+from station.episode.quality.rule_file import Graded, Limits, Rule
+from station.episode.quality.sensed_rules import SENSED, Finder
+
+_JUDGED_ROLES = ("command", "state", "policy")
+
+
+def judge(quality: Quality, limits: Limits) -> tuple[Verdict, list[Reason]]:
+    """Return the verdict of an episode and every reason against a better one."""
+    reasons = [
+        Reason(name, said, text)
+        for name, find in RULES.items()
+        for found, text in find(quality, limits)
+        if (said := _said(found, limits.rule(name))) is not None
+    ]
+    verdicts = {reason.verdict for reason in reasons}
+    return ("reject" if "reject" in verdicts else "usable" if "usable" in verdicts else "good"), reasons
+
+
+def _said(found: Verdict, rule: Rule) -> Verdict | None:
+    """Return what a rule is to say, or None for one that is off; a graded one says no worse than it was given."""
+    if rule.verdict == "off":
+        return None
+    return found if isinstance(rule, Graded) and rule.verdict == "reject" else rule.verdict
+
+
+def _empty(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if not quality.messages:
+        yield "reject", "no message in the file"
+
+
+def _torn(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.torn is not None:
+        yield "reject", f"the file is torn ({quality.torn}); what is whole of it can still be shown and replayed"
+
+
+def _unfinished(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if not quality.is_finished and quality.torn is None:
+        yield "reject", "the recorder has not closed the file"
+
+
+def _discarded(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.discarded:
+        yield "reject", "marked as discarded"
+
+
+def _failed_task(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.success is False:
+        yield "reject", "the operator said that the task failed"
+
+
+def _fell(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.falls_seen:
+        first = quality.falls_seen[0]
+        yield "reject", f"{quality.falls} fall(s), the first at {first.at_s:.2f} s (seen by {first.seen_by})"
+
+
+def _lost(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for writer, streams in _by_writer([stream for stream in quality.streams if stream.lost]).items():
+        worst = max(streams, key=lambda stream: stream.lost)
+        share = max(_lost_share(stream) for stream in streams)
+        verdict: Verdict = "reject" if share > limits.lost.reject_above_share else "usable"
+        text = f"{_named(worst)}: {worst.lost} of {worst.lost + worst.count} writes are missing"
+        if len(streams) > 1:
+            total = sum(stream.lost for stream in streams)
+            text += f"; {total} in all {len(streams)} streams of {writer} that lack some"
+        yield verdict, text
+
+
+def _dropped(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if signals := quality.dropped - quality.dropped_bulky:
+        yield "reject", f"the recorder dropped {signals} writes that were no images ({_dropped_keys(quality)})"
+
+
+def _dropped_images(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if bulky := quality.dropped_bulky:
+        yield "usable", f"the recorder dropped {bulky} images or other bulky values ({_dropped_keys(quality)})"
+
+
+def _dropped_keys(quality: Quality) -> str:
+    return ", ".join(f"{key} {count}" for key, count in quality.dropped_keys.items()) or "of which is not known"
+
+
+def _disordered(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    for stream in quality.streams:
+        if stream.repeated or stream.out_of_order:
+            yield "usable", f"{_named(stream)}: {stream.repeated} repeated, {stream.out_of_order} out of order"
+
+
+def _lossy_tap(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if not quality.is_lossless:
+        yield "usable", f"recorded by {quality.backend or 'an unnamed tap'}, which cannot promise every foreign write"
+
+
+def _holes(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.holes:
+        first = next((item for item in quality.interruptions if item.kind == "hole"), None)
+        where = f", the first {_when(first)}: {first.reason or 'the recorder does not say why'}" if first else ""
+        yield "reject", f"{quality.holes} hole(s){where}"
+
+
+def _gap(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    silent = [stream for stream in _timed(quality) if (stream.longest_gap_s or 0.0) > limits.gap.usable_above_s]
+    for streams in _by_writer(silent).values():
+        worst = max(streams, key=lambda stream: stream.longest_gap_s or 0.0)
+        gap_s = worst.longest_gap_s or 0.0
+        verdict: Verdict = "reject" if gap_s > limits.gap.reject_above_s else "usable"
+        others = f"; so or less were {len(streams) - 1} other streams of it" if len(streams) > 1 else ""
+        yield verdict, f"{_named(worst)}: silent for {gap_s:.3f} s (limit {limits.gap.usable_above_s:g} s){others}"
+
+
+def _slow(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for stream in _timed(quality):
+        rate_hz = _steady_rate_hz(stream)
+        if rate_hz is not None and rate_hz < limits.slow.below_share * (stream.nominal_hz or 0.0):
+            yield "usable", f"{_named(stream)}: {rate_hz:.1f} Hz, nominal {stream.nominal_hz:g} Hz"
+
+
+def _rivals(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    for rival in quality.rivals:
+        yield "reject", f"{rival.key}: written by {' and '.join(rival.writers)} at once for {rival.overlap_s:.2f} s"
+
+
+def _bus_silent(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    yield from _interrupted_bus(quality, "bus-silent", "the bus was silent")
+
+
+def _bus_lost(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    yield from _interrupted_bus(quality, "bus-lost", "the bus was lost")
+
+
+def _bus_refused(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    yield from _interrupted_bus(quality, "bus-refused", "the bus refused writes")
+
+
+def _interrupted_bus(quality: Quality, kind: str, what: str) -> Iterator[tuple[Verdict, str]]:
+    found = [item for item in quality.interruptions if item.kind == kind]
+    if found:
+        yield "usable", f"{what} {len(found)} time(s), first {_when(found[0])}"
+
+
+def _reset(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.resets:
+        yield "usable", f"the operator reset the robot {quality.resets} time(s)"
+
+
+def _estop(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.estops:
+        yield "reject", f"{quality.estops} emergency stop(s)"
+
+
+def _no_steps(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if not any(robot.steps for robot in quality.steps):
+        yield "usable", "no policy step in the file: nothing to train on or to audit"
+
+
+def _never_tracked(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    for robot in quality.steps:
+        if robot.steps and not robot.gate_shares.get("tracking"):
+            yield "reject", f"{robot.robot}: the gate never let a command through ({_shares(robot)})"
+
+
+def _commands_ended(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if quality.pauses:
+        first, more = quality.pauses[0], len(quality.pauses) - 1
+        again = f"; {more} more time(s), {sum(one.seconds for one in quality.pauses):.1f} s in all" if more else ""
+        yield "usable", f"commands ended at {first.at_s:.1f} s for {first.seconds:.1f} s: {first.reason}{again}"
+
+
+def _interrupted(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for robot in quality.steps:
+        if robot.interrupted_share > limits.interrupted.usable_above_share:
+            verdict: Verdict = "reject" if robot.interrupted_share > limits.interrupted.reject_above_share else "usable"
+            yield verdict, f"{robot.robot}: {robot.interrupted_share:.1%} of the run without command ({_shares(robot)})"
+
+
+def _old_command(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for robot in quality.steps:
+        age_s = robot.command_age.p99_s
+        if not quality.lock_step and age_s is not None and age_s > limits.old_command.p99_above_s:
+            yield "usable", f"{robot.robot}: commands {age_s * 1e3:.0f} ms old at use (p99)"
+
+
+def _poor_tracking(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for robot in quality.steps:
+        error = robot.mean_joint_error_rad
+        if error is not None and error > limits.poor_tracking.usable_above_rad:
+            verdict: Verdict = "reject" if error > limits.poor_tracking.reject_above_rad else "usable"
+            yield verdict, f"{robot.robot}: mean joint error {error:.3f} rad, worst {robot.worst_joint}"
+
+
+def _wrong_height(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for robot in quality.steps:
+        error = robot.mean_root_height_error_m
+        if error is not None and error > limits.wrong_height.above_m:
+            yield "usable", f"{robot.robot}: mean root height error {error:.3f} m"
+
+
+RULES: dict[str, Finder] = {
+    "empty": _empty,
+    "torn": _torn,
+    "unfinished": _unfinished,
+    "discarded": _discarded,
+    "failed-task": _failed_task,
+    "fell": _fell,
+    "lost": _lost,
+    "dropped": _dropped,
+    "dropped-images": _dropped_images,
+    "disordered": _disordered,
+    "lossy-tap": _lossy_tap,
+    "holes": _holes,
+    "gap": _gap,
+    "slow": _slow,
+    "rival-writers": _rivals,
+    "bus-silent": _bus_silent,
+    "bus-lost": _bus_lost,
+    "bus-refused": _bus_refused,
+    **SENSED,
+    "operator-reset": _reset,
+    "estop": _estop,
+    "no-steps": _no_steps,
+    "never-tracked": _never_tracked,
+    "commands-ended": _commands_ended,
+    "interrupted": _interrupted,
+    "old-command": _old_command,
+    "poor-tracking": _poor_tracking,
+    "wrong-height": _wrong_height,
+}
+"""Every rule by the name that a reason carries."""
+
+
+def _timed(quality: Quality) -> Iterator[StreamQuality]:
+    """Streams whose timing matters; in lock-step commands wait for states, and time says nothing."""
+    if not quality.lock_step:
+        for stream in quality.streams:
+            if stream.role in _JUDGED_ROLES and stream.nominal_hz is not None:
+                yield stream
+
+
+def _steady_rate_hz(stream: StreamQuality) -> float | None:
+    """Rate without the longest silence and without pauses, which have rules of their own."""
+    steady_s = stream.last_s - stream.first_s - stream.paused_s - (stream.longest_gap_s or 0.0)
+    return (stream.count - 2) / steady_s if stream.count > 2 and steady_s > 0 else None
+
+
+def _when(item: Interruption) -> str:
+    lasted = "to the end" if item.seconds is None else f"for {item.seconds:.2f} s"
+    return f"at {item.at_s:.2f} s {lasted}" + (f", {item.lost} writes lost" if item.lost else "")
+
+
+def _by_writer(streams: list[StreamQuality]) -> dict[str, list[StreamQuality]]:
+    """Group streams by their writers: one that stumbles does so with all its keys, and is one reason."""
+    found: dict[str, list[StreamQuality]] = {}
+    for stream in streams:
+        found.setdefault(stream.writer, []).append(stream)
+    return found
+
+
+def _lost_share(stream: StreamQuality) -> float:
+    return stream.lost / (stream.lost + stream.count)
+
+
+def _named(stream: StreamQuality) -> str:
+    return f"{stream.key} by {stream.writer}"
+
+
+def _shares(robot: StepQuality) -> str:
+    return ", ".join(f"{state} {share:.0%}" for state, share in sorted(robot.gate_shares.items()))

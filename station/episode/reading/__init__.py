@@ -1,0 +1,1 @@
+"""How an episode is read: streams, messages, vectors, pictures, policy steps."""

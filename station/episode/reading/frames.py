@@ -1,0 +1,54 @@
+"""The pictures of an episode: which cameras there are, and each frame with the time at which it was taken."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from station.bus import keys
+from station.bus import stamp as stamps
+from station.episode.reading.messages import Message
+from station.episode.reading.reader import EpisodeReader
+
+_OLDEST_NS = 10_000_000_000  # a capture that is older than this before its write is on another clock, and says nothing
+
+
+class Frame(NamedTuple):
+    """One picture.
+
+    Times are nanoseconds since the Unix epoch on the episode's clock: `captured_ns` when it was taken (when it was
+    written, where the camera does not say), `log_ns` arrival at the recorder. `jpeg` is the file, byte for byte.
+    """
+
+    jpeg: bytes
+    captured_ns: int
+    log_ns: int
+    sequence: int
+
+
+def cameras(reader: EpisodeReader) -> dict[str, str]:
+    """Return the key of each camera of an episode by the camera's name, sorted.
+
+    Any key whose recorded contract says JPEG is one; a key that is not named as ours are is called by its whole name.
+    """
+    found = {stream.channel.topic for stream in reader.streams() if _is_camera(stream.channel.contract)}
+    return {topic.removeprefix(keys.camera_image("")): topic for topic in sorted(found)}
+
+
+def frames(reader: EpisodeReader, topic: str) -> Iterator[Frame]:
+    """Iterate over the pictures of a key in order of arrival, one at a time in memory."""
+    for message in reader.messages([topic], stamps=True):
+        if not message.channel.is_deletion:
+            yield Frame(message.data, captured_ns(message), message.log_ns, message.sequence)
+
+
+def captured_ns(message: Message) -> int:
+    """Return when a picture was taken, on the episode's clock [ns]: it needs the exact stamp of its write."""
+    mark = stamps.decode(message.stamp) if message.stamp is not None else None
+    if mark is None or mark.capture_ns is None or not 0 <= mark.mono_ns - mark.capture_ns < _OLDEST_NS:
+        return message.publish_ns
+    return message.publish_ns - (mark.mono_ns - mark.capture_ns)
+
+
+def _is_camera(contract: object) -> bool:
+    return getattr(contract, "codec", None) == "jpeg"

@@ -1,0 +1,163 @@
+"""Which episodes there are: one row each, from their manifests, without opening the signals."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from station import config
+from station.episode.storage import layout
+from station.episode.storage.claim import is_claimed
+from station.episode.storage.folder import data_folder, find_episodes
+from station.episode.storage.manifest import Manifest, load_manifest
+from station.episode.storage.progress import load_resume_point
+from station.errors import ConfigError, EpisodeError
+
+UNCHECKED = "unchecked"
+_BETTER = {"usable": ("usable", "good"), "good": ("good",)}
+_DAY_S = 86400.0
+
+RowState = Literal["finished", "recording", "unfinished", "failed", "broken"]
+
+
+class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One episode in a list.
+
+    Attributes:
+        episode_id, path: Its id and folder.
+        state: ``recording`` now; ``unfinished``: its recorder was killed; ``failed``: the disk refused; ``broken``: the
+            manifest cannot be read.
+        task, robot, operator, started: As in the manifest; "" where unknown.
+        seconds: Length from start to stop; None while unknown.
+        messages, lost, size_bytes: Messages, sequence numbers lost over all streams, and size of the signals.
+        dropped: Writes that the recorder could not keep; not among the lost.
+        success, falls, is_discarded: Quality flags.
+        verdict: What the last check said, "" before one.
+        problem: Why it is broken, "" otherwise.
+    """
+
+    episode_id: str
+    path: str
+    state: RowState
+    task: str = ""
+    robot: str = ""
+    operator: str = ""
+    started: str = ""
+    seconds: float | None = None
+    messages: int = 0
+    lost: int = 0
+    dropped: int = 0
+    size_bytes: int = 0
+    success: bool | None = None
+    falls: int = 0
+    is_discarded: bool = False
+    verdict: str = ""
+    problem: str = ""
+
+
+class Wanted(msgspec.Struct, frozen=True, kw_only=True):
+    """Which episodes are wanted; what is left out asks for nothing.
+
+    Attributes:
+        task, operator: Name of the task, of the operator.
+        verdicts: Any of these: ``good``, ``usable``, ``reject``, or ``unchecked`` before a check.
+        least: This verdict or a better one, and not discarded since.
+        success: What the operator said: ``yes``, ``no``, or ``unknown`` where nobody did.
+        since: Started then or later.
+    """
+
+    task: str | None = None
+    operator: str | None = None
+    verdicts: Collection[str] = ()
+    least: Literal["good", "usable"] | None = None
+    success: Literal["yes", "no", "unknown"] | None = None
+    since: datetime | None = None
+
+    def fits(self, row: EpisodeRow) -> bool:
+        """Whether a row is one of them."""
+        return (
+            self.task in (None, row.task)
+            and self.operator in (None, row.operator)
+            and (not self.verdicts or (row.verdict or UNCHECKED) in self.verdicts)
+            and (self.least is None or (row.verdict in _BETTER[self.least] and not row.is_discarded))
+            and self.success in (None, {None: "unknown", True: "yes", False: "no"}[row.success])
+            and (self.since is None or _started(row) >= self.since)
+        )
+
+
+def since(text: str, now: datetime | None = None) -> datetime:
+    """Return the instant that is meant by ``2h``, ``3d`` (ago), ``2026-11-20`` or ``2026-11-20T14:00`` (local time).
+
+    Raises:
+        ConfigError: none of these.
+    """
+    try:
+        if text.endswith("d") and text[:-1].strip():
+            return (now or datetime.now(UTC)) - timedelta(seconds=float(text[:-1]) * _DAY_S)
+        if text[:1].isdigit() and "-" in text:
+            return datetime.fromisoformat(text).astimezone()
+        return (now or datetime.now(UTC)) - timedelta(seconds=config.seconds(text, where="--since"))
+    except (ValueError, OverflowError, ConfigError):
+        raise ConfigError(f"--since: expected 2h, 3d, 2026-11-20 or 2026-11-20T14:00, got {text!r}") from None
+
+
+def list_episodes(
+    data: Path | None = None, *, task: str | None = None, wanted: Wanted | None = None
+) -> list[EpisodeRow]:
+    """Return a row for each episode of a data folder that is wanted, oldest first; of one task where one is named.
+
+    A folder that does not exist holds no episodes. An episode whose manifest cannot be read has a row that says so.
+    """
+    base = data_folder(data)
+    folders = find_episodes(base)
+    active = [folder for folder in folders if (folder / layout.ACTIVE).exists()]
+    live = active[-1] if active and is_claimed(base) else None
+    rows = [_row(folder, is_live=folder == live) for folder in folders]
+    return [row for row in rows if task in (None, row.task) and (wanted is None or wanted.fits(row))]
+
+
+def _started(row: EpisodeRow) -> datetime:
+    """Return when an episode was started; long ago where nothing says."""
+    try:
+        return datetime.fromisoformat(row.started).astimezone()
+    except (ValueError, OverflowError):
+        return datetime.min.replace(tzinfo=UTC)
+
+
+def _row(folder: Path, *, is_live: bool) -> EpisodeRow:
+    size = sum(file.stat().st_size for file in folder.glob(layout.SIGNALS + "*"))
+    try:
+        manifest = load_manifest(folder)
+    except EpisodeError as error:
+        return EpisodeRow(episode_id=folder.name, path=str(folder), state="broken", size_bytes=size, problem=str(error))
+    flags, point = manifest.quality_flags, load_resume_point(folder)
+    return EpisodeRow(
+        episode_id=manifest.episode_id or folder.name,
+        path=str(folder),
+        state=_state(manifest, folder, is_live=is_live),
+        task=manifest.task.name,
+        robot=manifest.robot.suffix,
+        operator=manifest.operator.id,
+        started=manifest.timing.started,
+        seconds=manifest.timing.duration_s,
+        messages=manifest.recorder.messages or (point.messages if point else 0),
+        lost=sum(stream.lost for stream in manifest.streams),
+        dropped=manifest.recorder.dropped,
+        size_bytes=size,
+        success=flags.success,
+        falls=flags.falls,
+        is_discarded=flags.discarded,
+        verdict=str(manifest.quality.get("verdict", "")),
+    )
+
+
+def _state(manifest: Manifest, folder: Path, *, is_live: bool) -> RowState:
+    if is_live:
+        return "recording"
+    if manifest.state == "recording":
+        return "finished" if (folder / layout.SIGNALS).exists() else "unfinished"
+    return manifest.state

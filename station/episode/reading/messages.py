@@ -1,0 +1,102 @@
+"""What a reader of episodes hands out: channels, messages, vectors."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mcap.records
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from station.bus.contracts import Contract
+from station.episode.storage import layout
+
+Ints = NDArray[np.int64]
+
+
+class Channel(msgspec.Struct, frozen=True, kw_only=True):
+    """One key as one source wrote it.
+
+    Attributes:
+        id: Channel number in the MCAP file.
+        topic: The key.
+        source: Full source of a native writer, "" for a foreign one.
+        writer: Server name, or ``foreign``.
+        encoding: ``json``, ``application/octet-stream``, or ``application/x-deleted``.
+        contract: The contract that was recorded with it, or None.
+    """
+
+    id: int
+    topic: str
+    source: str
+    writer: str
+    encoding: str
+    contract: Contract | None
+
+    @property
+    def is_native(self) -> bool:
+        """Whether its writer stamps what it writes."""
+        return self.source != ""
+
+    @property
+    def is_bookkeeping(self) -> bool:
+        """Whether it holds the recorder's own list of stamps, not a key of the bus that somebody named like it."""
+        return self.topic == layout.STAMPS_TOPIC and self.writer == layout.RECORDER and not self.source
+
+    @property
+    def is_deletion(self) -> bool:
+        """Whether its (empty) messages say that the key was deleted or expired."""
+        return self.encoding == layout.DELETED
+
+
+class Message(NamedTuple):
+    """One write, byte for byte.
+
+    Times are nanoseconds since the Unix epoch on the episode's clock: `log_ns` arrival at the recorder, `publish_ns`
+    the writer's own time (equal to `log_ns` for a foreign writer). `sequence` is 32 bit: the writer's own count,
+    or ours from 1 for a foreign one. `stamp` is the exact stamp of a native write, None unless it was asked for.
+    """
+
+    topic: str
+    data: bytes
+    log_ns: int
+    publish_ns: int
+    sequence: int
+    channel: Channel
+    stamp: bytes | None = None
+
+
+class Vectors(NamedTuple):
+    """The numbers of one key: times (k,) int64 [ns], and values (k, m) float64, float32 or int64 by its codec."""
+
+    log_ns: Ints
+    publish_ns: Ints
+    values: NDArray[np.float64] | NDArray[np.float32] | NDArray[np.int64]
+
+
+class StreamInfo(msgspec.Struct, frozen=True, kw_only=True):
+    """A channel and what of it is in the file: number of messages, first and last arrival [ns] (0 when empty)."""
+
+    channel: Channel
+    count: int
+    first_ns: int
+    last_ns: int
+
+
+def channel_of(record: mcap.records.Channel) -> Channel:
+    """Return what an MCAP channel record says; a contract that we cannot read counts as none."""
+    metadata = record.metadata
+    text = metadata.get("contract", layout.NO_CONTRACT)
+    try:
+        contract = None if text == layout.NO_CONTRACT else msgspec.json.decode(text, type=Contract)
+    except (msgspec.DecodeError, RecursionError):
+        contract = None
+    return Channel(
+        id=record.id,
+        topic=record.topic,
+        source=metadata.get("source", ""),
+        writer=metadata.get("writer", layout.FOREIGN),
+        encoding=record.message_encoding,
+        contract=contract,
+    )

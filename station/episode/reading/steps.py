@@ -1,0 +1,149 @@
+"""Policy steps of a recording: what the policy saw, was asked and did, put together again from single keys.
+
+A G1 server writes the state at the start of a tick and everything that the policy made of it in one later command.
+The values of one command carry the same writer's time, which is what joins them; the state that a step saw is the
+last one that the same process wrote before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from station.bus import codec, contracts, keys
+from station.episode.reading.reader import EpisodeReader, Message
+from station.protocols import RobotState
+
+Family = Callable[[str], str]
+
+RESULTS: tuple[Family, ...] = (
+    keys.policy_obs,
+    keys.policy_action,
+    keys.policy_timing,
+    keys.command_gate,
+    keys.command_used,
+    keys.target,
+)
+STATES: tuple[Family, ...] = (keys.robot_state, keys.sim_qpos)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One policy step as it was recorded.
+
+    Attributes:
+        source: The process that made it.
+        number: Sequence number of its results; consecutive steps differ by one.
+        state_number: Sequence number of the state that it saw, 0 where none was recorded; likewise.
+        at_ns: When the results were written, on the episode's clock [ns since the epoch].
+        values: Bytes of the results by key, and of the state before them.
+        before: The newest of the context keys that were asked for, by key, whoever wrote them.
+    """
+
+    source: str
+    number: int
+    state_number: int
+    at_ns: int
+    values: dict[str, bytes]
+    before: dict[str, bytes]
+
+
+def robots(topics: Iterable[str]) -> list[str]:
+    """Return the suffixes of the robots whose policy steps are among the topics, sorted."""
+    prefix = keys.policy_timing("")
+    others = keys.policy_obs("")
+    found = {topic.removeprefix(p) for topic in topics for p in (prefix, others) if topic.startswith(p)}
+    return sorted(found)
+
+
+class StepJoiner:
+    """Puts steps together from messages in file order, one robot at a time.
+
+    Args:
+        robot: Suffix of the robot's keys.
+        results: Families of the keys that make a step; one of them suffices.
+        context: Further keys of which each step shall carry the newest value before it.
+    """
+
+    def __init__(self, robot: str, results: Iterable[Family] = RESULTS, context: Iterable[str] = ()) -> None:
+        self._results = {family(robot) for family in results}
+        self._states = {family(robot) for family in STATES}
+        self._context = set(context)
+        self._newest: dict[str, bytes] = {}
+        self._state: dict[str, dict[str, bytes]] = {}
+        self._state_number: dict[str, int] = {}
+        self._open: dict[str, Step] = {}
+
+    @property
+    def topics(self) -> set[str]:
+        """The keys that it wants to be fed."""
+        return self._results | self._states | self._context
+
+    def feed(self, message: Message) -> Step | None:
+        """Take a message; return the step that it completes, if any."""
+        topic, source = message.topic, message.channel.source
+        if topic in self._context:
+            self._newest[topic] = message.data
+        if topic in self._states:
+            self._state.setdefault(source, {})[topic] = message.data
+            self._state_number[source] = message.sequence
+        if topic not in self._results:
+            return None
+        step = self._open.get(source)
+        if step is not None and step.at_ns == message.publish_ns:
+            step.values[topic] = message.data
+            return None
+        values = {**self._state.get(source, {}), topic: message.data}
+        state_number = self._state_number.get(source, 0)
+        self._open[source] = Step(
+            source, message.sequence, state_number, message.publish_ns, values, dict(self._newest)
+        )
+        return step
+
+    def finish(self) -> list[Step]:
+        """Return the last step of each source."""
+        last, self._open = list(self._open.values()), {}
+        return last
+
+
+def iterate(
+    reader: EpisodeReader, robot: str, *, results: Iterable[Family] = RESULTS, context: Iterable[str] = ()
+) -> Iterator[Step]:
+    """Iterate over the steps of a robot, in the order of the file, holding no more than one per source."""
+    joiner = StepJoiner(robot, results, context)
+    for message in reader.messages(joiner.topics):
+        step = joiner.feed(message)
+        if step is not None:
+            yield step
+    yield from joiner.finish()
+
+
+def robot_state(robot: str, data: bytes) -> RobotState | None:
+    """Return the state that bytes of `keys.robot_state` hold, or None when they do not fit its contract."""
+    columns = _state_columns(robot)
+    if not columns or len(data) != 8 * sum(len(indices) for indices in columns.values()):
+        return None
+    values = codec.parse_f64(data)
+    return RobotState(mono_ns=0, **{name: values[indices] for name, indices in columns.items()})
+
+
+@cache
+def _state_columns(robot: str) -> dict[str, NDArray[np.int64]]:
+    """Columns of `keys.robot_state` by the field of `RobotState` that they fill."""
+    contract = contracts.contract(keys.robot_state(robot))
+    names = contract.names if contract is not None else ()
+    suits: dict[str, Callable[[str], bool]] = {
+        "q": lambda name: name.endswith("_pos"),
+        "dq": lambda name: name.endswith("_vel"),
+        "quat_wxyz": lambda name: name.startswith("root_quat_"),
+        "gyro": lambda name: name.startswith("gyro_"),
+    }
+    found = {
+        name_of_field: np.array([index for index, name in enumerate(names) if fits(name)], dtype=np.int64)
+        for name_of_field, fits in suits.items()
+    }
+    return found if names else {}

@@ -1,0 +1,81 @@
+"""Recorded bytes as arrays of numbers, by the contract that was recorded with them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from station.bus.contracts import Codec
+from station.episode.reading.messages import Message, Vectors
+from station.errors import EpisodeError
+
+_decode_list = msgspec.json.Decoder(list[float]).decode
+_decode_integer = msgspec.json.Decoder(int).decode
+_INT64 = 1 << 63
+_TYPES: dict[str, Any] = {"json-vector": np.float64, "f64": np.float64, "f32": np.float32, "integer": np.int64}
+
+
+def numbers(topic: str, messages: Sequence[Message]) -> tuple[Vectors, int]:
+    """Return the numbers of messages of one topic, and how many values did not fit.
+
+    A value fits when it decodes and is as long as the contract says, or, where the contract names no elements, as the
+    first one that decodes.
+
+    Raises:
+        EpisodeError: the topic was recorded without a contract, or with one that holds no numbers.
+    """
+    writes = [message for message in messages if not message.channel.is_deletion]
+    contract = next((message.channel.contract for message in writes if message.channel.contract), None)
+    if not writes:
+        return Vectors(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 0))), 0
+    if contract is None or contract.codec not in _TYPES:
+        holds = "no contract" if contract is None else f"values of kind {contract.codec}"
+        raise EpisodeError(f"{topic}: {holds}, so no numbers; read its messages instead")
+    decode = decoder(contract.codec)
+    kept: list[Message] = []
+    rows: list[Any] = []
+    length = len(contract.elements) or None
+    for message in writes:
+        row = decode(message.data)
+        if row is None or (length is not None and len(row) != length):
+            continue
+        length = len(row)
+        rows.append(row)
+        kept.append(message)
+    values = np.array(rows, dtype=_TYPES[contract.codec]).reshape(len(rows), length or 0)
+    log_ns = np.fromiter((message.log_ns for message in kept), np.int64, len(kept))
+    publish_ns = np.fromiter((message.publish_ns for message in kept), np.int64, len(kept))
+    return Vectors(log_ns, publish_ns, values), len(writes) - len(kept)
+
+
+def decoder(codec: Codec) -> Callable[[bytes], Sequence[Any] | NDArray[Any] | None]:
+    """Return what makes numbers of the bytes of one value; it returns None for bytes that hold none."""
+    if codec == "json-vector":
+        return _json_vector
+    if codec == "integer":
+        return _integer
+    layout = np.dtype("<f4" if codec == "f32" else "<f8")
+
+    def raw(data: bytes) -> NDArray[Any] | None:
+        return np.frombuffer(data, layout) if len(data) % layout.itemsize == 0 else None
+
+    return raw
+
+
+def _json_vector(data: bytes) -> list[float] | None:
+    try:
+        return _decode_list(data)
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return None
+
+
+def _integer(data: bytes) -> list[int] | None:
+    try:
+        value = _decode_integer(data)
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return None
+    return [value] if -_INT64 <= value < _INT64 else None

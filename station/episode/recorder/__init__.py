@@ -1,0 +1,1 @@
+"""The recorder without its process: the tap's writes in, episodes, answers and events out."""

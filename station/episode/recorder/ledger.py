@@ -1,0 +1,62 @@
+"""What stands beside an unfinished file for whoever goes on with it: how far it is safe, and what is known of it."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from station.episode.storage import layout
+from station.episode.storage.anchor import Anchor
+from station.episode.storage.progress import ResumePoint, save_resume_point
+from station.episode.writing.checkpoint import EVERY_S, save_checkpoint
+
+if TYPE_CHECKING:
+    from station.bus.tap import Position
+    from station.episode.writing.signals import SignalsFile
+
+
+class Ledger:
+    """Keeps the two small files of one episode up to date.
+
+    Args:
+        folder: Folder of the episode.
+        episode_id, anchor, start_id: As in `ResumePoint`.
+    """
+
+    def __init__(self, folder: Path, episode_id: str, anchor: Anchor, start_id: str) -> None:
+        self._folder = folder
+        self._episode_id = episode_id
+        self._anchor = anchor
+        self._start_id = start_id
+        self._due = time.monotonic() + EVERY_S
+
+    def note(self, position: Position | None, signals: SignalsFile | None) -> None:
+        """Say how far the file is safe, right after a flush; None for a file that is not there yet.
+
+        Raises:
+            OSError: the disk refused it.
+        """
+        point = ResumePoint(
+            episode_id=self._episode_id,
+            position=position,
+            size=signals.size if signals else 0,
+            messages=signals.messages if signals else 0,
+            anchor=self._anchor,
+            wall_ns=time.time_ns(),
+            mono_ns=time.monotonic_ns(),
+            dropped=signals.drops.total if signals else 0,
+            drops=list(signals.drops) if signals else [],
+            start_id=self._start_id,
+        )
+        save_resume_point(point, self._folder)
+        now = time.monotonic()
+        if signals is not None and now >= self._due:
+            self._due = now + EVERY_S
+            if (checkpoint := signals.checkpoint()) is not None:
+                save_checkpoint(checkpoint, self._folder)
+
+    def remove(self) -> None:
+        """Remove both: the episode is closed."""
+        for name in (layout.RESUME, layout.CHECKPOINT):
+            (self._folder / name).unlink(missing_ok=True)

@@ -1,0 +1,159 @@
+"""The recorder without its bus: writes in, episodes on disk, answers and events out.
+
+Requests are taken from the stream of writes itself, so an episode begins and ends at an exact place of it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from station.bus import keys
+from station.episode.recorder.desk import Desk
+from station.episode.recorder.options import RecordingOptions
+from station.episode.storage.manifest import Recorder
+from station.episode.storage.request import request_id
+from station.episode.writing.heard import is_motion
+
+if TYPE_CHECKING:
+    from station.bus.tap import Position, Write
+
+_THEN = ", then "
+_MOST_CHANGES = 10  # of the tap, that are told one by one
+_MOST_KEYS = 100_000  # of which we remember whether they matter; a client that invents keys must not fill the memory
+
+
+class Recording(Desk):
+    """A recorder's state. One thread feeds it and polls it; no call waits for the disk but for making a folder."""
+
+    def __init__(self, options: RecordingOptions, *, backend: str, is_lossless: bool, bus: str = "") -> None:
+        super().__init__(options, Recorder(backend=backend, is_lossless=is_lossless, bus=bus))
+        self._known: dict[str, Callable[[Write], None] | None] = {}
+
+    def seed(self, key: str, value: bytes, stamp: bytes | None) -> None:
+        """Tell what a key held before the tap was opened: servers that are up, a request that is answered."""
+        if key == keys.RECORD:
+            self.answers.is_new(request_id(value))
+        elif self._heard.is_of_interest(key):
+            self._heard.hear(key, value, stamp, time.monotonic_ns())
+
+    def placed(self, position: Position | None) -> None:
+        """Tell where a tap stands before its first write."""
+        self._position = position
+
+    def missed(self, request: Write) -> None:
+        """Do a request that was written while no tap was open, unless it was seen; the file does not hold it."""
+        if request.value is not None and not self.answers.knows(request_id(request.value)):
+            self._request(request)
+
+    def feed(self, writes: Sequence[Write], position: Position | None = None, *, is_live: bool = True) -> None:
+        """Take in what the tap returned.
+
+        Args:
+            writes: In the order of the bus.
+            position: The tap's place after the last of them.
+            is_live: False for what had waited for us at the server.
+        """
+        if self._awaited:
+            writes = self._behind_the_start(writes)
+        done = 0
+        for index, write in enumerate(writes):
+            handle = self._handler(write.key)
+            if handle is None:
+                continue
+            if write.key == keys.RECORD:
+                self._advance(writes[done : index + 1], None, is_whole=False, is_live=is_live)
+                done = index + 1
+            handle(write)
+        self._advance(writes[done:], position, is_live=is_live)
+        self._position = position
+
+    def _behind_the_start(self, writes: Sequence[Write]) -> Sequence[Write]:
+        """Put what leads up to the awaited start into its episode, as its pre-roll; return what comes behind."""
+        take = self._take
+        found = next((n for n, w in enumerate(writes) if w.key == keys.RECORD and self._is_awaited(w)), None)
+        before = writes if found is None else writes[: found + 1]
+        if take is not None:
+            oldest_ns = take.anchor.mono_ns - int(self.options.preroll_s * 1e9)
+            take.begin([write for write in before if write.mono_ns >= oldest_ns] if self.options.preroll_s else [])
+        if found is None:
+            return []
+        self._awaited = ""
+        return writes[found + 1 :]
+
+    def _is_awaited(self, write: Write) -> bool:
+        return write.value is not None and request_id(write.value) == self._awaited
+
+    def hole(self, from_ns: int, to_ns: int, reason: str) -> None:
+        """Say that writes between two instants [ns, monotonic] may be missing."""
+        self._ring.clear()
+        if self._take is not None:
+            self._take.hole(from_ns, to_ns, reason)
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether there is an episode now."""
+        return self._take is not None
+
+    @property
+    def load(self) -> float:
+        """How full the queue before the disk is, 0..1; from a half on images are dropped."""
+        return self._take.writer.load if self._take is not None else 0.0
+
+    def retapped(self, backend: str, is_lossless: bool) -> None:
+        """Say that another tap is in use from now on."""
+        for recorder in [self.tap, *([self._take.manifest.recorder] if self._take else [])]:
+            recorder.backend = _then(recorder.backend, backend)
+            recorder.is_lossless &= is_lossless
+        self.tap.backend, self.tap.is_lossless = backend, is_lossless
+
+    def not_mirrored(self, count: int) -> None:
+        """Say how many commands of others changed a key in a way that the tap cannot show."""
+        if self._take is not None and self._take.manifest.recorder.not_mirrored != count:
+            self._take.manifest.recorder.not_mirrored = count
+            self._take.touch()
+
+    def _handler(self, key: str) -> Callable[[Write], None] | None:
+        try:
+            return self._known[key]
+        except KeyError:
+            if len(self._known) >= _MOST_KEYS:
+                self._known.clear()
+            handle = self._known[key] = self._choose(key)
+            return handle
+
+    def _choose(self, key: str) -> Callable[[Write], None] | None:
+        if key == keys.RECORD:
+            return self._request
+        if key == keys.EVENT or is_motion(key):
+            return self._note
+        return self._hear if self._heard.is_of_interest(key) else None
+
+    def _advance(
+        self, writes: Sequence[Write], position: Position | None, *, is_whole: bool = True, is_live: bool = True
+    ) -> None:
+        self._ring.add(writes, self._position)
+        if self._take is not None:
+            self._take.put(writes, position, is_whole=is_whole, is_live=is_live)
+
+    def _note(self, write: Write) -> None:
+        if self._take is not None:
+            self._take.note(write)
+
+    def _hear(self, write: Write) -> None:
+        if write.value is None:
+            return
+        self._heard.hear(write.key, write.value, write.stamp, write.mono_ns)
+        if self._take is not None and write.key.startswith(keys.CONFIG_PREFIX):
+            self._heard.fill(self._take.manifest)
+            self._take.touch()
+
+
+def _then(told: str, backend: str) -> str:
+    """Return the taps that were used, with one more behind them; of very many, the first ones and the last."""
+    if told.endswith(backend):
+        return told
+    names = told.split(_THEN)
+    more = _THEN + "…" if len(names) > _MOST_CHANGES else ""
+    return _THEN.join(names[:_MOST_CHANGES]) + more + _THEN + backend

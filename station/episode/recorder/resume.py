@@ -1,0 +1,195 @@
+"""Taking an episode up again after its recorder was killed: the same file, the same clock, the same counts.
+
+Beside an unfinished file stands how far it is safe and where the tap stood then. A new recorder goes on behind that
+place in the server's stream of writes, and behind that byte of the file; what the dead one wrote after it comes once
+more. Where the server no longer has what followed, every whole chunk is kept and the hole is written down. No step
+changes anything that a second attempt, after another kill, would miss.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from station.bus import keys
+from station.bus import stamp as stamps
+from station.episode.recorder.options import RecordingOptions
+from station.episode.recorder.take import Take
+from station.episode.recorder.writer import EpisodeWriter
+from station.episode.storage import layout
+from station.episode.storage.anchor import iso
+from station.episode.storage.atomic import remove_leftovers
+from station.episode.storage.drops import Drops
+from station.episode.storage.left_open import manifest_of
+from station.episode.storage.manifest import Hole, Manifest, note_hole, note_recovery
+from station.episode.storage.progress import ResumePoint, Totals, load_resume_point
+from station.episode.storage.records import parse_chunk, read_chunk, walk
+from station.episode.storage.request import request_id
+from station.episode.writing.checkpoint import load_checkpoint
+from station.episode.writing.retell import Retelling
+from station.episode.writing.signals import SignalsFile
+from station.errors import EpisodeError
+
+if TYPE_CHECKING:
+    from station.bus.tap import Position, Write
+
+HOLE = "the recorder was killed, and the server no longer had what was written meanwhile"
+
+
+class Unfinished(NamedTuple):
+    """An episode that its recorder left open, and how far it is safe."""
+
+    folder: Path
+    point: ResumePoint
+    manifest: Manifest
+
+    @property
+    def age_s(self) -> float:
+        """Time since its last flush [s]."""
+        return (time.monotonic_ns() - self.point.mono_ns) * 1e-9
+
+
+class TakenUp(NamedTuple):
+    """An episode that goes on.
+
+    Attributes:
+        take: The episode.
+        requests: Ids of the requests that are done.
+        awaited: Id of the start request that is to come once more; "" when the file holds it.
+        written_ns: When the last write arrived that the file holds [ns, monotonic]; 0 when it holds none.
+    """
+
+    take: Take
+    requests: list[str]
+    awaited: str
+    written_ns: int
+
+
+def newest(folders: Sequence[Path], bus: str) -> Unfinished | None:
+    """Return the newest of some unfinished episodes, if a recorder on this bus may take it up; None otherwise.
+
+    It may when it was recorded from the same bus, in the same boot (its clock is the monotonic one), and was not given
+    up for a full disk.
+    """
+    if not folders:
+        return None
+    folder = folders[-1]
+    point = load_resume_point(folder)
+    if point is None or point.anchor.boot != stamps.boot_id():
+        return None
+    try:
+        manifest = manifest_of(folder)
+    except EpisodeError:
+        return None
+    if manifest.state != "recording" or manifest.recorder.bus not in ("", bus):
+        return None
+    return Unfinished(folder, point, manifest)
+
+
+def take_up(found: Unfinished, options: RecordingOptions, *, place: Position | None, is_exact: bool) -> TakenUp:
+    """Open an unfinished episode behind what is safe of it.
+
+    Args:
+        found: The episode.
+        options: How to write.
+        place: Where the tap stands.
+        is_exact: Whether the tap goes on exactly where the episode is safe; else there is a hole.
+
+    Raises:
+        EpisodeError: the file is damaged, or its manifest cannot be written.
+        OSError: the disk refused it.
+    """
+    folder, point, manifest = found
+    remove_leftovers(*(folder / name for name in (layout.MANIFEST, layout.RESUME, layout.CHECKPOINT)))
+    active = folder / layout.ACTIVE
+    size = active.stat().st_size if active.exists() else 0
+    signals = None
+    if point.size:
+        kept = point.size if is_exact else None
+        known = load_checkpoint(folder, min(size, point.size))
+        signals = SignalsFile.reopen(active, point.anchor, size=kept, checkpoint=known, drops=Drops(point.drops))
+    else:
+        active.unlink(missing_ok=True)  # its head was not written yet, or not whole
+    retelling, totals = (signals.retelling, signals.totals()) if signals else (Retelling(point.anchor), Totals())
+    retelling.apply(manifest, totals.first_ns)
+    _note(found, size, totals, is_exact=is_exact)
+    writer = EpisodeWriter(
+        folder, anchor=point.anchor, manifest=manifest, options=options.writer, start_id=point.start_id, place=place,
+        reopened=signals,
+    )  # fmt: skip
+    is_awaited = is_exact and not point.messages
+    take = Take(writer, manifest, start_id=point.start_id if not point.messages else None)
+    written_ns = point.anchor.mono_ns + totals.last_ns - point.anchor.wall_ns if totals.last_ns else 0
+    return TakenUp(take, [*retelling.told.requests, point.start_id], point.start_id if is_awaited else "", written_ns)
+
+
+def _note(found: Unfinished, size: int, kept: Totals, *, is_exact: bool) -> None:
+    """Write into the manifest that the episode was taken up again, and how."""
+    _, point, manifest = found
+    now_s = (time.monotonic_ns() - point.anchor.mono_ns) * 1e-9
+    manifest.recorder.restarts += 1
+    note = {
+        "kind": "resumed",
+        "at": iso(time.time_ns()),
+        "at_s": round(now_s, 3),
+        "away_s": round(found.age_s, 3),
+        "by": "offset" if is_exact else "hole",
+        "kept_messages": kept.messages,
+        "kept_bytes": kept.bytes,
+        "read_again_bytes" if is_exact else "cut_bytes": max(0, size - kept.bytes),
+    }
+    note_recovery(manifest, note)
+    if not is_exact:
+        last_s = (kept.last_ns - point.anchor.wall_ns) * 1e-9 if kept.last_ns else 0.0
+        note_hole(manifest, Hole(from_s=round(last_s, 6), to_s=round(now_s, 6), reason=HOLE))
+
+
+def newest_closed(data: Path, within_s: float) -> Path | None:
+    """Return the folder of the episode that was closed last, if that was not long ago; None otherwise."""
+    found = max(((file.stat().st_mtime, file.parent) for file in data.glob(f"*/*/{layout.SIGNALS}")), default=None)
+    return found[1] if found is not None and time.time() - found[0] < within_s else None
+
+
+def last_requests(folder: Path) -> list[str]:
+    """Return the ids of the requests to the recorder in the last chunk of a closed episode: what ended it is there.
+
+    Raises:
+        EpisodeError: it cannot be read.
+        OSError: likewise.
+    """
+    file = folder / layout.SIGNALS
+    contents = walk(file)
+    channels, found = dict(contents.channels), []
+    with file.open("rb") as stream:
+        for place in contents.chunks[-1:]:
+            for message in parse_chunk(read_chunk(stream, place), channels):
+                if channels[message.channel_id].topic == keys.RECORD:
+                    found.append(request_id(message.data))
+    return [asker for asker in found if asker is not None]
+
+
+def as_written(writes: Sequence[Write], after_ns: int) -> list[Write]:
+    """Return writes that waited at the server, with the time at which they were written instead of when they came.
+
+    A writer that stamps tells it, if its clock is ours; one that does not came right behind the write before it. So a
+    recorder that was away leaves no burst behind, and no silence.
+
+    Args:
+        writes: In the order of the bus, with the time of their late arrival.
+        after_ns: No time before this one [ns, monotonic]; 0 when nothing is known of what came before.
+    """
+    told = [_written_ns(write) for write in writes]
+    at_ns = after_ns or next((time_ns for time_ns in told if time_ns is not None), 0)
+    dated = []
+    for write, time_ns in zip(writes, told, strict=True):
+        if time_ns is not None:
+            at_ns = max(at_ns, min(time_ns, write.mono_ns))
+        dated.append(write._replace(mono_ns=min(at_ns, write.mono_ns)) if at_ns else write)
+    return dated
+
+
+def _written_ns(write: Write) -> int | None:
+    mark = stamps.decode(write.stamp) if write.stamp is not None else None
+    return mark.mono_ns if mark is not None and mark.is_from_this_boot else None

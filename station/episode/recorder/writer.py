@@ -1,0 +1,299 @@
+"""Writes an episode in a thread behind a bounded queue, so that a slow disk never holds up the reader of the bus."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from station.episode.recorder.ledger import Ledger
+from station.episode.recorder.queue import Batch, WriteQueue
+from station.episode.storage import layout
+from station.episode.storage.anchor import Anchor
+from station.episode.storage.atomic import sync_folder
+from station.episode.storage.channels import MAX_CHANNELS
+from station.episode.storage.disk import give_back, why_not
+from station.episode.storage.drops import Spell
+from station.episode.storage.manifest import Manifest, dump_manifest, save_manifest, snapshot
+from station.episode.storage.progress import Totals, WriterOptions
+from station.episode.writing.closing import summary_record
+from station.episode.writing.lag import Lag
+from station.episode.writing.signals import SignalsFile
+from station.errors import EpisodeError
+from station.life.events import Severity
+
+if TYPE_CHECKING:
+    from station.bus.tap import Position, Write
+
+log = logging.getLogger(__name__)
+
+_LINGER_S = 0.004  # taking writes in handfuls halves the CPU at 10 000 a second, and nobody waits for them
+_HURRY_WRITES = 2000
+
+WriterState = Literal["opening", "open", "finishing", "finished", "failed"]
+
+
+Closing = Callable[[Totals], Manifest]
+"""Given the counters of the file, returns the manifest that closes it; called in the writer's thread."""
+
+
+class EpisodeWriter:
+    """Writes one episode into its folder. Every method returns at once, except `wait`.
+
+    Args:
+        folder: The episode's folder, already made.
+        anchor: Clock of the file.
+        manifest: What is known before the first write.
+        options: How to write.
+        start_id: Id of the request that began the episode, for whoever takes it up again.
+        place: Where the tap stood before the first write, for the same.
+        reopened: The file of an episode that is taken up again; None makes a new one.
+
+    A disk that is full or gone never raises here: `state` becomes ``failed`` and `error` says why in one line, what
+    comes later is counted as dropped, and the ``.active`` file keeps every flush that succeeded.
+
+    Attributes:
+        state: ``opening`` until the head of the file and the first batch are on the disk.
+        error: Why it failed, "" otherwise.
+        dropped: Writes that are not and will not be in the file.
+    """
+
+    def __init__(
+        self, folder: Path, *, anchor: Anchor, manifest: Manifest, options: WriterOptions | None = None,
+        start_id: str = "", place: Position | None = None, reopened: SignalsFile | None = None,
+    ) -> None:  # fmt: skip
+        self.folder = folder
+        self.anchor = anchor
+        self.state: WriterState = "opening"
+        self.error = ""
+        self.dropped = reopened.drops.total if reopened else 0
+        self.lag = Lag()
+        self._options = options or WriterOptions()
+        self._queue = WriteQueue(self._options.queue_writes, self._options.queue_bytes)
+        self._wake = threading.Condition()
+        self._spells = {True: Spell("images-dropped", "warning"), False: Spell("writes-dropped", "error")}
+        self._is_refusal_told = False
+        self._saved = snapshot(manifest)
+        self._manifest: Manifest | None = self._saved
+        self._episode_id = manifest.episode_id
+        task, started = manifest.task.name, manifest.timing.started
+        self._facts = {"episode_id": self._episode_id, "task": task, "started": started}
+        self._closing: Closing | None = None
+        self._signals = reopened
+        self._ledger = Ledger(folder, manifest.episode_id, anchor, start_id)
+        self._position = place
+        self._is_whole = True  # the position is that of the last write; never flushed in between
+        self._thread = threading.Thread(target=self._run, name=f"writer {manifest.episode_id}", daemon=True)
+        self._thread.start()
+
+    def put(
+        self, writes: Sequence[Write], *, position: Position | None = None, is_live: bool = True,
+        is_whole: bool = True, is_held: bool = False,
+    ) -> int:  # fmt: skip
+        """Queue writes in the order of their arrival; return how many were dropped, images before signals.
+
+        Args:
+            writes: What the tap returned; not to be changed afterwards.
+            position: The tap's position after the last of them; saved once they are on the disk.
+            is_live: False for the pre-roll, whose age says nothing about the writer.
+            is_whole: False when more must follow before the position is known; nothing is flushed until then, since
+                a recorder that is killed and resumes at a position must find exactly what came before it.
+            is_held: Whether they are in memory anyway, as the pre-roll is: they take no room in the queue.
+        """
+        with self._wake:
+            if self.state in ("failed", "finished") or self._closing is not None:
+                self.dropped += len(writes)
+                return len(writes)
+            was_idle = not self._queue
+            drops = self._queue.put(Batch(writes, 0, position, is_live, is_whole, is_held))
+            if was_idle:
+                self._wake.notify()
+            if drops is None:
+                return 0
+            self.dropped += drops.total
+        for is_bulky, spell in self._spells.items():
+            spell.note(drops.only(is_bulky=is_bulky), time.monotonic())
+        return drops.total
+
+    def news(self) -> Iterator[tuple[str, Severity, dict[str, Any]]]:
+        """Return events that are due: writes are dropped, or no longer. For the thread that calls `put`."""
+        for spell in self._spells.values():
+            yield from spell.poll(time.monotonic())
+        if self.refused and not self._is_refusal_told:
+            self._is_refusal_told = True
+            yield "keys-refused", "error", {"channels": MAX_CHANNELS, "dropped": self.refused}
+
+    def save_manifest(self, manifest: Manifest) -> None:
+        """Have the manifest written to disk as it is now; a newer one replaces one that still waits."""
+        copied = snapshot(manifest)
+        with self._wake:
+            self._manifest = copied
+            self._wake.notify()
+
+    def finish(self, closing: Closing) -> None:
+        """Have everything queued written, the episode closed, and the file renamed to its final name."""
+        with self._wake:
+            if self._closing is None:
+                self._closing = closing
+                self._wake.notify()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until the episode is finished or has failed; return whether it is."""
+        self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    @property
+    def messages(self) -> int:
+        """Messages in the file so far."""
+        return self._signals.messages if self._signals else 0
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file on the disk so far."""
+        return self._signals.size if self._signals else 0
+
+    @property
+    def refused(self) -> int:
+        """Writes that are not in the file because it has too many keys already; not in `dropped`."""
+        return self._signals.refused if self._signals else 0
+
+    @property
+    def queued(self) -> int:
+        """Writes that wait for the disk."""
+        return self._queue.writes
+
+    @property
+    def load(self) -> float:
+        """How full the queue is, 0..1; from a half on bulky values are dropped."""
+        return self._queue.load
+
+    def _run(self) -> None:
+        try:
+            self._open()
+            self._work()
+            self._close()
+        except (OSError, EpisodeError) as error:
+            self._fail(why_not(error, self.folder))
+        finally:
+            if self.state not in ("finished", "failed"):  # our own fault; Python prints where
+                self._fail("internal error, see the log")
+            if self._signals is not None:
+                self._signals.close()
+
+    def _open(self) -> None:
+        if self._signals is None:
+            self._ledger.note(self._position, None)  # before all else: nobody goes on with what is there without it
+        manifest = self._next_manifest()
+        data = save_manifest(manifest, self.folder) if manifest else b""
+        if self._signals is None:
+            self._signals = SignalsFile.create(self.folder / layout.ACTIVE, self.anchor, self._facts, data)
+            sync_folder(self.folder)
+        else:
+            self.state = "open"
+        self._ledger.note(self._position, self._signals)
+
+    def _work(self) -> None:
+        """Write batches until asked to finish; flush by size, by time, and once after the first batch."""
+        signals = self._opened()
+        deadline = time.monotonic()
+        while True:
+            batches, is_closing = self._next_batches(deadline if signals.pending_bytes else None)
+            if (manifest := self._next_manifest()) is not None:  # before what follows it: a hole, then the writes
+                save_manifest(manifest, self.folder)
+            for batch in batches:
+                self._write(signals, batch)
+                if signals.pending_bytes >= self._options.flush_bytes and self._is_whole:
+                    deadline = self._flush(signals)
+            if signals.pending_bytes and time.monotonic() >= deadline and self._is_whole:
+                deadline = self._flush(signals)
+            if self.state == "opening" and batches and self._is_whole:
+                self.state = "open"
+            if is_closing:
+                return
+
+    def _write(self, signals: SignalsFile, batch: Batch) -> None:
+        for write in batch.writes:
+            signals.add(write)
+        if batch.drops is not None:
+            signals.drops.add(batch.drops)
+        self._is_whole = batch.is_whole
+        if batch.is_whole:
+            self._position = batch.position
+        with self._wake:
+            self._queue.done(batch)
+        if batch.is_live and batch.writes:
+            self.lag.note(time.monotonic_ns() - batch.writes[0][3])
+
+    def _flush(self, signals: SignalsFile) -> float:
+        """Bring everything to the disk and say so in the ledger; return when the next flush is due."""
+        signals.sync()
+        self._ledger.note(self._position, signals)
+        return time.monotonic() + self._options.flush_s
+
+    def _close(self) -> None:
+        signals = self._opened()
+        self.state = "finishing"
+        signals.sync()
+        totals = self.totals()
+        closing = self._closing
+        if closing is None:
+            raise RuntimeError("closing an episode that nobody asked to finish")
+        manifest = closing(totals)
+        signals.finish(dump_manifest(manifest), summary_record(totals))
+        (self.folder / layout.ACTIVE).rename(self.folder / layout.SIGNALS)
+        sync_folder(self.folder)
+        manifest.recorder.bytes = signals.size
+        save_manifest(manifest, self.folder)
+        self._ledger.remove()
+        self.state = "finished"
+
+    def totals(self) -> Totals:
+        """Return the counters of the file; exact once the state is ``finished`` or ``failed``."""
+        if self._signals is None:
+            return Totals(dropped=self.dropped)
+        return self._signals.totals(self.dropped, self.lag)
+
+    def _next_batches(self, deadline: float | None) -> tuple[list[Batch], bool]:
+        """Wait for work, at most until the deadline; return some batches and whether they are the last."""
+        with self._wake:
+            if not (self._queue or self._closing is not None or self._manifest is not None):
+                self._wake.wait(None if deadline is None else max(0.0, deadline - time.monotonic()))
+        if self._queue.writes < _HURRY_WRITES and self._closing is None:
+            time.sleep(_LINGER_S)
+        with self._wake:
+            return self._queue.take(self._options.flush_bytes), self._closing is not None and not self._queue
+
+    def _next_manifest(self) -> Manifest | None:
+        with self._wake:
+            manifest, self._manifest = self._manifest, None
+            self._saved = manifest or self._saved
+            return manifest
+
+    def _opened(self) -> SignalsFile:
+        if self._signals is None:
+            raise RuntimeError("the file is not open")
+        return self._signals
+
+    def _fail(self, reason: str) -> None:
+        error = f"episode {self._episode_id}: cannot be written any more: {reason}"
+        log.error("%s", error)
+        with self._wake:
+            self.dropped += self._queue.clear() + (self._signals.unsynced_messages if self._signals else 0)
+        self._saved.state = "failed"
+        self._saved.recorder.ended_by, self._saved.recorder.dropped = error, self.dropped + self.refused
+        give_back(self.folder)
+        try:
+            if self.folder.is_dir():  # one that is gone is not to become a file
+                save_manifest(self._saved, self.folder)
+        except EpisodeError as why:
+            log.error("%s", why)
+            with contextlib.suppress(OSError):  # of an episode that could not even begin, leave nothing; else keep all
+                self._ledger.remove()
+                self.folder.rmdir()
+        with self._wake:  # last: whoever sees it finds the folder as it will stay
+            self.error, self.state = error, "failed"
+            self.dropped += self._queue.clear()

@@ -1,0 +1,216 @@
+"""Auditing an episode: the policy runs again on what was recorded, and every bit is compared.
+
+Two questions. Does the checkpoint give the recorded actions for the recorded observations? And do the recorded state
+and command give the recorded observations? With two times yes, the file holds everything that decided a motion.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from station import registry
+from station.bus import codec, keys
+from station.episode.reading import steps
+from station.episode.reading.reader import EpisodeReader
+from station.episode.reading.steps import Step
+from station.episode.replaying.recorded_policy import load_policy, recorded_policy
+from station.protocols import CommandFormat, Floats32, Policy
+
+
+class Comparison(msgspec.Struct, kw_only=True):
+    """Recorded against computed vectors.
+
+    Attributes:
+        compared: Vectors that were compared.
+        different: Those with any bit that differs.
+        max_abs_difference: Greatest difference of an element; infinite where a length or a NaN differs.
+        first_different: Number of the first step that differs, from 0 in the file; None when none does.
+    """
+
+    compared: int = 0
+    different: int = 0
+    max_abs_difference: float = 0.0
+    first_different: int | None = None
+
+    def add(self, step: int, recorded: Floats32, computed: Floats32) -> bool:
+        """Take a pair; return whether it is equal bit for bit."""
+        self.compared += 1
+        if recorded.tobytes() == computed.tobytes():
+            return True
+        self.different += 1
+        if self.first_different is None:
+            self.first_different = step
+        if recorded.shape != computed.shape:
+            self.max_abs_difference = np.inf
+        else:
+            gap = np.abs(recorded.astype(np.float64) - computed.astype(np.float64))
+            gap = np.where(np.isnan(recorded) & np.isnan(computed), 0.0, gap)
+            self.max_abs_difference = max(self.max_abs_difference, float(np.nan_to_num(gap, nan=np.inf).max()))
+        return False
+
+
+class Audit(msgspec.Struct, kw_only=True):
+    """What an audit found.
+
+    Attributes:
+        episode_id, robot: What was audited.
+        policy, checkpoint, sha256: What it was audited with.
+        recorded_sha256: Hash of the checkpoint that ran, as its server stated it; "" when it did not.
+        recorded_runtime, runtime: What ran the network then, and now. Other runtimes give other last bits.
+        steps: Policy steps whose observation and action are in the file.
+        different: Those whose action differs in any bit.
+        max_abs_difference: Greatest difference of an element of an action.
+        first_different: Number of the first step that differs, or None.
+        observations: The same for observations derived again from recorded state and command.
+        segments: Runs of steps without a missing one; derivation starts anew at each.
+        incomplete: Steps that lack an observation or an action of a size that the policy has.
+        seconds: Time that the audit took [s].
+        recorded_s: Time from the first step to the last [s].
+        speed_x_realtime: One by the other.
+    """
+
+    episode_id: str
+    robot: str
+    policy: str
+    checkpoint: str
+    sha256: str
+    recorded_sha256: str
+    recorded_runtime: str
+    runtime: str
+    steps: int
+    different: int
+    max_abs_difference: float
+    first_different: int | None
+    observations: Comparison
+    segments: int
+    incomplete: int
+    seconds: float
+    recorded_s: float
+    speed_x_realtime: float
+
+    @property
+    def is_equal(self) -> bool:
+        """Whether there was something to compare and every bit of it is the same."""
+        return self.steps > 0 and not self.different and not self.observations.different
+
+
+def audit(
+    reader: EpisodeReader,
+    *,
+    checkpoint: str | Path | None = None,
+    policy: Policy | None = None,
+    robot: str | None = None,
+) -> Audit:
+    """Run the policy of an episode again on everything it was given, and compare.
+
+    Args:
+        reader: The episode.
+        checkpoint: Another place of the checkpoint, path or ``collection:path``; its hash must be the recorded one.
+        policy: A policy that is loaded already, in place of the recorded one.
+        robot: Suffix of the robot; needed only when the episode has several.
+
+    Raises:
+        EpisodeError: no policy steps, the episode does not name its policy, or another checkpoint than that.
+        AssetMissing, BadFile: the checkpoint is not on this machine.
+    """
+    suspect = recorded_policy(reader, robot)
+    policy = policy or load_policy(reader, suspect, checkpoint)
+    began = time.perf_counter()
+    run = _Run(policy, suspect.robot)
+    families = (keys.policy_obs, keys.policy_action, keys.command_used)
+    for step in steps.iterate(reader, suspect.robot, results=families):
+        run.take(step)
+    seconds = time.perf_counter() - began
+    spec, actions = policy.spec, run.actions
+    recorded_s = (run.last_ns - run.first_ns) * 1e-9
+    return Audit(
+        episode_id=reader.episode_id,
+        robot=suspect.robot,
+        policy=spec.name,
+        checkpoint=str(spec.checkpoint),
+        sha256=spec.sha256,
+        recorded_sha256=suspect.sha256,
+        recorded_runtime=suspect.runtime,
+        runtime=spec.runtime,
+        steps=actions.compared,
+        different=actions.different,
+        max_abs_difference=actions.max_abs_difference,
+        first_different=actions.first_different,
+        observations=run.observations,
+        segments=run.segments,
+        incomplete=run.incomplete,
+        seconds=seconds,
+        recorded_s=recorded_s,
+        speed_x_realtime=recorded_s / seconds if seconds > 0 else 0.0,
+    )
+
+
+@dataclass
+class _Run:
+    """Follows the steps of an episode with a policy of our own."""
+
+    policy: Policy
+    robot: str
+    actions: Comparison = field(default_factory=Comparison)
+    observations: Comparison = field(default_factory=Comparison)
+    segments: int = 0
+    incomplete: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    _count: int = 0
+    _before: Step | None = None
+
+    def __post_init__(self) -> None:
+        form: CommandFormat = registry.find("command", self.policy.spec.command)
+        self._command_size = len(form.default)
+
+    def take(self, step: Step) -> None:
+        """Compare one step."""
+        number, self._count = self._count, self._count + 1
+        self.first_ns = self.first_ns or step.at_ns
+        self.last_ns = step.at_ns
+        seen, done = step.values.get(keys.policy_obs(self.robot)), step.values.get(keys.policy_action(self.robot))
+        spec = self.policy.spec
+        if seen is None or done is None or len(seen) != 4 * spec.observation_size or len(done) % 4:
+            self.incomplete += 1
+            self._before = None
+            return
+        observation = codec.parse_f32(seen)
+        self._derive(number, step, observation)
+        self.actions.add(number, codec.parse_f32(done), self.policy.act(observation))
+        self._before = step
+
+    def _derive(self, number: int, step: Step, observation: Floats32) -> None:
+        """Compare the observation with one made from state and command; the recorded one is the history in any case."""
+        is_next = self._before is not None and _follows(self._before, step)
+        self.segments += not is_next
+        state = steps.robot_state(self.robot, step.values.get(keys.robot_state(self.robot), b""))
+        used = step.values.get(keys.command_used(self.robot))
+        if state is None or used is None or len(used) != 8 * self._command_size:
+            self.policy.restore(observation)
+            return
+        command = codec.parse_f64(used)
+        derived = self.policy.observe(state, command) if is_next else None
+        if derived is None or derived.tobytes() != observation.tobytes():
+            # At the start of an episode, and after an operator's reset, a policy knows no past.
+            self.policy.reset()
+            fresh = self.policy.observe(state, command)
+            if fresh.tobytes() == observation.tobytes():
+                derived = fresh
+            else:
+                self.policy.restore(observation)
+        if derived is not None:
+            self.observations.add(number, observation, derived)
+
+
+def _follows(before: Step, after: Step) -> bool:
+    return (
+        before.source == after.source
+        and after.number == before.number + 1
+        and after.state_number == before.state_number + 1
+    )

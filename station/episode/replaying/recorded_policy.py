@@ -1,0 +1,118 @@
+"""The policy that an episode was recorded with: what the episode says of it, and the thing itself."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from station import assets, registry
+from station.bus import keys
+from station.episode.reading import steps
+from station.episode.reading.reader import EpisodeReader
+from station.errors import BadFile, EpisodeError
+from station.life.rig import DEFAULT_CHECKPOINTS
+from station.protocols import Policy
+
+
+class Suspect(msgspec.Struct, frozen=True, kw_only=True):
+    """The policy that an episode says it was recorded with; "" for what it does not say.
+
+    `checkpoint` is where the file was on the machine that recorded; `reference` is how its user named it.
+    """
+
+    robot: str
+    name: str
+    checkpoint: str
+    sha256: str
+    runtime: str
+    options: dict[str, Any] = {}
+    reference: str = ""
+
+
+def recorded_policy(reader: EpisodeReader, robot: str | None = None) -> Suspect:
+    """Return the policy that an episode says it was recorded with.
+
+    Raises:
+        EpisodeError: it has no policy steps, or those of several robots and none is named.
+    """
+    present = steps.robots(reader.topics())
+    if not present:
+        raise EpisodeError(
+            f"episode {reader.episode_id}: no policy steps ({keys.policy_obs('*')}) to audit; "
+            "was it recorded with a low-level server of this station?"
+        )
+    if robot is None and len(present) > 1:
+        raise EpisodeError(f"episode {reader.episode_id}: several robots ({', '.join(present)}); name one")
+    if robot is not None and robot not in present:
+        raise EpisodeError(f"episode {reader.episode_id}: no steps of {robot!r}; it has {', '.join(present)}")
+    chosen = robot or present[0]
+    facts = _stated(reader, chosen)
+    stated = facts.get("policy", {})
+    manifest = reader.manifest.policy
+    text = {
+        name: str(stated.get(name) or getattr(manifest, name)) for name in ("name", "checkpoint", "sha256", "runtime")
+    }
+    options = stated.get("options")
+    return Suspect(
+        robot=chosen, **text, options=options if isinstance(options, dict) else {},
+        reference=_reference(facts, text["name"]),
+    )  # fmt: skip
+
+
+def load_policy(reader: EpisodeReader, suspect: Suspect, checkpoint: str | Path | None = None) -> Policy:
+    """Load the policy of an episode and see that its checkpoint is the one that ran.
+
+    Raises:
+        EpisodeError: the episode does not name it, or the file is another one.
+        AssetMissing, BadFile: the checkpoint is not on this machine.
+    """
+    wanted = str(checkpoint or suspect.checkpoint)
+    if not suspect.name or not wanted:
+        raise EpisodeError(
+            f"episode {reader.episode_id}: does not name the policy it ran "
+            f"(name {suspect.name!r}, checkpoint {suspect.checkpoint!r}); it cannot be audited"
+        )
+    path = _find(suspect, wanted, is_given=checkpoint is not None)
+    came = assets.sha256(path)
+    if suspect.sha256 and came != suspect.sha256:
+        raise EpisodeError(
+            f"episode {reader.episode_id}: ran checkpoint sha256 {suspect.sha256[:12]}…, {path} is {came[:12]}…; "
+            "name the file that ran with --checkpoint"
+        )
+    make = registry.find("policy", suspect.name)
+    unknown = set(suspect.options) - set(inspect.signature(make).parameters)
+    if unknown:
+        raise EpisodeError(
+            f"episode {reader.episode_id}: ran policy {suspect.name!r} with options that it no longer has: "
+            f"{', '.join(sorted(unknown))}; audit it with the version of the policy that ran"
+        )
+    policy: Policy = make(path, **suspect.options)
+    return policy
+
+
+def _find(suspect: Suspect, wanted: str, *, is_given: bool) -> Path:
+    """Return the checkpoint; on another machine than the one that recorded, where its user's own name for it leads."""
+    try:
+        return assets.resolve(wanted)
+    except BadFile:
+        if is_given or not suspect.reference:
+            raise
+        return assets.resolve(suspect.reference)
+
+
+def _stated(reader: EpisodeReader, robot: str) -> dict[str, Any]:
+    """Return what the low-level server of a robot stated; empty when none did."""
+    for facts in reader.manifest.servers.values():
+        if facts.get("robot") == robot and isinstance(facts.get("policy"), dict):
+            return dict(facts)
+    return {}
+
+
+def _reference(facts: dict[str, Any], policy: str) -> str:
+    config = facts.get("config")
+    if not isinstance(config, dict):
+        return ""
+    return str(config.get("checkpoint") or DEFAULT_CHECKPOINTS.get(policy, ""))

@@ -1,0 +1,285 @@
+"""Replaying an episode to a simulation: recorded commands, fresh robot, fresh policy, fresh gate, step by step.
+
+A lock-step episode comes out the same to the last bit with the same versions. So does, as a rule, one recorded by the
+wall clock: the instants of the gate are found again from the ages it reported, to the rounding of a difference.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from station import registry
+from station.bus import codec, keys
+from station.episode.reading.reader import EpisodeReader, Message
+from station.episode.reading.steps import Step, StepJoiner
+from station.episode.replaying.recorded_policy import recorded_policy
+from station.errors import EpisodeError
+from station.life.control import ControlStep, StepRecord
+from station.life.gate import GateConfig
+from station.life.inlet import CommandSample
+from station.life.rig import Rig, RigConfig, build
+from station.life.server import ServerKind
+
+_REMEMBERED = 1000  # commands; a step uses the newest or, after refusals, one not much older
+_ENDS = ("robot-reset", "operator-reset", "estop")  # what an operator or the server did to the robot is no command
+_TICK, _SEQ, _WRITTEN, _ARRIVED, _READ = range(5)  # of `keys.policy_timing`
+
+
+class Resimulation(msgspec.Struct, kw_only=True):
+    """How the new run compares with the recorded one.
+
+    Attributes:
+        episode_id, robot: What was replayed.
+        lock_step: Whether it was recorded in lock-step; only then equality is promised.
+        warm_up_steps: Steps that were run without commands because the recording begins after them.
+        steps: Steps that were compared.
+        different: Steps whose measured joint positions differ in any bit.
+        first_different: Number of the first of them, from 0 in the file; None when none does.
+        max_q_difference_rad: Greatest difference of a joint position.
+        max_root_difference_m: Greatest difference of the root's position; None without ground truth in the file.
+        gates_different: Steps in which the gate was in another state.
+        fell, recorded_falls: Whether the new run had a fall, and how many the recorded one reported.
+        ended_by: Event at which the comparison ended, because it is no command; "" for the end of the file.
+        notes: What is not as it was recorded: versions, model, configuration.
+        seconds: Time that it took [s].
+        speed_x_realtime: Simulated time over that.
+    """
+
+    episode_id: str
+    robot: str
+    lock_step: bool
+    warm_up_steps: int = 0
+    steps: int = 0
+    different: int = 0
+    first_different: int | None = None
+    max_q_difference_rad: float = 0.0
+    max_root_difference_m: float | None = None
+    gates_different: int = 0
+    fell: bool = False
+    recorded_falls: int = 0
+    ended_by: str = ""
+    notes: list[str] = []
+    seconds: float = 0.0
+    speed_x_realtime: float = 0.0
+
+
+def to_sim(
+    reader: EpisodeReader, *, changes: Mapping[str, Any] | None = None, robot: str | None = None
+) -> Resimulation:
+    """Run the recorded commands through a fresh simulation of the recorded configuration, and compare.
+
+    Args:
+        reader: The episode.
+        changes: Fields of `station.life.rig.RigConfig` that shall not be as recorded, for a what-if.
+        robot: Suffix of the robot; needed only when the episode has several.
+
+    Raises:
+        EpisodeError: no policy steps, no stated configuration, or another checkpoint than the recorded one.
+        StationError: policy or robot model cannot be loaded.
+    """
+    suspect = recorded_policy(reader, robot)
+    facts = _facts(reader, suspect.robot)
+    config = _config(reader, facts)
+    rig = build(msgspec.structs.replace(config.rig, viewer=False, **(changes or {})))
+    try:
+        if "policy" not in (changes or {}) and "checkpoint" not in (changes or {}):
+            _same_checkpoint(reader, suspect.sha256, rig)
+        report = Resimulation(
+            episode_id=reader.episode_id,
+            robot=suspect.robot,
+            lock_step=facts.get("rates", {}).get("pace") == "command",
+            notes=[
+                *_other_than_recorded(facts, rig),
+                *(f"{name}: changed to {v}" for name, v in (changes or {}).items()),
+            ],
+        )
+        _compare(reader, rig.control(gate=config.gate, is_armed=config.is_armed), rig, report)
+    finally:
+        rig.robot.close()
+    return report
+
+
+class _LowLevelConfig(msgspec.Struct):
+    """What is needed of the configuration of a low-level server."""
+
+    rig: RigConfig
+    gate: GateConfig
+    is_armed: bool
+
+
+def _facts(reader: EpisodeReader, robot: str) -> dict[str, Any]:
+    for facts in reader.manifest.servers.values():
+        if facts.get("role") == "low-level" and facts.get("robot") == robot:
+            return facts
+    raise EpisodeError(
+        f"episode {reader.episode_id}: no low-level server has stated its configuration for {robot!r}, "
+        "so the simulation cannot be set up as it was"
+    )
+
+
+def _config(reader: EpisodeReader, facts: Mapping[str, Any]) -> _LowLevelConfig:
+    """Read the recorded configuration as the type of the server that ran."""
+    kinds: list[ServerKind] = [registry.find("server", name) for name in registry.names("server")]
+    low_level = sorted((k for k in kinds if k.role == "low-level"), key=lambda kind: kind.name != facts.get("server"))
+    problem = "no low-level server is registered"
+    for kind in low_level:
+        try:
+            config: Any = msgspec.convert(facts.get("config"), kind.config)
+        except msgspec.ValidationError as error:
+            problem = f"{kind.name}: {error}"
+            continue
+        return _LowLevelConfig(config.rig, config.gate, config.is_armed)
+    raise EpisodeError(f"episode {reader.episode_id}: its server's configuration is not one of ours ({problem})")
+
+
+def _same_checkpoint(reader: EpisodeReader, recorded: str, rig: Rig) -> None:
+    came = rig.policy.spec.sha256
+    if recorded and came != recorded:
+        raise EpisodeError(
+            f"episode {reader.episode_id}: ran checkpoint sha256 {recorded[:12]}…, {rig.policy.spec.checkpoint} is "
+            f"{came[:12]}…; put the file that ran in its place, or change the checkpoint on purpose"
+        )
+
+
+def _other_than_recorded(facts: Mapping[str, Any], rig: Rig) -> Iterator[str]:
+    recorded = {**facts.get("robot_facts", {}), "runtime": facts.get("policy", {}).get("runtime")}
+    present = {**rig.robot.facts(), "runtime": rig.policy.spec.runtime}
+    for name in ("mujoco", "model_sha256", "mass_kg", "physics_dt_s", "control_dt_s", "runtime"):
+        if recorded.get(name) is not None and recorded[name] != present.get(name):
+            yield f"{name}: recorded {recorded[name]}, here {present.get(name)}"
+
+
+def _compare(reader: EpisodeReader, control: ControlStep, rig: Rig, report: Resimulation) -> None:
+    run = _Run(control, rig.period_s, report)
+    joiner = StepJoiner(report.robot, results=(keys.policy_timing, keys.command_gate))
+    key = control.inlet.form.key
+    began = time.perf_counter()
+    for message in reader.messages(joiner.topics | {key, keys.EVENT}):
+        if message.topic == key:
+            run.hear(message)
+        elif message.topic == keys.EVENT and run.ends_with(message):
+            break
+        step = joiner.feed(message)
+        if step is not None:
+            run.take(step)
+    for step in joiner.finish():
+        run.take(step)
+    report.seconds = time.perf_counter() - began
+    report.speed_x_realtime = (report.steps + report.warm_up_steps) * rig.period_s / max(report.seconds, 1e-9)
+
+
+@dataclass
+class _Run:
+    """The new run, one recorded step at a time."""
+
+    control: ControlStep
+    period_s: float
+    report: Resimulation
+    _commands: dict[int, bytes] = field(default_factory=dict)
+    _foreign: bytes | None = None
+    _sample: CommandSample | None = None
+    _count: int = 0
+
+    def hear(self, message: Message) -> None:
+        """Take up a recorded command."""
+        if not message.channel.is_native:
+            self._foreign = message.data
+            return
+        self._commands[message.sequence] = message.data
+        if len(self._commands) > _REMEMBERED:
+            del self._commands[next(iter(self._commands))]
+
+    def ends_with(self, message: Message) -> bool:
+        """Whether an event is one that no command explains; counts the recorded falls."""
+        try:
+            name = codec.parse_json(message.data).get("name")
+        except (codec.BadValue, AttributeError):
+            return False
+        self.report.recorded_falls += name == "fall"
+        if name in _ENDS:
+            self.report.ended_by = str(name)
+        return name in _ENDS
+
+    def take(self, step: Step) -> None:
+        """Run one step on what the recorded one was given, and compare the states before it."""
+        timing = _integers(step.values.get(keys.policy_timing(self.report.robot)))
+        if timing is None:
+            return
+        if self._count == 0:
+            self._warm_up(timing[_TICK] - 1)
+        now_s = self._now_s(timing, _gate(step.values.get(keys.command_gate(self.report.robot))))
+        state = self.control.sense()
+        record = self.control.step(state, self._heard(timing, now_s), now_s)
+        self._note(step, record)
+        self._count += 1
+
+    def _now_s(self, timing: list[int], gate: Mapping[str, Any]) -> float:
+        """Return the instant that the gate was told: of the tick, or found again from the age that it reported."""
+        if self.report.lock_step:
+            return (timing[_TICK] - 1) * self.period_s
+        age_s = gate.get("age_s")
+        if timing[_ARRIVED] and isinstance(age_s, (int, float)):
+            return timing[_ARRIVED] * 1e-9 + age_s
+        return timing[_READ] * 1e-9
+
+    def _warm_up(self, steps: int) -> None:
+        for tick in range(steps):
+            self.control.step(self.control.sense(), None, tick * self.period_s if self.report.lock_step else 0.0)
+        self.report.warm_up_steps = steps
+
+    def _heard(self, timing: list[int], now_s: float) -> CommandSample | None:
+        """Return the command that the recorded step used: the same object as before when it was the same."""
+        seq, arrived_ns = timing[_SEQ], timing[_ARRIVED]
+        value = self._commands.get(seq) if seq else self._foreign
+        if value is None or (not seq and not arrived_ns):
+            return self._sample
+        before = self._sample
+        if before is None or (before.seq, before.arrived_ns, before.value) != (seq, arrived_ns, value):
+            arrived_s = now_s if self.report.lock_step else arrived_ns * 1e-9
+            self._sample = CommandSample(
+                value, arrived_s if arrived_ns else None, written_ns=timing[_WRITTEN], arrived_ns=arrived_ns, seq=seq
+            )
+        return self._sample
+
+    def _note(self, step: Step, record: StepRecord) -> None:
+        report, robot = self.report, self.report.robot
+        report.fell = report.fell or record.fall is not None
+        gate = _gate(step.values.get(keys.command_gate(robot)))
+        report.gates_different += gate.get("state") != record.decision.state
+        recorded = step.values.get(keys.robot_state(robot))
+        if recorded is None:
+            return
+        q = codec.parse_f64(recorded)[: len(record.state.q)]
+        report.steps += 1
+        if q.tobytes() != record.state.q.tobytes():
+            report.different += 1
+            report.first_different = self._count if report.first_different is None else report.first_different
+            report.max_q_difference_rad = max(report.max_q_difference_rad, float(np.abs(q - record.state.q).max()))
+        truth = step.values.get(keys.sim_qpos(robot))
+        if truth is not None and record.state.root_pos is not None:
+            gap = float(np.abs(codec.parse_f64(truth)[:3] - record.state.root_pos).max())
+            report.max_root_difference_m = max(report.max_root_difference_m or 0.0, gap)
+
+
+def _integers(data: bytes | None) -> list[int] | None:
+    if data is None:
+        return None
+    try:
+        numbers = msgspec.json.decode(data, type=list[int])
+    except msgspec.DecodeError:
+        return None
+    return numbers if len(numbers) > _READ else None
+
+
+def _gate(data: bytes | None) -> dict[str, Any]:
+    try:
+        value = codec.parse_json(data or b"{}")
+    except codec.BadValue:
+        return {}
+    return value if isinstance(value, dict) else {}

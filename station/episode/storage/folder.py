@@ -1,0 +1,134 @@
+"""Where episodes live: ``DATA/<task>/<episode_id>``; how a new one gets its number and an old one is found."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from pathlib import Path
+
+from station.bus import keys
+from station.episode.storage import layout
+from station.episode.storage.records import metadata_at_head
+from station.errors import EpisodeError, did_you_mean
+
+DATA_VARIABLE = "STATION_DATA"
+LATEST = "latest"
+
+_SHORT_NAMES = {keys.TWIST2_ROBOT: "g1", keys.TWIST_ROBOT: "g1"}
+_NUMBERED = re.compile(r"\d{4}-\d\d-\d\d-.*-(\d+)")
+_LONGEST_SLUG = 48
+_LONGEST_TIME = 19  # digits of nanoseconds since 1970
+_SHOWN = 5
+
+
+def data_folder(data: Path | None = None) -> Path:
+    """Return the data folder: what was given, else ``$STATION_DATA``, else ``./data``."""
+    return data or Path(os.environ.get(DATA_VARIABLE) or "data")
+
+
+def slug(text: str) -> str:
+    """Return text as part of a file name: small letters, digits, single dashes; never empty, never a path."""
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")[:_LONGEST_SLUG].strip("-") or "untitled"
+
+
+def new_folder(data: Path, task: str, robot: str) -> Path:
+    """Make the folder of a new episode, with the next free number of its task; its name is the episode's id.
+
+    Making the folder is what claims the number, so two recorders never get the same.
+
+    Args:
+        data: The data folder; made when missing.
+        task: Name of the task.
+        robot: Suffix of the robot's keys, "" when none has been heard of.
+
+    Raises:
+        EpisodeError: the folder cannot be made.
+    """
+    parent = data / slug(task)
+    start = f"{time.strftime('%Y-%m-%d')}-{_SHORT_NAMES.get(robot) or slug(robot or 'robot')}-{slug(task)}"
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        number = 1 + max((_number(entry.name) for entry in parent.iterdir()), default=0)
+        while True:
+            folder = parent / f"{start}-{number:04d}"
+            try:
+                folder.mkdir()
+                return folder
+            except FileExistsError:
+                number += 1
+    except OSError as error:
+        raise EpisodeError(
+            f"data folder {data}: cannot make an episode in it: {error.strerror}; name another with --data"
+        ) from error
+
+
+def find_episodes(data: Path | None = None) -> list[Path]:
+    """Return the folders of all episodes of a data folder, oldest first."""
+    base = data_folder(data)
+    found = [folder for folder in base.glob("*/*/") if _is_episode(folder)]
+    return sorted(found, key=lambda folder: (started_ns(folder), folder.name))
+
+
+def resolve(episode: str | Path, data: Path | None = None) -> Path:
+    """Return the folder (or file) of an episode named by path, id, unique beginning of an id, or ``latest``.
+
+    Raises:
+        EpisodeError: not found, or ambiguous; says what comes close.
+    """
+    path = Path(episode)
+    is_there = os.path.exists(path)  # pathlib's raises for a name that is too long for any file
+    if is_there and (path.is_file() or (path.is_dir() and _is_episode(path))):
+        return path
+    base, name = data_folder(data), str(episode)
+    episodes = find_episodes(base)
+    if name == LATEST and episodes:
+        return episodes[-1]
+    exact = [folder for folder in episodes if folder.name == name]
+    found = exact or [folder for folder in episodes if folder.name.startswith(name)]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        listed = ", ".join(folder.name for folder in found[:_SHOWN]) + (", …" if len(found) > _SHOWN else "")
+        raise EpisodeError(f"episode {name!r}: {len(found)} episodes in {base} fit: {listed}; write more of the id")
+    if is_there and path.is_dir():
+        raise EpisodeError(f"{path}: no episode: expected {layout.SIGNALS} or {layout.ACTIVE} in it")
+    known = [folder.name for folder in episodes]
+    raise EpisodeError(
+        f"episode {name!r}: not found in {base}, which holds {len(known)} episodes{did_you_mean(name, known)}; "
+        "`station episodes list` shows them, --data names another folder"
+    )
+
+
+def signals_file(episode: Path) -> Path:
+    """Return the MCAP file of an episode's folder, finished or not; a file is returned as it is.
+
+    Raises:
+        EpisodeError: the folder has none.
+    """
+    if episode.is_file():
+        return episode
+    for name in (layout.SIGNALS, layout.ACTIVE):
+        if (episode / name).is_file():
+            return episode / name
+    raise EpisodeError(f"{episode}: no signals in it: expected {layout.SIGNALS} or {layout.ACTIVE}")
+
+
+def _is_episode(folder: Path) -> bool:
+    return any((folder / name).is_file() for name in (layout.MANIFEST, layout.SIGNALS, layout.ACTIVE))
+
+
+def _number(name: str) -> int:
+    match = _NUMBERED.fullmatch(name)
+    return int(match.group(1)) if match else 0
+
+
+def started_ns(folder: Path) -> int:
+    """Return when an episode was started [ns since the epoch]: by its own clock, else by the age of its file."""
+    for name in (layout.SIGNALS, layout.ACTIVE, layout.MANIFEST):
+        file = folder / name
+        if file.is_file():
+            wall_ns = metadata_at_head(file, layout.ANCHOR_RECORD).get("wall_ns", "")
+            is_time = wall_ns.isdecimal() and len(wall_ns) <= _LONGEST_TIME
+            return int(wall_ns) if is_time else file.stat().st_mtime_ns
+    return 0

@@ -1,0 +1,198 @@
+"""The parts of a manifest, one struct each; `station.episode.storage.manifest` puts them together."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from station.episode.storage.anchor import Anchor
+
+
+class Task(msgspec.Struct, kw_only=True):
+    """What was to be done: short name as given, and the instruction in words."""
+
+    name: str = "untitled"
+    instruction: str = ""
+
+
+class Operator(msgspec.Struct, kw_only=True):
+    """Who commanded the robot, and through what.
+
+    Attributes:
+        interface: Command source, for example ``motion`` or ``pico``.
+        id: Name or number of the person.
+        details: Anything else that the request said of them.
+    """
+
+    interface: str = ""
+    id: str = ""
+    details: dict[str, Any] = {}
+
+
+class Robot(msgspec.Struct, kw_only=True):
+    """The robot: suffix of its keys, and what its server said of it (model, hash, hands, network, mode)."""
+
+    suffix: str = ""
+    facts: dict[str, Any] = {}
+
+
+class Policy(msgspec.Struct, kw_only=True):
+    """The policy, as its server stated it before the first message.
+
+    Attributes:
+        server: The low-level server that ran it.
+        name, checkpoint, sha256, runtime, command: As in `station.protocols.PolicySpec`.
+        rate_hz: Rate of its loop [Hz].
+        facts: Everything that the server said of it, gains and joint names included.
+    """
+
+    server: str = ""
+    name: str = ""
+    checkpoint: str = ""
+    sha256: str = ""
+    runtime: str = ""
+    command: str = ""
+    rate_hz: float | None = None
+    facts: dict[str, Any] = {}
+
+
+class Stream(msgspec.Struct, kw_only=True):
+    """One channel of the recording: one key as one source wrote it.
+
+    Attributes:
+        key: Key on the bus.
+        source: Source of a native writer (``name.pid.boot.token``), "" for a foreign one.
+        writer: Server name, or ``foreign``.
+        role: Role by contract, or ``unknown``.
+        contract: Whether the key has one; its text is in the MCAP channel.
+        encoding: ``json``, ``application/octet-stream``, or ``application/x-deleted``.
+        count: Messages in the file.
+        lost: Sequence numbers of this source that are not in the file, between its first and its last, without as many
+            as the recorder dropped.
+        dropped: Writes that the recorder saw and did not keep, because the disk was too slow.
+        dropped_bulky: How many of those were images or other bulky values, which go first.
+        repeated: Messages whose sequence number did not grow.
+        rate_hz: Mean rate between the first and the last message; None for fewer than two.
+        longest_gap_s: Longest time between two messages [s]; None for fewer than two.
+        first_s, last_s: Arrival of the first and last message, relative to the start of the episode [s].
+    """
+
+    key: str
+    source: str = ""
+    writer: str = "foreign"
+    role: str = "unknown"
+    contract: bool = False
+    encoding: str = ""
+    count: int = 0
+    lost: int = 0
+    dropped: int = 0
+    dropped_bulky: int = 0
+    repeated: int = 0
+    rate_hz: float | None = None
+    longest_gap_s: float | None = None
+    first_s: float | None = None
+    last_s: float | None = None
+
+
+class Timing(msgspec.Struct, kw_only=True):
+    """When, and on which clocks.
+
+    Attributes:
+        started: ISO 8601 with offset, of the start request.
+        ended: The same of the end, "" while recording.
+        anchor: The clock of every log time in the file; None only in a manifest that is not ours.
+        preroll_s: How long before the start request the first message came [s].
+        duration_s: From the start request to the end [s]; None while recording.
+        clock_offsets: Offsets to other hosts' clocks, where somebody measured them [s].
+    """
+
+    started: str = ""
+    ended: str = ""
+    anchor: Anchor | None = None
+    preroll_s: float = 0.0
+    duration_s: float | None = None
+    clock_offsets: dict[str, float] = {}
+
+
+class Event(msgspec.Struct, kw_only=True):
+    """One event of the bus: when it arrived [s from the start], its name, severity, source, and its numbers."""
+
+    at_s: float
+    name: str
+    severity: str = "info"
+    source: str = ""
+    numbers: dict[str, Any] = {}
+
+
+class Mark(msgspec.Struct, kw_only=True):
+    """Something that the operator marked: when [s from the start], and the label."""
+
+    at_s: float
+    label: str = ""
+
+
+class Hole(msgspec.Struct, kw_only=True):
+    """A span of which writes are missing, or may be.
+
+    Attributes:
+        from_s, to_s: From when to when [s from the start].
+        reason: Why.
+        lost: Writes that are missing there by the sequence numbers of those who number them; None until it is known.
+    """
+
+    from_s: float
+    to_s: float | None = None
+    reason: str = ""
+    lost: int | None = None
+
+
+class QualityFlags(msgspec.Struct, kw_only=True):
+    """Verdicts of people and of events.
+
+    Attributes:
+        success: What the operator said; None when nobody did.
+        falls: Number of ``fall`` events.
+        operator_reset: Whether the operator reset the robot or an e-stop during the episode.
+        estop: Whether an e-stop was pressed.
+        discarded: Marked as not to be used. Discarding never deletes.
+    """
+
+    success: bool | None = None
+    falls: int = 0
+    operator_reset: bool = False
+    estop: bool = False
+    discarded: bool = False
+
+
+class Recorder(msgspec.Struct, kw_only=True):
+    """How it was recorded.
+
+    Attributes:
+        backend: Tap that was used: ``replication``, ``notifications`` or ``poll``.
+        is_lossless: Whether that tap can promise every write.
+        bus: Address of the bus, without credentials.
+        restarts: How often a recorder took this episode up again.
+        messages, bytes: Messages in the file, and its size on disk.
+        dropped: Writes that arrived and could not be kept (full queue, failed disk, too many keys).
+        not_mirrored: Commands that changed a key without carrying its whole value (APPEND, HSET, …), by anybody.
+        lag_p50_ms, lag_p99_ms: From arrival of a write to its place in the file [ms].
+        software: Version and revision of the recorder's code.
+        config: Its configuration.
+        ended_by: Why the episode ended: ``stop``, ``discard``, ``shutdown``, ``bus-lost``, ``disk-full``, ``killed``
+            (repaired) or a disk error.
+    """
+
+    backend: str = ""
+    is_lossless: bool = False
+    bus: str = ""
+    restarts: int = 0
+    messages: int = 0
+    bytes: int = 0
+    dropped: int = 0
+    not_mirrored: int = 0
+    lag_p50_ms: float | None = None
+    lag_p99_ms: float | None = None
+    software: dict[str, Any] = {}
+    config: dict[str, Any] = {}
+    ended_by: str = ""

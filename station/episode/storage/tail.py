@@ -1,0 +1,220 @@
+"""The end of an MCAP file: its index, made from the records that are there.
+
+A file whose writer was killed and went on in another process, or that is made from what is whole of a torn one, has
+nobody who remembers its beginning. So its index is made anew, from the headers of the chunks and from the message
+indexes behind them; nothing is decompressed.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Statistics,
+    SummaryOffset,
+)
+
+from station.episode.storage.records import MAGIC
+
+HEAD = struct.Struct("<BQ")
+_CHUNK = struct.Struct("<QQQIL")
+_INDEX = struct.Struct("<HL")
+_FOOTER = struct.Struct("<BQQQ")
+_FOOTER_LENGTH = 20
+_ENTRY_SIZE = 16  # of a message index: log time and offset
+_LAST_OPCODE = max(Opcode)
+_RECORD_SIZE = 200  # bytes of memory of a small one, roughly
+
+
+class Place(NamedTuple):
+    """A record: what it is, where it begins, and its length with its head."""
+
+    opcode: int
+    offset: int
+    length: int
+
+    @property
+    def end(self) -> int:
+        """Where the next record begins."""
+        return self.offset + self.length
+
+
+def whole_records(file: BinaryIO, size: int, start: int = len(MAGIC)) -> Iterator[Place]:
+    """Iterate over the records of a file from `start` up to `size`, or to the first that is not whole.
+
+    The caller may read in the file in between.
+    """
+    position = start
+    while position + HEAD.size <= size:
+        file.seek(position)
+        opcode, length = HEAD.unpack(file.read(HEAD.size))
+        place = Place(opcode, position, HEAD.size + length)
+        if not 0 < opcode <= _LAST_OPCODE or place.end > size:  # zeros are blocks that were never written
+            return
+        yield place
+        position = place.end
+
+
+def body(file: BinaryIO, place: Place) -> bytes:
+    """Return the bytes of a record without its head."""
+    file.seek(place.offset + HEAD.size)
+    return file.read(place.length - HEAD.size)
+
+
+class Index:
+    """What the summary of a file says.
+
+    The chunks' part is kept as the bytes that the file will have: there are tens of thousands in an hour.
+
+    Attributes:
+        attachments, metadata: Where those records are.
+    """
+
+    def __init__(self) -> None:
+        self.attachments: list[AttachmentIndex] = []
+        self.metadata: list[MetadataIndex] = []
+        self._chunks = bytearray()
+        self._chunk_count = 0
+        self._span_ns: tuple[int, int] | None = None
+        self._counts: Counter[int] = Counter()
+        self._open: ChunkIndex | None = None  # of a file that is read: its message indexes follow the chunk
+
+    @property
+    def size(self) -> int:
+        """Bytes of memory that it takes, roughly."""
+        return len(self._chunks) + _RECORD_SIZE * (len(self.attachments) + len(self.metadata))
+
+    def add(self, chunk: ChunkIndex, counts: Mapping[int, int]) -> None:
+        """Note a chunk, and how many messages of each channel it holds."""
+        builder = RecordBuilder()
+        chunk.write(builder)
+        self._chunks += builder.end()
+        self._chunk_count += 1
+        start_ns, end_ns = self._span_ns or (chunk.message_start_time, chunk.message_end_time)
+        self._span_ns = min(start_ns, chunk.message_start_time), max(end_ns, chunk.message_end_time)
+        for channel, count in counts.items():
+            self._counts[channel] += count
+
+    def take(self, file: BinaryIO, place: Place) -> None:
+        """Note a record of a file that is gone through."""
+        if place.opcode == Opcode.CHUNK:
+            self._take_chunk(file, place)
+        elif place.opcode == Opcode.MESSAGE_INDEX and self._open is not None:
+            channel, length = _INDEX.unpack(file.read(_INDEX.size))
+            self._counts[channel] += length // _ENTRY_SIZE
+            self._open.message_index_offsets[channel] = place.offset
+            self._open.message_index_length += place.length
+        elif place.opcode == Opcode.ATTACHMENT:
+            found = Attachment.read(ReadDataStream(BytesIO(body(file, place))))
+            self.attachments.append(
+                AttachmentIndex(
+                    offset=place.offset,
+                    length=place.length,
+                    log_time=found.log_time,
+                    create_time=found.create_time,
+                    data_size=len(found.data),
+                    name=found.name,
+                    media_type=found.media_type,
+                )
+            )
+        elif place.opcode == Opcode.METADATA:
+            name = Metadata.read(ReadDataStream(BytesIO(body(file, place)))).name
+            self.metadata.append(MetadataIndex(offset=place.offset, length=place.length, name=name))
+
+    def closing_bytes(self, channels: Sequence[Channel], size: int) -> bytes:
+        """Return what must be appended to a file of so many bytes, all of them noted, to make it a finished one."""
+        self._end_chunk()
+        builder = RecordBuilder()
+        DataEnd(0).write(builder)
+        data_end: bytes = builder.end()
+        return data_end + self._summary(channels, size + len(data_end)) + MAGIC
+
+    def _take_chunk(self, file: BinaryIO, place: Place) -> None:
+        self._end_chunk()
+        start_ns, end_ns, size, _, name_length = _CHUNK.unpack(file.read(_CHUNK.size))
+        compression = file.read(name_length).decode("ascii", "replace")
+        (compressed,) = struct.unpack("<Q", file.read(8))
+        self._open = ChunkIndex(
+            message_start_time=start_ns,
+            message_end_time=end_ns,
+            chunk_start_offset=place.offset,
+            chunk_length=place.length,
+            message_index_offsets={},
+            message_index_length=0,
+            compression=compression,
+            compressed_size=compressed,
+            uncompressed_size=size,
+        )
+
+    def _end_chunk(self) -> None:
+        if self._open is not None:
+            self.add(self._open, {})
+            self._open = None
+
+    def _statistics(self, channels: int) -> Statistics:
+        start_ns, end_ns = self._span_ns or (0, 0)
+        return Statistics(
+            attachment_count=len(self.attachments), channel_count=channels, channel_message_counts=dict(self._counts),
+            chunk_count=self._chunk_count, message_count=self._counts.total(), metadata_count=len(self.metadata),
+            message_start_time=start_ns, message_end_time=end_ns, schema_count=0,
+        )  # fmt: skip
+
+    def _summary(self, channels: Sequence[Channel], start: int) -> bytes:
+        builder, offsets = RecordBuilder(), []
+        groups: list[tuple[Opcode, bytes | bytearray]] = [
+            (Opcode.CHANNEL, _written(channels)),
+            (Opcode.STATISTICS, _written([self._statistics(len(channels))])),
+            (Opcode.CHUNK_INDEX, self._chunks),
+            (Opcode.ATTACHMENT_INDEX, _written(self.attachments)),
+            (Opcode.METADATA_INDEX, _written(self.metadata)),
+        ]
+        for opcode, records in groups:
+            if records:
+                group = SummaryOffset(group_opcode=opcode, group_start=start + builder.count, group_length=len(records))
+                offsets.append(group)
+            builder.write(records)
+        offset_start = start + builder.count
+        builder.write(_written(offsets))
+        summary: bytes = builder.end()
+        checked = zlib.crc32(_FOOTER.pack(Opcode.FOOTER, _FOOTER_LENGTH, start, offset_start), zlib.crc32(summary))
+        footer = Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=checked)
+        return summary + _written([footer])
+
+
+def closing_bytes(path: Path, channels: Sequence[Channel]) -> bytes:
+    """Return what must be appended to a file that ends with a whole record, to make it a finished one.
+
+    Args:
+        path: The file; read, not changed.
+        channels: Every channel that its chunks define.
+    """
+    index, size = Index(), path.stat().st_size
+    with path.open("rb") as file:
+        for place in whole_records(file, size):
+            index.take(file, place)
+    return index.closing_bytes(channels, size)
+
+
+def _written(records: Sequence[McapRecord]) -> bytes:
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    made: bytes = builder.end()
+    return made

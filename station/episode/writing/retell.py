@@ -1,0 +1,149 @@
+"""What a manifest says of the messages: told live as they arrive, and told again from the file after a recorder died.
+
+Everything here follows from the messages alone, so a recorder that takes an episode up again, and a repair, come to
+the same words as the recorder that was killed.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+from mcap.records import Channel
+
+from station.bus import codec, keys
+from station.episode.storage import layout
+from station.episode.storage import manifest as manifests
+from station.episode.storage.anchor import Anchor
+from station.episode.storage.manifest import Event, Manifest, Mark
+from station.episode.storage.records import RawMessage
+from station.episode.storage.request import RecordRequest, parse_request, request_id
+from station.episode.writing.checkpoint import Told
+from station.episode.writing.heard import MAX_SERVERS, is_motion, json_object, note_motion
+from station.errors import Refused
+
+_LONGEST_EVENT = 8192  # bytes; a longer one stands in the signals, the manifest says how long
+_MOST_NUMBERS = 100  # likewise: a manifest that holds too many values cannot be read any more
+_MOST_REQUESTS = 256  # the newest; a request is sent again for some seconds at most
+_EVENT_FIELDS = ("name", "severity", "source", "wall_ns", "detail")
+
+
+def note_event(manifest: Manifest | Told, value: bytes, at_s: float) -> None:
+    """Put an event into a manifest; `at_s` is its arrival from the start of the episode [s]."""
+    facts = json_object(value) or {"name": "undecodable", "severity": "warning"}
+    is_short = len(value) <= _LONGEST_EVENT and codec.is_modest(facts, values=_MOST_NUMBERS)
+    event = Event(
+        at_s=at_s,
+        name=str(facts.get("name", "unnamed")),
+        severity=str(facts.get("severity", "info")),
+        source=str(facts.get("source", "")),
+        numbers=_numbers(facts) if is_short else {"bytes": len(value)},
+    )
+    if at_s >= 0:
+        flags = manifest.quality_flags
+        flags.falls += event.name == "fall"
+        flags.operator_reset |= event.name == "operator-reset"
+        flags.estop |= event.name == "estop"
+    if len(manifest.events) < manifests.MAX_EVENTS:
+        manifest.events.append(event)
+    else:
+        manifest.events_not_listed += 1
+
+
+def note_mark(manifest: Manifest | Told, label: str, at_s: float, success: bool | None) -> bool:
+    """Put a mark into a manifest; False when there are too many already."""
+    if len(manifest.marks) >= manifests.MAX_MARKS:
+        return False
+    manifest.marks.append(Mark(at_s=at_s, label=label))
+    if success is not None:
+        manifest.quality_flags.success = success
+    return True
+
+
+class Retelling:
+    """Takes the messages of a file in order and tells what follows from them.
+
+    Attributes:
+        told: What they told so far.
+    """
+
+    def __init__(self, anchor: Anchor, told: Told | None = None) -> None:
+        """Begin with the first message of a file with a clock, or go on behind what was told."""
+        self.told = told or Told()
+        self._anchor = anchor
+        self._wanted: dict[int, bool] = {}
+
+    def take(self, message: RawMessage, channel: Channel) -> None:
+        """Take in one message."""
+        wanted = self._wanted.get(message.channel_id)
+        if wanted is None:
+            wanted = self._wanted[message.channel_id] = is_told(channel.topic, channel.message_encoding)
+        if wanted:
+            self.note(channel.topic, message.data, message.log_ns)
+
+    def note(self, key: str, value: bytes, log_ns: int) -> None:
+        """Take in the value of a key that `is_told`."""
+        at_s = round((log_ns - self._anchor.wall_ns) * 1e-9, 6)
+        if key == keys.EVENT:
+            note_event(self.told, value, at_s)
+        elif key == keys.RECORD:
+            self._request(value, at_s)
+        elif is_motion(key):
+            note_motion(self.told, key, value)
+        elif (facts := json_object(value)) is not None:
+            name = key.removeprefix(keys.CONFIG_PREFIX)
+            if name in self.told.servers or len(self.told.servers) < MAX_SERVERS:
+                self.told.servers[name] = facts
+
+    def apply(self, manifest: Manifest, first_ns: int) -> None:
+        """Have a manifest say what the messages say: it was saved before, or after, what the file holds.
+
+        Args:
+            manifest: It is changed.
+            first_ns: Log time of the first message [ns]; 0 without messages.
+        """
+        told = self.told
+        manifest.events, manifest.marks, manifest.motions = list(told.events), list(told.marks), list(told.motions)
+        manifest.events_not_listed = told.events_not_listed
+        manifest.quality_flags = msgspec.structs.replace(told.quality_flags)
+        manifest.servers = {**manifest.servers, **told.servers}
+        if first_ns:
+            manifest.timing.preroll_s = max(0.0, round((self._anchor.wall_ns - first_ns) * 1e-9, 6))
+
+    def _request(self, value: bytes, at_s: float) -> None:
+        asker = request_id(value)
+        if asker is None or asker in self.told.requests or at_s < 0:
+            return
+        self.told.requests.append(asker)
+        del self.told.requests[:-_MOST_REQUESTS]
+        try:
+            request = parse_request(value)
+        except Refused:  # it was refused then as well
+            return
+        if request.action == "mark":
+            note_mark(self.told, request.label, at_s, request.success)
+        elif request.action in ("stop", "discard"):
+            self._end(request, at_s)
+
+    def _end(self, request: RecordRequest, at_s: float) -> None:
+        flags = self.told.quality_flags
+        self.told.ending = request
+        if request.success is not None:
+            flags.success = request.success
+        if request.action == "discard":
+            flags.discarded = True
+            if request.label:
+                note_mark(self.told, f"discarded: {request.label}", at_s, None)
+
+
+def is_told(key: str, encoding: str) -> bool:
+    """Whether a manifest says something of the values of a key."""
+    is_of_interest = key in (keys.EVENT, keys.RECORD) or is_motion(key) or key.startswith(keys.CONFIG_PREFIX)
+    return is_of_interest and encoding != layout.DELETED
+
+
+def _numbers(facts: dict[str, Any]) -> dict[str, Any]:
+    """Return the detail of an event, and whatever a foreign writer put beside it."""
+    beside = {name: value for name, value in facts.items() if name not in _EVENT_FIELDS}
+    detail = facts.get("detail", {})
+    return {**beside, **(detail if isinstance(detail, dict) else {"detail": detail})}

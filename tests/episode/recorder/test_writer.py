@@ -1,0 +1,226 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+import pytest
+from mcap.reader import make_reader
+
+from station.bus import keys
+from station.bus.contracts import Contract
+from station.bus.stamp import Stamp
+from station.bus.tap import Position, Write
+from station.episode.reading.reader import open_episode
+from station.episode.recorder.writer import EpisodeWriter
+from station.episode.storage.anchor import Anchor, take_anchor
+from station.episode.storage.manifest import Manifest, Task, load_manifest
+from station.episode.storage.progress import Totals, WriterOptions, load_resume_point
+from station.episode.writing import signals
+from tests.episode.writes import Native, foreign
+from tests.waiting import wait_until
+
+BODY = keys.action_body()
+ANCHOR = Anchor(wall_ns=1_795_000_000_000_000_000, mono_ns=time.monotonic_ns(), boot=take_anchor().boot)
+
+
+def writer_in(folder: Path, **options: float) -> EpisodeWriter:
+    manifest = Manifest(episode_id=folder.name, task=Task(name="walk"))
+    return EpisodeWriter(folder, anchor=ANCHOR, manifest=manifest, options=WriterOptions(**options))  # type: ignore[arg-type]
+
+
+def closed(writer: EpisodeWriter) -> Totals:
+    totals: list[Totals] = []
+
+    def closing(found: Totals) -> Manifest:
+        totals.append(found)
+        return Manifest(episode_id=writer.folder.name, state="finished", streams=found.streams)
+
+    writer.finish(closing)
+    assert writer.wait(30.0)
+    assert writer.state == "finished", writer.error
+    return totals[0]
+
+
+def test_every_byte_every_number_and_every_stamp_is_in_the_file(tmp_path: Path) -> None:
+    g1, binary = Native(), bytes(range(256)) * 240
+    writes = [g1.write(BODY, json.dumps([n, 0.5]).encode(), capture_ns=n) for n in range(500)]
+    writes += [g1.write(keys.robot_state("g1"), binary), foreign(BODY, b"[7]"), foreign("unknown\xff", b"\x00\xff")]
+    writer = writer_in(tmp_path)
+    writer.put(writes)
+    totals = closed(writer)
+    reader = open_episode(tmp_path)
+    messages = list(reader.messages(stamps=True))
+    assert [(m.topic, m.data) for m in messages] == [(w.key, w.value) for w in writes]
+    assert [m.stamp for m in messages] == [w.stamp for w in writes]
+    assert [m.sequence for m in messages] == [*range(1, 501), 1, 1, 1]
+    assert totals.messages == 503
+    assert totals.dropped == 0
+    assert reader.torn is None
+    assert not reader.is_active
+
+
+def test_times_hang_on_the_anchor_of_the_episode(tmp_path: Path) -> None:
+    g1 = Native()
+    native = g1.write(BODY, b"[1]", written_ns=ANCHOR.mono_ns + 5_000_000)
+    elsewhere = Stamp(9, 123, ANCHOR.wall_ns + 77, "pico.1.00000000.beef").encode()
+    other_boot = Write(BODY, b"[2]", elsewhere, ANCHOR.mono_ns + 6_000_000)
+    plain = Write("plain", b"1", None, ANCHOR.mono_ns - 2_000_000)
+    writer = writer_in(tmp_path)
+    writer.put([native, other_boot, plain])
+    closed(writer)
+    times = [(m.log_ns - ANCHOR.wall_ns, m.publish_ns - ANCHOR.wall_ns) for m in open_episode(tmp_path).messages()]
+    assert times == [(5_100_000, 5_000_000), (6_000_000, 77), (-2_000_000, -2_000_000)]
+
+
+def test_the_library_and_rerun_read_the_file_and_channels_tell_contract_and_writer(tmp_path: Path) -> None:
+    g1 = Native()
+    writer = writer_in(tmp_path)
+    writer.put(
+        [g1.write(BODY, b"[1, 2]"), foreign(BODY, b"[3]"), foreign("mystery", b"\x80"), foreign("mystery", None)]
+    )
+    closed(writer)
+    with (tmp_path / "signals.mcap").open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        found = {
+            (c.topic, c.message_encoding, c.metadata["writer"], c.metadata["source"]): c.metadata["contract"]
+            for c in summary.channels.values()
+        }
+        assert reader.get_header().profile == "teleop-station"
+        assert sum(1 for _ in reader.iter_messages(topics=[BODY])) == 2
+        assert {record.name for record in reader.iter_metadata()} == {
+            "station.anchor", "station.episode", "station.summary",
+        }  # fmt: skip
+        assert [attachment.name for attachment in reader.iter_attachments()] == ["manifest.yaml"] * 2
+    assert msgspec.json.decode(found[BODY, "json", "g1", g1.source], type=Contract).key == BODY
+    assert found[BODY, "json", "foreign", ""] == found[BODY, "json", "g1", g1.source]
+    assert found["mystery", "application/octet-stream", "foreign", ""] == "none"
+    assert found["mystery", "application/x-deleted", "foreign", ""] == "none"
+    checked = subprocess.run(
+        [Path(sys.executable).with_name("rerun"), "mcap", "check", tmp_path / "signals.mcap"],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+
+
+def test_gaps_in_sequence_numbers_count_as_lost(tmp_path: Path) -> None:
+    g1 = Native()
+    writes = [g1.write(BODY, b"[0]")]
+    g1.skip(BODY)
+    g1.skip(BODY)
+    writes += [g1.write(BODY, b"[0]"), g1.write(BODY, b"[0]")]
+    writer = writer_in(tmp_path)
+    writer.put([*writes, writes[-1]])
+    (stream,) = closed(writer).streams
+    assert (stream.count, stream.lost, stream.repeated) == (4, 2, 1)
+
+
+def test_what_only_looks_like_a_stamp_is_kept_beside_the_value(tmp_path: Path) -> None:
+    writer = writer_in(tmp_path)
+    odd = [b"1 2", b"1 2 3 a.1.b.c\n5 6 7 b.1.b.c", b"-1 99999999999999999999999 3 x.1.b.c", b"x y z w"]
+    writer.put([Write("k", b"v%d" % n, stamp, time.monotonic_ns()) for n, stamp in enumerate(odd)])
+    closed(writer)
+    found = open_episode(tmp_path).collect(["k", "k@"])
+    assert [m.data for m in found["k"]] == [b"v0", b"v1", b"v2", b"v3"]
+    kept = {m.data for m in found["k@"]}
+    assert {odd[0], odd[1], odd[3]} <= kept
+
+
+def test_the_place_of_the_tap_is_saved_with_every_flush_and_gone_at_the_end(tmp_path: Path) -> None:
+    writer = writer_in(tmp_path, flush_s=0.02)
+    writer.put([foreign("a", b"1")], position=Position("id", 100, 0))
+    wait_until(lambda: load_resume_point(tmp_path) is not None)
+    writer.put([foreign("a", b"2")], position=Position("id", 250, 0))
+    wait_until(lambda: (point := load_resume_point(tmp_path)) is not None and point.position == Position("id", 250, 0))
+    point = load_resume_point(tmp_path)
+    assert point is not None
+    assert (point.messages, point.size) == (2, (tmp_path / "signals.mcap.active").stat().st_size)
+    closed(writer)
+    assert load_resume_point(tmp_path) is None
+
+
+def test_a_full_queue_drops_and_counts(tmp_path: Path) -> None:
+    writer = writer_in(tmp_path, queue_writes=10)
+    assert writer.put([foreign("a", b"1")] * 11) == 1
+    totals = closed(writer)
+    assert (totals.messages, totals.dropped, totals.streams[0].dropped) == (10, 1, 1)
+    assert writer.put([foreign("a", b"1")]) == 1
+
+
+def test_a_folder_that_vanishes_makes_the_writer_fail_with_a_reason_and_no_exception(tmp_path: Path) -> None:
+    folder = tmp_path / "episode"
+    folder.mkdir()
+    writer = writer_in(folder, flush_s=0.01)
+    writer.put([foreign("a", b"1")])
+    wait_until(lambda: writer.state == "open")
+    for file in folder.iterdir():
+        file.unlink()
+    folder.rmdir()
+    writer.put([foreign("a", b"2")])
+    assert writer.wait(30.0)
+    assert writer.state == "failed"
+    assert "No such file" in writer.error
+    assert "\n" not in writer.error
+    assert writer.put([foreign("a", b"3")]) == 1
+    assert writer.dropped >= 1
+
+
+FULL_DISK = """
+import resource, signal, sys, time
+from pathlib import Path
+from station.episode.writing import signals
+from station.episode.storage.anchor import take_anchor
+from station.episode.storage.manifest import Manifest
+from station.episode.storage.progress import WriterOptions
+from station.episode.recorder.writer import EpisodeWriter
+from station.bus.tap import Write
+import os
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+writer = EpisodeWriter(Path(sys.argv[1]), anchor=take_anchor(), manifest=Manifest(episode_id="e"),
+                       options=WriterOptions(flush_s=0.01))
+put = 0
+while writer.state in ("opening", "open"):
+    writer.put([Write("k", os.urandom(5000), None, time.monotonic_ns())])
+    put += 1
+    time.sleep(0.005)
+writer.wait(10.0)
+print(writer.state, put - writer.dropped, writer.error)
+"""
+
+
+def test_a_full_disk_ends_the_episode_and_keeps_every_whole_flush(tmp_path: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, str(tmp_path)], capture_output=True, text=True, timeout=60, check=True
+    )
+    state, kept, *reason = result.stdout.split()
+    assert state == "failed"
+    assert "File too large" in " ".join(reason)
+    reader = open_episode(tmp_path)
+    assert reader.is_active
+    assert sum(1 for _ in reader.messages()) == int(kept) > 0
+    assert load_manifest(tmp_path).state == "failed"
+
+
+def test_a_disk_that_is_full_from_the_start_leaves_nothing_behind(tmp_path: Path) -> None:
+    folder = tmp_path / "episode"
+    folder.mkdir()
+    (folder / "manifest.yaml").mkdir()  # stands for whatever makes the first write impossible
+    writer = writer_in(folder)
+    assert writer.wait(30.0)
+    assert writer.state == "failed"
+    assert os.listdir(folder) == ["manifest.yaml"]
+
+
+def test_a_client_that_invents_keys_does_not_break_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(signals, "MAX_CHANNELS", 5)
+    writer = writer_in(tmp_path)
+    writer.put([foreign(f"key{n}", b"1") for n in range(9)])
+    totals = closed(writer)
+    assert (totals.messages, totals.dropped) == (5, 4)
+    assert len(open_episode(tmp_path).topics()) == 5

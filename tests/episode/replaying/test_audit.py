@@ -1,0 +1,198 @@
+"""Auditing: equal bits are equal, one flipped bit is found, and what cannot be compared is said in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from station.bus import codec, keys
+from station.episode.reading.reader import open_episode
+from station.episode.replaying.audit import Audit, Comparison, audit
+from station.episode.storage.manifest import load_manifest, save_manifest
+from station.errors import AssetMissing, BadFile, EpisodeError, UnknownName
+from station.protocols import RobotState
+from tests.episode import lock_step
+from tests.episode.linear_policy import LinearPolicy
+from tests.episode.synthetic import ROBOT, STANDING, EpisodeBuilder, command
+
+
+class LinearRun:
+    """Writes steps of the linear policy; a step can be lost, spoilt, or follow a reset."""
+
+    def __init__(self, builder: EpisodeBuilder) -> None:
+        self._builder, self._policy, self._number = builder, LinearPolicy(), 0
+
+    def step(self, *, flip: str = "", lose_state: bool = False, lose_result: bool = False, reset: bool = False) -> None:
+        number, self._number = self._number, self._number + 1
+        at_s = 0.1 + number / 50
+        if reset:
+            self._policy.reset()
+        q, asked = STANDING + 0.01 * np.sin(number), command(height=0.7 + 0.01 * np.cos(number))
+        state = RobotState(0, q, np.zeros(29), np.array([1.0, 0, 0, 0]), np.zeros(3))
+        observation = self._policy.observe(state, asked)
+        action = self._policy.act(observation)
+        measured = np.concatenate([q, np.zeros(29), [1.0, 0, 0, 0], np.zeros(3)])
+        results = {
+            keys.policy_obs(ROBOT): _flipped(codec.f32(observation), flip == "observation"),
+            keys.policy_action(ROBOT): _flipped(codec.f32(action), flip == "action"),
+            keys.command_used(ROBOT): codec.f64(asked),
+        }
+        self._write({keys.robot_state(ROBOT): codec.f64(measured)}, at_s, is_lost=lose_state)
+        self._write(results, at_s + 0.003, is_lost=lose_result)
+
+    def _write(self, values: dict[str, bytes], at_s: float, *, is_lost: bool) -> None:
+        if not is_lost:
+            self._builder.write(values, at_s=at_s)
+            return
+        for key in values:
+            self._builder.skip(key)
+
+
+def _flipped(data: bytes, flip: bool) -> bytes:
+    return bytes([data[0] ^ 1]) + data[1:] if flip else data
+
+
+@pytest.fixture
+def builder(tmp_path: Path) -> EpisodeBuilder:
+    return EpisodeBuilder(tmp_path)
+
+
+def audited(builder: EpisodeBuilder) -> Audit:
+    return audit(open_episode(builder.finish()), policy=LinearPolicy())
+
+
+def test_an_honest_episode_is_equal_bit_for_bit(builder: EpisodeBuilder) -> None:
+    run = LinearRun(builder)
+    for _ in range(50):
+        run.step()
+    found = audited(builder)
+    assert (found.steps, found.different, found.max_abs_difference) == (50, 0, 0.0)
+    assert (found.observations.compared, found.observations.different) == (50, 0)
+    assert found.is_equal
+    assert found.segments == 1
+
+
+@pytest.mark.parametrize("which", ["action", "observation"])
+def test_a_single_flipped_bit_is_found(builder: EpisodeBuilder, which: str) -> None:
+    run = LinearRun(builder)
+    for number in range(50):
+        run.step(flip=which if number == 30 else "")
+    found = audited(builder)
+    spoilt: Any = found if which == "action" else found.observations
+    assert (spoilt.different, spoilt.first_different) == (1, 30)
+    assert 0.0 < spoilt.max_abs_difference < 1e-5
+    assert not found.is_equal
+
+
+def test_a_flipped_observation_shows_in_its_action_and_not_in_later_steps(builder: EpisodeBuilder) -> None:
+    run = LinearRun(builder)
+    for number in range(50):
+        run.step(flip="observation" if number == 30 else "")
+    found = audited(builder)
+    assert found.different <= 1
+    assert found.observations.different == 1
+
+
+@pytest.mark.parametrize("fault", ["lose_state", "lose_result"])
+def test_a_missing_tick_starts_a_new_segment_and_is_no_difference(builder: EpisodeBuilder, fault: str) -> None:
+    run = LinearRun(builder)
+    for number in range(50):
+        run.step(**{fault: number == 20})
+    found = audited(builder)
+    assert found.segments > 1
+    assert found.is_equal
+
+
+def test_a_reset_of_the_policy_is_no_difference(builder: EpisodeBuilder) -> None:
+    run = LinearRun(builder)
+    for number in range(50):
+        run.step(reset=number == 25)
+    assert audited(builder).is_equal
+
+
+def test_an_episode_that_begins_in_mid_run_is_taken_up_where_it_begins(builder: EpisodeBuilder) -> None:
+    run = LinearRun(builder)
+    for number in range(50):
+        run.step(lose_state=number < 10, lose_result=number < 10)
+    found = audited(builder)
+    assert (found.steps, found.is_equal) == (40, True)
+    assert found.observations.compared == 39  # of the first, the past is not known
+
+
+def test_another_policy_is_told_by_the_largest_difference(builder: EpisodeBuilder) -> None:
+    run = LinearRun(builder)
+    for _ in range(10):
+        run.step()
+    found = audit(open_episode(builder.finish()), policy=LinearPolicy(gain=1.001))
+    assert found.different == 10
+    assert 1e-4 < found.max_abs_difference < 1e-1
+
+
+def test_what_is_no_number_differs_by_infinity_from_a_number() -> None:
+    comparison = Comparison()
+    comparison.add(0, np.array([1.0], dtype=np.float32), np.array([np.nan], dtype=np.float32))
+    assert comparison.max_abs_difference == np.inf
+
+
+def test_episode_without_steps_is_refused_in_one_line(builder: EpisodeBuilder) -> None:
+    builder.event("mark", at_s=0.1)
+    with pytest.raises(EpisodeError, match="no policy steps") as caught:
+        audit(open_episode(builder.finish()))
+    assert "\n" not in str(caught.value)
+
+
+def test_episode_that_does_not_name_its_policy_is_refused(builder: EpisodeBuilder) -> None:
+    LinearRun(builder).step()
+    with pytest.raises(EpisodeError, match="does not name the policy"):
+        audit(open_episode(builder.finish()))
+
+
+def _stated(**policy: str) -> dict[str, Any]:
+    facts = {"name": "twist2", "checkpoint": "/nowhere/policy.onnx", "sha256": "0" * 64, **policy}
+    return {"servers": {"g1": {"robot": ROBOT, "policy": facts}}}
+
+
+@pytest.mark.parametrize(
+    ("stated", "error", "words"),
+    [
+        ({}, BadFile, "/nowhere/policy.onnx: no such file"),
+        ({"checkpoint": "twist2:ckpts/none.onnx"}, AssetMissing, "twist2:ckpts/none.onnx"),
+        ({"name": "twist9", "checkpoint": __file__, "sha256": ""}, UnknownName, "twist9"),
+        ({"checkpoint": __file__}, EpisodeError, "ran checkpoint sha256 000000000000…"),
+    ],
+)
+def test_checkpoint_that_cannot_be_used_is_named_in_one_line(
+    builder: EpisodeBuilder, stated: dict[str, str], error: type[Exception], words: str
+) -> None:
+    LinearRun(builder).step()
+    with pytest.raises(error, match=words) as caught:
+        audit(open_episode(builder.finish(_stated(**stated))))
+    assert "\n" not in str(caught.value)
+
+
+def test_on_another_machine_the_checkpoint_is_found_by_the_name_that_its_user_gave(builder: EpisodeBuilder) -> None:
+    folder = lock_step.record(builder, seconds=0.5)
+    manifest = load_manifest(folder)
+    for facts in manifest.servers.values():
+        facts["policy"]["checkpoint"] = "/the/recording/machine/policy.onnx"
+        facts["config"] = {"checkpoint": "builtin:tracker.onnx"}
+    save_manifest(manifest, folder)
+    assert audit(open_episode(folder)).is_equal
+
+
+def test_real_policy_gives_equal_bits_and_names_both_runtimes(builder: EpisodeBuilder) -> None:
+    found = audit(open_episode(lock_step.record(builder, seconds=2.0)))
+    assert (found.steps, found.different, found.observations.compared) == (100, 0, 100)
+    assert found.is_equal
+    assert found.sha256 == found.recorded_sha256
+    assert found.runtime == found.recorded_runtime
+    assert "onnxruntime" in found.runtime
+
+
+def test_real_policy_is_taken_up_in_mid_run(builder: EpisodeBuilder) -> None:
+    found = audit(open_episode(lock_step.record(builder, seconds=2.0, skip=50)))
+    assert (found.steps, found.observations.compared) == (50, 49)
+    assert found.is_equal

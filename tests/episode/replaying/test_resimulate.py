@@ -1,0 +1,43 @@
+"""Replaying to a simulation: a lock-step episode comes out the same, and what is not the same is reported."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from station.episode.reading.reader import open_episode
+from station.episode.replaying.resimulate import to_sim
+from station.errors import EpisodeError
+from tests.episode import lock_step
+from tests.episode.synthetic import EpisodeBuilder, walk
+
+
+def test_lock_step_episode_comes_out_the_same_to_the_last_bit(tmp_path: Path) -> None:
+    found = to_sim(open_episode(lock_step.record(EpisodeBuilder(tmp_path), seconds=3.0)))
+    assert found.lock_step
+    assert (found.steps, found.different, found.gates_different) == (150, 0, 0)
+    assert found.max_q_difference_rad == found.max_root_difference_m == 0.0
+    assert found.notes == []
+    assert not found.fell
+
+
+def test_another_physics_step_is_reported_from_the_first_step_that_differs(tmp_path: Path) -> None:
+    reader = open_episode(lock_step.record(EpisodeBuilder(tmp_path), seconds=1.0))
+    found = to_sim(reader, changes={"physics_dt_s": 0.002})
+    assert found.first_different == 1
+    assert found.max_q_difference_rad > 0.0
+    assert any("physics_dt_s" in note for note in found.notes)
+
+
+def test_episode_that_begins_late_is_warmed_up_and_does_not_pretend(tmp_path: Path) -> None:
+    found = to_sim(open_episode(lock_step.record(EpisodeBuilder(tmp_path), seconds=2.0, skip=50)))
+    assert (found.warm_up_steps, found.steps) == (50, 50)
+    assert found.different > 0  # the commands of the first second are not in the file
+
+
+def test_episode_without_a_stated_configuration_is_refused(tmp_path: Path) -> None:
+    builder = EpisodeBuilder(tmp_path)
+    walk(builder, seconds=0.2)
+    with pytest.raises(EpisodeError, match="no low-level server has stated its configuration"):
+        to_sim(open_episode(builder.finish()))
