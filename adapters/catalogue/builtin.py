@@ -1,4 +1,4 @@
-"""What is built in: a model of the G1, a policy that tracks, and motions that need no file."""
+"""What is built in: a model of the G1, a policy that tracks, motions that need no file, scripts of fake devices."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ def _motions() -> Sequence[str]:
 
 def _files() -> dict[str, Path]:
     found = [*(_ADAPTERS / "robots/g1").glob("*.xml"), *(_ADAPTERS / "policies/tracker").glob("*.onnx")]
-    return {path.name: path for path in sorted(found)}
+    scripts = (_ADAPTERS / "devices/fakes").glob("*/*.json")
+    return {path.name: path for path in sorted(found)} | {
+        f"{path.parent.name}/{path.name}": path for path in sorted(scripts)
+    }
 
 
 COLLECTION = Collection(

@@ -7,9 +7,19 @@ Which collections there are, what is built in and what can be fetched, say the o
 """
 
 from station.assets.collection import Bundle, Collection, PinnedFile, Upstream, read_collection, sha256
-from station.assets.places import ENVIRONMENT_VARIABLE, Found, cache, expand, find, references, resolve, root
+from station.assets.places import (
+    ENVIRONMENT_VARIABLE,
+    Found,
+    cache,
+    expand,
+    find,
+    is_reference,
+    references,
+    resolve,
+    root,
+)
 
 __all__ = [
     "ENVIRONMENT_VARIABLE", "Bundle", "Collection", "Found", "PinnedFile", "Upstream",
-    "cache", "expand", "find", "read_collection", "references", "resolve", "root", "sha256",
+    "cache", "expand", "find", "is_reference", "read_collection", "references", "resolve", "root", "sha256",
 ]  # fmt: skip

@@ -105,6 +105,15 @@ def references(pattern: str) -> list[str]:
     return [f"{name}:{m}" for m in sorted(matched)]
 
 
+def is_reference(reference: str | os.PathLike[str]) -> bool:
+    """Whether this names a file of a collection, and is no plain path.
+
+    Raises:
+        BadFile: the path leaves its collection.
+    """
+    return split(os.fspath(reference)) is not None
+
+
 def split(reference: str) -> tuple[str, str] | None:
     """Return the collection and the relative path of a reference; None when it is a plain path.
 

@@ -133,7 +133,8 @@ def _row(found: _Found) -> Sequence[str]:
 @click.argument("device")
 @click.option(
     "--play", metavar="FILE", default=None, type=click.Path(path_type=Path),
-    help="Script of what the operator does.  [default: an example that comes with the station]",
+    help="Script of what the operator does, a file or builtin:DEVICE/NAME.json (`station assets list builtin`).  "
+    "[default: builtin:DEVICE/example.json]",
 )  # fmt: skip
 @click.option(
     "--port", default=None, type=click.IntRange(0, 65535), help="TCP port, for a device that has one; 0: any."

@@ -17,6 +17,7 @@ from typing import Generic, TypeVar
 
 import msgspec
 
+from station.assets import is_reference, resolve
 from station.errors import BadFile
 
 Clock = Callable[[], float]
@@ -64,17 +65,27 @@ class Script(Generic[S]):
             offset_s += self.period_s
 
 
+def file_of(path: Path) -> Path:
+    """Return the file of a script: the path itself, or what it names as ``collection:path``.
+
+    Raises:
+        AssetMissing: the collection has no such file.
+    """
+    return resolve(path) if is_reference(path) else path
+
+
 def load(path: Path, device: str, kind: type[S]) -> Script[S]:
     """Read a script.
 
     Args:
-        path: The file.
+        path: The file, or ``collection:path`` (``builtin:spacemouse/example.json``).
         device: What it has to be for.
         kind: What a step may say.
 
     Raises:
         BadFile: missing, not JSON, for another device, an unknown or wrong key, or times that fall.
     """
+    path = file_of(path)
     try:
         if path.stat().st_size > _LARGEST:
             raise BadFile(f"{path}: more than {_LARGEST // 1_000_000} MB; expected a script of a fake {device}")

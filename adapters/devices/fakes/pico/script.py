@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from adapters.devices.fakes.script import file_of
 from adapters.devices.pico.controls import CONTROLS, RANGES
 from station.bus.joints import HAND_26, SMPL_24
 from station.errors import BadFile, did_you_mean
@@ -80,11 +81,13 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 def load(path: Path) -> Script:
-    """Read a script.
+    """Read a script: a file, or ``collection:path`` (``builtin:pico/example.json``).
 
     Raises:
+        AssetMissing: the collection has no such file.
         BadFile: missing, not JSON, or a field that is unknown or wrong; the message names file and field.
     """
+    path = file_of(path)
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise BadFile(f"{path}: larger than {_MOST_BYTES >> 20} MB; expected the script of a fake headset")
