@@ -60,4 +60,4 @@ def _follow(line: Bus, *, as_json: bool) -> None:
         with Live(console=console, auto_refresh=False, screen=True) as live:
             while True:
                 time.sleep(0.25)
-                live.update(status.render(status.look(line, meter)), refresh=True)
+                live.update(status.render(status.look(line, meter), console.width), refresh=True)

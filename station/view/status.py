@@ -7,7 +7,6 @@ from typing import Any
 
 import msgspec
 from rich.console import Group
-from rich.table import Table
 
 from station.bus import keys
 from station.bus import stamp as stamps
@@ -16,7 +15,7 @@ from station.bus.contracts import contract
 from station.bus.stamp import Stamp
 from station.life.server import Health, read_health
 from station.view.rates import KeyRate, RateMeter
-from station.view.table import age_s, plain, render_servers, state_of
+from station.view.table import WIDE, Column, age_s, plain, render_servers, state_of, table_of
 
 _LOOK_S = 1.0
 
@@ -77,14 +76,23 @@ def look_once(bus: Bus, seconds: float = _LOOK_S) -> Status:
         return look(bus, meter)
 
 
-def render(status: Status) -> Group:
-    """Return the status as tables."""
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for title, side in (("key", "left"), ("role", "left"), ("writer", "left"), ("rate", "right"), ("age", "right")):
-        table.add_column(title, justify=side, no_wrap=True)  # type: ignore[arg-type]
-    for item in status.keys:
-        table.add_row(plain(item.key), item.role, plain(item.writer), _hertz(item.rate_hz), _since(item.age_s))
-    return Group(f"[bold]{status.address}[/]", "", render_servers(status.servers), "", table)
+_KEYS = (
+    Column("key"),
+    Column("role", 74),
+    Column("writer", 98),
+    Column("rate", is_number=True),
+    Column("age", is_number=True),
+)
+
+
+def render(status: Status, width: int = WIDE) -> Group:
+    """Return the status as tables for a screen of some width [characters]; a narrow one shows fewer columns."""
+    rows = [
+        (plain(item.key), item.role, plain(item.writer), _hertz(item.rate_hz), _since(item.age_s))
+        for item in status.keys
+    ]
+    servers = render_servers(status.servers, width)
+    return Group(f"[bold]{status.address}[/]", "", servers, "", table_of(_KEYS, rows, width))
 
 
 def _stamps(bus: Bus) -> dict[str, Stamp | None]:

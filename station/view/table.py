@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 from rich.console import Group
 from rich.markup import escape
@@ -11,6 +12,9 @@ from rich.table import Table
 
 from station.life.server import Health
 from station.printable import printable
+
+WIDE = 1000
+"""A screen with room for everything [characters]."""
 
 _COLOURS = {"active": "green", "inactive": "yellow", "unconfigured": "yellow", "finalized": "dim", "dead": "red"}
 _EMPTY: tuple[object, ...] = ("", None, 0, {}, [])
@@ -26,15 +30,42 @@ def state_of(health: Health) -> str:
     return health.state if health.is_alive or health.state == "finalized" else "dead"
 
 
-def render_servers(servers: Iterable[Health]) -> Group:
-    """Return a table with a row per server, and below it what each says of its own."""
+class Column(NamedTuple):
+    """A column of a table.
+
+    Attributes:
+        title: Its heading.
+        least: Narrowest screen that it is shown on [characters].
+        is_number: Whether it stands to the right.
+    """
+
+    title: str
+    least: int = 0
+    is_number: bool = False
+
+
+def table_of(columns: Sequence[Column], rows: Iterable[Sequence[str]], width: int) -> Table:
+    """Return a table without the columns that a screen of this width [characters] has no room for."""
+    shown = [index for index, column in enumerate(columns) if column.least <= width]
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for title in ("server", "state", "pid", "rate", "jitter p50 / p99", "overruns", "lost writes"):
-        table.add_column(title, no_wrap=True)
+    for index in shown:
+        table.add_column(columns[index].title, justify="right" if columns[index].is_number else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*(row[index] for index in shown))
+    return table
+
+
+_SERVERS = (Column("server"), Column("state"), Column("pid", 66), Column("rate"), Column("jitter p50 / p99", 84),
+            Column("overruns"), Column("lost writes"))  # fmt: skip
+
+
+def render_servers(servers: Iterable[Health], width: int = WIDE) -> Group:
+    """Return a table with a row per server, and below it what each says of its own."""
+    rows = []
     words = []
     for health in servers:
         state = state_of(health)
-        table.add_row(
+        rows.append((
             plain(health.name),
             f"[{_COLOURS.get(state, 'red')}]{state}[/]",
             str(health.pid),
@@ -42,10 +73,10 @@ def render_servers(servers: Iterable[Health]) -> Group:
             _jitter(health),
             str(health.overruns) if health.rate_hz is not None else "",
             str(health.lost_writes) if health.lost_writes else "",
-        )
+        ))  # fmt: skip
         if said := _detail(health):
             words.append(f"[dim]{plain(health.name)}: {said}[/]")
-    return Group(table, *words)
+    return Group(table_of(_SERVERS, rows, width), *words)
 
 
 def age_s(health: Health) -> float:
