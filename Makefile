@@ -4,12 +4,14 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 JOBS   ?= 2
 
-.PHONY: demo test check format bench soak clean
+KORD_SOURCES := $(shell find bridges/kord -type f -not -name '*.pyc' -not -path '*/build/*' 2>/dev/null)
+
+.PHONY: demo test check format bench soak kord clean
 
 demo: $(VENV)/.installed   ## run the main job once and print the report
 	@$(BIN)/station demo
 
-test: $(VENV)/.installed-test   ## the whole test suite
+test: $(VENV)/.installed-test $(VENV)/.installed-kord   ## the whole test suite
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadscope
 
 check: $(VENV)/.installed-test   ## formatting, lint, types
@@ -28,6 +30,8 @@ MINUTES ?= 60
 soak: $(VENV)/.installed-test   ## break a whole station for an hour, under load; prints figures as JSON
 	$(BIN)/python -m tests.faults.soak --minutes $(MINUTES)
 
+kord: $(VENV)/.installed-kord   ## the bridge to a Kassow controller, with a simulated one; needs a C++ compiler
+
 clean:
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache
 
@@ -45,4 +49,12 @@ $(VENV)/.installed-test: $(VENV)/.installed pyproject.toml
 	@echo "Installing what the tests need; this takes a few minutes …"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check torch==2.13.0
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,torch,train]'
+	@touch $@
+
+# Only who drives a Kassow arm needs a compiler; without one the tests of its bridge are skipped, and say so.
+$(VENV)/.installed-kord: $(VENV)/.installed $(KORD_SOURCES)
+	@if command -v c++ >/dev/null; then \
+	  echo "Building the bridge to Kassow's controller; this takes a minute …"; \
+	  $(BIN)/python -m pip install --quiet --disable-pip-version-check ./bridges/kord; \
+	else echo "No C++ compiler: the bridge to Kassow's controller is not built, and its tests are skipped"; fi
 	@touch $@

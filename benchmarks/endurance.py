@@ -55,7 +55,7 @@ def _endure(seconds: float) -> Course:
             small = processes.Beside(traffic.write_small, address, traffic.SMALL_PER_S)
             images = processes.Beside(traffic.write_images, address, traffic.IMAGE_MB_PER_S)
             with small, images:
-                course = _watch(address, pid, episode / layout.ACTIVE, seconds)
+                course = _watch(address, pid, episode / layout.CAMERAS_ACTIVE, seconds)
             remote.ask(line, "stop", timeout_s=60.0)
     return course
 
@@ -76,6 +76,8 @@ def _watch(address: BusAddress, pid: int, file: Path, seconds: float) -> Course:
 
 def _give_back(file: Path, begin: int) -> int:
     """Make a hole of all but the newest bytes of a file, from `begin`; return where it ends."""
+    if not file.exists():  # no picture has come yet
+        return begin
     end = (file.stat().st_size - _KEPT_BYTES) // _BLOCK * _BLOCK
     if end - begin < _KEPT_BYTES // 8:
         return begin

@@ -20,8 +20,8 @@ from station.episode.recorder import remote
 METHOD = """\
 Writers publish 10,000 small values (180 B of JSON, ten keys) and 455 incompressible pictures of 66 kB (30 MB) a second
 at once, through the real bus into the real recorder process. *Lost*: sequence numbers that the writers spent and that
-the finished file does not hold. *Lag*: from the writer's clock before the write to the recorder's at its arrival, over
-every message in the file; it stands under each message's log time. *CPU*: the recorder process while the load runs,
+the finished files do not hold. *Lag*: from the writer's clock before the write to the recorder's at its arrival, over
+every message in the files; it stands under each message's log time. *CPU*: the recorder process while the load runs,
 writing to disk included. Baseline: the same load, looked at by the stock recorder's pattern, a pipeline of GETs 30
 times a second. *Growth*, with `--minutes N`: the slope of the recorder's resident memory over the last three quarters
 of one episode of that length under the same load; what the disk holds of it is given back on the way."""

@@ -15,7 +15,7 @@ from station import registry
 from station.config import to_plain
 from station.life.gate import GateConfig
 from station.life.loop import Rate, real_time
-from station.life.low_level import LowLevelLoop
+from station.life.low_level import LowLevelLoop, result_values
 from station.life.rig import DEFAULT_POLICY, DEFAULT_ROBOT_MODEL, Rig, RigConfig, build
 from station.life.server import Life, ServerKind
 from station.software import software
@@ -82,13 +82,14 @@ def main(config: G1Config, life: Life) -> int:
     rig = build(config.rig)
     robot, policy, suffix = rig.robot, rig.policy, rig.form.robot
     try:
-        control = rig.control(gate=config.gate, is_armed=config.is_armed)
+        reset_after_s = _RESET_AFTER_S if config.on_fall == "reset" else None
+        control = rig.control(gate=config.gate, is_armed=config.is_armed, reset_after_s=reset_after_s)
         with LowLevelLoop(
             life,
             control,
             state_values=lambda state: wire.state_values(suffix, state, policy=policy, robot=robot),
+            result_values=lambda record, answer: result_values(suffix, record, control.commanded, answer),
             period_s=rig.period_s,
-            reset_after_s=_RESET_AFTER_S if config.on_fall == "reset" else None,
         ) as loop:
             life.configured(_facts(config, life.name, rig))
             if not life.ready():

@@ -6,7 +6,8 @@ buttons for all (`station.operator.driving`), and a driver that makes commands (
 Commands are sent from the first engaging on; before, nobody commands and the robot stands. The first one is the command
 that the robot already follows. When the operator lets go, the pose is held and a walk comes to a stand. Commands end,
 and the robot returns to standing, when the device has been away for `patience_s`, when the robot was stopped, or when
-it ceased to follow; only a new engaging begins them again. Asked to leave, or on an error, it blends to the default.
+it ceased to follow; only a new engaging begins them again. Asked to leave, or on an error, it blends to the default. A
+robot that stays where it is without a command, an arm, is left there instead.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from station.life.server import Life, ServerKind
 from station.operator import buttons
 from station.operator.buttons import ButtonMap, Buttons, Pressed
 from station.operator.driver import Driver, DriverKind
-from station.operator.driving import Driven, Driving
+from station.operator.driving import Driven, Driving, buttons_to_drive
 from station.operator.ear import Ear
 from station.operator.leaving import Leaving
 from station.operator.requests import ArmButtons, RecordButtons, Requests, StopPresser
@@ -56,7 +57,7 @@ class TeleopConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         kind: What kind of device has the controls (pico, gamepad, …), for the names of its buttons; "" where the device
             server is called so.
         buttons: File that changes what the buttons mean; `station devices buttons` shows it.
-        rate_hz: Commands per second [Hz].
+        rate_hz: Commands per second [Hz]; 0 for as many as the driver's robot expects.
         patience_s: How long the device may be away before commands end and the robot returns to standing [s].
         leave_s: Blend to the default pose at the end [s].
         task, instruction: Of episodes that are begun with a button; "" for the task of the episode before.
@@ -69,7 +70,7 @@ class TeleopConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     controls_from: str = ""
     kind: str = ""
     buttons: Path | None = None
-    rate_hz: float = 50.0
+    rate_hz: float = 0.0
     patience_s: float = 5.0
     leave_s: float = 2.0
     task: str = ""
@@ -77,14 +78,12 @@ class TeleopConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     def __post_init__(self) -> None:
         registry.expect("driver", self.driver)
-        if not 20.0 <= self.rate_hz <= 200.0:
-            raise ValueError(f"rate_hz is {self.rate_hz:g}; expected 20 to 200 Hz (TWIST2 expects 50)")
+        if self.rate_hz and not 20.0 <= self.rate_hz <= 500.0:
+            raise ValueError(f"rate_hz is {self.rate_hz:g}; expected 20 to 500 Hz, or 0 for the driver's own")
         if not 1.0 <= self.patience_s <= 600.0:
             raise ValueError(f"patience_s is {self.patience_s:g}; expected 1 to 600 s")
         if not 0.5 <= self.leave_s <= 60.0:
-            raise ValueError(
-                f"leave_s is {self.leave_s:g}; expected 0.5 to 60 s: a shorter blend is a kick to the robot"
-            )
+            raise ValueError(f"leave_s is {self.leave_s:g}; expected 0.5 to 60 s: a shorter blend is a kick")
         self.typed_options()
         if self.button_kind not in buttons.DEFAULTS:
             listed = ", ".join(buttons.DEFAULTS)
@@ -111,8 +110,9 @@ class TeleopConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 def main(config: TeleopConfig, life: Life) -> int:
     """Drive until the operator leaves or we are asked to stop; return the exit code."""
     kind: DriverKind = registry.find("driver", config.driver)
-    bound = _bound(config)
+    bound = buttons_to_drive(config.button_kind, config.buttons)
     driver = kind.make(config.typed_options(), config.operator)
+    config = msgspec.structs.replace(config, rate_hz=config.rate_hz or kind.rate_hz)
     life.configured(_facts(life, config, driver, bound))
     watched = [*Ear.watched(config.device, config.controls_from), *RobotSide.watched(driver.form.robot),
                driver.form.key, keys.RECORDER]  # fmt: skip
@@ -135,17 +135,6 @@ KIND = ServerKind(
     config=TeleopConfig,
     main=main,
 )
-
-
-def _bound(config: TeleopConfig) -> ButtonMap:
-    kind = config.button_kind
-    bound = buttons.button_map(kind) if config.buttons is None else buttons.load(kind, config.buttons)
-    if not (bound.gestures.get("engage") or bound.gestures.get("start_pause")):
-        raise ConfigError(
-            f"no control of a {kind} engages: a device without buttons needs `controls_from`, the name of one that has "
-            "some (a gamepad, a pedal that is one), or `buttons`, a file that binds `engage` or `start_pause`"
-        )
-    return bound
 
 
 def _facts(life: Life, config: TeleopConfig, driver: Driver, bound: ButtonMap) -> dict[str, Any]:
@@ -177,7 +166,7 @@ class Teleop:
         self._form = driver.form
         self._driving = Driving(driver, Buttons(bound))
         self._ear = Ear(watch, config.device, config.controls_from)
-        self._robot = RobotSide(watch, self._form.robot, len(self._form.default))
+        self._robot = RobotSide(watch, self._form.robot, len(self._form.default), stays=self._form.stays)
         self._own_key = OwnKey(life, self._form.key)
         self._writer = CommandWriter(life, driver.form, device=config.device, driver=driver.name)
         person = {"interface": config.device, "id": config.operator or getpass.getuser()}
@@ -199,6 +188,7 @@ class Teleop:
                 self._tick(dt_s)
                 self._life.report(**pace.health())
                 dt_s = pace.wait(is_leaving=self._leaving is not None)
+            self._say_farewell()
         except Exception as error:
             self._life.event("teleop-error", severity="error", reason=f"{type(error).__name__}: {error}")
             self._leave_blindly(pace)
@@ -258,11 +248,20 @@ class Teleop:
             self._be_silent(f"{self._config.device} has been away for {away_s:.0f} s")
 
     def _be_silent(self, reason: str) -> None:
-        """Command nothing more; the gate takes the robot to standing."""
+        """Command nothing more; the gate takes the robot to standing, or leaves it where it is."""
         self._speaks, self._taken_up, self._writer.flaw = False, None, ""
         self._robot.end()
-        self._life.event("teleop-commands-end", severity="warning", reason=reason,
-                         then="the robot returns to standing; engage anew")  # fmt: skip
+        then = f"{self._then}; engage anew"
+        self._life.event("teleop-commands-end", severity="warning", reason=reason, then=then)
+
+    @property
+    def _then(self) -> str:
+        return "the robot stays where it is" if self._form.stays else "the robot returns to standing"
+
+    def _say_farewell(self) -> None:
+        if self._speaks:
+            reason = "the server was asked to stop" if self._life.stopping else "the operator left"
+            self._life.event("teleop-commands-end", reason=reason, then=self._then)
 
     def _tell(self, driven: Driven) -> None:
         mode = {"mode": self._driver.mode} if self._driver.mode else {}

@@ -284,6 +284,11 @@ class CommandFormat(Protocol):
         """Greatest change of each element per second, shape (m,); infinite where it has none."""
         ...
 
+    @property
+    def stays(self) -> bool:
+        """Whether a robot without a command stays where it is (an arm) instead of going back to `default`."""
+        ...
+
     def encode(self, reference: Reference, joint_names: tuple[str, ...]) -> Floats:
         """Return the vector that asks for a reference whose joints are named, shape (m,)."""
         ...

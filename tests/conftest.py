@@ -6,6 +6,7 @@ import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -68,3 +69,16 @@ def bus_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BusAddress]
     folder = tmp_path_factory.mktemp("bus")
     with RedisServer.start(ServerOptions(folder=folder, socket=folder / "bus.sock")) as server:
         yield server.address
+
+
+@pytest.fixture(scope="session")
+def kord() -> Any:
+    """The native bridge to Kassow controllers, with their simulator; a machine without it skips, CI fails."""
+    try:
+        import station_kord
+    except ImportError as error:
+        message = f"station_kord is not built ({error}): pip install ./bridges/kord"
+        if os.environ.get("CI"):
+            pytest.fail(message)
+        pytest.skip(message)
+    return station_kord

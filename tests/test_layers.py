@@ -19,18 +19,16 @@ from station.cli.main import VERBS, module_of
 ROOT = Path(__file__).parents[1]
 OUTER = ("servers", "adapters", "bridges")
 HEAVY = (
-    "av", "dynamixel_sdk", "grpc", "hid", "hidraw", "linuxpy", "matplotlib", "mink", "mujoco", "onnxruntime", "pooch",
-    "pygame", "rerun", "serial", "simplejpeg", "torch", "xrobotoolkit_sdk", "zmq",
+    "av", "dynamixel_sdk", "grpc", "hid", "hidraw", "matplotlib", "mink", "mujoco", "onnxruntime", "pooch",
+    "pygame", "rerun", "serial", "simplejpeg", "station_kord", "torch", "xrobotoolkit_sdk", "zmq",
 )  # fmt: skip
 
 WHAT_ADAPTERS_NEED = {
-    "station.assets", "station.bus.codec", "station.bus.contracts", "station.bus.joints", "station.bus.keys",
-    "station.bus.sample", "station.camera.source",
-    "station.errors", "station.foreign.kind",
-    "station.operator.deadman", "station.operator.deltas", "station.operator.device",
-    "station.operator.driver", "station.operator.measure", "station.operator.reading", "station.operator.script_time",
-    "station.operator.voice",
-    "station.protocols", "station.registry",
+    "station.arms", "station.assets", "station.bus.arm_contracts", "station.bus.codec", "station.bus.contracts",
+    "station.bus.joints", "station.bus.keys", "station.bus.sample", "station.camera.source", "station.config",
+    "station.errors", "station.foreign.kind", "station.operator.deadman", "station.operator.deltas",
+    "station.operator.device", "station.operator.driver", "station.operator.measure", "station.operator.reading",
+    "station.operator.script_time", "station.operator.voice", "station.protocols", "station.registry",
     "station.rotations", "station.window",
 }  # fmt: skip
 """Facts, formats and how to find things: no connection, no loop, no process, no episode."""

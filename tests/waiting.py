@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-DEADLINE_S = 30.0
+DEADLINE_S = 60.0
 
 
 def wait_until(condition: Callable[[], object], timeout_s: float = DEADLINE_S) -> None:
@@ -14,4 +14,4 @@ def wait_until(condition: Callable[[], object], timeout_s: float = DEADLINE_S) -
     while not condition():
         if time.monotonic() > deadline:
             raise AssertionError(f"did not hold within {timeout_s:g} s: {condition}")
-        time.sleep(0.002)
+        time.sleep(0.005)

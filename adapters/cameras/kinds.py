@@ -101,8 +101,8 @@ def _zmq(options: ZmqOptions, wishes: Wishes, _newest: Newest) -> Camera:
 UVC = CameraKind(
     name="uvc",
     about="USB camera through Video4Linux: MJPG as it comes, or YUYV",
-    library="linuxpy",
-    extra="video",
+    library="",
+    extra="",
     options=UvcOptions,
     open=_uvc,
     plugged_in=_plugged_in,

@@ -1,35 +1,22 @@
-"""The capture devices of Video4Linux: which there are, what they offer, and what to tell whoever asked for another.
-
-All that is asked of the kernel goes through linuxpy.
-"""
+"""The capture devices of Video4Linux: which there are, what they offer, and what to tell whoever asked for another."""
 
 from __future__ import annotations
 
 import errno
 import grp
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from adapters.cameras.encode import library
+from adapters.cameras.v4l2_device import Size, VideoDevice
 from station.camera.source import CameraError
 
 DEVICES = Path("/dev")
 _SYSFS = Path("/sys/class/video4linux")
 _SAME_RATE = 0.01  # 29.97 is 30
 _GONE = (errno.ENODEV, errno.ENXIO, errno.ENOENT)
-
-
-def video() -> Any:
-    """Return the module of linuxpy.
-
-    Raises:
-        CameraError: it is not installed.
-    """
-    return library("linuxpy.video.device", "linuxpy", "a USB camera")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,16 +44,11 @@ class Found:
 
 
 def found(folder: Path = DEVICES) -> list[Found]:
-    """Return the capture devices that can be seen, in the order of their numbers.
-
-    Raises:
-        CameraError: linuxpy is not installed.
-    """
-    module = video()
+    """Return the capture devices that can be seen, in the order of their numbers."""
     seen: list[Found] = []
     for path in sorted(folder.glob("video*"), key=lambda path: (len(path.name), path.name)):
         if path.is_char_device():
-            seen += _look(module, path)
+            seen += _look(path)
     return seen
 
 
@@ -108,30 +90,25 @@ def _there(cameras: Sequence[Found]) -> str:
     return "there are " + ", ".join(map(str, cameras))
 
 
-def _look(module: Any, path: Path) -> Iterator[Found]:
+def _look(path: Path) -> Iterator[Found]:
     try:
-        with closing(open_device(module, path)) as device:
-            info = device.info
-            if module.Capability.VIDEO_CAPTURE in info.device_capabilities:  # the others give metadata
-                yield Found(path=path, card=info.card, serial=_serial(path), bus=info.bus_info)
+        with closing(open_device(path)) as device:
+            if device.info.captures:  # the others give metadata
+                yield Found(path=path, card=device.info.card, serial=_serial(path), bus=device.info.bus)
     except CameraError as error:
         yield Found(path=path, flaw=str(error).removeprefix(f"{path}: ").split(";")[0])
 
 
-def open_device(module: Any, path: Path) -> Any:
-    """Open a device for calls that do not block.
+def open_device(path: Path) -> VideoDevice:
+    """Open a device.
 
     Raises:
         CameraError: it cannot be opened, or is no video device.
     """
-    device = module.Device(str(path))
     try:
-        device.open()
-        device.info.raw_capabilities  # noqa: B018 - asked for here, and kept
+        return VideoDevice(path)
     except OSError as error:
-        device.close()
         raise CameraError(f"{path}: {why(error, path)}") from error
-    return device
 
 
 def why(error: OSError, path: Path) -> str:
@@ -145,6 +122,8 @@ def why(error: OSError, path: Path) -> str:
         return "gone; plug it in again"
     if error.errno == errno.ENOTTY:
         return "no video device"
+    if error.errno == errno.EIO:
+        return "the line to it fails; try another cable or port"
     return error.strerror or str(error)
 
 
@@ -181,32 +160,25 @@ class Mode:
         return f"{self.form} {self.width}x{self.height}" + (f"@{rates}" if rates else "")
 
 
-def modes(module: Any, device: Any, wanted: tuple[int, int], fps: float) -> list[Mode]:
-    """Return what a camera offers; of sizes and rates that it takes from a range, those that are wanted if they fit."""
-    offered = []
-    for form in device.info.buffer_formats(module.BufferType.VIDEO_CAPTURE):
-        name = form.pixel_format.human_str().rstrip()
-        for size in device.info.format_frame_sizes(form.pixel_format):
-            width, height = _size(module, size, wanted)
-            rates = _rates(module, device.info.fps_intervals(form.pixel_format, width, height), fps)
-            offered.append(Mode(name, width, height, rates))
-    return offered
+def modes(device: VideoDevice, wanted: Size, fps: float) -> list[Mode]:
+    """Return what a camera offers; where it takes a size or rate from a range, or does not say, what is wanted."""
+    return [
+        Mode(form, *size, _rates(device.rates(form, size), fps))
+        for form in device.forms()
+        for size in _sizes(device.sizes(form), wanted)
+    ]
 
 
-def _size(module: Any, size: Any, wanted: tuple[int, int]) -> tuple[int, int]:
-    if size.type == module.FrameSizeType.DISCRETE:
-        return size.info.width, size.info.height
-    least, most = (size.info.min_width, size.info.min_height), (size.info.max_width, size.info.max_height)
-    fits = all(low <= want <= high for low, want, high in zip(least, wanted, most, strict=True))
-    return wanted if fits else most
+def _sizes(offered: Sequence[tuple[Size, Size]], wanted: Size) -> Iterator[Size]:
+    if not offered:
+        yield wanted
+    for least, most in offered:
+        fits = all(low <= want <= high for low, want, high in zip(least, wanted, most, strict=True))
+        yield wanted if fits else most
 
 
-def _rates(module: Any, intervals: Sequence[Any], fps: float) -> tuple[float, ...]:
-    rates: list[float] = []
-    for interval in intervals:
-        ends = sorted((float(interval.min_fps), float(interval.max_fps)))  # the least interval is the greatest rate
-        is_range = interval.type != module.FrameIntervalType.DISCRETE
-        rates += [fps] if is_range and ends[0] <= fps <= ends[1] else ends[1:]
+def _rates(offered: Sequence[tuple[float, float]], fps: float) -> tuple[float, ...]:
+    rates = (fps if least <= fps <= most else most for least, most in offered)
     return tuple(rate for rate in rates if rate > 0)
 
 
@@ -225,11 +197,3 @@ def pick(offered: Sequence[Mode], forms: Sequence[str], size: tuple[int, int], f
         f"{path}: offers no {' or '.join(forms)} {size[0]}x{size[1]}@{fps:g}; it offers {listed or 'no pictures'}; "
         "set width, height and fps to one of these"
     )
-
-
-def quietly(act: Callable[[], object]) -> None:
-    """Do what a device that is gone refuses."""
-    try:
-        act()
-    except OSError:  # it is let go of either way
-        return

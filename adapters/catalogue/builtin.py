@@ -17,7 +17,7 @@ def _motions() -> Sequence[str]:
 
 
 def _files() -> dict[str, Path]:
-    found = [*(_ADAPTERS / "robots/g1").glob("*.xml"), *(_ADAPTERS / "policies/tracker").glob("*.onnx")]
+    found = [*(_ADAPTERS / "robots").glob("*/*.xml"), *(_ADAPTERS / "policies/tracker").glob("*.onnx")]
     scripts = (_ADAPTERS / "devices/fakes").glob("*/*.json")
     return {path.name: path for path in sorted(found)} | {
         f"{path.parent.name}/{path.name}": path for path in sorted(scripts)

@@ -55,6 +55,7 @@ class BodyCommand:
     rate: Floats
     joint_names: tuple[str, ...]
     head: Callable[[Reference], list[float]]
+    stays: bool = False
 
     def encode(self, reference: Reference, joint_names: tuple[str, ...]) -> Floats:
         """Return the vector that asks for a reference whose joints are named, shape (m,).

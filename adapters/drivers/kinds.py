@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 
+from adapters.drivers.arm_options import ArmOptions
 from adapters.drivers.hands import HandsDriver, HandsOptions
 from adapters.drivers.jog import JogDriver
 from adapters.drivers.joints import JointsDriver, JointsOptions
@@ -53,6 +54,34 @@ def _body(options: BodyOptions, operator: str) -> Driver:
     return BodyDriver(BodyRetarget(known), calibration=operators.facts(known, file), neck_scale=options.neck_scale)
 
 
+def _arm_joints(options: ArmOptions, operator: str) -> Driver:
+    from adapters.drivers.arm import ArmDriver
+
+    return ArmDriver("arm-joints", options, "joints")
+
+
+def _arm_tcp(options: ArmOptions, operator: str) -> Driver:
+    from adapters.drivers.arm import ArmDriver
+
+    return ArmDriver("arm-tcp", options, "tool")
+
+
+_ARM_RATE_HZ = 250.0  # a target for each tick of a Kassow's controller
+
+ARM_JOINTS = DriverKind(
+    name="arm-joints",
+    summary="a twist, sticks or keys turn the joints of an arm, or a leader arm leads them",
+    options=ArmOptions,
+    make=_arm_joints,
+    rate_hz=_ARM_RATE_HZ,
+)
+ARM_TCP = DriverKind(
+    name="arm-tcp",
+    summary="a twist, a hand, sticks or keys move the tool of an arm",
+    options=ArmOptions,
+    make=_arm_tcp,
+    rate_hz=_ARM_RATE_HZ,
+)
 BODY = DriverKind(
     name="body", summary="the robot does what the operator's whole body does", options=BodyOptions, make=_body
 )

@@ -13,6 +13,8 @@ LEROBOT = ExportKind(
     prepare=lerobot.prepare,
     convert=lerobot.convert,
     join=lerobot.join,
+    columns=lerobot.columns,
+    version=2,
 )
 CSV = ExportKind(
     name="csv",

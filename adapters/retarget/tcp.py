@@ -1,4 +1,5 @@
-"""The tool of one arm by the pose of one hand: pose in, pose out, for robots that do their own inverse kinematics.
+"""The tool of one arm by the pose of one hand: pose in, pose out, whoever does the inverse kinematics: the robot, or
+`adapters.retarget.tcp_ik`.
 
 ``TcpFollower.step(deltas.followed(snapshot.target, snapshot.start, hand), dt_s)`` is all there is to teleoperation by
 differences: where the operator moves slower than the limits and within the workspace, the tool moves as the hand does.

@@ -50,8 +50,8 @@ def of(robot: str) -> list[Contract]:
         make(keys.state_tcp(robot), "state", "f64", POSE, "frame of the arm's base", rate_hz=125.0),
         make(keys.state_counters(robot), "state", "f64", counted, "counters only grow; rates are for who reads",
              rate_hz=125.0),
-        make(keys.state_controller(robot), "state", "json", rate_hz=10.0,
-             note="backend, profile, throttle, flags, alarm and newest event of the controller"),
+        make(keys.state_controller(robot), "state", "json", rate_hz=None,
+             note="ten times a second: backend, profile, throttle, flags, alarm and newest event of the controller"),
         make(keys.target(robot), "policy", "f64", q, "newest target handed to the controller's session; the "
              "controller is sent those that moved"),
         make(keys.command_gate(robot), "policy", "json", note="state, reason and age of the command at the gate"),

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import msgspec
 
 from station.cli.options import data_option, json_option
+
+if TYPE_CHECKING:
+    from station.episode.replaying.arm_audit import ArmAudit
 
 
 @click.command("audit")
@@ -19,12 +23,19 @@ from station.cli.options import data_option, json_option
 def command(episode: str, data: Path | None, checkpoint: str | None, robot: str | None, as_json: bool) -> None:
     """Run the policy again on the recorded observations of EPISODE, and derive those again from state and command.
 
-    Exit code 1 when any bit of any action or observation differs.
+    Of an arm, which has no policy, the recorded commands go through its gate again, and targets are compared. Exit code
+    1 when any bit of any action, observation or target differs.
     """
     from station.episode.reading.reader import open_episode
+    from station.episode.replaying.arm_audit import arm_of, audit_arm
     from station.episode.replaying.audit import Audit, audit
 
-    found = audit(open_episode(episode, data), checkpoint=checkpoint, robot=robot)
+    reader = open_episode(episode, data)
+    if arm := arm_of(reader, robot):
+        checked = audit_arm(reader, arm)
+        click.echo(msgspec.json.encode(checked) if as_json else arm_story(checked))
+        raise SystemExit(0 if checked.is_equal else 1)
+    found = audit(reader, checkpoint=checkpoint, robot=robot)
     if as_json:
         click.echo(msgspec.json.encode(found))
     else:
@@ -50,4 +61,20 @@ def print_audit(found: object) -> None:
     click.echo(f"  recorded on   {found.recorded_runtime or 'unknown'}\n  audited on    {found.runtime}")
     click.echo(
         f"  {found.segments} segments, {found.incomplete} incomplete steps; {found.speed_x_realtime:.0f} x real time"
+    )
+
+
+def arm_story(found: ArmAudit) -> str:
+    """Return what an audit of an arm found, in words."""
+    commands, targets = found.commands, found.targets
+    return "\n".join(
+        (
+            f"{found.episode_id} ({found.robot}): commands through the gate again",
+            f"  after gate    {commands.compared} ticks, {commands.different} different, "
+            f"max |Δ| {commands.max_abs_difference:.3g} rad; its state differs in {found.states_different}",
+            f"  targets       {targets.compared} ticks, {targets.different} different, "
+            f"max |Δ| {targets.max_abs_difference:.3g} rad",
+            f"  {found.steps} ticks, {found.followed} of them followed a command, in {found.segments} segments; "
+            f"{found.incomplete} incomplete",
+        )
     )

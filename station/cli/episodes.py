@@ -102,7 +102,7 @@ def _print_rows(rows: Sequence[EpisodeRow]) -> None:
 @data_option
 @json_option
 def show(episode: str, data: Path | None, as_json: bool) -> None:
-    """Show what EPISODE says of itself, and count its streams from the file."""
+    """Show what EPISODE says of itself, and count its streams from its files."""
     from station.episode.reading.reader import open_episode
     from station.episode.reading.show import show as facts_of
     from station.episode.storage.manifest import dump_manifest
@@ -111,7 +111,8 @@ def show(episode: str, data: Path | None, as_json: bool) -> None:
     if as_json:
         click.echo(msgspec.json.encode(facts, enc_hook=str))
         return
-    click.echo(f"# {facts.path}: {facts.messages} messages, {facts.size_bytes / 1e6:.1f} MB in {facts.file}")
+    files = ", ".join(f"{size / 1e6:.1f} MB in {name}" for name, size in facts.files.items())
+    click.echo(f"# {facts.path}: {facts.messages} messages, {files}")
     if facts.torn:
         click.echo(f"# torn: {facts.torn}")
     facts.manifest.streams = facts.streams
@@ -131,7 +132,8 @@ def show(episode: str, data: Path | None, as_json: bool) -> None:
 def repair(episode: str | None, is_all: bool, out: Path | None, data: Path | None, as_json: bool) -> None:
     """Make a good episode of a torn one: EPISODE, or `--all` that were left open.
 
-    Every whole chunk is kept; the torn file stays as it is, beside the good one, as signals.mcap.torn.
+    Every whole chunk is kept; a torn file stays as it is, beside the good one, as signals.mcap.torn or
+    cameras.mcap.torn.
     """
     from station.episode.storage.folder import data_folder, resolve
     from station.episode.storage.left_open import left_open
@@ -160,17 +162,21 @@ def _folder(episode: Path) -> Path:
 
 
 def _repaired(folder: Path, out: Path | None, *, is_quiet: bool) -> Repaired:
-    """Repair one episode and say in a line what became of it."""
+    """Repair one episode and say what became of it."""
     from station.episode.writing.repair import repair
 
     done = repair(folder, out=out)
     words = {
         "whole": "is whole: nothing to repair",
         "closed": f"was whole but not closed: closed, {done.messages} messages",
-        "repaired": f"repaired: {done.messages} messages in {done.seconds or 0.0:.1f} s kept; "
-        f"cut {done.cut_bytes} bytes behind byte {done.cut_at}: {done.cut_messages} messages that had been safe, "
-        f"the last {done.cut_s:.1f} s; the torn file is {done.original}",
+        "repaired": f"repaired: {done.messages} messages in {done.seconds or 0.0:.1f} s kept, "
+        f"{done.cut_messages} that had been safe are lost",
     }
     if not is_quiet:
         click.echo(f"{done.episode_id} {words[done.state]}")
+        for cut in done.cuts:
+            click.echo(
+                f"  {cut.file}: cut {cut.bytes} bytes behind byte {cut.at}, the last {cut.seconds:.1f} s; "
+                f"the torn file is {cut.original}"
+            )
     return done

@@ -12,7 +12,7 @@ import msgspec
 
 from station import registry
 from station.cli.fields import options_of
-from station.cli.options import Decorator, Verbs, data_option, jobs_option, json_option
+from station.cli.options import Decorator, Verbs, data_option, jobs_option, json_option, task_option
 from station.errors import StationError, UnknownName, UsageError
 from station.printable import printable
 
@@ -93,7 +93,7 @@ def _verb(kind: ExportKind) -> click.Command:
     @click.command(kind.name, help=_HELP.format(summary=kind.summary), short_help=kind.summary)
     @_of_every_format
     def verb(
-        episodes: Sequence[str], out: Path | None, data: Path | None, task: str | None, jobs: int, ray: str | None,
+        episodes: Sequence[str], out: Path | None, data: Path | None, task: tuple[str, ...], jobs: int, ray: str | None,
         dry_run: bool, as_json: bool, **given: Any,
     ) -> None:  # fmt: skip
         from station.config import build
@@ -103,7 +103,7 @@ def _verb(kind: ExportKind) -> click.Command:
         options = build(kind.options, fields.values(given), where=f"export {kind.name}")
         if out is None and not dry_run:
             raise UsageError(f"export {kind.name}: say which folder to make with --out")
-        chosen, where = sources(episodes, data, task=task), Where(jobs=jobs, ray_address=ray)
+        chosen, where = sources(episodes, data, tasks=task), Where(jobs=jobs, ray_address=ray)
         if out is None or dry_run:
             _preview(kind, chosen, options, where, as_json)
         else:
@@ -121,7 +121,7 @@ def _of_every_format(function: Callable[..., None]) -> Callable[..., None]:
         click.argument("episodes", nargs=-1),
         click.option("--out", "-o", metavar="DIR", type=folder, help="Folder to make."),
         data_option,
-        click.option("--task", default=None, metavar="NAME", help="Episodes of this task alone."),
+        task_option,
         jobs_option,
         click.option("--ray", metavar="ADDRESS", default=None, help=on_ray),
         click.option("--dry-run", is_flag=True, help="Say what would be exported, and write nothing."),
@@ -162,6 +162,8 @@ def _export(kind: ExportKind, chosen: Sequence[Any], options: Any, out: Path, wh
         raise
     _tell_lost("failed", done.failed)
     _tell_lost("left out", done.left_out)
+    for note in done.facts.get("notes", ()):
+        click.echo(f"note: {printable(note)}", err=True)
     if as_json:
         click.echo(msgspec.json.encode(done, enc_hook=str))
     else:
@@ -186,7 +188,7 @@ def _result(kind: ExportKind, done: Exported) -> str:
     lost = [f"{len(those)} {what}" for what, those in (("failed", done.failed), ("left out", done.left_out)) if those]
     kept = [f"{done.kept} of them converted before"] if done.kept else []
     counts = "; ".join([f"{done.episodes} episode{'s' if done.episodes != 1 else ''}", *kept, *lost])
-    size = f"{done.size_bytes / 1e6:.1f} MB in {done.files} files"
+    size = f"{done.size_bytes / 1e6:.1f} MB in {done.files} file{'s' if done.files != 1 else ''}"
     return (
         f"{kind.name}: {counts}; {_duration(done.seconds)} of robot time, {done.rows} rows, {size}, "
         f"in {_duration(done.took_s)}: {done.out}"
@@ -214,8 +216,9 @@ def _preview(kind: ExportKind, chosen: Sequence[Any], options: Any, where: Where
         for lost in seen.left_out:
             click.echo(f"left out  {printable(lost.reason)}")
         if seen.plan is not None:
-            for line in _columns(within(seen.plan, KeyColumns)):
-                click.echo(line)
+            told = kind.columns(seen.plan) if kind.columns else _columns(within(seen.plan, KeyColumns))
+            for line in told:
+                click.echo(f"column    {line}")
             click.echo(f"as        {json.dumps(_settings(seen.plan))}")
         click.echo(f"{len(seen.sources)} of {len(chosen)} episodes would go in; nothing was written")
     raise SystemExit(0 if seen.sources else 1)
@@ -244,8 +247,7 @@ def within(value: Any, kind: type) -> Iterable[Any]:
 def _columns(found: Iterable[KeyColumns]) -> Iterable[str]:
     """Yield a line per key; a plan may name one more than once."""
     for each in {each.key: each for each in found}.values():
-        named = [f"{name} [{unit}]" if unit else name for name, unit in zip(each.names, each.units, strict=True)]
-        yield f"columns   {each.key} ({each.role}, {len(named)}): {', '.join(named)}"
+        yield f"{each.key} ({each.role}): {each}"
 
 
 def _settings(plan: Any) -> dict[str, Any]:

@@ -181,8 +181,11 @@ class TerminalFace:
         yield progress_panel.panel(seen, self._names, self._step, self.look_for_dead())
         if not self._is_brief:
             yield from ("", render_servers(seen.servers))
-        if seen.robot is not None and seen.robot.gate == "stopped":
+        gates = {one.gate for one in (seen.robot, seen.arm) if one is not None}
+        if "stopped" in gates:
             yield "[bold red]EMERGENCY STOP is latched; release it with: station estop --reset[/]"
+        if "faulted" in gates:
+            yield "[bold red]the arm's controller has a fault; when its cause is gone: station kassow clear[/]"
 
     def _key_line(self) -> RenderableType:
         if not self._keyboard.is_there:

@@ -38,6 +38,7 @@ VERBS = {
     "replay": "Play an episode to a bus, a simulation or Rerun.",
     "rehearse": "Run motions through policy and simulation, offline.",
     "view": "Show a running station or an episode; draw its pictures.",
+    "kassow": "Look after an arm's controller: clear faults, simulate one, show its traps.",
     "bus": "Start a bus, or look at one.",
     "keys": "Say what each key of the bus holds.",
     "devices": "Find operators' devices, play fakes of them, show their buttons, calibrate.",

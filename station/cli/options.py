@@ -38,6 +38,9 @@ data_option: Decorator = click.option(
 jobs_option: Decorator = click.option(
     "--jobs", metavar="N", default=0, type=click.IntRange(0), help="Processes side by side.  [default: one per core]"
 )
+task_option: Decorator = click.option(
+    "--task", metavar="NAME", multiple=True, help="Episodes of this task alone; may repeat."
+)
 json_option: Decorator = click.option("--json", "as_json", is_flag=True, help="Print JSON for programs.")
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from rich.console import Console
 
 from station.cli.tables import Column, plain, print_table
-from station.episode.quality.finding_parts import Alignment, CameraQuality, MotionQuality
+from station.episode.quality import timing
+from station.episode.quality.finding_parts import Alignment, ArmQuality, CameraQuality, MotionQuality
 from station.episode.quality.findings import Interruption, Quality, Spread, StepQuality, StreamQuality
 
 _MOST_ROWS = 20
@@ -32,6 +33,8 @@ def print_quality(quality: Quality) -> None:
         console.print(
             f"  [{_COLOURS[reason.verdict]}]{reason.verdict}[/] {reason.rule}: {plain(reason.text)}", soft_wrap=True
         )
+    for line in timing.told(quality.not_judged):
+        console.print(f"  [dim]not judged: {plain(line)}[/]", soft_wrap=True)
     _print_interruptions(console, quality)
     console.print()
     _print_streams(quality.streams)
@@ -40,6 +43,8 @@ def print_quality(quality: Quality) -> None:
         console.print()
         _print_steps(console, steps, lock_step=quality.lock_step)
     _print_motion(console, quality)
+    for arm in quality.arms:
+        _print_arm(console, arm)
     if len(quality.rules) > 1:
         last = quality.rules[-1]
         console.print(
@@ -51,6 +56,8 @@ def _headline(quality: Quality) -> str:
     lost = sum(stream.lost for stream in quality.streams)
     dropped = f", {quality.dropped} dropped" if quality.dropped else ""
     tap = f"{plain(quality.backend or 'unknown')} tap{'' if quality.is_lossless else ' (lossy)'}"
+    if quality.times_of != "writers":
+        tap = f"imported: {plain(quality.backend)}"
     return (
         f"{quality.duration_s:.1f} s, {quality.messages} messages, {lost} lost{dropped}, {quality.falls} falls, "
         f"{quality.resets} resets, {quality.recorder_restarts} recorder restarts, {tap}"
@@ -152,6 +159,23 @@ def _print_cameras(console: Console, cameras: list[CameraQuality]) -> None:
     print_table([Column("camera", "left"), *map(Column, titles)], rows)
 
 
+def _print_arm(console: Console, arm: ArmQuality) -> None:
+    """Print what the session with an arm's controller counted, in three lines."""
+    console.print(
+        f"  controller ({plain(arm.backend)}, {plain(', '.join(arm.profiles))}): "
+        f"heartbeats {_unit(arm.sync_hz, 1, 'Hz')}, "
+        f"targets sent {_unit(arm.sends_moving_hz, 1, 'Hz')} in motion ({arm.moving_s:.0f} s), "
+        f"{_unit(arm.sends_holding_hz, 1, 'Hz')} at hold ({arm.holding_s:.0f} s)",
+        soft_wrap=True,
+    )
+    sync = (_unit(value, 1e6, "us", digits=0) for value in (arm.sync_to_send_p50_s, arm.sync_to_send_p99_s))
+    console.print(f"  heartbeat to send: p50 {next(sync)}, p99 {next(sync)}; heartbeats at most "
+                  f"{_unit(arm.period_max_s, 1e3, 'ms')} apart", soft_wrap=True)  # fmt: skip
+    counts = {"faults": arm.faults, "late commands": arm.late_commands, "missed ticks": arm.missed_ticks,
+              "time-outs": arm.sync_timeouts, "refused at limits": arm.limit_refusals}  # fmt: skip
+    console.print("  " + ", ".join(f"{count} {name}" for name, count in counts.items()), soft_wrap=True)
+
+
 def _print_motion(console: Console, quality: Quality) -> None:
     """Print how the joints of each robot moved, and how commands lay beside states, a line for each finding."""
     told = {steps.robot for steps in quality.steps}
@@ -170,6 +194,9 @@ def _motion(item: MotionQuality) -> list[str]:
     if item.jerk_p99_rad_s3 is not None:
         worst = f"most {plain(item.worst_jerk_joint)} {item.jerk_max_rad_s3 or 0.0:.0f}"
         lines.append(f"jerk p99 {item.jerk_p99_rad_s3:.0f} rad/s³, {worst}")
+    if item.command_jerk_p99_rad_s3 is not None:
+        joint = plain(item.command_worst_jerk_joint)
+        lines.append(f"jerk of the command p99 {item.command_jerk_p99_rad_s3:.0f} rad/s³, most {joint}")
     if item.limit_joints:
         joints = ", ".join(f"{plain(joint)} {share:.1%}" for joint, share in list(item.limit_joints.items())[:3])
         lines.append(f"joints came to their ends {item.limit_hits} times: {joints} of the time")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from station.cli.options import data_option
+from station.cli.options import data_option, task_option
 from station.errors import UsageError
 from station.printable import printable
 
@@ -19,14 +19,19 @@ if TYPE_CHECKING:
 @click.argument("episodes", metavar="[EPISODE]...", nargs=-1)
 @click.option("--out", metavar="FILE.html", required=True, type=click.Path(dir_okay=False, path_type=Path),
               help="The file; replaced when it is there.")  # fmt: skip
-@click.option("--task", default=None, help="Episodes of this task alone.")
+@task_option
 @click.option("--rules", metavar="FILE", default=None, type=click.Path(dir_okay=False, path_type=Path),
               help="Judge every episode anew by these rules; manifests stay as they are.")  # fmt: skip
 @click.option("--draw", "pictured", metavar="N", type=click.IntRange(min=0), default=None,
               help="Draw at most N episodes that are not named, the bad ones first.  [default: 40]")  # fmt: skip
 @data_option
 def command(
-    episodes: tuple[str, ...], out: Path, task: str | None, rules: Path | None, pictured: int | None, data: Path | None
+    episodes: tuple[str, ...],
+    out: Path,
+    task: tuple[str, ...],
+    rules: Path | None,
+    pictured: int | None,
+    data: Path | None,
 ) -> None:
     """Make a page of EPISODEs (ids, paths, patterns), or of all in a data folder: verdicts, times, pictures, columns.
 
@@ -45,21 +50,22 @@ def command(
     if out.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--out {out}: expected a file that ends in .html")
     book = rule_file.of_user() if rules is None else rule_file.load(rules)
-    folders = [Path(source.folder) for source in sources(episodes, data, task=task)]
+    folders = [Path(source.folder) for source in sources(episodes, data, tasks=task)]
     with progress(len(folders), "measuring") as measured:
         found, unread = gather(folders, book, named=bool(episodes), is_judged_anew=rules is not None, tell=measured)
     most = make.PICTURED if pictured is None else pictured
     with progress(len(found), "drawing") as drawing:
-        drawn = make.write(out, found, unread, title=_title(found, task), pictured=most, tell=drawing)
+        drawn = make.write(out, found, unread, title=_title(found), pictured=most, tell=drawing)
     for one in unread:
         click.echo(f"station: {printable(one.problem)}", err=True)
     left_out = f", {drawn} of them drawn" if drawn < len(found) else ""
-    click.echo(f"saved {out}: {len(found)} episodes{left_out}, {out.stat().st_size / 1e6:.1f} MB")
+    count = f"{len(found)} episode{'s' if len(found) != 1 else ''}{left_out}"
+    click.echo(f"saved {out}: {count}, {out.stat().st_size / 1e6:.1f} MB")
     raise SystemExit(1 if unread else 0)
 
 
-def _title(found: list[Episode], task: str | None) -> str:
+def _title(found: list[Episode]) -> str:
     if len(found) == 1:
         return f"Episode {found[0].name}"
     tasks = sorted({episode.manifest.task.name for episode in found})
-    return f"Task {task or tasks[0]}" if len(tasks) == 1 else f"{len(found)} episodes of {len(tasks)} tasks"
+    return f"Task {tasks[0]}" if len(tasks) == 1 else f"{len(found)} episodes of {len(tasks)} tasks"

@@ -12,7 +12,7 @@ from mcap.writer import Writer
 
 from station.bus import codec
 from station.bus.contracts import Contract
-from station.enrich import protobuf, source
+from station.enrich import source
 from station.enrich.scalars import Shape
 from station.enrich.siblings import Siblings, siblings
 from station.enrich.vector import type_name
@@ -21,6 +21,7 @@ from station.episode.reading.messages import Channel
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.left_open import is_left_open
 from station.errors import EpisodeError
+from station.protobuf import schema as protobuf
 
 __all__ = ["Enriched", "Progress", "enrich"]
 
@@ -82,7 +83,7 @@ def enrich(reader: EpisodeReader, *, is_forced: bool = False, progress: Progress
             made.fill(reader, survey, progress)
             made.finish()
             if source.identities(reader) != before:
-                raise EpisodeError(f"{reader.path}: changed while it was read; enrich it again when nobody writes it")
+                raise EpisodeError(f"{reader.folder}: changed while it was read; enrich it again when nobody writes it")
         size_bytes = path.stat().st_size
     except OSError as error:
         why = error.strerror or str(error)
@@ -101,7 +102,8 @@ def _expect_finished(reader: EpisodeReader) -> None:
     if reader.is_active and not is_left_open(reader.folder):
         raise EpisodeError(f"{reader.path}: is being recorded; enrich it when the recording is stopped")
     remedy = f"station episodes repair {reader.episode_id or reader.folder}"
-    raise EpisodeError(f"{reader.path}: was never finished ({reader.torn}); repair it first: {remedy}")
+    what = "was never finished" if reader.is_active else "is not whole"
+    raise EpisodeError(f"{reader.path}: {what} ({reader.torn}); repair it first: {remedy}")
 
 
 class _Survey(NamedTuple):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from station.enrich.protobuf import Field, Schema, message_class, schema
 from station.enrich.vector import is_field_name
+from station.protobuf.schema import Field, Schema, message_class, schema
 
 Kind = Literal["double", "int64", "bool", "string"]
 

@@ -23,14 +23,15 @@ import numpy as np
 
 from station.bus import codec, keys
 from station.bus.contracts import Contract
-from station.enrich import foxglove
-from station.enrich.protobuf import Schema
 from station.enrich.scalars import ObjectType, Shape
 from station.enrich.vector import VectorType
 from station.episode.reading.frames import captured_ns
 from station.episode.reading.messages import Message
 from station.episode.reading.vectors import decoder
+from station.episode.storage import pictures
 from station.life import events
+from station.protobuf import foxglove
+from station.protobuf.schema import Schema
 
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 ROOT = ("root_x", "root_y", "root_z", "root_quat_w", "root_quat_x", "root_quat_y", "root_quat_z")
@@ -76,10 +77,10 @@ def siblings(contract: Contract, shape: Shape, name: str) -> Siblings | str:
 
 
 def _picture(contract: Contract) -> Siblings:
-    camera = contract.key.removeprefix(keys.camera_image(""))
+    camera = pictures.camera_of(contract.key)
 
     def encode(message: Message) -> list[bytes]:
-        return [foxglove.image(message.data, captured_ns(message), camera)]
+        return [pictures.compressed_image(message.data, captured_ns(message), camera)]
 
     return Siblings([(f"{contract.key}/{IMAGE}", foxglove.schema(foxglove.COMPRESSED_IMAGE))], encode)
 

@@ -43,7 +43,7 @@ def identities(reader: EpisodeReader) -> list[Identity]:
     Raises:
         EpisodeError: one of them is gone.
     """
-    return [_identity(path) for path in _files(reader)]
+    return [_identity(path) for path in reader.files]
 
 
 def origins(found: list[Identity]) -> list[Origin]:
@@ -74,10 +74,6 @@ def facts(episode_id: str, made_of: list[Origin]) -> dict[str, str]:
 def is_current(path: Path, wanted: dict[str, str]) -> bool:
     """Whether an enriched file is there and was made of the same files in the same manner."""
     return path.is_file() and metadata_at_head(path, RECORD) == wanted
-
-
-def _files(reader: EpisodeReader) -> list[Path]:
-    return [reader.path]
 
 
 def _identity(path: Path) -> Identity:

@@ -7,7 +7,8 @@ import struct
 from collections.abc import Sequence
 
 from station.bus.contracts import Element
-from station.enrich.protobuf import MOST_FIELDS, Field, Schema, schema
+from station.protobuf.schema import MOST_FIELDS, Field, Schema, schema
+from station.protobuf.wire import varint
 
 _FIXED64 = 1  # wire type of a double
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -36,7 +37,7 @@ class VectorType:
                 raise ValueError(f"its element {element.name!r} has a name that no field can have")
         fields = [Field(element.name, number, "double", element.unit) for number, element in enumerate(elements, 1)]
         self.schema: Schema = schema(name, fields, note)
-        tags = [_varint(field.number << 3 | _FIXED64) for field in fields]
+        tags = [varint(field.number << 3 | _FIXED64) for field in fields]
         self._pack = struct.Struct("<" + "".join(f"{len(tag)}sd" for tag in tags)).pack
         self._parts: list[bytes | float] = [part for tag in tags for part in (tag, 0.0)]
 
@@ -55,13 +56,3 @@ def type_name(key: str) -> str:
     """Return the full name of the message type of a key: ``robot_state_g1`` is ``station.RobotStateG1``."""
     words = "".join(word[0].upper() + word[1:] for word in re.findall(r"[A-Za-z0-9]+", key))
     return f"station.{words}" if words[:1].isalpha() else f"station.Key{words}"
-
-
-def _varint(number: int) -> bytes:
-    """Return a number as protobuf writes it: seven bits a byte, the lowest first."""
-    out = bytearray()
-    while number > 127:
-        out.append(number & 127 | 128)
-        number >>= 7
-    out.append(number)
-    return bytes(out)

@@ -36,6 +36,10 @@ class KeyColumns(msgspec.Struct, frozen=True, kw_only=True):
     units: tuple[str, ...]
     rate_hz: float | None = None
 
+    def __str__(self) -> str:
+        named = [f"{name} [{unit}]" if unit else name for name, unit in zip(self.names, self.units, strict=True)]
+        return f"{len(named)} numbers: {', '.join(named)}"
+
 
 def key_columns(reader: EpisodeReader, key: str) -> KeyColumns:
     """Return the columns of a key as an episode recorded them.

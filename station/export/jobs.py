@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -44,7 +45,11 @@ class Attempt(Generic[T, R]):
 
 
 class DiskRefuses(StationError):
-    """The disk takes no more: no other episode would fare better."""
+    """The disk takes no more: no other episode would fare better; `item` is what it took no more of."""
+
+    def __init__(self, message: str, item: object) -> None:
+        super().__init__(message)
+        self.item = item
 
 
 def map_episodes(
@@ -77,7 +82,7 @@ def map_episodes(
 
     def note(attempt: Attempt[T, R]) -> None:
         if attempt.is_disk_at_fault:
-            raise DiskRefuses(attempt.error)
+            raise DiskRefuses(attempt.error, attempt.item)
         if on_done is not None:
             on_done(attempt)
 
@@ -101,8 +106,9 @@ class _Guarded(Generic[T, R]):
         except StationError as error:
             why = str(error)
         except OSError as error:
-            why = f"{error.filename or 'the disk'}: {error.strerror or error}"
             is_disk_at_fault = error.errno in _DISK_REFUSES
+            what = os.strerror(error.errno or 0) if is_disk_at_fault else error.strerror or error  # of some libraries
+            why = f"{error.filename or 'the disk'}: {what}"
         except Exception as error:  # a fault of ours in one episode must not cost the other thousands
             log.debug("%r", item, exc_info=True)
             why = f"internal error: {_where(error)}: {type(error).__name__}: {error}"

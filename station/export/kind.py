@@ -103,8 +103,10 @@ class ExportKind:
             Raises `StationError` for an episode that does not fit, `OSError` when the disk refuses.
         join: ``(shards, left_out, plan, folder) -> facts``, or None. Shards come in the order of their sources;
             `folder` exists and is empty; shards are not to be changed (`station.export.shards.place` links a file
-            instead of copying it). Returns facts of the result for people and programs, plain values. Never called
-            without shards.
+            instead of copying it). Returns facts of the result for people and programs, plain values; each line of
+            ``notes`` among them is told. Never called without shards.
+        columns: ``(plan) -> lines``, or None: a line for each column of the result that says what stands in it, for
+            ``--dry-run``. Without it the keys of the plan are told, with names and units.
         version: Counted up when the same episode and plan give other bytes; then older shards are made anew.
     """
 
@@ -114,4 +116,5 @@ class ExportKind:
     prepare: Prepare
     convert: Convert
     join: Join | None = None
+    columns: Callable[[Any], Sequence[str]] | None = None
     version: int = 1

@@ -130,7 +130,10 @@ def _joined(ray: Any, address: str, **options: Any) -> Iterator[Any]:
         try:
             ray.init(address, log_to_driver=False, logging_level=logging.ERROR, **options)
         except (ray.exceptions.RayError, ConnectionError, RuntimeError, ValueError, OSError) as error:
-            raise StationError(f"--ray {address}: {_line(error)}") from error
+            wants = (
+                "" if "RAY_AUTH_MODE" in os.environ else "; if it wants a token: RAY_AUTH_MODE=token, RAY_AUTH_TOKEN"
+            )
+            raise StationError(f"--ray {address}: {_line(error)}{wants}") from error
         try:
             yield ray
         finally:

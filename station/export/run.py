@@ -104,7 +104,10 @@ def export(
 
 
 def _full(error: DiskRefuses | OSError, out: Path, safe: int, tasks: int) -> StationError:
-    why = error if isinstance(error, DiskRefuses) else f"{error.filename or out}: {error.strerror or error}"
+    if isinstance(error, DiskRefuses):
+        why = f"{error.item.source.episode_id}: {error}" if isinstance(error.item, shards.Task) else str(error)
+    else:
+        why = f"{error.filename or out}: {error.strerror or error}"
     return StationError(
         f"{why}; {safe} of {tasks} episodes are converted and kept beside {out}: make room, then run the same "
         "command again"

@@ -15,7 +15,7 @@ from station.export.kind import Source
 _MAGIC = frozenset("*?[")
 
 
-def sources(episodes: Sequence[str], data: Path | None = None, *, task: str | None = None) -> list[Source]:
+def sources(episodes: Sequence[str], data: Path | None = None, *, tasks: Sequence[str] = ()) -> list[Source]:
     """Return the episodes that are meant, each once, in the order in which they were named, else oldest first.
 
     Nothing is said here of what they are worth: an unfinished or torn one is told of when it is opened.
@@ -24,16 +24,20 @@ def sources(episodes: Sequence[str], data: Path | None = None, *, task: str | No
         episodes: Paths, ids, unique beginnings of ids, ``latest``, or patterns (``*?[``) of paths or ids; none at all
             takes every episode of the data folder.
         data: The data folder; None takes ``$STATION_DATA``, else ``./data``.
-        task: Of these, episodes of this task alone.
+        tasks: Of these, episodes of these tasks alone; none at all takes every task.
 
     Raises:
-        EpisodeError: one is not found, or nothing is left.
+        EpisodeError: one is not found, or a task has none.
         UsageError: two of them have the same id.
     """
     base = data_folder(data)
     folders = [folder for name in episodes for folder in _named(name, base)] if episodes else find_episodes(base)
-    if task is not None:
-        folders = [folder for folder in folders if _is_of(folder, task)]
+    if tasks:
+        of_tasks = {task: {folder for folder in folders if _is_of(folder, task)} for task in dict.fromkeys(tasks)}
+        for task, those in of_tasks.items():
+            if not those:
+                raise EpisodeError(_why_none(base, f" of task {task!r}"))
+        folders = [folder for folder in folders if any(folder in those for those in of_tasks.values())]
     found: dict[str, Path] = {}
     for folder in (folder.absolute() for folder in folders):
         if found.setdefault(folder.name, folder).resolve() != folder.resolve():
@@ -41,7 +45,7 @@ def sources(episodes: Sequence[str], data: Path | None = None, *, task: str | No
                 f"two episodes are called {folder.name}: {found[folder.name]} and {folder}; rename the folder of one"
             )
     if not found:
-        raise EpisodeError(_why_none(base, task))
+        raise EpisodeError(_why_none(base))
     return [Source(episode_id=name, folder=str(folder)) for name, folder in found.items()]
 
 
@@ -67,6 +71,5 @@ def _is_of(folder: Path, task: str) -> bool:
         return True
 
 
-def _why_none(base: Path, task: str | None) -> str:
-    which = "" if task is None else f" of task {task!r}"
+def _why_none(base: Path, which: str = "") -> str:
     return f"no episodes{which} in {base.absolute()}; record some, or name another folder with --data"

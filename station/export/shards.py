@@ -12,7 +12,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,7 +28,7 @@ from station.export.kind import ExportKind, LeftOut, Made, MinQuality, Shard, So
 _RECORD = "made.json"
 _FILES = "files"
 _SHARDS, _MAKING, _JOINED = "shards", "making", "joined"
-_OF_AN_EPISODE = (layout.MANIFEST, layout.SIGNALS, layout.ACTIVE)
+_OF_AN_EPISODE = (layout.MANIFEST, *layout.SIGNALS_NAMES[:2], *layout.CAMERAS_NAMES[:2])
 
 
 class Task(msgspec.Struct, frozen=True, kw_only=True):
@@ -93,9 +93,19 @@ def open_work(out: Path) -> Iterator[Path]:
             raise BadFile(f"{out}: another export to it is under way; wait for it, or name another folder") from None
         shutil.rmtree(work / _MAKING, ignore_errors=True)  # of a run that was killed
         shutil.rmtree(work / _JOINED, ignore_errors=True)
-        yield work
+        try:
+            yield work
+        finally:
+            _leave_nothing_empty(work)
     finally:
         os.close(descriptor)
+
+
+def _leave_nothing_empty(work: Path) -> None:
+    """Take away a folder in which no shard was made: there is nothing that a later run could go on from."""
+    with suppress(OSError):  # it holds shards, or is gone: the export was finished
+        (work / _SHARDS).rmdir()
+        shutil.rmtree(work, ignore_errors=True)
 
 
 def make_shard(task: Task) -> Outcome:

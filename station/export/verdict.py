@@ -29,10 +29,12 @@ def expect(source: Source, least: MinQuality) -> Verdict | None:
     """
     reader = EpisodeReader(signals_file(Path(source.folder)))
     if reader.is_active:
+        why = (reader.torn or "its recorder is still at it").removeprefix("not finished: ")
         raise EpisodeError(
-            f"{source.episode_id}: not finished ({reader.torn or 'its recorder is still at it'}); "
-            "stop the recording, or `station episodes repair` it"
+            f"{source.episode_id}: not finished: {why}; stop the recording, or `station episodes repair` it"
         )
+    if not any(stream.count for stream in reader.streams()):
+        raise EpisodeError(f"{source.episode_id}: holds no message; there is nothing to export")
     if least == "any":
         return None
     found, reason = _measured(reader.manifest) or _measure(reader)

@@ -13,6 +13,7 @@ import msgspec
 
 from station import registry
 from station.bus.tap import Write
+from station.episode.quality.timing import IMPORTED
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, iso
@@ -24,9 +25,6 @@ from station.episode.writing.closing import close_manifest
 from station.errors import EpisodeError, StationError
 from station.foreign.kind import ForeignKind, ForeignWrite, Recording
 from station.software import software
-
-IMPORTED = "imported"
-"""Block of the manifest that says what the episode was made of, and what is not known of it."""
 
 _NO_TIME_NS = 86_400 * 1_000_000_000  # 2 January 1970, which nobody takes for a time of a robot; 0 would mean "none"
 _BATCH = 64  # writes, some of them pictures

@@ -59,14 +59,19 @@ class Arming:
         """
         if self._state == "disarmed":
             return None
-        if self._state == "armed":
-            return targets
+        fraction = self.stiffen(now_s)
+        return targets if fraction == 1.0 else JointTargets(targets.q, targets.kp * fraction, targets.kd)
+
+    def stiffen(self, now_s: float) -> float:
+        """Go on to an instant [s]; return how stiff the robot may be: 0 when disarmed, 1 when armed."""
+        if self._state != "arming":
+            return float(self._state == "armed")
         self._pass_time(now_s)
         fraction = self._ramped_s / self._ramp_s if self._ramp_s > 0 else 1.0
         if fraction >= 1.0 - _ROUNDING:
             self._state = "armed"
-            return targets
-        return JointTargets(targets.q, targets.kp * fraction, targets.kd)
+            return 1.0
+        return fraction
 
     def _pass_time(self, now_s: float) -> None:
         if math.isfinite(now_s):

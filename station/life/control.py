@@ -120,21 +120,24 @@ class ControlStep:
         allowed = self._allowed(targets, now_s)
         sent_ns = time.monotonic_ns()  # before `write`, which in a simulation also runs the physics
         sent = _nothing(targets) if allowed is None else self.robot.write(allowed)
-        fall = self._note_fall(now_s)
         good = self.inlet.good
         stages = (good.written_ns if good else 0, good.arrived_ns if good else 0)
-        return StepRecord(
+        record = StepRecord(
             tick=self._tick,
             state=state,
             decision=decision,
             observation=observation,
             action=action,
             sent=sent,
-            fall=fall,
+            fall=self._note_fall(now_s),
             command_seq=good.seq if good else 0,
             timing_ns=(*stages, state.mono_ns, observed_ns, inferred_ns, sent_ns),
             happenings=self.commanded.taken(),
         )
+        if self._reset_after_s is not None and now_s - self._fell_at_s >= self._reset_after_s:
+            self._fell_at_s = math.inf
+            self.restart("fell")  # told with the next step, which sees the robot on its feet
+        return record
 
     def stop(self, reason: str) -> None:
         """Latch the emergency stop: from the next step on the joints are only damped."""
@@ -161,6 +164,10 @@ class ControlStep:
     def disarm(self, who: str = "") -> None:
         """Send nothing to the robot from the next step on."""
         self.commanded.disarm(who)
+
+    def refuse_rivals(self, count: int, reason: str) -> None:
+        """Count commands that came from others than who is obeyed, before the step that they came for."""
+        self.commanded.refuse_rivals(count, reason)
 
     def health(self) -> dict[str, Any]:
         """Return what a server's heartbeat tells of this robot."""
@@ -216,9 +223,6 @@ class ControlStep:
         elif self._is_down:
             self._stood_since_s = min(self._stood_since_s, now_s)
             self._is_down = now_s - self._stood_since_s < _UPRIGHT_AGAIN_S
-        if self._reset_after_s is not None and now_s - self._fell_at_s >= self._reset_after_s:
-            self._fell_at_s = math.inf
-            self.restart("fell")
         return fall
 
 

@@ -29,6 +29,7 @@ _GATE_REMEDIES = {
     "holding": "the command stopped coming a moment ago; see the command key above",
     "returning": "the command stopped coming; the robot goes back to its default pose",
     "stopped": "station estop --reset",
+    "faulted": "station kassow clear, when the cause is gone",
 }
 
 
@@ -36,11 +37,28 @@ class _StatedPolicy(msgspec.Struct):
     command: str
 
 
+class _StatedCommand(msgspec.Struct):
+    key: str
+    companions: list[str] = []
+
+
 class _Stated(msgspec.Struct):
-    """What we need of the facts that a low-level server states."""
+    """What we need of the facts that a low-level server states: what it obeys, or the policy that says so."""
 
     robot: str
-    policy: _StatedPolicy
+    policy: _StatedPolicy | None = None
+    command: _StatedCommand | None = None
+
+    def obeys(self) -> _StatedCommand:
+        """Return the keys of its command.
+
+        Raises:
+            UnknownName: its policy follows a format that is not registered.
+        """
+        if self.policy is None:
+            return self.command or _StatedCommand("")
+        form: CommandFormat = registry.find("command", self.policy.command)
+        return _StatedCommand(form.key, list(form.companions))
 
 
 class _Gate(msgspec.Struct):
@@ -126,7 +144,7 @@ def _low_level(bus: Bus, health: Health) -> Iterator[Finding]:
     subject = f"server {health.name}"
     try:
         facts = codec.parse_struct(bus.get(keys.server_config(health.name)) or b"", _Stated)
-        command: CommandFormat = registry.find("command", facts.policy.command)
+        command = facts.obeys()
     except (codec.BadValue, UnknownName) as error:
         yield Finding("broken", subject, f"has not stated what it runs ({error})", "restart it; recording refuses it")
         return

@@ -6,6 +6,10 @@
        │                  ▼  │                    ▼  │
        └──blend done── returning ◄──still stale── holding          stopped: from anywhere, left only by `reset`
 
+A robot that stays where it is without a command (an arm) has no way back: after holding it is `waiting`, is told there
+where it rests, and enters a command at once, as fast as the rates let it. What stops it, or its own controller's fault
+(`faulted`), is left only for commands that begin anew after a silence: nobody drives on through a stop.
+
 A command that comes back while holding is followed at once if it was followed before; from returning, when the blend
 had not ended, or when somebody else gives it, it is entered again. What is a good command is decided before, in
 `station.life.inlet`. Whatever the state, no element moves faster than its rate (`station.life.slew`): a command that
@@ -28,9 +32,12 @@ from station.protocols import Floats
 _ROUNDING = 1e-9  # five ticks of 0.02 s are 100 ms
 _LONGEST_TICK_S = 0.1  # a clock that leaps takes a blend no further than this
 _LATEST_S = 1e12  # beyond, a clock's ticks are lost in rounding
+_GOING_ON = "commands went on through the stop; let go, then engage anew"
 _SLACK_S = 0.02  # a command may arrive between the reading of the clock and of the command
 
-State = Literal["waiting", "entering", "tracking", "holding", "returning", "stopped"]
+State = Literal["waiting", "entering", "tracking", "holding", "returning", "stopped", "faulted"]
+
+_LATCHED = ("stopped", "faulted")
 
 
 class GateConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -106,16 +113,24 @@ class Gate:
         default: The command that asks the robot to stand, shape (m,).
         config: Its times.
         bounds: Range and rate of each element; None bounds nothing.
+        stays: Whether the robot stays where it is without a command, instead of going back to `default`.
 
     Raises:
         ConfigError: an element cannot be back at its default within `GateConfig.blend_out_s`.
     """
 
-    def __init__(self, default: Floats, config: GateConfig | None = None, bounds: Bounds | None = None) -> None:
+    def __init__(
+        self,
+        default: Floats,
+        config: GateConfig | None = None,
+        bounds: Bounds | None = None,
+        *,
+        stays: bool = False,
+    ) -> None:
         self.config = config or GateConfig()
         self._default = np.array(default, dtype=np.float64)
-        self._bounds = bounds
-        if bounds is not None:
+        self._bounds, self._stays = bounds, stays
+        if bounds is not None and not stays:
             bounds.expect_back_within(self._default, self.config.blend_out_s)
         self._state: State = "waiting"
         self._reason = "no command yet"
@@ -124,6 +139,7 @@ class Gate:
         self._since_s = 0.0
         self._is_entered = False  # whether the blend into the command has ended
         self._new_hands = ""  # why the next command is entered again
+        self._must_be_silent = False  # whether commands have to end before one is followed
         self._transitions: list[Transition] = []
         self._now_s: float | None = None
         self._passed_s = 0.0  # since the last tick, as far as it counts
@@ -151,12 +167,16 @@ class Gate:
         """
         now_s = self._pass_time(now_s)
         self._limited = ()
+        is_silent = not -_SLACK_S <= age_s <= self.config.return_after_s + _ROUNDING
+        self._must_be_silent &= not is_silent
+        if self._must_be_silent:
+            command, refusal = None, refusal or _GOING_ON
         if command is None or command.shape != self._default.shape or not np.isfinite(command).all():
             command, age_s = None, math.inf
         elif not age_s >= -_SLACK_S:  # from the future, or not a number: nothing is known of it
             age_s = math.inf
         why = refusal or _staleness(age_s)
-        if self._state == "stopped":
+        if self._state in _LATCHED:
             pass
         elif command is not None and age_s <= self.config.hold_after_s + _ROUNDING:
             self._follow(now_s, command)
@@ -172,15 +192,35 @@ class Gate:
         """Enter the next good command again: somebody else gives it."""
         self._new_hands = reason
 
+    def insist_on_silence(self) -> None:
+        """Follow nobody until good commands have ceased for longer than `GateConfig.return_after_s`."""
+        self._must_be_silent = True
+
+    def rest(self, where: Floats, bounds: Bounds | None = None) -> None:
+        """Say where a robot that stays is, shape (m,), before each `step`; and new bounds, where they have changed."""
+        self._default = np.array(where, dtype=np.float64)
+        self._bounds = bounds or self._bounds
+        if self._state in ("waiting", *_LATCHED):
+            self._vector = self._default.copy()
+
     def stop(self, reason: str) -> None:
         """Latch the stop; the output stays what it was."""
-        self._move("stopped", self._now_s or 0.0, reason)
+        self._latch("stopped", reason)
+
+    def fault(self, reason: str) -> None:
+        """Latch what the robot's own controller says has gone wrong; a stop is more, and stays."""
+        if self._state != "stopped":
+            self._latch("faulted", reason)
 
     def reset(self, reason: str = "reset by the operator") -> None:
-        """Leave the stop, and any other state: wait for a command, output standing."""
+        """Leave the stop, a fault, and any other state: wait for a command, output standing."""
         self._vector = self._default.copy()
         self._is_entered = False
         self._move("waiting", self._now_s or 0.0, reason)
+
+    def _latch(self, state: State, reason: str) -> None:
+        self._must_be_silent |= self._stays
+        self._move(state, self._now_s or 0.0, reason)
 
     def _follow(self, now_s: float, command: Floats) -> None:
         if self._state in ("waiting", "returning") or (self._state == "holding" and not self._is_entered):
@@ -190,17 +230,21 @@ class Gate:
         elif self._state == "holding":
             self._move("tracking", now_s, "a good command came")
         self._new_hands = ""
-        fraction = self._fraction(now_s, self.config.blend_in_s) if self._state == "entering" else 1.0
+        is_blending = self._state == "entering" and not self._stays
+        fraction = self._fraction(now_s, self.config.blend_in_s) if is_blending else 1.0
         self._approach(self._start + fraction * (command - self._start) if fraction < 1.0 else command)
-        if fraction >= 1.0 and self._state == "entering":
+        if fraction >= 1.0 and self._state == "entering" and not (self._stays and self._limited):
             self._is_entered = True
-            self._move("tracking", now_s, "blend done")
+            self._move("tracking", now_s, "caught up" if self._stays else "blend done")
 
     def _enter_again(self, now_s: float) -> None:
         self._move("entering", now_s, self._new_hands)
         self._since_s, self._start = now_s, self._vector  # also when it was entering: `_move` does nothing then
 
     def _go_home(self, now_s: float, why: str) -> None:
+        if self._stays:
+            self._move("waiting", now_s, why)
+            self._reason = why
         if self._state == "waiting":
             return
         self._move("returning", now_s, why)

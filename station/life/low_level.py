@@ -1,7 +1,7 @@
-"""The loop of a low-level server: `station.life.control` between the bus's commands and the bus's recordings.
+"""The loop of a low-level server: a control step between the bus's commands and the bus's recordings.
 
-Knows no robot. Two paces: the wall clock at a fixed rate, or lock-step, where a tick waits for a command that is newer
-than the last and the gate's clock is that of the ticks.
+Knows no robot, and no policy. Two paces: the wall clock at a fixed rate, or lock-step, where a tick waits for a command
+that is newer than the last and the gate's clock is that of the ticks.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Generic, Self, TypeVar
 
 import msgspec
 import numpy as np
@@ -19,60 +19,64 @@ from station.bus import codec, keys
 from station.bus.sample import Sample
 from station.life import arm_request, estop
 from station.life.arm_request import ArmAnswer
-from station.life.control import ControlStep, Happening, StepRecord
+from station.life.commanded import Commanded, Control, Happening, Record, told_of_gate
+from station.life.control import StepRecord
 from station.life.inbox import CommandWatch, Inbox
 from station.life.inlet import CommandSample
 from station.life.loop import Rate
 from station.life.server import Life
 from station.life.writers import News, Writers, spoken
-from station.protocols import RobotState
 
 log = logging.getLogger(__name__)
 
 _REPORT_S = 0.5
 
-StateValues = Callable[[RobotState], Mapping[str, bytes]]
+
+StateT = TypeVar("StateT")
+RecordT = TypeVar("RecordT", bound=Record)
 
 
-class LowLevelLoop:
+class LowLevelLoop(Generic[StateT, RecordT]):
     """Ticks of a low-level server; a context manager, since it watches the bus.
 
     Args:
         life: The server's.
         control: The step.
-        state_values: Makes the values that are published at the start of a tick.
+        state_values: Makes the values that are published at the start of a tick; there may be none.
+        result_values: Makes those that are published after a step, with the answer to the last request to arm.
         period_s: Control period [s].
-        reset_after_s: A simulated robot is put back on its feet this long after a fall [s]; None: never.
+        requests: Keys on which more is asked of this robot, and who does it; called in the loop, between ticks.
     """
 
     def __init__(
         self,
         life: Life,
-        control: ControlStep,
+        control: Control[StateT, RecordT],
         *,
-        state_values: StateValues,
+        state_values: Callable[[StateT], Mapping[str, bytes]],
+        result_values: Callable[[RecordT, ArmAnswer | None], Mapping[str, bytes]],
         period_s: float,
-        reset_after_s: float | None = None,
+        requests: Mapping[str, Callable[[bytes], None]] | None = None,
     ) -> None:
-        self._life, self._control, self._state_values = life, control, state_values
-        self._period_s, self._reset_after_s = period_s, reset_after_s
-        self._suffix, self._key = control.inlet.form.robot, control.inlet.form.key
-        watched = [self._key, keys.ESTOP, keys.ARM]
+        self._life, self._control = life, control
+        self._state_values, self._result_values = state_values, result_values
+        self._period_s, self._requests = period_s, dict(requests or {})
+        self._key = control.commanded.inlet.form.key
+        watched = [self._key, keys.ESTOP, keys.ARM, *self._requests]
         self._watch = CommandWatch(life.bus.address, watched, key=self._key, outages=life.bus.outages)
-        config = control.gate.config
+        config = control.commanded.gate.config
         self._inbox = Inbox(self._watch, self._key, Writers(config.rivals, config.return_after_s))
         self._estop_seen: Sample | None = None
         self._is_stopped_past_bus = False  # asked to, and not obeyed yet
         self._arm_seen = self._watch.latest(keys.ARM)  # a request from before our time is none
         self._arm_answer: ArmAnswer | None = None
-        self._fell_at_s: float | None = None
-        self._falls = 0
+        self._requests_seen = {key: self._watch.latest(key) for key in self._requests}
         self._said_s = -math.inf
         self._bus_is_lost = False
         life.on_estop(self._hear_supervisor)
         life.on_bus_back(self._restate_stop)
 
-    def __enter__(self) -> LowLevelLoop:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -128,7 +132,7 @@ class LowLevelLoop:
                 return False
         return False
 
-    def _sense(self) -> RobotState:
+    def _sense(self) -> StateT:
         state = self._control.sense()
         self._publish(self._state_values(state))
         return state
@@ -140,6 +144,11 @@ class LowLevelLoop:
     def _obey(self, now_s: float) -> bool:
         """Do what an operator asks for; return whether something was newly asked."""
         is_told = self._obey_stop(now_s)
+        for key, act in self._requests.items():
+            sample = self._watch.latest(key)
+            is_new, self._requests_seen[key] = sample is not self._requests_seen[key], sample
+            if is_new and sample is not None and sample.arrived_ns is not None:
+                act(sample.value)
         return self._obey_arm(now_s) or is_told
 
     def _obey_arm(self, now_s: float) -> bool:
@@ -165,7 +174,7 @@ class LowLevelLoop:
 
     def _restate_stop(self) -> None:
         """Tell a bus that has forgotten it that we are stopped, for servers that start only now."""
-        gate = self._control.gate
+        gate = self._control.commanded.gate
         if gate.state == "stopped" and estop.restate(self._life.bus, gate.reason, self._life.name):
             self._life.event("estop-restated", severity="warning", reason=gate.reason)
 
@@ -190,17 +199,16 @@ class LowLevelLoop:
                 self._control.arm(now_s, request.reason)
         return True
 
-    def _act(self, state: RobotState, command: CommandSample | None, now_s: float) -> None:
+    def _act(self, state: StateT, command: CommandSample | None, now_s: float) -> None:
         writers = self._inbox.writers
         if refused := self._inbox.take_refused():
             self._control.refuse_rivals(refused, writers.refusal)
         record = self._control.step(state, command, now_s)
-        self._publish(result_values(self._suffix, record, self._control, self._arm_answer))
+        self._publish(self._result_values(record, self._arm_answer))
         for happening in record.happenings:
             self._say(happening)
         for news in writers.take_news(now_s):
             self._tell_of_writers(news)
-        self._see_to_fall(record, now_s)
 
     def _tell_of_writers(self, news: News) -> None:
         detail: dict[str, Any] = {"key": self._key, "writers": list(news.writers), "obeyed": spoken(news.obeyed)}
@@ -212,16 +220,9 @@ class LowLevelLoop:
             others = [spoken(writer) for writer in news.writers if writer != news.obeyed]
             self._life.event("second-writer", severity="warning", **detail, refused=others)
 
-    def _see_to_fall(self, record: StepRecord, now_s: float) -> None:
-        if any(happening.name == "fall" for happening in record.happenings):
-            self._falls += 1
-            self._fell_at_s = now_s
-        due = self._reset_after_s is not None and self._fell_at_s is not None
-        if due and now_s - (self._fell_at_s or 0.0) >= (self._reset_after_s or 0.0):
-            self._fell_at_s = None
-            self._control.restart("fell")
-
     def _publish(self, values: Mapping[str, bytes]) -> None:
+        if not values:
+            return
         is_lost = not self._life.bus.publish(values)
         if is_lost and not self._bus_is_lost:
             # Only the log can hear this one; `bus-back` follows on the bus with the count.
@@ -239,28 +240,28 @@ class LowLevelLoop:
         return True
 
     def _report(self, **loop: float) -> None:
-        control, inlet = self._control, self._control.inlet
+        commanded = self._control.commanded
+        gate, inlet = commanded.gate, commanded.inlet
         self._life.report(
-            gate=control.gate.state, gate_reason=control.gate.reason, arming=control.arming.state,
+            gate=gate.state, gate_reason=gate.reason, arming=commanded.arming.state,
             command_writer=self._inbox.writers.obeyed and spoken(self._inbox.writers.obeyed),
-            refused=dict(inlet.refused), clamped=inlet.clamped_samples, falls=self._falls, **loop,
+            refused=dict(inlet.refused), clamped=inlet.clamped_samples, **self._control.health(), **loop,
         )  # fmt: skip
 
 
 def result_values(
-    suffix: str, record: StepRecord, control: ControlStep, answer: ArmAnswer | None = None
+    suffix: str, record: StepRecord, commanded: Commanded, answer: ArmAnswer | None = None
 ) -> dict[str, bytes]:
-    """Return what a step publishes after its targets were sent, by key; with the answer to the last request to arm."""
+    """Return what a step of a policy publishes after its targets were sent, by key.
+
+    Args:
+        suffix: Of the robot's keys.
+        record: The step.
+        commanded: Its command's way.
+        answer: To the last request to arm.
+    """
     decision, sent = record.decision, record.sent
-    gate: dict[str, Any] = {
-        "state": decision.state,
-        "reason": decision.reason,
-        "age_s": decision.age_s if math.isfinite(decision.age_s) else None,
-        "clamped": control.inlet.clamped,
-        "refused": control.inlet.refused.total(),
-        "arming": control.arming.state,
-        "limited": len(decision.limited),
-    }
+    gate = told_of_gate(decision, commanded)
     if answer is not None:
         gate["arm"] = msgspec.structs.asdict(answer)
     return {

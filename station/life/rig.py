@@ -53,9 +53,13 @@ class Rig(msgspec.Struct, frozen=True):
     form: CommandFormat
     period_s: float
 
-    def control(self, *, gate: GateConfig | None = None, is_armed: bool = True) -> ControlStep:
-        """Return the control step over this rig."""
-        return ControlStep(self.robot, self.policy, self.form, gate=gate, is_armed=is_armed)
+    def control(
+        self, *, gate: GateConfig | None = None, is_armed: bool = True, reset_after_s: float | None = None
+    ) -> ControlStep:
+        """Return the control step over this rig; its arguments are those of `ControlStep`."""
+        return ControlStep(
+            self.robot, self.policy, self.form, gate=gate, is_armed=is_armed, reset_after_s=reset_after_s
+        )
 
 
 def build(config: RigConfig) -> Rig:

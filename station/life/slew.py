@@ -34,9 +34,12 @@ class Bounds:
         return cls(form.lower, form.upper, np.minimum(form.rate * factor, _UNLIMITED))
 
     def step(self, before: Floats, wanted: Floats, passed_s: float) -> Floats:
-        """Return what comes nearest to a vector after some time; the very vector when it is within bounds."""
+        """Return what comes nearest to a vector after some time; the very vector when it is within bounds.
+
+        What is out of its range (an arm that was pushed by hand) comes back at its rate, and does not jump.
+        """
         most = self.rate * min(max(passed_s, 0.0), LONGEST_TICK_S)
-        moved: Floats = np.clip(np.clip(wanted, before - most, before + most), self.lower, self.upper)
+        moved: Floats = np.clip(np.clip(wanted, self.lower, self.upper), before - most, before + most)
         return moved
 
     def expect_back_within(self, default: Floats, blend_s: float) -> None:

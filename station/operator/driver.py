@@ -33,7 +33,7 @@ class Look:
 
 
 class Driver(Protocol):
-    """Turns samples into commands of the whole body."""
+    """Turns samples into commands."""
 
     @property
     def name(self) -> str:
@@ -109,9 +109,11 @@ class DriverKind(msgspec.Struct, frozen=True, kw_only=True):
         options: Type of its options.
         make: Makes a driver of options and an operator's name ("" for nobody known); imports what is heavy only when
             called, and raises a `station.errors.StationError` that says what is missing.
+        rate_hz: Commands per second that its robot expects [Hz].
     """
 
     name: str
     summary: str
     options: type[msgspec.Struct]
     make: Callable[[Any, str], Driver]
+    rate_hz: float = 50.0

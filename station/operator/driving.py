@@ -7,15 +7,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from station.operator.buttons import Buttons, Pressed
+from station.errors import ConfigError
+from station.operator import buttons as button_maps
+from station.operator.buttons import ButtonMap, Buttons, Pressed
 from station.operator.deadman import Change, DeadMan
 from station.operator.driver import Driver, Look
 from station.operator.reading import Reading
 from station.protocols import Floats
 
 _NOTHING = Look(None, "no valid data from the device")
+
+
+def buttons_to_drive(device: str, file: Path | None) -> ButtonMap:
+    """Return what the buttons of a kind of device mean: by default, or with the changes that a file makes.
+
+    Raises:
+        ConfigError: with none of them one can engage, or as `station.operator.buttons.load`.
+        BadFile: the file cannot be read.
+    """
+    bound = button_maps.button_map(device) if file is None else button_maps.load(device, file)
+    if not (bound.gestures.get("engage") or bound.gestures.get("start_pause")):
+        raise ConfigError(
+            f"no control of a {device} engages: a device without buttons needs `controls_from`, the name of one that "
+            "has some (a gamepad, a pedal that is one), or `buttons`, a file that binds `engage` or `start_pause`"
+        )
+    return bound
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +81,9 @@ class Driving:
             obstacle: Why nobody may drive now (an emergency stop, a lost bus, the reason why data are stale), or "".
         """
         pressed = self._buttons.step(None if reading is None else reading.controls, dt_s)
-        mode = self.driver.next_mode() if "mode" in pressed.started else ""
+        before = self.driver.mode
+        if "mode" in pressed.started:
+            self.driver.next_mode()
         look = _NOTHING if reading is None else self.driver.look(reading)
         if "disarm" in pressed.started:
             obstacle = "disarmed"
@@ -77,4 +98,5 @@ class Driving:
             objection=look.objection,
         )
         command = self.driver.step(reading, self.deadman.snapshot, dt_s)
-        return Driven(command, self.driver.companions, pressed, change, mode)
+        mode = self.driver.mode  # a driver may change it by other controls as well
+        return Driven(command, self.driver.companions, pressed, change, mode if mode != before else "")

@@ -1,4 +1,5 @@
-"""The way out of driving: whatever moves comes to rest, then the robot is blended to its default pose. Pure."""
+"""The way out of driving: whatever moves comes to rest, then the robot is blended to its default pose; one that stays
+where it is without a command is left there. Pure."""
 
 from __future__ import annotations
 
@@ -29,8 +30,8 @@ class Leaving:
 
     @property
     def is_done(self) -> bool:
-        """Whether the default has been reached."""
-        return self._blended_s >= self._blend_s
+        """Whether the default has been reached, or there is none to go to."""
+        return self._start is not None and (self._form.stays or self._blended_s >= self._blend_s)
 
     @property
     def _part(self) -> float:
@@ -58,5 +59,7 @@ class Leaving:
             if not is_still and self._rested_s < COMES_TO_REST_S:
                 return command
             self._start = command
+        if self._form.stays:
+            return self._start
         self._blended_s += dt_s
         return self._start + self._part * (self._default - self._start)

@@ -18,6 +18,7 @@ FOLLOWS_WITHIN_S = 2.0
 
 _FOLLOWING = ("entering", "tracking", "holding")
 _LEAVING = ("holding", "returning")
+_LATCHED = ("stopped", "faulted")
 
 
 class _Gate(msgspec.Struct, frozen=True):
@@ -33,6 +34,7 @@ class RobotSide:
         watch: Watches the keys of `watched`.
         robot: Suffix of the robot's keys.
         size: Length of its command.
+        stays: Whether it stays where it is without a command: then nobody may drive before it has said where that is.
 
     Attributes:
         obstacle: Why nobody may drive now, or "".
@@ -41,8 +43,8 @@ class RobotSide:
         used: The command that the robot follows, shape (m,); None when unknown.
     """
 
-    def __init__(self, watch: Watch, robot: str, size: int) -> None:
-        self._watch, self._size = watch, size
+    def __init__(self, watch: Watch, robot: str, size: int, *, stays: bool = False) -> None:
+        self._watch, self._size, self._stays = watch, size, stays
         self._gate_key, self._used_key = keys.command_gate(robot), keys.command_used(robot)
         self._begun_ns: int | None = None  # since when we command
         self._has_followed = False
@@ -68,8 +70,8 @@ class RobotSide:
         gate = _gate(sample)
         self.arming = gate.arming
         self.left = self._left(sample, gate, now_ns)
-        self.obstacle = self._stopped(gate) or self.left or self._not_ready(sample, gate, now_ns)
         self.used = self._used()
+        self.obstacle = self._stopped(gate) or self.left or self._not_ready(sample, gate, now_ns)
 
     def _stopped(self, gate: _Gate) -> str:
         if not self._watch.is_connected:
@@ -77,6 +79,8 @@ class RobotSide:
         stop = self._watch.latest(keys.ESTOP)
         if gate.state == "stopped" or (stop is not None and estop.read(stop.value).stop):
             return "the emergency stop is latched"
+        if gate.state == "faulted":
+            return f"the robot's controller has a fault: {gate.reason}"
         return "" if gate.arming == "armed" else f"the robot is {gate.arming}"
 
     def _not_ready(self, sample: Sample | None, gate: _Gate, now_ns: int) -> str:
@@ -84,6 +88,8 @@ class RobotSide:
             return "the robot's server is silent"
         if self._begun_ns is None and gate.state in _LEAVING:
             return "the robot is on its way to standing; wait for it"
+        if self._stays and self.used is None:
+            return "the robot has not said where it is; is its server started?"
         return ""
 
     def _left(self, sample: Sample | None, gate: _Gate, now_ns: int) -> str:
@@ -96,7 +102,7 @@ class RobotSide:
             return ""
         if gate.state in _FOLLOWING:
             self._has_followed = True
-        elif self._has_followed or gate.state == "stopped":
+        elif self._has_followed or gate.state in _LATCHED:
             return f"the robot follows no more ({gate.state}: {gate.reason})"
         elif (now_ns - self._begun_ns) * 1e-9 > FOLLOWS_WITHIN_S:
             return f"the robot does not follow ({gate.state}: {gate.reason})"

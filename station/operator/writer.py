@@ -51,6 +51,7 @@ class CommandWriter:
 
     def _publish(self, command: Floats, others: dict[str, bytes]) -> None:
         self.newest = command
-        now_ms = b"%d" % (time.time_ns() // 1_000_000)
-        taken = self._life.bus.publish({self._form.key: codec.json_vector(command), **others, keys.T_ACTION: now_ms})
+        if self._form.companions:  # who expects those, a stock reader, expects the wall clock too
+            others = others | {keys.T_ACTION: b"%d" % (time.time_ns() // 1_000_000)}
+        taken = self._life.bus.publish({self._form.key: codec.json_vector(command), **others})
         self.flaw = "" if taken else "the bus is lost"

@@ -19,7 +19,9 @@ def columns(keys: Iterable[str], recorded: Mapping[str, Contract]) -> Html | Non
         return None
     text = (
         "The names and units of these numbers are the columns of an export: `station export` takes them from the same "
-        "contracts, which are recorded beside the values."
+        "contracts, which are recorded beside the values. Of a LeRobot data set, unless other keys were named, "
+        "observation.state is robot_state_…, action is command_used_…, observation.images.NAME is camera_image_NAME; "
+        "age_s.… says how old each was at the instant time_ns of its row. The README.md in the data set has its own."
     )
     head = ("key", "role", "rate", "numbers", "what it holds")
     return tag(

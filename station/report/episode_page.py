@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from station.episode.quality import timing
 from station.episode.quality.findings import Quality
 from station.report import episode_tables
 from station.report.gather import Episode
@@ -47,6 +48,7 @@ def section(
         _header(episode),
         tag("p", episode.manifest.task.instruction, class_="soft") if episode.manifest.task.instruction else None,
         _reasons(quality),
+        *(tag("p", f"Not judged: {line}.", class_="soft") for line in timing.told(quality.not_judged)),
         _facts(episode),
         tag("p", problem, class_="bad") if problem else None,
     ]

@@ -72,6 +72,9 @@ def motion(quality: Quality) -> Html | None:
             rows.append(
                 ("jerk", f"p99 {item.jerk_p99_rad_s3:.0f} rad/s³, most {item.jerk_max_rad_s3 or 0.0:.0f} ({worst})")
             )
+        if item.command_jerk_p99_rad_s3 is not None:
+            worst = item.command_worst_jerk_joint.replace("_", " ")
+            rows.append(("jerk of the command", f"p99 {item.command_jerk_p99_rad_s3:.0f} rad/s³ ({worst})"))
         if item.limits_from:
             ends = ", ".join(
                 f"{joint.replace('_', ' ')} {share:.1%}" for joint, share in list(item.limit_joints.items())[:3]
@@ -112,7 +115,8 @@ def provenance(episode: Episode) -> Html:
     manifest, quality = episode.manifest, episode.quality
     operator, policy, facts, code = manifest.operator, manifest.policy, manifest.robot.facts, manifest.recorder.software
     driven = f"{policy.name} on {policy.runtime}, {policy.rate_hz or 0:g} Hz, follows {policy.command}"
-    asked = {key: value for key, value in manifest.runbook.items() if isinstance(value, (str, int, float))}
+    plain = (str, int, float)
+    asked = {key: value for key, value in manifest.runbook.items() if isinstance(value, plain) and key != "text"}
     lossy = "" if quality.is_lossless else " (lossy)"
     dirty = " with changes" if code.get("dirty") else ""
     rows: list[tuple[str, Child]] = [

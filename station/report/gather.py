@@ -103,7 +103,7 @@ def _read(folder: Path, book: RuleBook, *, named: bool, is_judged_anew: bool) ->
 
 def _measured(manifest: Manifest) -> Quality | None:
     """Return what a check wrote into a manifest, or None where it wrote nothing, or less than is measured today."""
-    if not {"verdict", "rules", "motion", "cameras"} <= manifest.quality.keys():
+    if not {"verdict", "rules", "motion", "cameras", "not_judged"} <= manifest.quality.keys():
         return None
     try:
         return msgspec.convert(manifest.quality, Quality)

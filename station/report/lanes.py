@@ -11,8 +11,9 @@ from station.report.html import Html, tag
 from station.report.story import Happened, Span, Story, named
 
 _STATES = frozenset(
-    ("tracking", "playing", "entering", "waiting", "done", "holding", "returning", "leaving", "stopped", "paused")
-)
+    ("tracking", "playing", "entering", "waiting", "done", "holding", "returning", "leaving", "stopped", "faulted",
+     "paused")
+)  # fmt: skip
 _LABEL_PERCENT = 1.1  # of the width that a letter of a label takes, at the least width of a page
 _SEVERITIES = frozenset(("warning", "error"))
 _TICKS = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200)

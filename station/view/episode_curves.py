@@ -94,7 +94,8 @@ def draw_curves(recording: rr.RecordingStream, source: Source, robot: str) -> Dr
 
 def _draw_joints(recording: rr.RecordingStream, source: Source, robot: str) -> list[str]:
     """Send each joint as commanded and as measured, one above the other."""
-    pair = {"commanded": source.vectors(keys.command_used(robot)), "measured": source.vectors(keys.robot_state(robot))}
+    state = source.vectors(keys.robot_state(robot)) or source.vectors(keys.state_joints(robot))
+    pair = {"commanded": source.vectors(keys.command_used(robot)), "measured": state}
     entities: list[str] = []
     for kind, numbers in pair.items():
         if numbers is None:

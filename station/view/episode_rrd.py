@@ -136,8 +136,7 @@ def _draw_robot(recording: rr.RecordingStream, source: Source, view: View, robot
     ghost = poses.asked(source.vectors, view.robot, where)
     if ghost is not None:
         scene.log_shapes(recording, scene.GHOST, model, is_ghost=True)
-        ghost.root[:, :3] += scene.GHOST_OFFSET_M
-        _send(recording, scene.GHOST, model, ghost, source)
+        _send(recording, scene.GHOST, model, ghost._replace(root=scene.beside(model, ghost.root)), source)
     unknown = [joint for joint in where.joints if not model.knows(joint)]
     return [*warnings, *([f"the model lacks the joints {', '.join(unknown)}"] if unknown else [])]
 

@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from station import assets
+from station.bus import keys
 from station.errors import StationError
 from station.life.rig import DEFAULT_ROBOT_MODEL
 
 if TYPE_CHECKING:
     from station.view.model import RobotModel
+
+_STOCK = (keys.TWIST2_ROBOT, keys.TWIST_ROBOT, "")  # of a stock server, which says nothing
 
 
 def find_model(
@@ -53,12 +56,16 @@ def find_path(
 
 
 def _present(servers: Iterable[Mapping[str, Any]], robot: str, problems: list[str]) -> Iterator[tuple[Path, list[str]]]:
-    """Yield the models that are here, the one that ran first, and what is to be said of each; the others' problems."""
+    """Yield the models that are here, the one that ran first, and what is to be said of each; the others' problems.
+
+    Of a robot whose server says nothing of a model, one that is built in under the name of its keys' suffix is taken.
+    """
     facts: Mapping[str, Any] = next(
         (f["robot_facts"] for f in servers if f.get("robot") == robot and "robot_facts" in f), {}
     )
     stated = str(facts.get("model") or "")
-    for candidate in dict.fromkeys((stated, DEFAULT_ROBOT_MODEL)):
+    usual = DEFAULT_ROBOT_MODEL if robot in _STOCK else f"builtin:{robot}.xml"
+    for candidate in dict.fromkeys((stated, usual)):
         if not candidate:
             continue
         try:

@@ -26,6 +26,7 @@ GATE_COLOURS = {
     "holding": 0xFFA726FF,
     "returning": 0xAB47BCFF,
     "stopped": 0xEF5350FF,
+    "faulted": 0xB71C1CFF,
 }
 MOTION_COLOURS = {
     "waiting": 0x9E9E9EFF,
@@ -42,6 +43,7 @@ LIMBS: dict[str, tuple[str, ...]] = {
     "waist": joints.G1_29[12:15],
     "left arm": joints.G1_29[15:22],
     "right arm": joints.G1_29[22:],
+    "arm": joints.ARM_7,
 }
 
 
@@ -80,9 +82,11 @@ def log_state_colours(recording: rr.RecordingStream) -> None:
 def _tabs(contracts: list[Contract], *, has_joints: bool) -> list[Any]:
     tabs = []
     if has_joints:
+        known = {name.removesuffix("_pos") for item in contracts for name in item.names}
         plots = [
             _plot("/", name, contents=[f"/{JOINTS}/{joint}/**" for joint in limb], lines=2 * len(limb))
             for name, limb in LIMBS.items()
+            if known.issuperset(limb)
         ]
         tabs.append(rrb.Grid(*plots, name="Commanded and measured"))
     for role in ("command", "state", "policy", "sensor"):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from station.bus import codec, contracts, keys
+from station.bus import arm_contracts, codec, contracts, keys
 from station.bus.client import Bus
 from station.bus.contracts import Contract
 from station.bus.sample import Sample
@@ -127,8 +127,7 @@ class LiveView:
         self._place(scene.ROBOT, where)
         ghost = poses.asked(self._find, self.robot, where)
         if ghost is not None:
-            ghost.root[:, :3] += scene.GHOST_OFFSET_M
-            self._place(scene.GHOST, ghost)
+            self._place(scene.GHOST, ghost._replace(root=scene.beside(self._model, ghost.root)))
 
     def _place(self, root: str, posture: Posture) -> None:
         assert self._model is not None
@@ -155,18 +154,19 @@ def run(view: LiveView, stop: threading.Event, *, rate_hz: float = RATE_HZ) -> N
 
 def _of_robot(robot: str) -> dict[str, Contract]:
     """Return the contracts of a robot's keys, and of shared ones, that have curves."""
-    every = [item for item in contracts.contracts() if item.codec in _DECODERS]
-    return {item.key: item for item in curves.drawable(every) if item.key.endswith(f"_{robot}")}
+    known = [item for item in contracts.contracts() if item.key.endswith(f"_{robot}")]
+    every = known or arm_contracts.of(robot)  # another model, or a second arm
+    return {item.key: item for item in curves.drawable(item for item in every if item.codec in _DECODERS)}
 
 
 def _present_robot(bus: Bus) -> str:
     for robot in (keys.TWIST2_ROBOT, keys.TWIST_ROBOT):
         if bus.get(keys.robot_state(robot)) is not None or bus.get(keys.state_body(robot)) is not None:
             return robot
-    raise NotReady(
-        f"bus {bus.address}: no robot writes its state ({keys.robot_state('*')} or {keys.state_body('*')}); "
-        "start a low-level server first"
-    )
+    for key in bus.names(keys.state_joints("*")):
+        return key.removeprefix(keys.state_joints(""))
+    states = " or ".join(family("*") for family in (keys.robot_state, keys.state_body, keys.state_joints))
+    raise NotReady(f"bus {bus.address}: no robot writes its state ({states}); start a low-level server first")
 
 
 def _stated(bus: Bus) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from station import rotations
 from station.errors import BadFile
 from station.protocols import Floats
 from station.view.shapes import Shape, shapes
@@ -18,18 +19,19 @@ _ROOT_SIZE = 7  # position and quaternion of a free joint
 
 
 class RobotModel:
-    """Forward kinematics of a floating-base robot, from its MJCF.
+    """Forward kinematics of a robot that walks, or of one that stands fast, from its MJCF.
 
     Args:
         path: MJCF file.
 
     Attributes:
+        floats: Whether its root moves freely.
         bodies: Names of the bodies, the world left out.
         shapes: What is to be seen of them.
         visible: Bodies that have a shape.
 
     Raises:
-        BadFile: MuJoCo cannot read it, or its first joint is not a free one.
+        BadFile: MuJoCo cannot read it, or nothing of it moves.
     """
 
     def __init__(self, path: Path) -> None:
@@ -39,8 +41,9 @@ class RobotModel:
         except (ValueError, mujoco.FatalError) as error:
             reason = " ".join(str(error).split())
             raise BadFile(f"{path}: not a robot model that MuJoCo {mujoco.__version__} reads: {reason}") from error
-        if self._model.njnt == 0 or int(self._model.jnt_type[0]) != int(mujoco.mjtJoint.mjJNT_FREE):
-            raise BadFile(f"{path}: expected a free joint at the root, as a walking robot has; name another model")
+        if self._model.njnt == 0:
+            raise BadFile(f"{path}: expected a robot, got a model without joints; name another one")
+        self.floats = int(self._model.jnt_type[0]) == int(mujoco.mjtJoint.mjJNT_FREE)
         self._data: Any = mujoco.MjData(self._model)
         self._address = {self._model.joint(i).name: int(self._model.jnt_qposadr[i]) for i in range(self._model.njnt)}
         self.bodies: tuple[str, ...] = tuple(self._model.body(i).name for i in range(1, self._model.nbody))
@@ -55,7 +58,7 @@ class RobotModel:
         """Return where every body is in the world, for n instants.
 
         Args:
-            root: Position [m] and quaternion wxyz of the root, shape (n, 7).
+            root: Position [m] and quaternion wxyz of the root, or of the base that stands fast, shape (n, 7).
             joints: Names of m joints; those that the model lacks are left out, those not named stay at zero.
             q: Their positions, shape (n, m) [rad].
 
@@ -70,11 +73,15 @@ class RobotModel:
         data = self._data
         for index in range(len(root)):
             data.qpos[:] = self._model.qpos0
-            data.qpos[:_ROOT_SIZE] = root[index]
+            if self.floats:
+                data.qpos[:_ROOT_SIZE] = root[index]
             data.qpos[addresses] = q[index, columns]
             mujoco.mj_kinematics(self._model, data)
             positions[index], quaternions[index] = data.xpos[1:], data.xquat[1:]
-        return positions, quaternions
+        if self.floats:
+            return positions, quaternions
+        base = root[:, None, 3:]
+        return root[:, None, :3] + rotations.rotate(base, positions), rotations.multiply(base, quaternions)
 
     def _find(self, joint: str) -> int | None:
         return self._address.get(joint, self._address.get(f"{joint}_joint"))

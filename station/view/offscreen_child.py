@@ -18,7 +18,8 @@ from station.protocols import Floats
 from station.view.offscreen import PICTURES, REQUEST, Pictures
 
 _FINER = 2  # drawn at twice the size and averaged: edges are smooth where a driver has no multisampling
-_SEEN_M, _CENTRE_M = 1.62, 0.68  # height of the scene that fills a picture, and of its middle
+_SEEN_M, _CENTRE_M = 1.62, 0.68  # height of the scene that fills a picture, and of its middle above a walking robot
+_ROOT_SIZE = 7
 _FOV_DEG, _AZIMUTH_DEG, _ELEVATION_DEG = 28.0, -142.0, -11.0
 _SQUARE_M = 0.5
 _SKY = (0.87, 0.895, 0.92)
@@ -30,18 +31,22 @@ _GEOMS = 2000
 
 def draw(model: Path, root: Floats, joints: list[str], q: Floats, width: int, height: int) -> Pictures:
     """Return pictures of a robot, shape (n, height, width, 3)."""
-    compiled = _scene(model, width * _FINER, height * _FINER).compile()
+    spec = _scene(model, width * _FINER, height * _FINER)
+    compiled = spec.compile()
+    floats = compiled.njnt > 0 and int(compiled.jnt_type[0]) == int(mujoco.mjtJoint.mjJNT_FREE)
+    centre = (0.0, 0.0, _CENTRE_M) if floats else tuple(compiled.stat.center)
     data, addresses = mujoco.MjData(compiled), _addresses(compiled, joints)
     known = [column for column, address in enumerate(addresses) if address is not None]
     pictures = np.empty((len(root), height, width, 3), dtype=np.uint8)
     with mujoco.Renderer(compiled, height * _FINER, width * _FINER, max_geom=_GEOMS) as renderer:
         for index in range(len(root)):
             data.qpos[:] = compiled.qpos0
-            data.qpos[:7] = root[index]
+            if floats:
+                data.qpos[:_ROOT_SIZE] = root[index]
             compiled.light_pos[_KEY] = (root[index, 0], root[index, 1], 0.0) - _LAMP_M * np.array(_KEY_LIGHT)
             data.qpos[[addresses[column] for column in known]] = q[index, known]
             mujoco.mj_forward(compiled, data)
-            renderer.update_scene(data, _camera(root[index]))
+            renderer.update_scene(data, _camera((root[index, 0] + centre[0], root[index, 1] + centre[1], centre[2])))
             renderer.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = 1
             renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
             pictures[index] = _averaged(renderer.render())
@@ -88,9 +93,9 @@ def _addresses(model: Any, joints: list[str]) -> list[int | None]:
     return [found.get(name, found.get(f"{name}_joint")) for name in joints]
 
 
-def _camera(root: Floats) -> Any:
+def _camera(looks_at: tuple[float, float, float]) -> Any:
     camera = mujoco.MjvCamera()
-    camera.lookat[:] = (root[0], root[1], _CENTRE_M)
+    camera.lookat[:] = looks_at
     camera.distance = _SEEN_M / 2 / np.tan(np.radians(_FOV_DEG / 2))
     camera.azimuth, camera.elevation = _AZIMUTH_DEG, _ELEVATION_DEG
     return camera

@@ -53,7 +53,8 @@ def headline(run: Run, errors: Mapping[str, float] | None = None) -> str:
         worst = max(errors, key=lambda joint: errors[joint])
         mean = sum(errors.values()) / len(errors)
         parts.append(f"mean joint error {mean:.3f} rad, worst {worst.replace('_', ' ')} {errors[worst]:.3f} rad")
-    parts.append({0: "no fall", 1: "1 fall"}.get(len(run.falls_s), f"{len(run.falls_s)} falls"))
+    if run.can_fall:
+        parts.append({0: "no fall", 1: "1 fall"}.get(len(run.falls_s), f"{len(run.falls_s)} falls"))
     return "   ·   ".join(part for part in parts if part)
 
 

@@ -1,6 +1,7 @@
 """Command against state as one page: each joint as asked and as measured, root, gate, clips and falls.
 
-Limbs are columns and each joint has its row, so left and right stand side by side; the two have one span.
+Limbs are columns and each joint has its row, so left and right stand side by side; the two have one span. A robot
+without those limbs has its joints below each other (`station.view.joint_plot`).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from station import rotations
 from station.episode.reading.reader import EpisodeReader
 from station.errors import StationError
 from station.protocols import FALL_TILT_RAD, Floats
+from station.view import joint_plot
 from station.view import plot_style as style
 from station.view.layout import LIMBS
 from station.view.plot_lanes import draw_lanes
@@ -56,10 +58,13 @@ def save_run(run: Run, path: Path) -> Path:
     from matplotlib.figure import Figure
 
     with mpl.rc_context(style.RC):
-        height_in = _HEAD_IN + _LANES_IN + _ROOT_IN + _ROWS * _ROW_IN + _FOOT_IN
+        names = joint_plot.names(run)
+        has_limbs = not names or any(joint in LIMBS[limb] for limb in _COLUMNS for joint in names)
+        below_in = _ROOT_IN + _ROWS * _ROW_IN if has_limbs else len(names) * _ROW_IN
+        height_in = _HEAD_IN + _LANES_IN + below_in + _FOOT_IN
         figure = Figure(figsize=(style.WIDTH_PX / style.DPI, height_in), dpi=style.DPI, facecolor=style.PAPER)
         FigureCanvasAgg(figure)  # of its own, so that no display is looked for
-        _draw(figure, run, joint_errors(run))
+        (_draw if has_limbs else _draw_joints)(figure, run, joint_errors(run))
         return _save(figure, path)
 
 
@@ -85,10 +90,7 @@ def _draw(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
         bottom=1 - (_HEAD_IN + _LANES_IN + _ROOT_IN - 0.3) / height_in, height_ratios=(_LANES_IN, _ROOT_IN - 0.3),
         hspace=0.42,
     )  # fmt: skip
-    limits = (0.0, max(run.end_s, 0.1))
-    lanes = figure.add_subplot(top[0])
-    lanes.set_xlim(limits)
-    draw_lanes(lanes, run, width_px=(16 - _LEFT_IN - _RIGHT_IN) * style.DPI)
+    limits = _draw_lanes(figure.add_subplot(top[0]), run)
     root = figure.add_subplot(top[1])
     _draw_height(root, run)
     style.time_axis(root, limits, ticks=12, unit=" s")
@@ -102,6 +104,29 @@ def _draw(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
     _draw_path(figure.add_subplot(below[_ROWS - 1, 1]), run)
     if errors:
         _draw_errors(figure.add_subplot(below[len(LIMBS["waist"]) :, 2]), errors)
+
+
+def _draw_joints(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
+    """Draw the page of a robot that is all joints."""
+    from matplotlib.gridspec import GridSpec
+
+    height_in = float(figure.get_figheight())
+    _head(figure, run, errors)
+    sides = {"left": _LEFT_IN / 16, "right": 1 - _RIGHT_IN / 16}
+    lanes_end = 1 - (_HEAD_IN + _LANES_IN) / height_in
+    lanes = GridSpec(1, 1, figure, top=1 - _HEAD_IN / height_in, bottom=lanes_end, **sides)
+    limits = _draw_lanes(figure.add_subplot(lanes[0]), run)
+    below = GridSpec(len(joint_plot.names(run)), 1, figure, top=lanes_end - 0.42 / height_in,
+                     bottom=_FOOT_IN / height_in, hspace=0.35, **sides)  # fmt: skip
+    joint_plot.draw(figure, below, run, errors, limits)
+
+
+def _draw_lanes(axes: Axes, run: Run) -> tuple[float, float]:
+    """Draw what played and what the gate did; return the limits of the page's time [s]."""
+    limits = (0.0, max(run.end_s, 0.1))
+    axes.set_xlim(limits)
+    draw_lanes(axes, run, width_px=(16 - _LEFT_IN - _RIGHT_IN) * style.DPI)
+    return limits
 
 
 def _head(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:

@@ -17,6 +17,11 @@ Ints = NDArray[np.int64]
 STANDING_M = 0.79
 """Height at which a robot is drawn whose height nothing measures and no command says."""
 
+COMMANDS = (keys.command_used, keys.action_body, keys.action_mimic, keys.action_joints)
+"""Keys that say what a robot is asked to be, by its suffix: what the gate let through, else what is on the bus."""
+
+_AT_THE_ORIGIN = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
 
 class Posture(NamedTuple):
     """Root pose and joints at n instants.
@@ -48,25 +53,28 @@ Find = Callable[[str], Numbers | None]
 def measured(find: Find, robot: str) -> Posture | None:
     """Return where a robot was, from the best that is there: ground truth, else what it measured of itself.
 
-    A robot that does not know where it stands is drawn in place. `find` gives the numbers of a key, or None.
+    A robot that does not know where it stands is drawn in place; an arm stands fast, at the origin. `find` gives the
+    numbers of a key, or None.
     """
-    for key in (keys.sim_qpos(robot), keys.robot_state(robot), keys.state_body(robot)):
+    for key in (keys.sim_qpos(robot), keys.robot_state(robot), keys.state_body(robot), keys.state_joints(robot)):
         numbers = find(key)
         if numbers is None:
             continue
         names, values = numbers.contract.names, numbers.values
         joints, q = _joints(names, values)
         root = _root(names, values)
+        if root is None and key == keys.state_joints(robot):
+            root = np.tile(_AT_THE_ORIGIN, (len(values), 1))
         if joints and root is not None:
             return Posture(numbers.times_ns, root, joints, q)
     return None
 
 
 def asked(find: Find, robot: str, where: Posture) -> Posture | None:
-    """Return what a robot was asked to be: the command that its policy got, else the one on the bus."""
-    for key in (keys.command_used(robot), keys.action_body(robot), keys.action_mimic(robot)):
-        numbers = find(key)
-        if numbers is not None and "root_height" in numbers.contract.names:
+    """Return what a robot was asked to be: the command that its gate let through, else the one on the bus."""
+    for key in COMMANDS:
+        numbers = find(key(robot))
+        if numbers is not None and _joints(numbers.contract.names, numbers.values)[0]:
             return reference(numbers.times_ns, numbers.contract.names, numbers.values, where)
     return None
 
@@ -74,7 +82,7 @@ def asked(find: Find, robot: str, where: Posture) -> Posture | None:
 def reference(times_ns: Ints, names: tuple[str, ...], values: Floats, measured: Posture) -> Posture:
     """Return the posture that commands ask for.
 
-    A command says height, roll and pitch; place and heading are those that the robot had at that time.
+    The command of a robot that walks says height, roll and pitch; place and heading are those that it had at that time.
 
     Args:
         times_ns: Instants of n commands.
@@ -85,6 +93,8 @@ def reference(times_ns: Ints, names: tuple[str, ...], values: Floats, measured: 
     joints, q = _joints(names, values)
     nearest = np.clip(np.searchsorted(measured.times_ns, times_ns, side="right") - 1, 0, len(measured.times_ns) - 1)
     root = measured.root[nearest].copy()
+    if "root_height" not in names:
+        return Posture(times_ns, root, joints, q)
     root[:, 2:3] = _columns(names, values, ("root_height",))
     roll_pitch = _columns(names, values, ("root_roll", "root_pitch"))
     yaw = rotations.roll_pitch_yaw(root[:, 3:])[:, 2]

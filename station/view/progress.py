@@ -55,12 +55,31 @@ class PolicyProgress:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ArmProgress:
+    """How an arm behind a controller of its own is doing.
+
+    Attributes:
+        gate, reason: State of the gate, and why.
+        backend, profile: What the session talks to, and how it tracks.
+        sync_hz, send_hz: Heartbeats heard and targets sent, lately [Hz]; None before two looks.
+    """
+
+    gate: str
+    reason: str
+    backend: str
+    profile: str
+    sync_hz: float | None = None
+    send_hz: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Progress:
     """What a look at the bus shows; None for what is not there (yet)."""
 
     servers: list[Health]
     motion: MotionProgress | None = None
     robot: RobotProgress | None = None
+    arm: ArmProgress | None = None
     policy: PolicyProgress | None = None
     recorder: RecorderState | None = None
 
@@ -97,6 +116,7 @@ class ProgressReader:
             servers=servers,
             motion=_motion(facts[command.name], held.get(keys.command_source(suffix))) if command else None,
             robot=_robot(low_level, suffix, held) if low_level else None,
+            arm=_arm(low_level) if low_level else None,
             policy=self._policy(low_level, facts, held.get(keys.policy_timing(suffix))) if low_level else None,
             recorder=_recorder(held.get(keys.RECORDER)),
         )
@@ -110,7 +130,11 @@ class ProgressReader:
                 self._stated[key] = (sample.value, _object(sample.value))
         return {name: self._stated[key][1] for name in names if (key := keys.server_config(name)) in found}
 
-    def _policy(self, health: Health, facts: Mapping[str, Mapping[str, Any]], sample: Sample | None) -> PolicyProgress:
+    def _policy(
+        self, health: Health, facts: Mapping[str, Mapping[str, Any]], sample: Sample | None
+    ) -> PolicyProgress | None:
+        if "backend" in health.detail:  # an arm: what decides its motion is the gate
+            return None
         if sample is not None and sample.value != self._last_timing:
             self._last_timing = sample.value
             self._take(sample.value)
@@ -170,6 +194,24 @@ def _robot(health: Health, suffix: str, held: Mapping[str, Sample]) -> RobotProg
                 gate=str(_object(gate.value).get("state", "")) if gate is not None else "",
             )
     return None
+
+
+def _arm(health: Health) -> ArmProgress | None:
+    said = health.detail
+    if "backend" not in said:
+        return None
+    return ArmProgress(
+        gate=str(said.get("gate", "")),
+        reason=str(said.get("gate_reason", "")),
+        backend=str(said["backend"]),
+        profile=str(said.get("profile", "")),
+        sync_hz=_rate(said.get("sync_hz")),
+        send_hz=_rate(said.get("send_hz")),
+    )
+
+
+def _rate(value: Any) -> float | None:
+    return float(value) if isinstance(value, (int, float)) else None
 
 
 def _named(key: str, sample: Sample | None) -> dict[str, float]:

@@ -16,9 +16,10 @@ from station.episode.quality.falls import UPRIGHT_RAD
 from station.life.server import Health
 from station.printable import printable
 from station.protocols import FALL_TILT_RAD
-from station.view.progress import MotionProgress, PolicyProgress, Progress, RobotProgress
+from station.view.progress import ArmProgress, MotionProgress, PolicyProgress, Progress, RobotProgress
 
 _TURNING, _TURNS_PER_S = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏", 8.0
+_LATCHED = ("stopped", "faulted")
 _NAMES, _BAR = 8, 30  # characters
 _WORDS = {"unconfigured": "loading", "inactive": "ready", "active": "running", "finalized": "ended"}
 _COLOURS = {"loading": "yellow", "ready": "cyan", "running": "green", "ended": "dim", "starting": "dim", "died": "red"}
@@ -52,6 +53,8 @@ def panel(
             table.add_row("operator", _operator(health))
     if progress.robot is not None:
         table.add_row("robot", Text.from_markup(_robot(progress.robot)))
+    if progress.arm is not None:
+        table.add_row("arm", _arm(progress.arm))
     if progress.policy is not None:
         table.add_row("policy", Text.from_markup(_policy(progress.policy)))
     if progress.recorder is not None and progress.recorder.state == "recording":
@@ -117,6 +120,15 @@ def _robot(robot: RobotProgress) -> str:
     falls = f"   [red]{robot.falls} {'fall' if robot.falls == 1 else 'falls'}[/]" if robot.falls else ""
     gate = f"   gate {robot.gate}" if robot.gate else ""
     return f"[{colour}]● {posture:<8}[/] lean {math.degrees(robot.tilt_rad):4.1f}°{height}{gate}{falls}"
+
+
+def _arm(arm: ArmProgress) -> Text:
+    """Gate and rates; why nothing is followed, where something is wrong."""
+    rates = "" if arm.sync_hz is None else f"   {arm.sync_hz:.0f} heartbeats/s   {arm.send_hz or 0.0:.0f} targets/s"
+    why = f": {printable(arm.reason)}" if arm.gate in _LATCHED else ""
+    colour = "red" if arm.gate in _LATCHED else "green" if arm.gate == "tracking" else "yellow"
+    text = Text(f"● {printable(arm.gate)}{why}", style=colour)
+    return text.append(f"   {printable(arm.backend)}, {printable(arm.profile)}{rates}", style="default")
 
 
 def _posture(tilt_rad: float) -> str:

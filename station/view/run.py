@@ -57,8 +57,9 @@ class Run:
         commanded: Joints that it was asked for, after the gate where there was one; None where nothing tells.
         heights: Times [s] and commanded heights of the root [m]; None where the command has none.
         gate: States of the gate.
-        phases: What was played: names of clips while a motion plays, else the phase.
+        phases: What was played: names of clips while a motion plays, else the phase; or what an operator moved.
         playing: When a motion played, blends and pauses left out.
+        can_fall: Whether it is a robot that walks.
         falls_s: When the robot fell [s].
         start_ns: Start of the episode on the clock of `measured` and `commanded` [ns].
     """
@@ -74,6 +75,7 @@ class Run:
     gate: list[Span] = field(default_factory=list)
     phases: list[Span] = field(default_factory=list)
     playing: list[Span] = field(default_factory=list)
+    can_fall: bool = True
     falls_s: list[float] = field(default_factory=list)
     start_ns: int = 0
 
@@ -119,6 +121,7 @@ def read_run(reader: EpisodeReader) -> Run:
         playing=[
             span for span in _spans((at_s, str(v.get("phase", ""))) for at_s, v in source) if span.name == PLAYING
         ],
+        can_fall=find(keys.state_joints(robot)) is None,
         falls_s=_falls(held[keys.EVENT], robot, measured, start_ns),
         start_ns=start_ns,
     )
@@ -136,8 +139,8 @@ def _robot(topics: list[str]) -> str:
 
 
 def _topics(robot: str) -> set[str]:
-    families = (keys.sim_qpos, keys.robot_state, keys.state_body, keys.command_used, keys.action_body,
-                keys.action_mimic, keys.command_gate, keys.command_source)  # fmt: skip
+    families = (keys.sim_qpos, keys.robot_state, keys.state_body, keys.state_joints, *poses.COMMANDS,
+                keys.command_gate, keys.command_source)  # fmt: skip
     return {family(robot) for family in families} | {keys.EVENT}
 
 
@@ -171,9 +174,8 @@ def _finder(held: Mapping[str, list[Message]]) -> Callable[[str], Numbers | None
 
 
 def _first(find: poses.Find, robot: str) -> Numbers | None:
-    """Return the command that the policy got, else the one on the bus."""
-    families = (keys.command_used, keys.action_body, keys.action_mimic)
-    return next((found for family in families if (found := find(family(robot))) is not None), None)
+    """Return the command that the gate let through, else the one on the bus."""
+    return next((found for family in poses.COMMANDS if (found := find(family(robot))) is not None), None)
 
 
 def _commanded(find: poses.Find, robot: str, start_ns: int) -> Joints | None:
@@ -205,6 +207,8 @@ def _phases(source: Iterable[tuple[float, Mapping[str, Any]]], facts: Mapping[st
     whole = clips.short_name(str(facts.get("file", "")))
 
     def name(value: Mapping[str, Any]) -> str:
+        if value.get("kind") == "operator":
+            return str(value.get("mode") or value.get("driver") or "") if value.get("engaged") else ""
         phase, time_s = str(value.get("phase", "")), value.get("time_s")
         if phase != PLAYING:
             return phase

@@ -19,10 +19,17 @@ GHOST = f"{WORLD}/reference"
 
 GHOST_TINT = (80, 160, 255)
 GHOST_ALPHA = 70
-GHOST_OFFSET_M = (0.0, 0.9, 0.0)
-"""The reference stands beside the robot, an arm's length to the left of where it started."""
+_BESIDE_M = np.array([0.0, 0.9, 0.0])
 
 _XYZW = [1, 2, 3, 0]
+
+
+def beside(model: RobotModel, root: Floats) -> Floats:
+    """Return where a reference is drawn: beside a robot that walks, an arm's length to the left of where it started; in
+    one that stands fast."""
+    placed = root.copy()
+    placed[:, :3] += _BESIDE_M if model.floats else 0.0
+    return placed
 
 
 def log_shapes(recording: rr.RecordingStream, root: str, model: RobotModel, *, is_ghost: bool = False) -> None:

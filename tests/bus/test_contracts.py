@@ -106,3 +106,26 @@ def test_joint_orders() -> None:
 def test_an_unknown_key_has_no_contract() -> None:
     assert contracts.contract("somebody_elses_key") is None
     assert contracts.contract("station:server:anything") is not None
+
+
+def test_an_arm_of_any_model_has_the_contracts_of_an_arm() -> None:
+    for robot in (keys.KASSOW_KR810, "kassow_kr1018", "kassow_kr810_left"):
+        lengths = {
+            keys.action_joints: 7,
+            keys.state_joints: 21,
+            keys.state_tcp: 7,
+            keys.command_used: 7,
+            keys.target: 7,
+        }
+        for family, length in lengths.items():
+            found = contracts.contract(family(robot))
+            assert found is not None
+            assert (found.key, len(found.elements)) == (family(robot), length)
+        assert names(keys.action_joints(robot)) == tuple(f"joint_{number}_pos" for number in range(1, 8))
+        assert names(keys.state_counters(robot))[:2] == ("tick", "stream_j_sends")
+
+
+def test_what_is_no_key_of_an_arm_has_no_contract() -> None:
+    for key in ("action_joints_kassow_", "kassow_kr810", "action_body_kassow_kr810",
+                keys.stamp(keys.state_joints("kassow_kr1018"))):  # fmt: skip
+        assert contracts.contract(key) is None, key

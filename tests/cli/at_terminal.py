@@ -26,7 +26,7 @@ class AtTerminal:
         self.before = self.settings()
         self.process = subprocess.Popen(
             [sys.executable, "-m", "station", *arguments],
-            cwd=ROOT, env={**home.environment, "TERM": "xterm", "COLUMNS": "160", "LINES": "40"},
+            cwd=ROOT, env={**home.environment, "TERM": "xterm", "COLUMNS": "400", "LINES": "40"},
             stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
             preexec_fn=_take_terminal(theirs),  # noqa: PLW1509  one system call
         )  # fmt: skip
@@ -44,6 +44,11 @@ class AtTerminal:
         wait_until(lambda: text in self.screen[after:] or self.process.poll() is not None)
         assert text in self.screen[after:], f"no {text!r} in:\n{self.screen[after:]}"
         return self.screen.index(text, after) + len(text)
+
+    def wait_for_any(self, *texts: str, after: int = 0) -> None:
+        """Wait until the screen has shown one of some texts, behind a place."""
+        wait_until(lambda: any(text in self.screen[after:] for text in texts) or self.process.poll() is not None)
+        assert any(text in self.screen[after:] for text in texts), f"none of {texts} in:\n{self.screen[after:]}"
 
     def type(self, keys: bytes) -> None:
         os.write(self._ours, keys)

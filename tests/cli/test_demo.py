@@ -15,11 +15,14 @@ from station.episode.replaying.audit import audit
 from station.view import names
 from tests.cli.at_terminal import at_a_terminal
 from tests.cli.running import SHORT, Home, are_gone, new_home
+from tests.main_job.station_runs import LOCK_STEP
 from tests.view.pictures import drawing_machine, pixels
 
 __all__ = ["drawing_machine"]
 
-DEMO = ("demo", "--for", "1s", *SHORT)
+IN_STEP = [word for setting in LOCK_STEP for word in ("--set", setting)]
+"""A station that is judged by its episode goes in lock-step: a busy machine makes it slow, and no worse."""
+DEMO = ("demo", "--set", "motion.motion=builtin:wave", *IN_STEP, *SHORT)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +60,7 @@ def test_without_upstream_data_the_robot_walks_is_recorded_checked_and_audited(
 
 def test_progress_is_told_in_plain_lines(done: CompletedProcess[str], episode: Path) -> None:
     assert "✓ start g1" in done.stderr
-    assert "· tour: " in done.stderr
+    assert "· wave, " in done.stderr
     assert "upright, leans " in done.stderr
     assert f"recorded {episode.name}" in done.stderr
     assert "\x1b" not in done.stderr + done.stdout
@@ -115,10 +118,10 @@ def test_a_machine_that_cannot_draw_says_which_picture_it_skipped(home: Home) ->
 
 
 def test_at_a_terminal_progress_is_live_and_ctrl_c_ends_the_demo_in_order(home: Home) -> None:
-    demo = ("demo", *SHORT)
+    demo = ("demo", *IN_STEP, *SHORT)
     code, screen = at_a_terminal(home.without("STATION_ASSETS"), *demo, until="gate tracking", then=b"\x03")
     assert code == 0, screen
-    for part in ("starting", "upright", "inference", "command to joints", "messages", "stop motion", "next:"):
+    for part in ("starting", "tour", "upright", "inference", "command to joints", "messages", "stop motion", "next:"):
         assert part in screen
     assert not home.bus_is_there()
 

@@ -18,6 +18,7 @@ from tests.cli.running import Home, new_home, one_line
 from tests.episode.synthetic import EpisodeBuilder, walk
 from tests.faults.disks import small_disk
 from tests.foreign.recorded import STARTED_MS, document, record
+from tests.main_job.station_runs import ROOT
 from tests.waiting import wait_until
 
 
@@ -90,6 +91,7 @@ def test_what_cannot_be_is_told_in_a_line(walked: Home, arguments: list[str], to
     assert done.stdout == ""
     assert done.stderr.splitlines()[-1].startswith(f"station: {told}")
     assert "Traceback" not in done.stderr
+    assert not (ROOT / ".x.export").exists(), "where nothing was made, nothing is left"
 
 
 @pytest.fixture

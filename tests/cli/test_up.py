@@ -91,7 +91,7 @@ def test_when_a_server_dies_its_last_words_are_told_and_the_rest_is_stopped(home
         os.kill(pids["motion"], signal.SIGKILL)
         code, out = station.finish()
     assert code == 1
-    assert "✗ server 'motion' was killed by SIGKILL; its last words: I station.life.teller: " in station.text
+    assert "✗ server 'motion' was killed by SIGKILL; its last words: I station." in station.text
     assert "✗ stop motion  already was killed by SIGKILL" in station.text
     assert are_gone(list(pids.values()))
     shown = home.json("check", out.strip())

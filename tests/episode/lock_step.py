@@ -82,5 +82,5 @@ def _tick(control: ControlStep, rig: Rig, command: bytes, tick: int) -> list[tup
     before = dict(wire.state_values(suffix, state, policy=rig.policy, robot=rig.robot))
     arrived_ns = time.monotonic_ns()
     sample = CommandSample(command, now_s, written_ns=arrived_ns - 1000, arrived_ns=arrived_ns, seq=tick + 1)
-    done = result_values(suffix, control.step(state, sample, now_s), control)
+    done = result_values(suffix, control.step(state, sample, now_s), control.commanded)
     return [("g1", before), ("motion", {rig.form.key: command}), ("g1", done)]

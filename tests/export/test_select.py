@@ -21,13 +21,14 @@ def data(tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def ids(data: Path, *episodes: str, task: str | None = None) -> list[str]:
-    return [source.episode_id.removeprefix("2026-11-21-g1-") for source in sources(episodes, data, task=task)]
+def ids(data: Path, *episodes: str, tasks: tuple[str, ...] = ()) -> list[str]:
+    return [source.episode_id.removeprefix("2026-11-21-g1-") for source in sources(episodes, data, tasks=tasks)]
 
 
 def test_nothing_named_is_everything_and_a_task_is_its_own(data: Path) -> None:
     assert sorted(ids(data)) == ["walk-0001", "walk-0002", "wave-0001"]
-    assert ids(data, task="wave") == ["wave-0001"]
+    assert ids(data, tasks=("wave",)) == ["wave-0001"]
+    assert sorted(ids(data, tasks=("wave", "walk"))) == ["walk-0001", "walk-0002", "wave-0001"]
 
 
 def test_ids_beginnings_paths_and_patterns_each_once_in_the_order_in_which_they_are_named(data: Path) -> None:
@@ -45,7 +46,7 @@ def test_what_is_not_there_is_told(data: Path, name: str) -> None:
 
 def test_a_task_without_episodes_is_told(data: Path) -> None:
     with pytest.raises(EpisodeError, match="no episodes of task 'run' in"):
-        sources([], data, task="run")
+        sources([], data, tasks=["walk", "run"])
 
 
 def test_two_episodes_of_one_name_are_refused_since_their_files_would_meet(data: Path, tmp_path: Path) -> None:

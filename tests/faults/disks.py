@@ -12,10 +12,11 @@ from pathlib import Path
 
 import pytest
 
+from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 
-CAMERA = "camera_front"
+CAMERA = keys.camera_image("front")
 _FRAME_BYTES = 50_000
 _BLOCK = bytes(64 * 1024)
 

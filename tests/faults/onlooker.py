@@ -11,6 +11,7 @@ import numpy as np
 from station import registry
 from station.bus import codec, keys, stamp
 from station.bus.address import BusAddress
+from station.bus.contracts import TIMING_STAGES
 from station.bus.tap import Tap, Write, open_tap
 from station.errors import BusError
 from station.life import events
@@ -22,6 +23,7 @@ ROBOT = keys.TWIST2_ROBOT
 FORM = registry.find("command", "twist2")
 _RETRY_S = 0.05
 _TICK_S = 0.1  # the gate lets no tick count for more
+_SENSED, _OBSERVED = (2 + TIMING_STAGES.index(stage) for stage in ("state_read", "observed"))
 _UNSEEN_S = 0.2  # after a longer silence, steps were made that nobody saw
 
 
@@ -58,7 +60,7 @@ class Onlooker:
         self.events: list[Event] = []
         self._address = address
         self._pose: Floats | None = None
-        self._before: tuple[str, int, Floats] | None = None  # writer, instant and command of the step before
+        self._before: tuple[str, float, Floats] | None = None  # writer, instant and command of the step before
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="onlooker", daemon=True)
         self._thread.start()
@@ -125,18 +127,21 @@ class Onlooker:
         if gate is None or used is None or target is None or mark is None or self._pose is None:
             return
         said, command = codec.parse_json(gate), codec.parse_f64(used)
+        timing = codec.parse_json_vector(results[keys.policy_timing(ROBOT)].value or b"")
         stiffness = np.array_split(codec.parse_f64(target), 3)[1]
         age_s = float("inf") if said["age_s"] is None else float(said["age_s"])
+        rate = self._rate(mark.source, timing, command)
         self.steps.append(
             Step(mark.mono_ns, mark.source, said["state"], age_s, float(tilt(self._pose[3:7])), float(self._pose[2]),
-                 self._rate(mark, command), bool(np.array_equal(command, FORM.default)), not stiffness.any())
+                 rate, bool(np.array_equal(command, FORM.default)), not stiffness.any())
         )  # fmt: skip
 
-    def _rate(self, mark: stamp.Stamp, command: Floats) -> float:
-        before, self._before = self._before, (mark.source, mark.mono_ns, command)
-        if before is None or before[0] != mark.source:
+    def _rate(self, writer: str, timing: Floats, command: Floats) -> float:
+        """The gate looks at the clock between sensing and observing: this is the longest time that it may have seen."""
+        before, self._before = self._before, (writer, timing[_SENSED], command)
+        if before is None or before[0] != writer:
             return 0.0
-        between_s = (mark.mono_ns - before[1]) * 1e-9
+        between_s = (timing[_OBSERVED] - before[1]) * 1e-9
         if between_s > _UNSEEN_S:
             return 0.0
         passed_s = min(max(between_s, 0.02), _TICK_S)

@@ -18,16 +18,20 @@ from servers.recorder import RecorderConfig
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
+from station.episode.reading.frames import captured_ns
 from station.episode.reading.reader import open_episode
 from station.episode.recorder import remote
 from station.episode.storage.manifest import load_manifest
 from station.episode.storage.request import RecordAnswer, RecorderState
 from station.life.restarts import Restarts
 from station.life.supervisor import Supervisor
+from tests.episode.filming import jpeg
 from tests.waiting import wait_until
 
 BODY = keys.action_body()
+CAMERA = keys.camera_image("head")
 STOCK = "stock_counter"
+PICTURE_HZ = 30.0
 
 _WRITERS = """
 import sys, threading, time
@@ -35,35 +39,45 @@ from station.bus import codec, keys
 from station.bus.address import parse
 from station.bus.client import Bus
 from station.bus.connection import Connection
+from tests.episode.filming import jpeg
 
 address, period_s = parse(sys.argv[1]), float(sys.argv[2])
 stop = threading.Event()
 threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).start()
 bus, plain, n = Bus(address, name="g1", timeout_s=5.0), Connection(address, timeout_s=5.0), 0
-due = time.monotonic()
+camera, pictures, picture_s = Bus(address, name="camera", timeout_s=5.0), 0, float(sys.argv[3])
+due = picture_due = time.monotonic()
 while not stop.is_set():
     n += 1
     assert bus.publish({keys.action_body(): codec.json_vector([float(n)] * 35), "own": n.to_bytes(8, "little")})
     plain.call("SET", "stock_counter", b"%d" % n)
+    if picture_s and time.monotonic() >= picture_due:
+        pictures, picture_due = pictures + 1, picture_due + picture_s
+        taken = time.monotonic_ns() - 5_000_000
+        assert camera.publish({keys.camera_image("head"): jpeg(pictures, 30_000)}, capture_ns=taken)
     due += period_s
     time.sleep(max(0.0, due - time.monotonic()))
-print(n, bus.lost_writes, flush=True)
+print(n, bus.lost_writes + camera.lost_writes, pictures, flush=True)
 """
 
 
 class Writers:
-    """A process that writes two native keys and a foreign one, all counting from 1, until it is told to stop."""
+    """A process that writes two native keys and a foreign one, all counting from 1, until it is told to stop.
 
-    def __init__(self, address: BusAddress, period_s: float) -> None:
+    With `films`, it is a camera as well, of 30 pictures a second; after `stop`, `pictures` says how many.
+    """
+
+    def __init__(self, address: BusAddress, period_s: float, *, films: bool = False) -> None:
+        self.pictures = 0
         self.process = subprocess.Popen(
-            [sys.executable, "-c", _WRITERS, address.url, str(period_s)],
+            [sys.executable, "-c", _WRITERS, address.url, str(period_s), str(films / PICTURE_HZ)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
 
     def stop(self) -> int:
         """Return how often each key was written."""
         out, _ = self.process.communicate(timeout=30)
-        count, lost = (int(word) for word in out.split())
+        count, lost, self.pictures = (int(word) for word in out.split())
         assert lost == 0, "the bus itself lost writes"
         return count
 
@@ -135,10 +149,26 @@ def assert_holds_everything(folder: Path, written: int) -> None:
     stock = [m for m in found if m.topic == STOCK]
     assert [(m.sequence, int(m.data)) for m in stock] == [(n, n) for n in range(1, written + 1)]
     assert all(stream.lost == stream.repeated == 0 for stream in reader.manifest.streams)
-    with reader.path.open("rb") as file:
-        library = make_reader(file, validate_crcs=True)
-        assert sum(1 for _ in library.iter_messages(topics=[BODY, "own", STOCK])) == 3 * written
-        statistics = library.get_summary().statistics
+    in_files = 0
+    for path in reader.files:
+        with path.open("rb") as file:
+            library = make_reader(file, validate_crcs=True)
+            kept = sum(1 for _ in library.iter_messages(topics=[BODY, "own", STOCK]))
+            assert kept == (3 * written if path == reader.path else 0)
+            statistics = library.get_summary().statistics
+        in_files += statistics.message_count - statistics.channel_message_counts[1]  # channel 1 holds the stamps
     counted = reader.manifest.recorder.messages
-    assert counted == sum(stream.count for stream in reader.manifest.streams) == len(found)
-    assert statistics.message_count - statistics.channel_message_counts[1] == counted  # channel 1 holds the stamps
+    assert counted == sum(stream.count for stream in reader.manifest.streams) == len(found) == in_files
+
+
+def assert_holds_every_picture(folder: Path, written: int) -> None:
+    """Every picture of `Writers`, once, in order, byte for byte, with the time at which it was taken."""
+    reader = open_episode(folder)
+    assert [path.name for path in reader.files] == ["signals.mcap", "cameras.mcap"]
+    found = list(reader.messages([CAMERA], stamps=True))
+    assert [m.sequence for m in found] == list(range(1, written + 1))
+    assert [m.data for m in found] == [jpeg(number, 30_000) for number in range(1, written + 1)]
+    assert {m.channel.file for m in found} == {"cameras.mcap"}
+    assert all(0 < m.publish_ns - captured_ns(m) < 1_000_000_000 for m in found)
+    logged = [message.log_ns for message in reader.messages()]
+    assert logged == sorted(logged), "both files go on with the same clock"

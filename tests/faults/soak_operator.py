@@ -20,6 +20,7 @@ from typing import Any
 from station.bus import codec, keys
 from station.episode.quality.check import check
 from station.episode.reading.reader import open_episode
+from station.life.gate import GateConfig
 from station.rotations import tilt
 from tests.servers.g1_station import ROBOT
 from tests.servers.operated_station import OperatedStation
@@ -68,7 +69,9 @@ def soak(minutes: float, folder: Path, driver: str) -> dict[str, Any]:
     controls, faults = script(minutes)
     bound = folder / "buttons.yaml"
     bound.write_text("engage: left_grip\n")
-    with OperatedStation(folder, controls, faults, record=True, driver=driver, buttons=bound, task="soak") as station:
+    with OperatedStation(
+        folder, controls, faults, record=True, gate=GateConfig(), driver=driver, buttons=bound, task="soak"
+    ) as station:
         process = station.supervisor.children["teleop"].process
         wait_until(lambda: process.poll() is not None, 60.0 * minutes + 120.0)
         wait_until(lambda: station.told("record-stop"))

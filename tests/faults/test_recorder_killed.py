@@ -21,7 +21,14 @@ from station.episode.quality.check import check
 from station.episode.reading.reader import open_episode
 from station.episode.storage.manifest import load_manifest
 from tests.cli.running import COMMANDS_ONLY, SHORT, are_gone, new_home
-from tests.faults.recorded_station import BODY, Writers, assert_holds_everything, recorded_station
+from tests.faults.recorded_station import (
+    BODY,
+    CAMERA,
+    Writers,
+    assert_holds_every_picture,
+    assert_holds_everything,
+    recorded_station,
+)
 from tests.waiting import wait_until
 
 PERIOD_S = 0.003
@@ -35,7 +42,7 @@ def test_killed_at_random_moments_it_holds_every_write_once_in_order(
     moments = random.Random(seed)
     with recorded_station(bus_server, tmp_path) as station:
         folder = Path(station.ask("start", task="walk").path or "")
-        writers = Writers(bus_server, PERIOD_S)
+        writers = Writers(bus_server, PERIOD_S, films=True)
         for _ in range(3):
             station.wait_until_it_records()
             time.sleep(moments.uniform(0.0, 2.0))  # any moment will do, which is the point
@@ -45,13 +52,15 @@ def test_killed_at_random_moments_it_holds_every_write_once_in_order(
         ended = station.ask("stop", success=True)
     assert ended.path == str(folder)
     assert_holds_everything(folder, written)
+    assert_holds_every_picture(folder, writers.pictures)
     manifest = load_manifest(folder)
     assert (manifest.state, manifest.recorder.ended_by, manifest.holes) == ("finished", "stop", [])
     assert manifest.recorder.restarts == 3
     assert [note["by"] for note in manifest.recovery] == ["offset"] * 3
     rerun = Path(sys.executable).with_name("rerun")
-    checked = subprocess.run([rerun, "mcap", "check", folder / "signals.mcap"], capture_output=True, check=False)
-    assert checked.returncode == 0, checked.stderr
+    for name in ("signals.mcap", "cameras.mcap"):
+        checked = subprocess.run([rerun, "mcap", "check", folder / name], capture_output=True, check=False)
+        assert checked.returncode == 0, checked.stderr
 
 
 def test_a_recorder_that_was_away_leaves_no_silence_and_no_burst_in_the_times(
@@ -117,7 +126,7 @@ def test_killed_again_and_again_while_it_recovers(bus_server: BusAddress, tmp_pa
     moments = random.Random(2)
     with recorded_station(bus_server, tmp_path) as station:
         folder = Path(station.ask("start", task="walk").path or "")
-        writers = Writers(bus_server, PERIOD_S)
+        writers = Writers(bus_server, PERIOD_S, films=True)
         station.wait_until_it_records(messages=500)
         for _ in range(3):
             pid = station.kill()
@@ -127,6 +136,7 @@ def test_killed_again_and_again_while_it_recovers(bus_server: BusAddress, tmp_pa
         written = writers.stop()
         station.ask("stop")
     assert_holds_everything(folder, written)
+    assert_holds_every_picture(folder, writers.pictures)
     assert load_manifest(folder).holes == []
 
 
@@ -155,8 +165,9 @@ def test_killed_while_it_closes_the_episode(bus_server: BusAddress, tmp_path: Pa
     moments = random.Random(seed)
     with recorded_station(bus_server, tmp_path) as station, ThreadPoolExecutor() as pool:
         folder = Path(station.ask("start", task="walk").path or "")
-        writers = Writers(bus_server, PERIOD_S)
-        time.sleep(moments.uniform(0.1, 0.7))
+        writers = Writers(bus_server, PERIOD_S, films=True)
+        wait_until(lambda: station.bus.get(CAMERA) is not None)
+        time.sleep(moments.uniform(0.0, 0.6))
         written = writers.stop()
         asked = pool.submit(station.ask, "stop", success=True)
         time.sleep(moments.uniform(0.0, 0.06))
@@ -165,10 +176,11 @@ def test_killed_while_it_closes_the_episode(bus_server: BusAddress, tmp_path: Pa
         ended = asked.result()
     assert (ended.path, ended.summary["lost"]) == (str(folder), 0)
     assert_holds_everything(folder, written)
+    assert_holds_every_picture(folder, writers.pictures)
     manifest = load_manifest(folder)
     assert (manifest.state, manifest.recorder.ended_by) == ("finished", "stop")
     assert manifest.quality_flags.success is True
-    assert sorted(file.name for file in folder.iterdir()) == ["manifest.yaml", "signals.mcap"]
+    assert sorted(file.name for file in folder.iterdir()) == ["cameras.mcap", "manifest.yaml", "signals.mcap"]
 
 
 def test_what_was_asked_while_it_was_down_is_done(bus_server: BusAddress, tmp_path: Path) -> None:

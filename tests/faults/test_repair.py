@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -54,7 +55,7 @@ class Episode:
         assert writer.wait(30.0)
         self.data = (folder / "signals.mcap").read_bytes()
         reader = EpisodeReader(folder / "signals.mcap")
-        self.chunks: list[ChunkPlace] = reader._contents.chunks
+        self.chunks: list[ChunkPlace] = reader.parts[0].contents.chunks
         self.messages = [(m.topic, m.data, m.sequence, m.log_ns, m.stamp) for m in reader.messages(stamps=True)]
         self.per_chunk = len(self.messages) // len(self.chunks)
 
@@ -108,8 +109,9 @@ def test_a_file_cut_at_any_byte_becomes_one_that_holds_exactly_the_whole_chunks_
     kept = episode.whole_before(len(torn))
     assert_good(folder, episode, kept)
     assert (folder / "signals.mcap.torn").read_bytes() == torn
-    assert (done.state, done.messages, done.original) == ("repaired", kept, str(folder / "signals.mcap.torn"))
-    assert done.cut_at + done.cut_bytes == len(torn)
+    ((cut_file, at, cut_bytes, original),) = [(one.file, one.at, one.bytes, one.original) for one in done.cuts]
+    assert (done.state, done.messages, original) == ("repaired", kept, str(folder / "signals.mcap.torn"))
+    assert (cut_file, at + cut_bytes) == ("signals.mcap", len(torn))
 
 
 @settings(max_examples=40, deadline=None)
@@ -146,14 +148,15 @@ def test_out_leaves_the_torn_episode_as_it_is(episode: Episode, tmp_path: Path) 
     before = {file.name: file.read_bytes() for file in folder.iterdir()}
     done = repair(folder, out=tmp_path / "out")
     assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
-    assert (done.path, done.original) == (str(tmp_path / "out" / "e"), str(folder / "signals.mcap.active"))
+    assert done.path == str(tmp_path / "out" / "e")
+    assert [one.original for one in done.cuts] == [str(folder / "signals.mcap.active")]
     assert_good(Path(done.path), episode, 3 * episode.per_chunk)
 
 
 def test_a_finished_file_that_was_damaged_later_is_repaired_too(episode: Episode, tmp_path: Path) -> None:
     folder = episode.torn(tmp_path / "e", episode.data[:-5])
     (folder / "signals.mcap.active").rename(folder / "signals.mcap")
-    assert repair(folder).original == str(folder / "signals.mcap.torn")
+    assert [one.original for one in repair(folder).cuts] == [str(folder / "signals.mcap.torn")]
     assert_good(folder, episode, len(episode.messages))
 
 
@@ -186,38 +189,43 @@ def test_an_episode_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
     assert writer.wait(30.0)
 
 
-KILLED_AT = """
-import os, sys
-from pathlib import Path
-from station.episode.writing.repair import repair
-step, seen = int(sys.argv[2]), 0
+def killed_at(folder: Path, step: int) -> bool:
+    """Have a process repair an episode and die at so manieth operation on its files; False when there are no more."""
+    child = os.fork()
+    if child:
+        status = os.waitpid(child, 0)[1]
+        assert os.WIFSIGNALED(status) or not os.WEXITSTATUS(status)
+        return os.WIFSIGNALED(status)
+    seen, code = 0, 1
 
-def count(event, arguments):
-    global seen
-    if event in ("os.rename", "os.link", "os.remove", "open") and sys.argv[1] in str(arguments[0]):
-        seen += 1
-        if seen == step:
-            os.kill(os.getpid(), 9)
+    def count(event: str, arguments: tuple[object, ...]) -> None:
+        nonlocal seen
+        if event in ("os.rename", "os.link", "os.remove", "open") and str(folder) in str(arguments[0]):
+            seen += 1
+            if seen == step:
+                os.kill(os.getpid(), signal.SIGKILL)
 
-sys.addaudithook(count)
-repair(Path(sys.argv[1]))
-"""
+    sys.addaudithook(count)
+    try:
+        repair(folder)
+        code = 0
+    finally:
+        os._exit(code)
 
 
 def test_a_repair_that_is_killed_at_any_step_is_done_by_the_next_one(episode: Episode, tmp_path: Path) -> None:
     torn = episode.data[: episode.chunks[4].offset + 100]
-    step, code = 0, -signal.SIGKILL
-    while code == -signal.SIGKILL:
+    step, was_killed = 0, True
+    while was_killed:
         step += 1
         folder = episode.torn(tmp_path / "e", torn)
-        code = subprocess.run([sys.executable, "-c", KILLED_AT, str(folder), str(step)], check=False).returncode
+        was_killed = killed_at(folder, step)
         repair(folder)
         assert_good(folder, episode, 4 * episode.per_chunk)
         assert (folder / "signals.mcap.torn").read_bytes() == torn
         assert sorted(file.name for file in folder.iterdir() if not file.name.startswith(".")) == [
             "manifest.yaml", "signals.mcap", "signals.mcap.torn",
         ]  # fmt: skip
-    assert code == 0
     assert step > 8
 
 

@@ -22,7 +22,9 @@ from tests.servers.g1_station import FORM, LIGHT, ROBOT, G1Process, Log, StockCo
 from tests.waiting import wait_until
 
 COMMAND = FORM.key
-SOON = 10  # writes of a 50 Hz commander in 200 ms
+SOON = 50  # writes of a 50 Hz commander in a second: a machine that is busy runs the robot's server a little later
+PATIENT = (*LIGHT, "gate.hold_after_s=0.5", "gate.return_after_s=1.5")
+"""A robot that waits for its commander on a busy machine: these tests are about whom it obeys."""
 HOST = socket.gethostname()
 
 
@@ -80,7 +82,7 @@ def test_the_second_of_two_motion_servers_is_refused_and_takes_over_when_the_fir
 ) -> None:
     with (
         logged(bus_server) as log,
-        G1Process(bus_server, *LIGHT),
+        G1Process(bus_server, *PATIENT),
         commander(bus_server, "first", "builtin:stand") as first,
     ):
         wait_until(lambda: log.gate()["state"] == "tracking")
@@ -94,21 +96,24 @@ def test_the_second_of_two_motion_servers_is_refused_and_takes_over_when_the_fir
             assert [source.split(".")[:2] for source in told["writers"]] == [
                 ["first", str(first.pid)], ["second", str(second.pid)]
             ]  # fmt: skip
+            wait_until(lambda: log.gate()["refused"] > 100)
+            newest = used(log)[-50:]
             firsts = {write.value for write in writes_of(log, "first")}
             obeyed = [codec.parse_json_vector(value) for value in firsts if value is not None]
-            assert log.gate()["state"] == "tracking"
-            assert log.gate()["refused"] > 100
-            for vector in used(log)[-50:]:
+            for vector in newest:
                 assert min(np.abs(vector - other).max() for other in obeyed) < 1e-9
+            wait_until(lambda: log.gate()["state"] == "tracking")
+            before = len(log.events("gate"))
             first.send_signal(signal.SIGKILL)
             wait_until(lambda: log.events("command-handover"))
-            wait_until(lambda: log.gate()["state"] == "tracking")
+            wait_until(lambda: "tracking" in [event.detail["to"] for event in log.events("gate")[before:]])
             handover = log.events("command-handover")[0].detail
             assert handover["obeyed"] == f"second (pid {second.pid} on {HOST})"
             assert handover["reason"] == f"first (pid {first.pid} on {HOST}) has been silent"
             wait_until(lambda: [event for event in told_by_robot(log) if event.detail.get("ended")])
-    changes = [(event.detail["from"], event.detail["to"]) for event in log.events("gate")]
-    assert ("holding", "tracking") not in changes, "who takes over is entered with a blend"
+    states = [event.detail["to"] for event in log.events("gate")[before:]]
+    followed = [state for state in states if state in ("entering", "tracking")]
+    assert followed[0] == "entering", "who takes over is entered with a blend"
     expect_no_kick(log)
     assert not log.events("fall")
 
@@ -118,7 +123,7 @@ def test_a_stock_script_beside_our_motion_server_is_refused_and_called_foreign(b
     far[6 + 15] = 1.5
     with (
         logged(bus_server) as log,
-        G1Process(bus_server, *LIGHT),
+        G1Process(bus_server, *PATIENT),
         commander(bus_server, "ours", "builtin:stand") as ours,
     ):
         wait_until(lambda: log.gate()["state"] == "tracking")
@@ -136,7 +141,7 @@ def test_a_stock_script_beside_our_motion_server_is_refused_and_called_foreign(b
 def test_in_lock_step_only_the_commands_of_who_is_obeyed_are_used(bus_server: BusAddress) -> None:
     with (
         logged(bus_server) as log,
-        G1Process(bus_server, *LIGHT, "pace=command"),
+        G1Process(bus_server, *PATIENT, "pace=command"),
         commander(bus_server, "ours", "builtin:walk-forward", "pace=state"),
     ):
         wait_until(lambda: log.gate()["state"] == "tracking")
@@ -151,7 +156,7 @@ def test_in_lock_step_only_the_commands_of_who_is_obeyed_are_used(bus_server: Bu
 
 
 def test_our_motion_server_beside_a_stock_script_is_refused(bus_server: BusAddress) -> None:
-    with logged(bus_server) as log, G1Process(bus_server, *LIGHT), StockCommander(bus_server):
+    with logged(bus_server) as log, G1Process(bus_server, *PATIENT), StockCommander(bus_server):
         wait_until(lambda: log.gate()["state"] == "tracking")
         with commander(bus_server, "ours", "builtin:wave") as ours:
             wait_until(lambda: told_by_robot(log))
@@ -159,13 +164,13 @@ def test_our_motion_server_beside_a_stock_script_is_refused(bus_server: BusAddre
             told = told_by_robot(log)[0].detail
             assert told["obeyed"] == "a foreign writer"
             assert told["refused"] == [f"ours (pid {ours.pid} on {HOST})"]
-            assert log.gate()["state"] == "tracking"
+            wait_until(lambda: log.gate()["state"] == "tracking")
 
 
 def test_whoever_begins_last_is_obeyed_where_that_is_configured(bus_server: BusAddress) -> None:
     with (
         logged(bus_server) as log,
-        G1Process(bus_server, *LIGHT, "gate.rivals=newest"),
+        G1Process(bus_server, *PATIENT, "gate.rivals=newest"),
         commander(bus_server, "first", "builtin:stand"),
     ):
         wait_until(lambda: log.gate()["state"] == "tracking")
@@ -181,7 +186,7 @@ def test_whoever_begins_last_is_obeyed_where_that_is_configured(bus_server: BusA
 
 
 def test_a_stock_script_in_place_of_our_motion_server_is_followed_and_no_rival(bus_server: BusAddress) -> None:
-    with logged(bus_server) as log, G1Process(bus_server, *LIGHT):
+    with logged(bus_server) as log, G1Process(bus_server, *PATIENT):
         with commander(bus_server, "ours", "builtin:stand") as ours:
             wait_until(lambda: log.gate()["state"] == "tracking")
             ours.send_signal(signal.SIGTERM)

@@ -7,11 +7,13 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from station.bus import keys
 from station.episode.quality.check import check
+from station.episode.quality.findings import Quality
 from station.episode.reading import frames
 from station.episode.reading.listing import list_episodes
 from station.episode.reading.reader import open_episode
@@ -66,6 +68,38 @@ def test_the_manifest_says_what_it_was_made_of_and_what_is_not_known(tmp_path: P
     quality = check(open_episode(done.path))
     assert quality.verdict == "usable"
     assert any("times not measured: 30 Hz is nominal" in reason.text for reason in quality.reasons)
+
+
+def shaking(entries: int, **changes: object) -> dict[str, Any]:
+    """A recording in which a wrist jumps from tick to tick."""
+    data = document(entries)
+    for number, one in enumerate(data["data"]):
+        one |= {"state_body": [*[0.0] * 33, 0.8 * (-1) ** number], **changes}
+    return data
+
+
+def rules_of(folder: Path, data: dict[str, Any], place: Path) -> tuple[Quality, set[str]]:
+    quality = check(open_episode(taken(record(folder, data), place).path))
+    return quality, {reason.rule for reason in quality.reasons}
+
+
+def test_rules_of_time_do_not_judge_times_that_nobody_measured(tmp_path: Path) -> None:
+    data = shaking(40, t_img=None, t_action=None, t_state=None)
+    quality, rules = rules_of(tmp_path / "cabinet" / "episode_0000", data, tmp_path / "data")
+    assert quality.times_of == "nominal"
+    assert rules == {"lossy-tap", "no-steps"}
+    assert {"gap", "slow", "camera-gap", "camera-slow", "old-command", "misaligned", "jerky"} <= {*quality.not_judged}
+
+
+def test_times_of_who_polled_show_gaps_and_say_nothing_of_the_writers(tmp_path: Path) -> None:
+    data = shaking(40)
+    for one in data["data"][20:]:
+        one["t_img"] += 2500
+    quality, rules = rules_of(tmp_path / "cabinet" / "episode_0000", data, tmp_path / "data")
+    assert quality.times_of == "polled"
+    assert rules == {"lossy-tap", "no-steps", "gap", "camera-gap", "camera-drops"}
+    assert quality.verdict == "reject"
+    assert quality.not_judged["slow"] == quality.not_judged["jerky"]
 
 
 def test_a_recording_is_taken_in_once_whatever_its_task_is_called(tmp_path: Path) -> None:

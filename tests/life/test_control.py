@@ -18,7 +18,8 @@ from station import registry
 from station.bus import codec
 from station.bus.joints import G1_29
 from station.errors import ConfigError
-from station.life.control import ControlStep, Happening, StepRecord
+from station.life.commanded import Happening
+from station.life.control import ControlStep, StepRecord
 from station.life.inlet import CommandSample
 from station.protocols import Fall, Floats, Floats32, JointTargets, PolicySpec, RobotState
 

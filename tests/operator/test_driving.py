@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
+from station.errors import ConfigError
 from station.operator.buttons import Buttons, button_map
 from station.operator.deadman import Snapshot
 from station.operator.driver import Look
-from station.operator.driving import Driven, Driving
+from station.operator.driving import Driven, Driving, buttons_to_drive
 from station.operator.reading import Reading
 from station.protocols import CommandFormat, Floats
 
@@ -130,3 +133,11 @@ def test_the_mode_button_changes_the_driver() -> None:
     assert seat.tick(0.0, "right_stick_click").mode == "fast"
     assert seat.tick(0.0, "right_stick_click").mode == ""
     assert seat.driving.driver.mode == "fast"
+
+
+def test_a_device_on_which_nothing_engages_needs_another_one_s_buttons(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no control of a gello engages"):
+        buttons_to_drive("gello", None)
+    file = tmp_path / "pedal.yaml"
+    file.write_text("engage: button_0")
+    assert buttons_to_drive("gello", file).how_to_drive == "hold button_0 to drive"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from adapters.commands.arm import arm_command
+from adapters.robots import arm_limits
 from station import registry
 from station.bus import keys
 from station.operator.leaving import COMES_TO_REST_S, Leaving
@@ -46,3 +48,11 @@ def test_the_neck_goes_along_to_its_default_and_hands_keep_what_they_hold() -> N
         assert found[keys.action_hand("left")] is beside[keys.action_hand("left")]
     assert np.abs(necks[-1]).max() < 1e-12
     assert np.abs(np.diff([beside[keys.action_neck()], *necks], axis=0)).max() < 0.02
+
+
+def test_a_robot_that_stays_where_it_is_is_left_there_at_once() -> None:
+    arm = arm_command("kassow", arm_limits.load("kassow", "kr810"))
+    leaving, where = Leaving(arm, 30.0), arm.default + 0.3
+    assert not leaving.is_done
+    assert leaving.step(where, DT_S, is_still=True) is where
+    assert leaving.is_done

@@ -42,6 +42,7 @@ TAKE = "2026-11-21-g1-walk-0007"
         ("mark", {"episode_id": TAKE, "label": "success"}, "success"),
         ("disk-low", {"minutes_left": 8.37}, "disk low, 8.4 minutes left"),
         ("estop", {"reason": "ada"}, "emergency stop"),
+        ("controller-fault", {"reason": "HALT, event 1010; clear it"}, "the controller stopped: HALT, event 1010"),
         ("server-died", {"server": "g1", "reason": "was killed"}, "g1 died"),
         ("server-crashed", {"reason": "ValueError"}, "teleop died"),
         ("gate", {"from": "tracking", "to": "holding", "reason": "command 0.12 s old"},

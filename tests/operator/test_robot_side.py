@@ -110,3 +110,22 @@ def test_command_that_the_robot_follows_is_known_when_it_is_one(side: Side) -> N
         side.bus.publish({key: value})
         wait_until(lambda before=before: side.watch.latest(key) is not before)  # type: ignore[misc]
         assert (side.look().used is not None) == known
+
+
+def test_a_fault_of_the_robot_s_controller_is_an_obstacle_and_ends_following(side: Side) -> None:
+    side.say("tracking")
+    side.robot.begin(time.monotonic_ns() - SECOND)
+    side.say("tracking")
+    assert side.look().left == ""
+    side.say("faulted")
+    assert side.look().left == "the robot follows no more (faulted: so)"
+    side.robot.end()
+    assert side.look().obstacle == "the robot's controller has a fault: so"
+
+
+def test_a_robot_that_stays_where_it_is_has_to_say_first_where_that_is(side: Side) -> None:
+    side.robot = RobotSide(side.watch, ROBOT, SIZE, stays=True)
+    assert side.look().obstacle == "the robot has not said where it is; is its server started?"
+    side.bus.publish({keys.command_used(ROBOT): codec.f64(np.ones(SIZE))})
+    wait_until(lambda: side.look().used is not None)
+    assert side.look().obstacle == ""

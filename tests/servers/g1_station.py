@@ -66,6 +66,7 @@ class Log:
 
     def __init__(self, address: BusAddress) -> None:
         self.writes: list[Write] = []
+        self._by_key: dict[str, list[Write]] = {}  # without deletions; tests look often
         self._tap = open_tap(address, backend="replication")
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._take, daemon=True)
@@ -74,9 +75,13 @@ class Log:
     def _take(self) -> None:
         while not self._stop.is_set():
             try:
-                self.writes.extend(self._tap.read(0.05))
+                writes = self._tap.read(0.05)
             except BusError:
                 return
+            self.writes.extend(writes)
+            for write in writes:
+                if write.value is not None:
+                    self._by_key.setdefault(write.key, []).append(write)
 
     def close(self) -> None:
         self._stop.set()
@@ -84,14 +89,14 @@ class Log:
         self._tap.close()
 
     def of(self, key: str) -> list[Write]:
-        return [write for write in list(self.writes) if write.key == key and write.value is not None]
+        return list(self._by_key.get(key, ()))
 
     def values(self, key: str) -> list[bytes]:
         return [write.value for write in self.of(key) if write.value is not None]
 
     def last(self, key: str) -> bytes:
-        wait_until(lambda: self.values(key))
-        return self.values(key)[-1]
+        wait_until(lambda: key in self._by_key)
+        return self._by_key[key][-1].value or b""
 
     def events(self, name: str) -> list[Event]:
         found = [decode(value) for value in self.values(keys.EVENT)]

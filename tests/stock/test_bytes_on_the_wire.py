@@ -56,7 +56,7 @@ def holds_milliseconds(log: Log, key: str) -> None:
 
 def test_twist2(serve: Serve, log: Log) -> None:
     g1, motion = serve("g1"), serve("motion", "motion=builtin:wave", "wait_for_start=true")
-    wait_until(lambda: len(log.values(keys.action_body())) > 30)
+    wait_until(lambda: all(len(log.values(key)) > 30 for key in (keys.action_body(), keys.T_STATE)))
     finish(motion)
     finish(g1)
     holds_vectors(log, {**ACTIONS, **STATES})
@@ -107,9 +107,11 @@ def test_twist_robot_answers_with_74_scaled_numbers(bus: Bus, serve: Serve, log:
     g1 = serve("g1", "policy=twist", f"checkpoint={tmp_path / 'stand.pt'}")
     body = [0.793] + [0.0] * 7 + [-0.2, 0, 0, 0.4, -0.2, 0] * 2 + [0.0] * 3
     body += [0, 0.2, 0, 1.2, LEFT_WRIST, 0, -0.2, 0, 1.2, RIGHT_WRIST]
-    for _ in range(100):
+    followed = 0
+    while followed < 100:
         bus.call("SET", "action_mimic_g1", json.dumps([float(value) for value in body]).encode())
         time.sleep(0.02)
+        followed = sum(b'"tracking"' in value for value in log.values(keys.command_gate(keys.TWIST_ROBOT)))
     finish(g1)
     holds_vectors(log, T1_STATES)
     target = np.frombuffer(log.values(keys.target("g1"))[-30])[:29]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,7 @@ from station.episode.reading.reader import open_episode
 from station.protocols import CommandFormat, Motion
 from tests.stock.conftest import OpenBus, Serve, finish, health
 from tests.stock.stock_twist2 import ACTIONS, BODY, STANDING, STATE_BODY, MotionServer, waving
-from tests.waiting import wait_until
+from tests.waiting import DEADLINE_S, wait_until
 
 AS_STOCK = ("policy=twist2", "robot_model=twist2:g1/g1_sim2sim_29dof.xml")
 MOST_JOINT_ERROR_RAD = 0.11
@@ -33,6 +35,11 @@ def clip(name: str, seconds: float) -> list[list[float]]:
     motion: Motion = registry.find("loader", "motion")(name)
     times = 0.02 * (1 + np.arange(int(seconds / 0.02)))
     return [form.encode(motion.at(float(time_s)), motion.joint_names).tolist() for time_s in times]
+
+
+def until_followed(bus: Bus) -> Iterator[list[float]]:
+    """Commands of a robot that waves, until it follows them: on a machine that is busy that takes longer."""
+    return itertools.takewhile(lambda _: gate(bus) != "tracking", waving(DEADLINE_S))
 
 
 @pytest.fixture
@@ -68,7 +75,6 @@ def test_robot_walks_to_stock_commands_and_all_of_it_is_recorded(
     started = open_bus.terminal.json("record", "start", "--task", "stock-walk")
     commands, follower = clip(motion, 8.0), Follower(stock)
     stock.play(commands, follower.look)
-    assert gate(bus) == "tracking"
     assert np.mean(follower.errors[SETTLED:]) <= MOST_JOINT_ERROR_RAD
     stock.close()
     open_bus.terminal.json("record", "stop")
@@ -83,7 +89,8 @@ def test_robot_walks_to_stock_commands_and_all_of_it_is_recorded(
     assert writers[STATE_BODY] == "g1"
     check = open_bus.terminal.json("check", started["path"])
     (robot,) = check["steps"]
-    assert (check["falls"], check["dropped"], robot["steps"] > 350) == (0, 0, True)
+    assert (check["falls"], check["dropped"]) == (0, 0)
+    assert robot["gate_shares"]["tracking"] > 0.3
     assert open_bus.terminal.json("audit", started["path"])["different"] == 0
 
 
@@ -94,7 +101,7 @@ def test_order_of_starting_does_not_matter(bus: Bus, serve: Serve, stock: Motion
     g1 = serve("g1")
     wait_until(lambda: gate(bus))
     assert gate(bus) == "waiting"  # an empty bus, or the last words of somebody who has gone, move nothing
-    stock.play(waving(2.0))
+    stock.play(until_followed(bus))
     assert gate(bus) == "tracking"
     stock.close()
     wait_until(lambda: gate(bus) == "waiting")  # stock would repeat the last command for ever
@@ -111,13 +118,14 @@ def test_what_stock_may_write_wrongly_is_refused_and_the_robot_stands(
     stock.redis.set(BODY, "not a list")
     wait_until(lambda: sum(health(bus, "g1").detail.get("refused", {}).values()) >= 4)
     assert (g1.poll(), gate(bus)) == (None, "waiting")
-    stock.play(waving(2.0))
+    stock.play(until_followed(bus))
     assert gate(bus) == "tracking"
     stock.close()
 
 
 def test_robot_needs_none_of_the_companion_keys(bus: Bus, serve: Serve, stock: MotionServer) -> None:
     g1 = serve("g1")
-    stock.play(waving(2.0), each=lambda _: stock.redis.delete(*[key for key in ACTIONS if key != BODY]))
+    others = [key for key in ACTIONS if key != BODY]
+    stock.play(until_followed(bus), each=lambda _: stock.redis.delete(*others))
     assert (g1.poll(), gate(bus)) == (None, "tracking")
     stock.close()

@@ -33,7 +33,7 @@ def test_every_slot_of_a_row_is_filled_from_our_servers(bus: Bus, serve: Serve, 
         lengths = {name: len(value) for name, value in row.items() if isinstance(value, list)}
         assert lengths == {**STATES, **ACTIONS}
         assert [type(row[name]) for name in ("t_state", "t_action")] == [int, int]
-        assert abs(row["t_state"] - row["t_action"]) < 1000  # [ms]
+        assert abs(row["t_state"] - row["t_action"]) < 10_000  # [ms]
     assert rows[0]["t_state"] < rows[-1]["t_state"]
 
 

@@ -14,6 +14,7 @@ from station.view import offscreen, plot_style
 from station.view.contact_sheet import save_sheet
 from station.view.offscreen import CannotRender
 from tests.episode.synthetic import EpisodeBuilder, command, walk
+from tests.view import arms
 from tests.view.pictures import pixels, share
 from tests.view.robots import tiny
 
@@ -79,3 +80,14 @@ def test_an_episode_without_a_pose_has_no_contact_sheet(builder: EpisodeBuilder,
     builder.write({keys.action_body(): codec.json_vector(command())}, at_s=0.1, writer="motion")
     with pytest.raises(StationError, match="no contact sheet, it holds no pose of a robot"):
         save_sheet(open_episode(builder.finish()), tmp_path / "sheet.png")
+
+
+@pytest.mark.usefixtures("drawing_machine")
+def test_an_arm_is_seen_in_each_picture(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    arms.reach(builder)
+    path = tmp_path / "sheet.png"
+    assert save_sheet(open_episode(builder.finish()), path) == []
+    picture = pixels(path)
+    orange = (picture[..., 0] > 150) & (picture[..., 1] < 130) & (picture[..., 2] < 70)
+    seen = orange[88:].any(axis=0)
+    assert np.count_nonzero(np.diff(seen.astype(int)) == 1) >= 5, "the caps of its hinges are in each of five columns"

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from adapters.robots.kassow import kinematics
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -17,6 +18,7 @@ from station.errors import NotReady
 from station.life import events
 from station.view.live import LiveView
 from tests.episode.synthetic import ROBOT, STANDING, command
+from tests.view import arms
 from tests.view.robots import tiny
 from tests.view.rrd import Recorded
 from tests.waiting import wait_until
@@ -88,3 +90,34 @@ def test_value_that_does_not_fit_its_contract_is_passed_over(bus: Bus, tmp_path:
 def test_bus_without_a_robot_is_one_line(bus: Bus) -> None:
     with pytest.raises(NotReady, match="no robot writes its state"):
         LiveView(bus, rr.RecordingStream("test"))
+
+
+def test_an_arm_is_found_and_drawn_with_its_target_in_its_place(bus: Bus, tmp_path: Path) -> None:
+    recording = rr.RecordingStream("test")
+    recording.save(tmp_path / "live.rrd")
+    bus.publish(arms.values(arms.START, asked=arms.START + 0.1))
+    with LiveView(bus, recording) as view:
+        assert (view.robot, view.warnings) == (arms.ROBOT, [])
+        wait_until(view.look)
+    recording.flush()
+    recording.disconnect()
+    recorded = Recorded(tmp_path / "live.rrd")
+    chain = kinematics.MODELS["kr810"]
+    for entity, q in (("robot", arms.START), ("reference", arms.START + 0.1)):
+        flange = np.array(recorded.column(f"world/{entity}/link7", ":translation")).reshape(-1, 3)[-1]
+        assert flange == pytest.approx(chain.posture(q).position, abs=1e-6)
+    assert recorded.rows(f"curves/state/{keys.state_joints(arms.ROBOT)}/angle") == 1
+
+
+def test_a_second_arm_of_a_model_that_nobody_has_drawn_is_shown_by_its_curves(bus: Bus, tmp_path: Path) -> None:
+    recording = rr.RecordingStream("test")
+    recording.save(tmp_path / "live.rrd")
+    key = keys.state_joints("kassow_kr1805_left")
+    bus.publish({key: codec.f64(np.zeros(21))})
+    with LiveView(bus, recording) as view:
+        assert view.robot == "kassow_kr1805_left"
+        assert view.warnings[0].startswith("the robot is not drawn: builtin:kassow_kr1805_left.xml")
+        wait_until(view.look)
+    recording.flush()
+    recording.disconnect()
+    assert Recorded(tmp_path / "live.rrd").rows(f"curves/state/{key}/angle") == 1

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from station import assets
-from station.bus.joints import G1_29
+from station.bus.joints import ARM_7, G1_29
 from station.errors import BadFile
 from station.view.model import RobotModel
 from station.view.shapes import Mesh, clustered
@@ -57,11 +57,31 @@ def test_file_that_is_no_model_is_refused_in_one_line(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_model_that_does_not_float_is_refused(tmp_path: Path) -> None:
+def test_a_robot_that_stands_fast_is_where_its_base_is_put(tmp_path: Path) -> None:
     path = tmp_path / "arm.xml"
-    path.write_text('<mujoco><worldbody><body><joint type="hinge"/><geom size="1"/></body></worldbody></mujoco>')
-    with pytest.raises(BadFile, match="free joint"):
+    geom = '<geom type="capsule" size="0.05" fromto="0 0 0 1 0 0"/>'
+    fore = f'<body name="fore" pos="1 0 0"><joint name="elbow" axis="0 0 1"/>{geom}</body>'
+    upper = f'<body name="upper"><joint name="shoulder" axis="0 0 1"/>{geom}{fore}</body>'
+    path.write_text(f"<mujoco><worldbody>{upper}</worldbody></mujoco>")
+    arm = RobotModel(path)
+    assert not arm.floats
+    root = np.array([[0.0, 0, 0, 1, 0, 0, 0], [1.0, 2.0, 0.5, np.sqrt(0.5), 0, 0, np.sqrt(0.5)]])
+    positions, quats = arm.poses(root, ["shoulder", "elbow"], np.full((2, 2), [np.pi / 2, 0.0]))
+    assert positions[:, arm.bodies.index("fore")] == pytest.approx(np.array([[0.0, 1.0, 0.0], [0.0, 2.0, 0.5]]))
+    assert np.abs(quats[1, 0]) == pytest.approx([0.0, 0.0, 0.0, 1.0])
+
+
+def test_model_of_which_nothing_moves_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "table.xml"
+    path.write_text('<mujoco><worldbody><geom type="box" size="1 1 1"/></worldbody></mujoco>')
+    with pytest.raises(BadFile, match="without joints"):
         RobotModel(path)
+
+
+def test_an_arm_is_drawn_whole() -> None:
+    model = RobotModel(assets.resolve("builtin:kassow_kr810.xml"))
+    assert all(model.knows(joint) for joint in ARM_7)
+    assert model.visible == {"base", *(f"link{number}" for number in range(1, 8))}
 
 
 def test_clustering_keeps_the_shape_and_drops_what_cannot_be_seen() -> None:

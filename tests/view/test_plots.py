@@ -15,6 +15,7 @@ from station.errors import StationError
 from station.view import plot_style as style
 from station.view.plots import save_plot
 from tests.episode.synthetic import STANDING, EpisodeBuilder, command, tick, walk
+from tests.view import arms
 from tests.view.pictures import pixels, share
 
 
@@ -92,3 +93,13 @@ def test_a_folder_that_is_not_there_is_one_line(builder: EpisodeBuilder, tmp_pat
 def test_reading_the_module_loads_no_matplotlib() -> None:
     code = "import sys, station.view.plots, station.view.contact_sheet; print('matplotlib' in sys.modules)"
     assert run_process([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
+
+
+def test_an_arm_has_a_panel_for_each_joint_below_the_other(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    arms.reach(builder)
+    picture = pixels(draw(builder, tmp_path))
+    assert 900 < picture.shape[0] < 1300
+    for row in range(7):  # the curve of each joint is in its own part of the page
+        begins = 130 + row * (picture.shape[0] - 170) // 7
+        assert share(picture[begins : begins + 130], style.MEASURED) > 0.0005
+    assert share(picture, style.ASKED) > 0.002

@@ -7,10 +7,12 @@ import pytest
 
 from station import rotations
 from station.bus import contracts, keys
+from station.bus.joints import ARM_7
 from station.protocols import Floats
 from station.view import poses
 from station.view.poses import Numbers, Posture
 from tests.episode.synthetic import ROBOT, STANDING, command
+from tests.view import arms
 
 YAW = 0.7
 
@@ -80,3 +82,21 @@ def test_without_a_gate_the_command_on_the_bus_is_the_reference() -> None:
     ghost = poses.asked(find, ROBOT, where)
     assert ghost is not None
     assert ghost.root[0, 2] == 0.5
+
+
+def test_an_arm_stands_at_the_origin_and_is_asked_for_what_its_gate_let_through() -> None:
+    at = numbers(keys.state_joints(arms.ROBOT), np.concatenate([arms.START, np.zeros(14)]))
+    bus = numbers(keys.action_joints(arms.ROBOT), arms.START + 0.2)
+    where = poses.measured(found(at), arms.ROBOT)
+    assert where is not None
+    assert where.root[0] == pytest.approx([0, 0, 0, 1, 0, 0, 0])
+    assert where.joints == ARM_7
+    assert where.q[0] == pytest.approx(arms.START)
+    for find, q in (
+        (found(at, bus), arms.START + 0.2),
+        (found(at, bus, numbers(keys.command_used(arms.ROBOT), arms.START + 0.1)), arms.START + 0.1),
+    ):
+        ghost = poses.asked(find, arms.ROBOT, where)
+        assert ghost is not None
+        assert ghost.q[0] == pytest.approx(q)
+        assert ghost.root == pytest.approx(where.root)

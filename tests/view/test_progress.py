@@ -143,3 +143,15 @@ def test_values_that_fit_no_contract_are_passed_over(bus: Bus) -> None:
     assert seen.policy.inference_s is None
     assert seen.motion is not None
     assert seen.motion.phase == ""
+
+
+def test_an_arm_shows_its_gate_its_profile_and_its_rates_and_why_it_is_faulted(bus: Bus) -> None:
+    arm = {"gate": "tracking", "gate_reason": "caught up", "backend": "sim", "profile": "speed125", "sync_hz": 250.0,
+           "send_hz": 124.6}  # fmt: skip
+    bus.publish({keys.server_config("g1"): codec.json_object({"robot": keys.KASSOW_KR810})})
+    say(bus, "g1", "active", **arm)
+    progress = ProgressReader(bus, NAMES).look()
+    assert progress.policy is None
+    assert "tracking   sim, speed125   250 heartbeats/s   125 targets/s" in shown(progress)
+    say(bus, "g1", "active", **arm | {"gate": "faulted", "gate_reason": "safety 1010: torque deviation"})
+    assert "faulted: safety 1010: torque deviation" in shown(ProgressReader(bus, NAMES).look())

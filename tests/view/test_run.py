@@ -10,9 +10,11 @@ import pytest
 
 from station.bus import codec, joints, keys
 from station.episode.reading.reader import open_episode
+from station.view import plot_style as style
 from station.view.run import Run, read_run
 from station.view.tracking import joint_errors
 from tests.episode.synthetic import ROBOT, STANDING, EpisodeBuilder, command, tick, walk
+from tests.view import arms
 
 LYING = (0.6, 0.8, 0.0, 0.0)  # 106° about x
 
@@ -115,3 +117,14 @@ def test_a_walk_is_whole(builder: EpisodeBuilder) -> None:
     assert run.times_s[0] == pytest.approx(0.1, abs=0.01)
     assert run.has_place
     assert run.heights is not None
+
+
+def test_what_an_operator_moved_is_a_phase_for_as_long_as_he_drove(builder: EpisodeBuilder) -> None:
+    for number, (engaged, mode) in enumerate([(False, "tool"), (True, "tool"), (True, "joints 1-4"), (False, "tool")]):
+        source = {"kind": "operator", "driver": "arm-tcp", "mode": mode, "engaged": engaged}
+        arm = arms.values(arms.START, asked=arms.START)
+        builder.write(arm | {keys.command_source(arms.ROBOT): codec.json_object(source)}, at_s=number, writer="teleop")
+    run = read(builder)
+    assert [(span.name, round(span.end_s - span.start_s)) for span in run.phases] == [("tool", 1), ("joints 1-4", 1)]
+    assert not run.can_fall
+    assert "fall" not in style.headline(run)

@@ -38,10 +38,10 @@ def provenance(shards: Sequence[Shard], left_out: Sequence[LeftOut], plan: Plan)
 
 def text(shards: Sequence[Shard], left_out: Sequence[LeftOut], plan: Plan, info: dict[str, Any]) -> str:
     """Return the card."""
-    minutes = info["total_frames"] / plan.fps / 60
+    length = f"{_counted(info['total_episodes'], 'episode')}, {info['total_frames'] / plan.fps / 60:.1f} minutes"
     parts = [
         _head(),
-        f"# {info['robot_type']}: {info['total_episodes']} episodes, {minutes:.1f} minutes at {plan.fps} Hz\n",
+        f"# {info['robot_type']}: {length} at {plan.fps} Hz\n",
         f"LeRobot data set, layout {plan.layout}, exported from recordings by Teleop Station. Splits: "
         + ", ".join(f"{name} {span}" for name, span in info["splits"].items())
         + f" (seed {plan.seed}; the ids stand in `meta/splits.json`).\n",
@@ -87,7 +87,7 @@ def _columns_text(plan: Plan) -> str:
         *((f"`{camera.column}`", f"{camera.width} x {camera.height} pixels", f"`{camera.key}`")
           for camera in common.cameras),
         (f"`{AGE}{STATE}`, `{AGE}{ACTION}`", "s, one per key", "age of the value at the tick"),
-        *((f"`{AGE}{camera.column}`", "s", "age of the picture at the tick") for camera in common.cameras),
+        *((f"`{camera.age_column}`", "s", "age of the picture at the tick") for camera in common.cameras),
         (f"`{TIME}`", "ns since the epoch", "the tick, on the episode's clock"),
     ]  # fmt: skip
     return _table("## Columns", ("column", "unit", "from"), rows)
@@ -143,6 +143,10 @@ def _table(title: str, titles: Sequence[str], rows: Iterable[Sequence[str]]) -> 
 
 def _listed(names: Iterable[str]) -> str:
     return ", ".join(f"`{name}`" for name in names)
+
+
+def _counted(number: int, thing: str) -> str:
+    return f"{number} {thing}{'s' if number != 1 else ''}"
 
 
 def _safe(words: str) -> str:

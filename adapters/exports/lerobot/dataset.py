@@ -56,7 +56,19 @@ def join(shards: Sequence[Shard], left_out: Sequence[LeftOut], plan: Plan, folde
     write_json(folder / "meta/station.json", card.provenance(ordered, left_out, plan))
     (folder / "README.md").write_text(card.text(ordered, left_out, plan, document), encoding="utf-8")
     return {"rows": rows_in_all, "tasks": len(tasks), "splits": splits, "layout": plan.layout,
-            "cameras": [camera.name for camera in plan.common.cameras]}  # fmt: skip
+            "cameras": [camera.name for camera in plan.common.cameras], "notes": list(_notes(ordered))}  # fmt: skip
+
+
+def _notes(shards: Sequence[Shard]) -> Iterator[str]:
+    """Yield what whoever asked for the data set should know, in a line each."""
+    with_others = [shard for shard in shards if shard.made.facts["other_cameras"]]
+    if with_others:
+        names = sorted({camera for shard in with_others for camera in shard.made.facts["other_cameras"]})
+        yield (
+            f"{len(with_others)} of {len(shards)} episodes ({with_others[0].source.episode_id} first) have cameras "
+            f"that the first one has not, and that are not in the data set: {', '.join(names)}; with --camera NAME "
+            "they are, and episodes without them are not"
+        )
 
 
 class _Totals:

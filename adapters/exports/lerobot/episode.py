@@ -12,6 +12,7 @@ import numpy as np
 
 from adapters.exports.lerobot import parquet, stats
 from adapters.exports.lerobot.plan import ACTION, AGE, STATE, TIME, Plan, cameras_of, open_source
+from station.episode.reading import frames
 from station.episode.reading.messages import Ints
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.manifest import Manifest
@@ -68,6 +69,7 @@ def convert(source: Source, plan: Plan, folder: Path) -> Made:
     facts = {
         "task": task_of(reader.manifest),
         "pictures": {camera.name: _picture_facts(encoded[camera.key]) for camera in common.cameras},
+        "other_cameras": _other_cameras(reader, plan),
         "head_s": table.head_s,
         "tail_s": table.tail_s,
         "without_own_step": table.without_own_step,
@@ -96,6 +98,12 @@ def provenance(reader: EpisodeReader) -> dict[str, Any]:
     }
 
 
+def _other_cameras(reader: EpisodeReader, plan: Plan) -> list[str]:
+    """Return cameras of an episode that the data set has not, though all were meant."""
+    taken = {camera.name for camera in plan.common.cameras}
+    return sorted(frames.cameras(reader).keys() - taken) if plan.common.is_every_camera else []
+
+
 def _encode(reader: EpisodeReader, plan: Plan, table: Table, folder: Path) -> Mapping[str, Encoded]:
     if not plan.common.cameras:
         return {}
@@ -117,7 +125,7 @@ def _picture_ages(
 ) -> dict[str, Floats32]:
     """Return tick minus capture of the pictures that the videos really show [s]."""
     return {
-        AGE + camera.column: _column([ages_s(table.ticks_ns, taken[camera.key][encoded[camera.key].shown])])
+        camera.age_column: _column([ages_s(table.ticks_ns, taken[camera.key][encoded[camera.key].shown])])
         for camera in plan.common.cameras
     }
 

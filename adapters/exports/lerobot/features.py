@@ -36,7 +36,7 @@ def features(plan: Plan) -> dict[str, Any]:
         **{camera.column: _video(camera, plan) for camera in common.cameras},
         AGE + STATE: _numbers("float32", [one.key for one in common.state]),
         AGE + ACTION: _numbers("float32", [one.key for one in common.action]),
-        **{AGE + camera.column: _numbers("float32", [camera.key]) for camera in common.cameras},
+        **{camera.age_column: _numbers("float32", [camera.key]) for camera in common.cameras},
         TIME: _numbers("int64", None),
     }
     return {**found, **{name: _numbers(kind, None) for name, kind in INDEX.items()}}

@@ -56,6 +56,19 @@ def prepare(sources: Sequence[Source], options: LeRobotOptions) -> Plan:
     )
 
 
+def columns(plan: Plan) -> list[str]:
+    """Return a line for each column; see `ExportKind.columns`."""
+    common = plan.common
+    sides = ((plans.STATE, common.state), (plans.ACTION, common.action))
+    ages = ", ".join([*(plans.AGE + column for column, _ in sides), *(camera.age_column for camera in common.cameras)])
+    return [
+        *(f"{column}: {one.key}, {one}" for column, keys in sides for one in keys),
+        *(f"{camera.column}: {camera.key}, {camera.width}x{camera.height}" for camera in common.cameras),
+        f"{ages}: how old the values of a row are [s]",
+        f"{plans.TIME}: the instant of a row [ns since the epoch]",
+    ]
+
+
 def convert(source: Source, plan: Plan, folder: Path) -> Made:
     """Write rows and video of one episode; see `ExportKind.convert`."""
     from adapters.exports.lerobot import episode

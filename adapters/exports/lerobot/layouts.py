@@ -142,7 +142,9 @@ class Version21(Layout):
         lines = [json.dumps({"task_index": number, "task": task}, ensure_ascii=False) + "\n"
                  for number, task in enumerate(tasks)]  # fmt: skip
         (self._folder / "meta/tasks.jsonl").write_text("".join(lines), encoding="utf-8")
-        write_json(self._folder / "meta/stats.json", stats)
+        # LeRobot reads those of the episodes. GR00T reads these, and cuts every one of them into the parts of the body.
+        sliced = {column: {name: found[name] for name in found if name != "count"} for column, found in stats.items()}
+        write_json(self._folder / "meta/stats.json", sliced)
 
     def abandon(self) -> None:
         """Let go of open files."""

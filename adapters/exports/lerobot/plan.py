@@ -45,6 +45,14 @@ class Camera(msgspec.Struct, frozen=True, kw_only=True):
         """Its name in the data set."""
         return IMAGES + self.name
 
+    @property
+    def age_column(self) -> str:
+        """Name of the column with the ages of its pictures.
+
+        Without ``image`` in it: of whatever has that in its name, LeRobot wants the statistics of pictures.
+        """
+        return f"{AGE}camera.{self.name.replace('image', 'picture')}"
+
 
 class Common(msgspec.Struct, frozen=True, kw_only=True):
     """What every episode must have to be in the data set.
@@ -54,6 +62,7 @@ class Common(msgspec.Struct, frozen=True, kw_only=True):
         state, action: Keys, in the order in which their numbers stand in a row.
         read: These, and the states of the policy steps that made the action.
         cameras: By name.
+        is_every_camera: Whether all cameras were meant, and these are those of the first episode.
     """
 
     robot: str
@@ -61,6 +70,7 @@ class Common(msgspec.Struct, frozen=True, kw_only=True):
     action: tuple[KeyColumns, ...]
     read: tuple[KeyColumns, ...]
     cameras: tuple[Camera, ...]
+    is_every_camera: bool = False
 
     @property
     def state_names(self) -> list[str]:
@@ -138,6 +148,7 @@ def cameras_of(reader: EpisodeReader, names: Sequence[str]) -> dict[str, str]:
 
 def _of(reader: EpisodeReader, wish: Wish) -> Common:
     robot = "" if wish.state and wish.action else robot_of(reader)
+    _expect_defaults(reader, wish, robot)
     state = tuple(key_columns(reader, key) for key in wish.state or (keys.robot_state(robot),))
     action = tuple(key_columns(reader, key) for key in wish.action or (keys.command_used(robot),))
     chosen = {one.key: one for one in (*state, *action)}
@@ -150,7 +161,21 @@ def _of(reader: EpisodeReader, wish: Wish) -> Common:
         action=action,
         read=tuple({**chosen, **paces}.values()),
         cameras=tuple(_camera(reader, name, key) for name, key in cameras_of(reader, wanted).items()),
+        is_every_camera=wish.cameras is None,
     )
+
+
+def _expect_defaults(reader: EpisodeReader, wish: Wish, robot: str) -> None:
+    """Refuse an episode that lacks the keys that nobody named, as one of stock scripts does; say what it has."""
+    topics = reader.topics()
+    sides = (("--state", wish.state, keys.robot_state(robot), keys.state_body(robot)),
+             ("--action", wish.action, keys.command_used(robot), keys.action_body(robot)))  # fmt: skip
+    lacking = [default for _, named, default, _ in sides if not named and default not in topics]
+    stock = " ".join(f"{option} {stock}" for option, named, _, stock in sides if not named and stock in topics)
+    if lacking and stock:
+        raise EpisodeError(
+            f"{reader.episode_id}: no {' and no '.join(lacking)} in it; name other keys, such as {stock}"
+        )
 
 
 def _camera(reader: EpisodeReader, name: str, key: str) -> Camera:

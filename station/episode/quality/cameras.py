@@ -1,16 +1,39 @@
-"""Dropped pictures, for each camera, by the times at which they were taken."""
+"""Dropped pictures, for each camera, by the times at which they were taken.
+
+The beat of a camera is the mean of its usual intervals, those between a half of the median and one and a half of it;
+the median itself would be wrong where times lie on a coarser clock, such as a simulation's. Pictures are then put on
+the beat one after another, and the places between them are counted; the beat follows the pictures slowly, so that
+neither one that is late nor a clock that drifts is taken for a hole.
+"""
 
 from __future__ import annotations
 
+import math
 from array import array
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from station.episode.quality.finding_parts import CameraQuality
 from station.episode.quality.findings import StreamQuality
 from station.episode.reading import frames
-from station.episode.reading.messages import Message
+from station.episode.reading.messages import Ints, Message
+from station.episode.storage.manifest import Manifest
+from station.protocols import Floats
+
+
+def stated_hz(manifest: Manifest) -> dict[str, float]:
+    """Return the rate that each camera gives by the word of its server, by its key [Hz]."""
+    stated = ((facts.get("key"), facts.get("fps")) for facts in (*manifest.cameras, *manifest.servers.values()))
+    return {
+        key: float(fps)
+        for key, fps in stated
+        if isinstance(key, str) and isinstance(fps, (int, float)) and math.isfinite(fps) and fps > 0
+    }
+
+
+_FOLLOWED = 0.1
+"""Of the distance between a picture and its place on the beat: by so much the beat follows."""
 
 
 class CameraMeter:
@@ -18,9 +41,11 @@ class CameraMeter:
 
     Args:
         cameras: Key of each camera by its name, as `station.episode.reading.frames.cameras` gives them.
+        stated_hz: Rate that each camera was set to, by its key, where somebody said so; as `stated_hz` gives them.
     """
 
-    def __init__(self, cameras: dict[str, str]) -> None:
+    def __init__(self, cameras: dict[str, str], stated_hz: Mapping[str, float]) -> None:
+        self._stated_hz = stated_hz
         self._names = {key: name for name, key in cameras.items()}
         self._taken = {key: array("q") for key in self._names}
         self._ages = {key: array("q") for key in self._names}
@@ -49,9 +74,9 @@ class CameraMeter:
         taken = np.sort(np.frombuffer(self._taken[key], np.int64))
         ages = np.frombuffer(self._ages[key], np.int64) * 1e-9
         intervals = np.diff(taken) * 1e-9
-        beat_s = float(np.median(intervals)) if len(intervals) else 0.0
+        beat_s = _beat_s(intervals)
         lost = sum(stream.lost + stream.dropped for stream in streams)
-        missing = max(lost, _empty_places(intervals, beat_s))
+        missing = max(lost, _empty_places(taken, round(beat_s * 1e9)))
         nominal = [stream.nominal_hz for stream in streams if stream.nominal_hz is not None]
         return CameraQuality(
             name=name,
@@ -62,15 +87,29 @@ class CameraMeter:
             lost=lost,
             drop_share=missing / (len(taken) + missing),
             rate_hz=1.0 / beat_s if beat_s > 0 else None,
-            nominal_hz=max(nominal, default=None),
+            nominal_hz=self._stated_hz.get(key, max(nominal, default=None)),
             longest_gap_s=float(intervals.max()) if len(intervals) else None,
             age_p50_s=float(np.percentile(ages, 50)),
             age_p99_s=float(np.percentile(ages, 99)),
         )
 
 
-def _empty_places(intervals_s: np.ndarray[tuple[int], np.dtype[np.float64]], beat_s: float) -> int:
-    """Return how many pictures are missing on a beat; one that is late and the next that is early make up for it."""
-    if beat_s <= 0:
+def _beat_s(intervals_s: Floats) -> float:
+    """Return the usual time from picture to picture [s]; 0 for fewer than two pictures."""
+    if not len(intervals_s):
+        return 0.0
+    median = np.median(intervals_s)
+    return float(intervals_s[np.abs(intervals_s - median) <= 0.5 * median].mean())
+
+
+def _empty_places(taken_ns: Ints, beat_ns: int) -> int:
+    """Return how many places on a beat are empty; one that is late and the next that is early make up for it."""
+    if beat_ns <= 0:
         return 0
-    return max(0, int((np.rint(intervals_s / beat_s) - 1).sum()))
+    empty, place = 0, float(taken_ns[0])
+    for taken in taken_ns[1:].tolist():
+        steps = round((taken - place) / beat_ns)
+        empty += steps - 1
+        place += steps * beat_ns
+        place += _FOLLOWED * (taken - place)
+    return max(0, empty)

@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from station.episode.quality import falls, interruptions, pauses, rule_file
+from station.episode.quality import falls, interruptions, pauses, rule_file, timing
 from station.episode.quality.findings import FallSeen, Quality
 from station.episode.quality.measuring import Measuring
 from station.episode.quality.rule_file import RuleBook
@@ -32,6 +32,7 @@ def check(reader: EpisodeReader, book: RuleBook | None = None) -> Quality:
     """
     rules = book or rule_file.shipped()
     quality = _assemble(reader, Measuring(reader))
+    quality.not_judged = timing.not_judged(quality)
     quality.verdict, quality.reasons = judge(quality, rules.limits)
     quality.rules = list(rules.files)
     return quality
@@ -82,6 +83,7 @@ def _assemble(reader: EpisodeReader, measured: Measuring) -> Quality:
         steps=[meter.result(paused) for meter in measured.steps.values()],
         alignment=[meter.result() for meter in measured.alignment.values()],
         motion=[moved for meter in measured.motion if (moved := meter.result()) is not None],
+        arms=[arm for meter in measured.arms if (arm := meter.result()) is not None],
         cameras=measured.cameras.result(streams),
         rivals=rivals(commands, measured.ends),
         pauses=pauses.described(paused, start_ns),
@@ -89,6 +91,7 @@ def _assemble(reader: EpisodeReader, measured: Measuring) -> Quality:
         **_recorded(manifest.recorder, drops),
         holes=len(manifest.holes) + manifest.holes_not_listed,
         lock_step=is_lock_step(manifest),
+        times_of=timing.times_of(manifest),
         is_finished=not reader.is_active,
         torn=reader.torn,
         success=flags.success,

@@ -20,12 +20,12 @@ class CameraQuality(msgspec.Struct, frozen=True, kw_only=True):
         key: Its key on the bus.
         frames: Pictures in the file.
         expected: Pictures that belong between the first and the last: those that are there, and `missing`.
-        missing: The greater of two counts: `lost`, and the empty places on the camera's own beat (the median interval),
-            where a camera or its line dropped what never got a number.
+        missing: The greater of two counts: `lost`, and the empty places on the camera's own beat, where a camera or its
+            line dropped what never got a number.
         lost: Sequence numbers that are not in the file, what the recorder dropped included.
         drop_share: `missing` of `expected`, 0..1.
-        rate_hz: The camera's own rate, from the median interval [Hz]; None for fewer than two pictures.
-        nominal_hz: Rate by contract [Hz].
+        rate_hz: The camera's own rate, from its usual intervals [Hz]; None for fewer than two pictures.
+        nominal_hz: Rate that it was set to, by the word of its server, else by contract [Hz].
         longest_gap_s: Longest time between two pictures [s].
         age_p50_s, age_p99_s: From the taking of a picture to its write [s]; 0 where the camera does not say.
     """
@@ -58,6 +58,7 @@ class MotionQuality(msgspec.Struct, frozen=True, kw_only=True):
         jerk_p99_rad_s3, jerk_max_rad_s3: 99th percentile and greatest of the jerk of the joint that jerks most, over
             all instants [rad/s^3]; None where too few samples follow each other.
         worst_jerk_joint: The joint with the greatest.
+        command_jerk_p99_rad_s3, command_worst_jerk_joint: The same of the positions that were commanded.
         limits_from: What says where the joints end; "" where nothing does, and the next three say nothing.
         limit_hits: How often a joint came to its end.
         limit_share: Share of time that the joint was at its end which was there longest, 0..1.
@@ -81,6 +82,48 @@ class MotionQuality(msgspec.Struct, frozen=True, kw_only=True):
     limit_share: float
     limit_joints: dict[str, float]
     beyond_limit_rad: float | None
+    command_jerk_p99_rad_s3: float | None = None
+    command_worst_jerk_joint: str = ""
+
+
+class ArmQuality(msgspec.Struct, frozen=True, kw_only=True):
+    """What an arm's session with its controller counted during the episode; `station.episode.quality.arms` says how.
+
+    Attributes:
+        robot: Suffix of its keys.
+        backend: ``kord`` for a real controller, ``sim`` for a simulated one.
+        profiles: How targets were tracked, in the order in which these profiles were chosen.
+        sync_hz: Heartbeats of the controller that were heard [Hz].
+        sends: Targets of the stream that were sent.
+        sends_moving_hz, moving_s: How often in motion [Hz], and how long that was [s].
+        sends_holding_hz, holding_s: How often while the target stood [Hz], and how long that was [s].
+        faults: Faults of the controller.
+        late_commands, sync_timeouts, missed_ticks, limit_refusals, commands_dropped_by_throttle: As counted.
+        sync_to_send_p50_s, sync_to_send_p99_s, sync_to_send_max_s: From a heartbeat to the sending of a command, since
+            the session began [s]; None where nothing was measured.
+        period_p99_s, period_max_s: Likewise between two heartbeats.
+    """
+
+    robot: str
+    backend: str
+    profiles: list[str]
+    sync_hz: float | None
+    sends: int
+    sends_moving_hz: float | None
+    moving_s: float
+    sends_holding_hz: float | None
+    holding_s: float
+    faults: int
+    late_commands: int
+    sync_timeouts: int
+    missed_ticks: int
+    limit_refusals: int
+    commands_dropped_by_throttle: int
+    sync_to_send_p50_s: float | None = None
+    sync_to_send_p99_s: float | None = None
+    sync_to_send_max_s: float | None = None
+    period_p99_s: float | None = None
+    period_max_s: float | None = None
 
 
 class Alignment(msgspec.Struct, frozen=True, kw_only=True):

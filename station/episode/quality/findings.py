@@ -6,9 +6,12 @@ from typing import Literal
 
 import msgspec
 
-from station.episode.quality.finding_parts import Alignment, CameraQuality, MotionQuality, RulesFile
+from station.episode.quality.finding_parts import Alignment, ArmQuality, CameraQuality, MotionQuality, RulesFile
 
 Verdict = Literal["good", "usable", "reject"]
+
+TimesOf = Literal["writers", "polled", "nominal"]
+"""Whose times an episode has: its writers' (or those of arrival), of who polled the bus, or nobody's."""
 
 
 class Spread(msgspec.Struct, frozen=True):
@@ -194,6 +197,7 @@ class Quality(msgspec.Struct, kw_only=True):
         steps: By robot.
         alignment: How commands lay beside states, by robot.
         motion: How joints moved, by robot.
+        arms: What the sessions of arms with their controllers counted, by robot.
         cameras: What became of the pictures, by camera.
         rivals: Command keys with several writers at once.
         pauses: Times without commands that their writer told of beforehand, in order.
@@ -210,6 +214,8 @@ class Quality(msgspec.Struct, kw_only=True):
         holes: Spans of which writes are missing, as the recorder stated them.
         backend, is_lossless: The tap that was used, and whether it can promise every write.
         lock_step: Whether commands waited for states, so that times say nothing of the control.
+        times_of: Whose times it has; other than ``writers`` only in what was imported.
+        not_judged: Rules that these times cannot answer, and why.
         is_finished: Whether the recorder closed the file.
         torn: What was cut off, in a line; None for a whole file.
         success: What the operator said; None when nobody did.
@@ -226,6 +232,7 @@ class Quality(msgspec.Struct, kw_only=True):
     steps: list[StepQuality] = []
     alignment: list[Alignment] = []
     motion: list[MotionQuality] = []
+    arms: list[ArmQuality] = []
     cameras: list[CameraQuality] = []
     rivals: list[RivalWriters] = []
     pauses: list[CommandPause] = []
@@ -244,6 +251,8 @@ class Quality(msgspec.Struct, kw_only=True):
     backend: str = ""
     is_lossless: bool = False
     lock_step: bool = False
+    times_of: TimesOf = "writers"
+    not_judged: dict[str, str] = {}
     is_finished: bool = True
     torn: str | None = None
     success: bool | None = None

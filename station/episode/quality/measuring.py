@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from station.bus import codec, keys
-from station.episode.quality import interruptions, motion, pauses
+from station.episode.quality import arms, interruptions, motion, pauses
 from station.episode.quality.alignment import AlignmentMeter
-from station.episode.quality.cameras import CameraMeter
+from station.episode.quality.cameras import CameraMeter, stated_hz
 from station.episode.quality.policy_steps import StepMeter
 from station.episode.quality.streams import StreamCounter
 from station.episode.reading import frames, steps
@@ -25,6 +25,7 @@ class Measuring:
         counter: Counts every stream.
         steps, alignment: By robot.
         motion: One for each robot whose joints are told of.
+        arms: One for each arm.
         cameras: Counts pictures.
         events: Every event with its time from the start [s].
         ends: Where commands ended because their server said so.
@@ -37,7 +38,8 @@ class Measuring:
         self.steps = {robot: StepMeter(robot, self.start_ns) for robot in steps.robots(topics)}
         self.alignment = {robot: AlignmentMeter(robot) for robot in self.steps}
         self.motion = motion.meters(topics)
-        self.cameras = CameraMeter(frames.cameras(reader))
+        self.arms = [arms.ArmMeter(robot) for robot in arms.robots(topics)]
+        self.cameras = CameraMeter(frames.cameras(reader), stated_hz(reader.manifest))
         self.events: list[tuple[float, dict[str, Any]]] = []
         self.ends: list[pauses.End] = []
         self._joiners = {robot: StepJoiner(robot, context=meter.context) for robot, meter in self.steps.items()}
@@ -52,6 +54,8 @@ class Measuring:
         self.cameras.feed(message)
         for meter in self.motion:
             meter.feed(message)
+        for arm in self.arms:
+            arm.feed(message)
         if message.topic == keys.EVENT:
             self._feed_event(message)
         for robot, joiner in self._joiners.items():

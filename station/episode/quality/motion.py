@@ -6,26 +6,22 @@ for one number per instant.
 Idle: time is cut into windows of 0.5 s that begin every 0.1 s. In a window that is not idle a joint, commanded or
 measured, covers more than 0.05 rad. Head and tail are what lies before the first and behind the last of those.
 
-Jerk: the third derivative of the cubic that fits 7 neighbouring positions best (Savitzky-Golay), their time taken as
-even: 6 c3 / dt^3 with dt the mean interval of the seven (or of as many as span 0.12 s). So a time stamp that is a
-millisecond off says nothing, and a quantum of 0.1 mrad 1.5 rad/s^3; a walk has thousands. Neighbours with a gap between
-them (1.5 times the median interval) are not fitted.
+Jerk: `station.episode.quality.jerk` has the formula.
 
 At its end is a joint within 1 mrad of its limit, or beyond it.
 """
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable, Iterable
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from station.bus import keys
 from station.bus.contracts import Contract
 from station.episode.quality.finding_parts import MotionQuality
+from station.episode.quality.jerk import Jerk
 from station.episode.quality.joint_limits import JointLimits, limits
 from station.episode.reading import steps
 from station.episode.reading.messages import Message
@@ -38,13 +34,11 @@ IDLE_BELOW_RAD = 0.05
 IDLE_WINDOW_S = 0.5
 AT_LIMIT_RAD = 1e-3
 
-_STATES = (keys.robot_state, keys.state_body)
-_COMMANDS = (keys.command_used, keys.action_body, keys.action_mimic)
+_STATES = (keys.robot_state, keys.state_body, keys.state_joints)
+_COMMANDS = (keys.command_used, keys.action_body, keys.action_mimic, keys.action_joints)
 _BLOCK = 512  # messages that are decoded at once
 _BUCKET_NS = 100_000_000
 _BUCKETS = round(IDLE_WINDOW_S * 1e9 / _BUCKET_NS)
-_JERK_S, _LEAST_POINTS, _MOST_POINTS = 0.12, 7, 101
-_GAP = 1.5  # of the median interval
 _JOINT = "_pos"
 
 
@@ -66,11 +60,8 @@ class MotionMeter:
     def __init__(self, robot: str, state_key: str, command_key: str) -> None:
         self._robot, self._state_key, self._command_key = robot, state_key, command_key
         self._stillness = [Stillness(), Stillness()]
-        self._jerk, self._ends = Jerk(), Ends(robot)
-        self._sides = {
-            state_key: _Blocks(self._take_state),
-            command_key: _Blocks(lambda times, _, q: self._stillness[1].feed(times, q)),
-        }
+        self._jerk, self._command_jerk, self._ends = Jerk(), Jerk(), Ends(robot)
+        self._sides = {state_key: _Blocks(self._take_state), command_key: _Blocks(self._take_command)}
         self._sides.pop("", None)
 
     def feed(self, message: Message) -> None:
@@ -88,6 +79,7 @@ class MotionMeter:
             return None
         head_s, tail_s = _idle(moved)
         p99, most, worst = self._jerk.result()
+        command_p99, _, command_worst = self._command_jerk.result()
         return MotionQuality(
             robot=self._robot,
             state_key=self._state_key,
@@ -100,6 +92,8 @@ class MotionMeter:
             jerk_p99_rad_s3=p99,
             jerk_max_rad_s3=most,
             worst_jerk_joint=worst,
+            command_jerk_p99_rad_s3=command_p99,
+            command_worst_jerk_joint=command_worst,
             limits_from=self._ends.said_by,
             limit_hits=self._ends.hits,
             limit_share=max(self._ends.shares().values(), default=0.0),
@@ -111,6 +105,10 @@ class MotionMeter:
         self._stillness[0].feed(times, q)
         self._jerk.feed(times, joints, q)
         self._ends.feed(joints, q)
+
+    def _take_command(self, times: Ints, joints: tuple[str, ...], q: Floats) -> None:
+        self._stillness[1].feed(times, q)
+        self._command_jerk.feed(times, joints, q)
 
 
 class _Blocks:
@@ -197,57 +195,6 @@ def _idle(sides: list[Stillness]) -> tuple[float, float]:
         return (end - begin) * 1e-9, 0.0
     rested = max(side.rested_ns for side in sides if side.moved_ns is not None)
     return (min(moved) - begin) * 1e-9, max(0, end - rested) * 1e-9
-
-
-class Jerk:
-    """The greatest jerk of any joint, for each instant."""
-
-    def __init__(self) -> None:
-        self._tail: tuple[Ints, Floats] | None = None
-        self._weights: Floats = np.empty(0)
-        self._greatest = array("d")
-        self._most, self._joint = 0.0, ""
-
-    def feed(self, times: Ints, joints: tuple[str, ...], q: Floats) -> None:
-        """Take positions (k, n) [rad] at times (k,) [ns]."""
-        if self._tail is not None and self._tail[1].shape[1] == q.shape[1]:
-            times, q = np.concatenate([self._tail[0], times]), np.concatenate([self._tail[1], q])
-        intervals = np.diff(times) * 1e-9
-        if not len(intervals) or (median := float(np.median(intervals))) <= 0:
-            return
-        if not len(self._weights):
-            self._weights = _third_derivative(round(_JERK_S / median) + 1)
-        points = len(self._weights)
-        self._tail = times[-(points - 1) :], q[-(points - 1) :]
-        if len(times) < points:
-            return
-        spans = sliding_window_view(intervals, points - 1)
-        fits = (spans.max(axis=1) <= _GAP * median) & (spans.min(axis=1) > 0)
-        with np.errstate(all="ignore"):  # of numbers that no robot writes nothing finite comes, and it is left out
-            jerk = np.abs(sliding_window_view(q, points, axis=0) @ self._weights) / spans.mean(axis=1)[:, None] ** 3
-        self._note(jerk[fits & np.isfinite(jerk).all(axis=1)], joints)
-
-    def _note(self, jerk: Floats, joints: tuple[str, ...]) -> None:
-        if not len(jerk):
-            return
-        greatest = jerk.max(axis=1)
-        self._greatest.frombytes(greatest.tobytes())
-        top = int(greatest.argmax())
-        if greatest[top] > self._most:
-            self._most, self._joint = float(greatest[top]), joints[int(jerk[top].argmax())]
-
-    def result(self) -> tuple[float | None, float | None, str]:
-        """Return 99th percentile and greatest [rad/s^3], and the joint of the greatest."""
-        if not len(self._greatest):
-            return None, None, ""
-        return float(np.percentile(np.frombuffer(self._greatest), 99)), self._most, self._joint
-
-
-def _third_derivative(points: int) -> Floats:
-    """Return the weights that make of evenly spaced values the third derivative of their best cubic, times dt^3."""
-    points = min(max(points, _LEAST_POINTS), _MOST_POINTS) // 2 * 2 + 1
-    places = np.arange(points) - points // 2
-    return np.asarray(6.0 * np.linalg.pinv(np.vander(places, 4, increasing=True))[3])
 
 
 class Ends:

@@ -50,7 +50,7 @@ class StepMeter:
     def __post_init__(self) -> None:
         self._layouts = {
             key: contract.names
-            for family in (keys.command_used, keys.robot_state, keys.sim_qpos)
+            for family in (keys.command_used, keys.robot_state, keys.sim_qpos, keys.state_joints)
             if (contract := contracts.contract(key := family(self.robot))) is not None
         }
 
@@ -137,7 +137,7 @@ class StepMeter:
 
     def _compare(self, step: Step) -> None:
         used = self._named(step, keys.command_used(self.robot))
-        state = self._named(step, keys.robot_state(self.robot))
+        state = self._named(step, keys.robot_state(self.robot)) or self._named(step, keys.state_joints(self.robot))
         if used is None or state is None:
             return
         (asked_names, asked), (names, measured) = used, state

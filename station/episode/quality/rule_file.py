@@ -110,6 +110,12 @@ class MostMetres(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
     above_m: float
 
 
+class MostRate(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The greatest rate [Hz]."""
+
+    above_hz: float
+
+
 class MostJerk(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The greatest 99th percentile of a jerk [rad/s^3]."""
 
@@ -152,7 +158,11 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     wrong_height: MostMetres
     idle_ends: MostSeconds
     jerky: MostJerk
+    jerky_command: MostJerk
     joint_limits: MostShare
+    arm_fault: Rule
+    arm_sync: LeastShare
+    arm_flood: MostRate
 
     def rule(self, name: str) -> Rule:
         """Return a rule by its name in the file."""

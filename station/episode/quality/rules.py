@@ -7,15 +7,21 @@ from collections.abc import Iterator
 from station.episode.quality.findings import Interruption, Quality, Reason, StepQuality, StreamQuality, Verdict
 from station.episode.quality.rule_file import Graded, Limits, Rule
 from station.episode.quality.sensed_rules import SENSED, Finder
+from station.episode.quality.timing import not_judged
 
 _JUDGED_ROLES = ("command", "state", "policy")
 
 
 def judge(quality: Quality, limits: Limits) -> tuple[Verdict, list[Reason]]:
-    """Return the verdict of an episode and every reason against a better one."""
+    """Return the verdict of an episode and every reason against a better one.
+
+    Rules that its times cannot answer are not asked (`station.episode.quality.timing`).
+    """
+    silent = not_judged(quality)
     reasons = [
         Reason(name, said, text)
         for name, find in RULES.items()
+        if name not in silent
         for found, text in find(quality, limits)
         if (said := _said(found, limits.rule(name))) is not None
     ]
@@ -95,7 +101,13 @@ def _disordered(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
 
 def _lossy_tap(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
     if not quality.is_lossless:
-        yield "usable", f"recorded by {quality.backend or 'an unnamed tap'}, which cannot promise every foreign write"
+        who = quality.backend or "an unnamed tap"
+        said = (
+            "cannot promise every foreign write"
+            if quality.times_of == "writers"
+            else "polled: what came between is lost"
+        )
+        yield "usable", f"recorded by {who}, which {said}"
 
 
 def _holes(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -116,10 +128,12 @@ def _gap(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
 
 
 def _slow(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
-    for stream in _timed(quality):
-        rate_hz = _steady_rate_hz(stream)
-        if rate_hz is not None and rate_hz < limits.slow.below_share * (stream.nominal_hz or 0.0):
-            yield "usable", f"{_named(stream)}: {rate_hz:.1f} Hz, nominal {stream.nominal_hz:g} Hz"
+    slow = [stream for stream in _timed(quality) if _steady_share(stream) < limits.slow.below_share]
+    for streams in _by_writer(slow).values():
+        worst = min(streams, key=_steady_share)
+        rate_hz = _steady_share(worst) * (worst.nominal_hz or 0.0)
+        others = f"; {len(streams) - 1} other streams of it are slow too" if len(streams) > 1 else ""
+        yield "usable", f"{_named(worst)}: {rate_hz:.1f} Hz, nominal {worst.nominal_hz:g} Hz{others}"
 
 
 def _rivals(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -157,7 +171,7 @@ def _estop(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
 
 def _no_steps(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
     if not any(robot.steps for robot in quality.steps):
-        yield "usable", "no policy step in the file: nothing to train on or to audit"
+        yield "usable", "no policy step in the file: nothing to audit, and an export must be told --state and --action"
 
 
 def _never_tracked(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -183,7 +197,7 @@ def _interrupted(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, st
 def _old_command(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for robot in quality.steps:
         age_s = robot.command_age.p99_s
-        if not quality.lock_step and age_s is not None and age_s > limits.old_command.p99_above_s:
+        if age_s is not None and age_s > limits.old_command.p99_above_s:
             yield "usable", f"{robot.robot}: commands {age_s * 1e3:.0f} ms old at use (p99)"
 
 
@@ -236,17 +250,21 @@ RULES: dict[str, Finder] = {
 
 
 def _timed(quality: Quality) -> Iterator[StreamQuality]:
-    """Streams whose timing matters; in lock-step commands wait for states, and time says nothing."""
-    if not quality.lock_step:
-        for stream in quality.streams:
-            if stream.role in _JUDGED_ROLES and stream.nominal_hz is not None:
-                yield stream
+    """Streams whose timing matters."""
+    for stream in quality.streams:
+        if stream.role in _JUDGED_ROLES and stream.nominal_hz is not None:
+            yield stream
 
 
-def _steady_rate_hz(stream: StreamQuality) -> float | None:
-    """Rate without the longest silence and without pauses, which have rules of their own."""
+def _steady_share(stream: StreamQuality) -> float:
+    """Rate of its nominal one, without the longest silence and without pauses, which have rules of their own.
+
+    1 where it cannot be told.
+    """
     steady_s = stream.last_s - stream.first_s - stream.paused_s - (stream.longest_gap_s or 0.0)
-    return (stream.count - 2) / steady_s if stream.count > 2 and steady_s > 0 else None
+    if stream.count <= 2 or steady_s <= 0 or not stream.nominal_hz:
+        return 1.0
+    return (stream.count - 2) / steady_s / stream.nominal_hz
 
 
 def _when(item: Interruption) -> str:

@@ -1,4 +1,4 @@
-"""The rules about cameras, motion, and a command beside its state; `station.episode.quality.rules` has the others."""
+"""The rules about cameras, motion, arms, and commands beside states; `station.episode.quality.rules` has the others."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ from station.episode.quality.rule_file import Limits
 
 Finder = Callable[[Quality, Limits], Iterator[tuple[Verdict, str]]]
 """Finds what a rule speaks of: verdict by its limits, and the fact in a sentence."""
+
+_GAP_PERIODS = 3  # a camera that is set to few pictures a second gives none for long
+_ANY_HZ = 1e9
+_ARM_HZ = 250.0  # of a Kassow controller
 
 
 def _camera_drops(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -22,7 +26,7 @@ def _camera_drops(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, s
 def _camera_gap(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for camera in quality.cameras:
         gap_s = camera.longest_gap_s or 0.0
-        if gap_s > limits.camera_gap.usable_above_s:
+        if gap_s > max(limits.camera_gap.usable_above_s, _GAP_PERIODS / (camera.nominal_hz or _ANY_HZ)):
             verdict: Verdict = "reject" if gap_s > limits.camera_gap.reject_above_s else "usable"
             yield verdict, f"camera {camera.name}: no picture for {gap_s:.2f} s"
 
@@ -38,7 +42,7 @@ def _camera_slow(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, st
 def _misaligned(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     least_s, most_s = limits.misaligned.lag_below_s, limits.misaligned.lag_above_s
     for found in quality.alignment:
-        if quality.lock_step or found.lag_s is None or least_s <= found.lag_s <= most_s:
+        if found.lag_s is None or least_s <= found.lag_s <= most_s:
             continue
         how = "after" if found.lag_s > 0 else "before"
         yield "usable", f"{found.robot}: joints move {abs(found.lag_s) * 1e3:.0f} ms {how} the command that they got"
@@ -54,9 +58,17 @@ def _idle_ends(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]
 def _jerky(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for robot in quality.motion:
         jerk = robot.jerk_p99_rad_s3
-        if not quality.lock_step and jerk is not None and jerk > limits.jerky.p99_above_rad_s3:
+        if jerk is not None and jerk > limits.jerky.p99_above_rad_s3:
             worst = f"most {robot.worst_jerk_joint} with {robot.jerk_max_rad_s3 or 0.0:.0f}"
             yield "usable", f"{robot.robot}: jerk {jerk:.0f} rad/s\u00b3 (p99), {worst}"
+
+
+def _jerky_command(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for robot in quality.motion:
+        jerk = robot.command_jerk_p99_rad_s3
+        if jerk is not None and jerk > limits.jerky_command.p99_above_rad_s3:
+            worst = f"most {robot.command_worst_jerk_joint}"
+            yield "usable", f"{robot.robot}: jerk of the command {jerk:.0f} rad/s\u00b3 (p99), {worst}"
 
 
 def _joint_limits(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -66,6 +78,24 @@ def _joint_limits(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, s
             yield "usable", f"{robot.robot}: {joint} at its end for {robot.limit_share:.0%} of the time"
 
 
+def _arm_fault(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    for arm in quality.arms:
+        if arm.faults:
+            yield "reject", f"{arm.robot}: {arm.faults} fault(s) of its controller"
+
+
+def _arm_sync(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for arm in quality.arms:
+        if arm.sync_hz is not None and arm.sync_hz < limits.arm_sync.below_share * _ARM_HZ:
+            yield "usable", f"{arm.robot}: {arm.sync_hz:.1f} heartbeats a second were heard, {_ARM_HZ:g} expected"
+
+
+def _arm_flood(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for arm in quality.arms:
+        if (arm.sends_holding_hz or 0.0) > limits.arm_flood.above_hz:
+            yield "usable", f"{arm.robot}: {arm.sends_holding_hz:.1f} targets a second were sent at hold, 0 expected"
+
+
 SENSED: dict[str, Finder] = {
     "camera-drops": _camera_drops,
     "camera-gap": _camera_gap,
@@ -73,6 +103,10 @@ SENSED: dict[str, Finder] = {
     "misaligned": _misaligned,
     "idle-ends": _idle_ends,
     "jerky": _jerky,
+    "jerky-command": _jerky_command,
     "joint-limits": _joint_limits,
+    "arm-fault": _arm_fault,
+    "arm-sync": _arm_sync,
+    "arm-flood": _arm_flood,
 }
 """Those rules by the name that a reason carries."""

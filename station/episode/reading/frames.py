@@ -6,11 +6,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from station.bus import keys
-from station.bus import stamp as stamps
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
-
-_OLDEST_NS = 10_000_000_000  # a capture that is older than this before its write is on another clock, and says nothing
+from station.episode.storage import pictures
 
 
 class Frame(NamedTuple):
@@ -44,11 +42,8 @@ def frames(reader: EpisodeReader, topic: str) -> Iterator[Frame]:
 
 def captured_ns(message: Message) -> int:
     """Return when a picture was taken, on the episode's clock [ns]: it needs the exact stamp of its write."""
-    mark = stamps.decode(message.stamp) if message.stamp is not None else None
-    if mark is None or mark.capture_ns is None or not 0 <= mark.mono_ns - mark.capture_ns < _OLDEST_NS:
-        return message.publish_ns
-    return message.publish_ns - (mark.mono_ns - mark.capture_ns)
+    return pictures.captured_ns(message.publish_ns, message.stamp)
 
 
 def _is_camera(contract: object) -> bool:
-    return getattr(contract, "codec", None) == "jpeg"
+    return getattr(contract, "codec", None) == pictures.FORMAT

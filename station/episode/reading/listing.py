@@ -33,7 +33,7 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
             manifest cannot be read.
         task, robot, operator, started: As in the manifest; "" where unknown.
         seconds: Length from start to stop; None while unknown.
-        messages, lost, size_bytes: Messages, sequence numbers lost over all streams, and size of the signals.
+        messages, lost, size_bytes: Messages, sequence numbers lost over all streams, and size of signals and pictures.
         dropped: Writes that the recorder could not keep; not among the lost.
         success, falls, is_discarded: Quality flags.
         verdict: What the last check said, "" before one.
@@ -129,7 +129,8 @@ def _started(row: EpisodeRow) -> datetime:
 
 
 def _row(folder: Path, *, is_live: bool) -> EpisodeRow:
-    size = sum(file.stat().st_size for file in folder.glob(layout.SIGNALS + "*"))
+    files = (file for name in (layout.SIGNALS, layout.CAMERAS) for file in folder.glob(name + "*"))
+    size = sum(file.stat().st_size for file in files)
     try:
         manifest = load_manifest(folder)
     except EpisodeError as error:

@@ -19,12 +19,14 @@ class Channel(msgspec.Struct, frozen=True, kw_only=True):
     """One key as one source wrote it.
 
     Attributes:
-        id: Channel number in the MCAP file.
+        id: Its number, which no other channel of the episode has.
         topic: The key.
         source: Full source of a native writer, "" for a foreign one.
         writer: Server name, or ``foreign``.
-        encoding: ``json``, ``application/octet-stream``, or ``application/x-deleted``.
+        encoding: ``json``, ``application/octet-stream``, ``application/x-deleted``, or ``protobuf`` for pictures, whose
+            messages are handed out as the exact bytes of the key all the same.
         contract: The contract that was recorded with it, or None.
+        file: Name of the file that its messages are in.
     """
 
     id: int
@@ -33,6 +35,7 @@ class Channel(msgspec.Struct, frozen=True, kw_only=True):
     writer: str
     encoding: str
     contract: Contract | None
+    file: str = layout.SIGNALS
 
     @property
     def is_native(self) -> bool:
@@ -43,6 +46,11 @@ class Channel(msgspec.Struct, frozen=True, kw_only=True):
     def is_bookkeeping(self) -> bool:
         """Whether it holds the recorder's own list of stamps, not a key of the bus that somebody named like it."""
         return self.topic == layout.STAMPS_TOPIC and self.writer == layout.RECORDER and not self.source
+
+    @property
+    def is_typed(self) -> bool:
+        """Whether the bytes of the key stand inside a typed message in the file."""
+        return self.encoding == layout.PROTOBUF
 
     @property
     def is_deletion(self) -> bool:
@@ -84,8 +92,14 @@ class StreamInfo(msgspec.Struct, frozen=True, kw_only=True):
     last_ns: int
 
 
-def channel_of(record: mcap.records.Channel) -> Channel:
-    """Return what an MCAP channel record says; a contract that we cannot read counts as none."""
+def channel_of(record: mcap.records.Channel, *, file: str = layout.SIGNALS, first_id: int = 0) -> Channel:
+    """Return what an MCAP channel record says; a contract that we cannot read counts as none.
+
+    Args:
+        record: The record.
+        file: Name of its file.
+        first_id: Where the numbers of its file begin.
+    """
     metadata = record.metadata
     text = metadata.get("contract", layout.NO_CONTRACT)
     try:
@@ -93,10 +107,11 @@ def channel_of(record: mcap.records.Channel) -> Channel:
     except (msgspec.DecodeError, RecursionError):
         contract = None
     return Channel(
-        id=record.id,
+        id=first_id + record.id,
         topic=record.topic,
         source=metadata.get("source", ""),
         writer=metadata.get("writer", layout.FOREIGN),
         encoding=record.message_encoding,
         contract=contract,
+        file=file,
     )

@@ -2,40 +2,36 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
-from typing import BinaryIO, Literal
-
-import msgspec
+from typing import Literal
 
 from station.bus import codec
-from station.episode.reading.messages import Channel, Message, StreamInfo, Vectors, channel_of
+from station.episode.reading.messages import Channel, Message, StreamInfo, Vectors
+from station.episode.reading.part import Part
 from station.episode.reading.vectors import numbers
 from station.episode.storage import layout
-from station.episode.storage.anchor import Anchor
 from station.episode.storage.drops import Drops, drops_of
 from station.episode.storage.folder import resolve, signals_file
 from station.episode.storage.manifest import Manifest, load_manifest, parse_manifest
-from station.episode.storage.records import ChunkPlace, Contents, parse_chunk, read_chunk, walk
 from station.errors import EpisodeError
 
 __all__ = ["Channel", "EpisodeReader", "Message", "Order", "StreamInfo", "Vectors", "open_episode"]
 
 Order = Literal["file", "log"]
-_DIGITS = 20  # of a channel's number, which has 16 bits
 
 
 class EpisodeReader:
-    """An episode on disk. Opens, reads and closes the file within each call; holds nothing open in between.
+    """An episode on disk. Opens, reads and closes its files within each call; holds nothing open in between.
 
     Attributes:
         folder: Folder of the episode.
         path: The MCAP file: ``signals.mcap``, or ``signals.mcap.active`` when it was never finished.
+        parts: That file, and the one of pictures beside it where there is one.
         manifest: From ``manifest.yaml``, else from the attachment in the MCAP file.
         anchor: Clock of the log times, or None when the file does not say.
-        is_active: Whether the file was never finished.
-        torn: One line that says what was cut off, or None for a whole file.
+        is_active: Whether a file was never finished.
+        torn: One line that says what was cut off, or None for whole files.
         skipped: After `vectors`: number of values per topic that did not fit their contract.
     """
 
@@ -47,16 +43,15 @@ class EpisodeReader:
         """
         self.path = path
         self.folder = path.parent
-        self._contents = walk(path)
-        if self._contents.profile != layout.PROFILE:
-            raise EpisodeError(
-                f"{path}: an MCAP file, but not a recording of this station "
-                f"(profile {self._contents.profile!r}, expected {layout.PROFILE!r})"
-            )
-        self.is_active = path.name == layout.ACTIVE or not self._contents.is_finished
-        self.torn = _torn(self._contents)
-        self.anchor = _anchor(self._contents)
+        signals = Part(path)
+        cameras, trouble = _cameras_beside(signals)
+        self.parts = [signals] if cameras is None else [signals, cameras]
+        self._contents = signals.contents
+        self.is_active = any(part.is_active for part in self.parts)
+        self.anchor = signals.anchor
         self.manifest = self._read_manifest()
+        told = [part.torn for part in self.parts if part.torn is not None]
+        self.torn = "; ".join([*told, *(trouble or self._missing())]) or None
         self.skipped: dict[str, int] = {}
         self._streams: list[StreamInfo] | None = None
 
@@ -69,7 +64,7 @@ class EpisodeReader:
         """Return every channel with its message count, by topic; the recorder's own bookkeeping is left out."""
         if self._streams is None:
             found: dict[int, tuple[Channel, int, int, int]] = {}
-            for message in self._in_file_order(None):
+            for message in self.messages():
                 channel = message.channel
                 _, count, first_ns, last_ns = found.get(channel.id) or (channel, 0, message.log_ns, message.log_ns)
                 times = min(first_ns, message.log_ns), max(last_ns, message.log_ns)
@@ -91,18 +86,20 @@ class EpisodeReader:
 
         Args:
             topics: Keys; None for all.
-            order: ``file`` is the order of arrival at the recorder; ``log`` sorts by log time, stable.
+            order: ``file`` is the order of arrival at the recorder; ``log`` sorts by log time, stable. A chunk of each
+                file is in memory, with ``log`` those that overlap in time; with both stamps and ``log``, everything.
             stamps: Whether to join the exact stamp to each native message.
 
         Raises:
-            EpisodeError: a chunk in the middle of the file is damaged.
+            EpisodeError: a chunk in the middle of a file is damaged.
         """
         wanted = None if topics is None else frozenset(topics)
-        if stamps:
-            found = _join_stamps(self._in_file_order(None, bookkeeping=True))
-            in_order: Iterator[Message] = (m for m in found if wanted is None or m.topic in wanted)
-            return in_order if order == "file" else iter(sorted(in_order, key=_log_ns))
-        return self._in_file_order(wanted) if order == "file" else self._in_log_order(wanted)
+        parts = [part for part in self.parts if part.may_hold(wanted)]
+        if order == "log":
+            found = [part.in_log_order(wanted, stamps=stamps) for part in parts]
+        else:
+            found = [part.in_file_order(wanted, stamps=stamps) for part in parts]
+        return _merged(*found) if len(found) > 1 else iter(found[0] if found else ())
 
     def collect(self, topics: Collection[str]) -> dict[str, list[Message]]:
         """Return the messages of some topics in file order, in one pass; a topic without messages has an empty list."""
@@ -149,57 +146,25 @@ class EpisodeReader:
         """Return what the recorder dropped, as the file itself says; of an unfinished one that may be seconds old."""
         return drops_of(self._contents.metadata.get(layout.DROPPED_RECORD))
 
+    @property
+    def files(self) -> list[Path]:
+        """The files that hold its messages."""
+        return [part.path for part in self.parts]
+
+    def _missing(self) -> list[str]:
+        """Say in a line which file is not there though the manifest lists streams in it."""
+        has_it = len(self.parts) > 1 or self.path.name not in (layout.SIGNALS, layout.ACTIVE)
+        count = sum(stream.count for stream in self.manifest.streams if stream.file == layout.CAMERAS)
+        if has_it or not count:
+            return []
+        return [f"{layout.CAMERAS} is not there, with {count} pictures that the manifest lists; bring it back"]
+
     def _read_manifest(self) -> Manifest:
         file = self.folder / layout.MANIFEST
         inside = self._contents.attachments.get(layout.MANIFEST)
         if file.exists() or inside is None:
             return load_manifest(file)
         return parse_manifest(inside, f"{self.path}, attachment {layout.MANIFEST}")
-
-    def _in_file_order(self, topics: frozenset[str] | None, *, bookkeeping: bool = False) -> Iterator[Message]:
-        for _, messages in self._chunks(self._contents.chunks, topics, bookkeeping=bookkeeping):
-            yield from messages
-
-    def _in_log_order(self, topics: frozenset[str] | None) -> Iterator[Message]:
-        """Merge chunks that overlap in time; holds no more than those in memory."""
-        waiting: list[Message] = []
-        places = sorted(self._contents.chunks, key=lambda place: place.start_ns)
-        for place, messages in self._chunks(places, topics):
-            ready = next((i for i, message in enumerate(waiting) if message.log_ns >= place.start_ns), len(waiting))
-            yield from waiting[:ready]
-            waiting = sorted([*waiting[ready:], *messages], key=_log_ns)
-        yield from waiting
-
-    def _chunks(
-        self, places: Iterable[ChunkPlace], topics: frozenset[str] | None, *, bookkeeping: bool = False
-    ) -> Iterator[tuple[ChunkPlace, list[Message]]]:
-        """Read chunk by chunk; yields each one's messages of the wanted topics."""
-        records = dict(self._contents.channels)
-        wanted: dict[int, Channel | None] = {}
-
-        def choose(number: int) -> Channel | None:
-            record = records.get(number)
-            if record is None:
-                raise EpisodeError(f"{self.path}: a message of channel {number}, which nothing describes")
-            channel = channel_of(record)
-            is_chosen = bookkeeping if channel.is_bookkeeping else (topics is None or record.topic in topics)
-            wanted[number] = channel if is_chosen else None
-            return wanted[number]
-
-        with self.path.open("rb") as file:
-            for place in places:
-                found: list[Message] = []
-                for number, sequence, log_ns, publish_ns, data in parse_chunk(self._read(file, place), records):
-                    channel = wanted[number] if number in wanted else choose(number)
-                    if channel is not None:
-                        found.append(Message(channel.topic, data, log_ns, publish_ns, sequence, channel))
-                yield place, found
-
-    def _read(self, file: BinaryIO, place: ChunkPlace) -> bytes:
-        try:
-            return read_chunk(file, place)
-        except EpisodeError as error:
-            raise EpisodeError(f"{self.path}: {error}; copy the file from where it was recorded again") from error
 
 
 def open_episode(episode: str | Path, data: Path | None = None) -> EpisodeReader:
@@ -215,44 +180,29 @@ def open_episode(episode: str | Path, data: Path | None = None) -> EpisodeReader
     return EpisodeReader(signals_file(resolve(episode, data)))
 
 
-def _log_ns(message: Message) -> int:
-    return message.log_ns
-
-
-def _join_stamps(messages: Iterable[Message]) -> Iterator[Message]:
-    """Give each native message its stamp; the list of a flush follows the messages that it is of."""
-    waiting: deque[Message] = deque()
-    lines: dict[int, deque[bytes]] = {}
-    for message in messages:
-        if not message.channel.is_bookkeeping:
-            waiting.append(message)
-            continue
-        for line in message.data.split(b"\n"):
-            number, _, stamp = line.partition(b" ")
-            if not number.isdigit():
-                raise EpisodeError(f"a list of stamps holds {line[:40]!r}, expected a channel's number and a stamp")
-            lines.setdefault(int(number[:_DIGITS]), deque()).append(stamp)
-        while waiting and (not waiting[0].channel.is_native or lines.get(waiting[0].channel.id)):
-            first = waiting.popleft()
-            yield first._replace(stamp=lines[first.channel.id].popleft()) if first.channel.is_native else first
-    yield from waiting
-
-
-def _anchor(contents: Contents) -> Anchor | None:
-    found = contents.metadata.get(layout.ANCHOR_RECORD)
+def _cameras_beside(signals: Part) -> tuple[Part | None, list[str]]:
+    """Return the file of pictures of the episode whose signals these are, and what is wrong with it, in a line."""
+    names = (layout.CAMERAS, layout.CAMERAS_ACTIVE) if signals.path.name in (layout.SIGNALS, layout.ACTIVE) else ()
+    found = next((path for name in names if (path := signals.path.with_name(name)).is_file()), None)
+    if found is None:
+        return None, []
     try:
-        return msgspec.convert(found, Anchor, strict=False) if found else None
-    except msgspec.ValidationError:
-        return None
+        cameras = Part(found, number=1)
+    except EpisodeError as error:  # the signals can be read all the same
+        return None, [str(error)]
+    if cameras.anchor is not None and signals.anchor is not None and cameras.anchor != signals.anchor:
+        return None, [f"{found.name} is of another recording; put its own in its place, or take it away"]
+    return cameras, []
 
 
-def _torn(contents: Contents) -> str | None:
-    """Say in a line what of the file is missing."""
-    if contents.cut_at is not None:
-        return (
-            f"cut off at byte {contents.cut_at} of {contents.size}: the record there is not whole; "
-            f"the {len(contents.chunks)} chunks before it are"
-        )
-    if not contents.is_finished:
-        return f"not finished: no index at its end; all of its {len(contents.chunks)} chunks are whole"
-    return None
+def _merged(signals: Iterable[Message], cameras: Iterator[Message]) -> Iterator[Message]:
+    """Merge the messages of both files by log time, signals first: see `station.episode.writing.files`."""
+    picture = next(cameras, None)
+    for message in signals:
+        while picture is not None and picture.log_ns < message.log_ns:
+            yield picture
+            picture = next(cameras, None)
+        yield message
+    if picture is not None:
+        yield picture
+        yield from cameras

@@ -15,19 +15,17 @@ class EpisodeFacts(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         path: Folder.
-        file: Name of the file of signals.
-        torn: What of the file is missing, None for a whole file.
-        size_bytes: Size of the file.
-        messages: Messages in it.
+        files: Its files of messages, and the size of each [bytes].
+        torn: What of them is missing, None for whole files.
+        messages: Messages in them.
         first_s, last_s: First and last message, from the start of the episode [s]; None without messages.
-        streams: Counted from the file, by key.
+        streams: Counted from the files, by key.
         manifest: The manifest; its own counts are from the end of the recording.
     """
 
     path: str
-    file: str
+    files: dict[str, int]
     torn: str | None
-    size_bytes: int
     messages: int
     first_s: float | None
     last_s: float | None
@@ -44,9 +42,8 @@ def show(reader: EpisodeReader) -> EpisodeFacts:
     streams = count_streams(reader)
     return EpisodeFacts(
         path=str(reader.folder),
-        file=reader.path.name,
+        files={path.name: path.stat().st_size for path in reader.files},
         torn=reader.torn,
-        size_bytes=reader.path.stat().st_size,
         messages=sum(stream.count for stream in streams),
         first_s=min((stream.first_s for stream in streams if stream.first_s is not None), default=None),
         last_s=max((stream.last_s for stream in streams if stream.last_s is not None), default=None),
@@ -63,7 +60,7 @@ def count_streams(reader: EpisodeReader) -> list[Stream]:
         found = message.channel
         channel = counted.get(found.id)
         if channel is None:
-            channel = counted[found.id] = Channel(found.id, found.topic, found.source, found.encoding)
+            channel = counted[found.id] = Channel(found.id, found.topic, found.source, found.encoding, found.file)
             channel.contract = found.contract
         channel.note(message.sequence, message.log_ns)
         start_ns = message.log_ns if start_ns is None else start_ns

@@ -28,7 +28,7 @@ RESULTS: tuple[Family, ...] = (
     keys.command_used,
     keys.target,
 )
-STATES: tuple[Family, ...] = (keys.robot_state, keys.sim_qpos)
+STATES: tuple[Family, ...] = (keys.robot_state, keys.sim_qpos, keys.state_joints)
 
 
 @dataclass(frozen=True, slots=True)

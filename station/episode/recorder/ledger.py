@@ -1,4 +1,4 @@
-"""What stands beside an unfinished file for whoever goes on with it: how far it is safe, and what is known of it."""
+"""What stands beside unfinished files for whoever goes on with them: how far they are safe, what is known of them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor
 from station.episode.storage.progress import ResumePoint, save_resume_point
-from station.episode.writing.checkpoint import EVERY_S, save_checkpoint
+from station.episode.writing.checkpoint import EVERY_S, save_checkpoints
 
 if TYPE_CHECKING:
     from station.bus.tap import Position
-    from station.episode.writing.signals import SignalsFile
+    from station.episode.writing.files import EpisodeFiles
 
 
 class Ledger:
@@ -31,8 +31,8 @@ class Ledger:
         self._start_id = start_id
         self._due = time.monotonic() + EVERY_S
 
-    def note(self, position: Position | None, signals: SignalsFile | None) -> None:
-        """Say how far the file is safe, right after a flush; None for a file that is not there yet.
+    def note(self, position: Position | None, files: EpisodeFiles | None) -> None:
+        """Say how far the files are safe, right after a flush; None for files that are not there yet.
 
         Raises:
             OSError: the disk refused it.
@@ -40,21 +40,21 @@ class Ledger:
         point = ResumePoint(
             episode_id=self._episode_id,
             position=position,
-            size=signals.size if signals else 0,
-            messages=signals.messages if signals else 0,
+            size=files.signals.size if files else 0,
+            cameras_size=files.cameras.size if files and files.cameras else 0,
+            messages=files.messages if files else 0,
             anchor=self._anchor,
             wall_ns=time.time_ns(),
             mono_ns=time.monotonic_ns(),
-            dropped=signals.drops.total if signals else 0,
-            drops=list(signals.drops) if signals else [],
+            dropped=files.drops.total if files else 0,
+            drops=list(files.drops) if files else [],
             start_id=self._start_id,
         )
         save_resume_point(point, self._folder)
         now = time.monotonic()
-        if signals is not None and now >= self._due:
+        if files is not None and now >= self._due:
             self._due = now + EVERY_S
-            if (checkpoint := signals.checkpoint()) is not None:
-                save_checkpoint(checkpoint, self._folder)
+            save_checkpoints(files.checkpoints(), self._folder)
 
     def remove(self) -> None:
         """Remove both: the episode is closed."""

@@ -21,15 +21,13 @@ from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage import layout
 from station.episode.storage.anchor import iso
 from station.episode.storage.atomic import remove_leftovers
-from station.episode.storage.drops import Drops
 from station.episode.storage.left_open import manifest_of
-from station.episode.storage.manifest import Hole, Manifest, note_hole, note_recovery
+from station.episode.storage.manifest import Hole, Manifest, facts_of, note_hole, note_recovery
 from station.episode.storage.progress import ResumePoint, Totals, load_resume_point
 from station.episode.storage.records import parse_chunk, read_chunk, walk
 from station.episode.storage.request import request_id
-from station.episode.writing.checkpoint import load_checkpoint
+from station.episode.writing.files import EpisodeFiles
 from station.episode.writing.retell import Retelling
-from station.episode.writing.signals import SignalsFile
 from station.errors import EpisodeError
 
 if TYPE_CHECKING:
@@ -103,21 +101,20 @@ def take_up(found: Unfinished, options: RecordingOptions, *, place: Position | N
     """
     folder, point, manifest = found
     remove_leftovers(*(folder / name for name in (layout.MANIFEST, layout.RESUME, layout.CHECKPOINT)))
-    active = folder / layout.ACTIVE
-    size = active.stat().st_size if active.exists() else 0
-    signals = None
+    paths = [folder / name for name in (layout.ACTIVE, layout.CAMERAS_ACTIVE)]
+    size = sum(path.stat().st_size for path in paths if path.exists())
+    files = None
     if point.size:
-        kept = point.size if is_exact else None
-        known = load_checkpoint(folder, min(size, point.size))
-        signals = SignalsFile.reopen(active, point.anchor, size=kept, checkpoint=known, drops=Drops(point.drops))
+        files = EpisodeFiles.reopen(folder, facts_of(manifest), point, is_exact=is_exact)
     else:
-        active.unlink(missing_ok=True)  # its head was not written yet, or not whole
-    retelling, totals = (signals.retelling, signals.totals()) if signals else (Retelling(point.anchor), Totals())
+        for path in paths:
+            path.unlink(missing_ok=True)  # the head of the signals was not written yet, or not whole
+    retelling, totals = (files.signals.retelling, files.totals()) if files else (Retelling(point.anchor), Totals())
     retelling.apply(manifest, totals.first_ns)
-    _note(found, size, totals, is_exact=is_exact)
+    _note(found, size, totals, from_ns=files.signals.last_log_ns if files else 0, is_exact=is_exact)
     writer = EpisodeWriter(
         folder, anchor=point.anchor, manifest=manifest, options=options.writer, start_id=point.start_id, place=place,
-        reopened=signals,
+        reopened=files,
     )  # fmt: skip
     is_awaited = is_exact and not point.messages
     take = Take(writer, manifest, start_id=point.start_id if not point.messages else None)
@@ -125,8 +122,11 @@ def take_up(found: Unfinished, options: RecordingOptions, *, place: Position | N
     return TakenUp(take, [*retelling.told.requests, point.start_id], point.start_id if is_awaited else "", written_ns)
 
 
-def _note(found: Unfinished, size: int, kept: Totals, *, is_exact: bool) -> None:
-    """Write into the manifest that the episode was taken up again, and how."""
+def _note(found: Unfinished, size: int, kept: Totals, *, from_ns: int, is_exact: bool) -> None:
+    """Write into the manifest that the episode was taken up again, and how.
+
+    A hole begins where the signals end, at `from_ns`: what was flushed of them last, no picture is missing before.
+    """
     _, point, manifest = found
     now_s = (time.monotonic_ns() - point.anchor.mono_ns) * 1e-9
     manifest.recorder.restarts += 1
@@ -142,7 +142,7 @@ def _note(found: Unfinished, size: int, kept: Totals, *, is_exact: bool) -> None
     }
     note_recovery(manifest, note)
     if not is_exact:
-        last_s = (kept.last_ns - point.anchor.wall_ns) * 1e-9 if kept.last_ns else 0.0
+        last_s = (from_ns - point.anchor.wall_ns) * 1e-9 if from_ns else 0.0
         note_hole(manifest, Hole(from_s=round(last_s, 6), to_s=round(now_s, 6), reason=HOLE))
 
 

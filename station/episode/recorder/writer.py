@@ -12,17 +12,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from station.episode.recorder.ledger import Ledger
 from station.episode.recorder.queue import Batch, WriteQueue
-from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor
-from station.episode.storage.atomic import sync_folder
 from station.episode.storage.channels import MAX_CHANNELS
 from station.episode.storage.disk import give_back, why_not
 from station.episode.storage.drops import Spell
-from station.episode.storage.manifest import Manifest, dump_manifest, save_manifest, snapshot
+from station.episode.storage.manifest import Manifest, dump_manifest, facts_of, save_manifest, snapshot
 from station.episode.storage.progress import Totals, WriterOptions
 from station.episode.writing.closing import summary_record
+from station.episode.writing.files import EpisodeFiles
 from station.episode.writing.lag import Lag
-from station.episode.writing.signals import SignalsFile
 from station.errors import EpisodeError
 from station.life.events import Severity
 
@@ -51,10 +49,10 @@ class EpisodeWriter:
         options: How to write.
         start_id: Id of the request that began the episode, for whoever takes it up again.
         place: Where the tap stood before the first write, for the same.
-        reopened: The file of an episode that is taken up again; None makes a new one.
+        reopened: The files of an episode that is taken up again; None makes new ones.
 
     A disk that is full or gone never raises here: `state` becomes ``failed`` and `error` says why in one line, what
-    comes later is counted as dropped, and the ``.active`` file keeps every flush that succeeded.
+    comes later is counted as dropped, and the ``.active`` files keep every flush that succeeded.
 
     Attributes:
         state: ``opening`` until the head of the file and the first batch are on the disk.
@@ -64,7 +62,7 @@ class EpisodeWriter:
 
     def __init__(
         self, folder: Path, *, anchor: Anchor, manifest: Manifest, options: WriterOptions | None = None,
-        start_id: str = "", place: Position | None = None, reopened: SignalsFile | None = None,
+        start_id: str = "", place: Position | None = None, reopened: EpisodeFiles | None = None,
     ) -> None:  # fmt: skip
         self.folder = folder
         self.anchor = anchor
@@ -80,10 +78,9 @@ class EpisodeWriter:
         self._saved = snapshot(manifest)
         self._manifest: Manifest | None = self._saved
         self._episode_id = manifest.episode_id
-        task, started = manifest.task.name, manifest.timing.started
-        self._facts = {"episode_id": self._episode_id, "task": task, "started": started}
+        self._facts = facts_of(manifest)
         self._closing: Closing | None = None
-        self._signals = reopened
+        self._files = reopened
         self._ledger = Ledger(folder, manifest.episode_id, anchor, start_id)
         self._position = place
         self._is_whole = True  # the position is that of the last write; never flushed in between
@@ -148,18 +145,18 @@ class EpisodeWriter:
 
     @property
     def messages(self) -> int:
-        """Messages in the file so far."""
-        return self._signals.messages if self._signals else 0
+        """Messages in the files so far."""
+        return self._files.messages if self._files else 0
 
     @property
     def size(self) -> int:
-        """Bytes of the file on the disk so far."""
-        return self._signals.size if self._signals else 0
+        """Bytes of the files on the disk so far."""
+        return self._files.size if self._files else 0
 
     @property
     def refused(self) -> int:
         """Writes that are not in the file because it has too many keys already; not in `dropped`."""
-        return self._signals.refused if self._signals else 0
+        return self._files.refused if self._files else 0
 
     @property
     def queued(self) -> int:
@@ -181,45 +178,43 @@ class EpisodeWriter:
         finally:
             if self.state not in ("finished", "failed"):  # our own fault; Python prints where
                 self._fail("internal error, see the log")
-            if self._signals is not None:
-                self._signals.close()
+            if self._files is not None:
+                self._files.close()
 
     def _open(self) -> None:
-        if self._signals is None:
+        if self._files is None:
             self._ledger.note(self._position, None)  # before all else: nobody goes on with what is there without it
         manifest = self._next_manifest()
         data = save_manifest(manifest, self.folder) if manifest else b""
-        if self._signals is None:
-            self._signals = SignalsFile.create(self.folder / layout.ACTIVE, self.anchor, self._facts, data)
-            sync_folder(self.folder)
+        if self._files is None:
+            self._files = EpisodeFiles.create(self.folder, self.anchor, self._facts, data)
         else:
             self.state = "open"
-        self._ledger.note(self._position, self._signals)
+        self._ledger.note(self._position, self._files)
 
     def _work(self) -> None:
         """Write batches until asked to finish; flush by size, by time, and once after the first batch."""
-        signals = self._opened()
+        files = self._opened()
         deadline = time.monotonic()
         while True:
-            batches, is_closing = self._next_batches(deadline if signals.pending_bytes else None)
+            batches, is_closing = self._next_batches(deadline if files.pending_bytes else None)
             if (manifest := self._next_manifest()) is not None:  # before what follows it: a hole, then the writes
                 save_manifest(manifest, self.folder)
             for batch in batches:
-                self._write(signals, batch)
-                if signals.pending_bytes >= self._options.flush_bytes and self._is_whole:
-                    deadline = self._flush(signals)
-            if signals.pending_bytes and time.monotonic() >= deadline and self._is_whole:
-                deadline = self._flush(signals)
+                self._write(files, batch)
+                if files.pending_bytes >= self._options.flush_bytes and self._is_whole:
+                    deadline = self._flush(files)
+            if files.pending_bytes and time.monotonic() >= deadline and self._is_whole:
+                deadline = self._flush(files)
             if self.state == "opening" and batches and self._is_whole:
                 self.state = "open"
             if is_closing:
                 return
 
-    def _write(self, signals: SignalsFile, batch: Batch) -> None:
-        for write in batch.writes:
-            signals.add(write)
+    def _write(self, files: EpisodeFiles, batch: Batch) -> None:
+        files.add(batch.writes)
         if batch.drops is not None:
-            signals.drops.add(batch.drops)
+            files.drops.add(batch.drops)
         self._is_whole = batch.is_whole
         if batch.is_whole:
             self._position = batch.position
@@ -228,34 +223,33 @@ class EpisodeWriter:
         if batch.is_live and batch.writes:
             self.lag.note(time.monotonic_ns() - batch.writes[0][3])
 
-    def _flush(self, signals: SignalsFile) -> float:
+    def _flush(self, files: EpisodeFiles) -> float:
         """Bring everything to the disk and say so in the ledger; return when the next flush is due."""
-        signals.sync()
-        self._ledger.note(self._position, signals)
+        files.sync()
+        self._ledger.note(self._position, files)
         return time.monotonic() + self._options.flush_s
 
     def _close(self) -> None:
-        signals = self._opened()
+        files = self._opened()
         self.state = "finishing"
-        signals.sync()
+        files.sync()
         totals = self.totals()
         closing = self._closing
         if closing is None:
             raise RuntimeError("closing an episode that nobody asked to finish")
         manifest = closing(totals)
-        signals.finish(dump_manifest(manifest), summary_record(totals))
-        (self.folder / layout.ACTIVE).rename(self.folder / layout.SIGNALS)
-        sync_folder(self.folder)
-        manifest.recorder.bytes = signals.size
+        files.finish(dump_manifest(manifest), summary_record(totals))
+        files.name()
+        manifest.recorder.bytes = files.size
         save_manifest(manifest, self.folder)
         self._ledger.remove()
         self.state = "finished"
 
     def totals(self) -> Totals:
-        """Return the counters of the file; exact once the state is ``finished`` or ``failed``."""
-        if self._signals is None:
+        """Return the counters of the files; exact once the state is ``finished`` or ``failed``."""
+        if self._files is None:
             return Totals(dropped=self.dropped)
-        return self._signals.totals(self.dropped, self.lag)
+        return self._files.totals(self.dropped, self.lag)
 
     def _next_batches(self, deadline: float | None) -> tuple[list[Batch], bool]:
         """Wait for work, at most until the deadline; return some batches and whether they are the last."""
@@ -273,16 +267,16 @@ class EpisodeWriter:
             self._saved = manifest or self._saved
             return manifest
 
-    def _opened(self) -> SignalsFile:
-        if self._signals is None:
-            raise RuntimeError("the file is not open")
-        return self._signals
+    def _opened(self) -> EpisodeFiles:
+        if self._files is None:
+            raise RuntimeError("the files are not open")
+        return self._files
 
     def _fail(self, reason: str) -> None:
         error = f"episode {self._episode_id}: cannot be written any more: {reason}"
         log.error("%s", error)
         with self._wake:
-            self.dropped += self._queue.clear() + (self._signals.unsynced_messages if self._signals else 0)
+            self.dropped += self._queue.clear() + (self._files.unsynced_messages if self._files else 0)
         self._saved.state = "failed"
         self._saved.recorder.ended_by, self._saved.recorder.dropped = error, self.dropped + self.refused
         give_back(self.folder)

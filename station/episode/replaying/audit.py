@@ -19,7 +19,7 @@ from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step
 from station.episode.replaying.recorded_policy import load_policy, recorded_policy
-from station.protocols import CommandFormat, Floats32, Policy
+from station.protocols import CommandFormat, Floats, Floats32, Policy
 
 
 class Comparison(msgspec.Struct, kw_only=True):
@@ -37,7 +37,7 @@ class Comparison(msgspec.Struct, kw_only=True):
     max_abs_difference: float = 0.0
     first_different: int | None = None
 
-    def add(self, step: int, recorded: Floats32, computed: Floats32) -> bool:
+    def add(self, step: int, recorded: Floats32 | Floats, computed: Floats32 | Floats) -> bool:
         """Take a pair; return whether it is equal bit for bit."""
         self.compared += 1
         if recorded.tobytes() == computed.tobytes():

@@ -134,6 +134,12 @@ def _config(reader: EpisodeReader, facts: Mapping[str, Any]) -> _LowLevelConfig:
         except msgspec.ValidationError as error:
             problem = f"{kind.name}: {error}"
             continue
+        if not hasattr(config, "rig"):
+            raise EpisodeError(
+                f"episode {reader.episode_id}: an arm's controller keeps its own time, so its motion is not computed "
+                f"again; `station audit` derives its targets, and `station serve {kind.name}` with `station replay "
+                "--to bus --allow-live` moves a simulated one"
+            )
         return _LowLevelConfig(config.rig, config.gate, config.is_armed)
     raise EpisodeError(f"episode {reader.episode_id}: its server's configuration is not one of ours ({problem})")
 

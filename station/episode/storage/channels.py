@@ -24,7 +24,7 @@ class Channel:
 
     Attributes:
         id: Number in the file.
-        key, source, encoding: As in `station.episode.storage.manifest.Stream`.
+        key, source, encoding, file: As in `station.episode.storage.manifest.Stream`.
         shares_clock: Whether the source's monotonic clock is ours, so that its stamps fall on our time line.
         count, lost, repeated: Messages; sequence numbers missing between them, whoever lost or dropped them; messages
             that did not advance.
@@ -34,15 +34,16 @@ class Channel:
     """
 
     __slots__ = (
-        "contract", "count", "encoding", "first_ns", "id", "key", "last_ns", "last_sequence", "longest_gap_ns",
+        "contract", "count", "encoding", "file", "first_ns", "id", "key", "last_ns", "last_sequence", "longest_gap_ns",
         "lost", "repeated", "shares_clock", "source",
     )  # fmt: skip
 
-    def __init__(self, number: int, key: str, source: str, encoding: str) -> None:
+    def __init__(self, number: int, key: str, source: str, encoding: str, file: str = layout.SIGNALS) -> None:
         self.id = number
         self.key = key
         self.source = source
         self.encoding = encoding
+        self.file = file
         self.contract: Contract | None = contract(key)
         self.shares_clock = bool(source) and source.split(".")[2:3] == [stamps.boot_id()]
         self.count = self.lost = self.repeated = self.last_sequence = 0
@@ -95,6 +96,7 @@ class Channel:
             role=self.contract.role if self.contract else "unknown",
             contract=self.contract is not None,
             encoding=self.encoding,
+            file=self.file,
             count=self.count,
             lost=max(0, self.lost - dropped[0]),
             dropped=dropped[0],
@@ -112,11 +114,11 @@ def topic_of(key: str) -> str:
     return key.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
 
 
-def channel_from(record: mcap.records.Channel) -> Channel:
+def channel_from(record: mcap.records.Channel, file: str = layout.SIGNALS) -> Channel:
     """Return the channel that a record of a file describes, with nothing counted yet."""
     hexadecimal = record.metadata.get("key_hex", "")
     key = bytes.fromhex(hexadecimal).decode("utf-8", "surrogateescape") if hexadecimal else record.topic
-    return Channel(record.id, key, record.metadata.get("source", ""), record.message_encoding)
+    return Channel(record.id, key, record.metadata.get("source", ""), record.message_encoding, file)
 
 
 def encoding_of(value: bytes) -> str:

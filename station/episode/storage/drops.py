@@ -11,6 +11,7 @@ from station.bus.contracts import contract
 from station.episode.storage import layout
 from station.episode.storage.channels import Channel, source_of, topic_of
 from station.episode.storage.manifest import Stream
+from station.episode.storage.pictures import is_picture
 from station.life.events import Severity
 
 if TYPE_CHECKING:
@@ -125,7 +126,11 @@ def streams_of(channels: Iterable[Channel], drops: Drops, start_ns: int) -> list
     for channel in channels:
         name = (channel.topic, channel.source) if channel.encoding != layout.DELETED else None
         found.append(channel.stream(start_ns, owed.pop(name, (0, 0)) if name else (0, 0)))
-    return found + [Channel(0, *name, "").stream(start_ns, dropped) for name, dropped in owed.items()]
+    return found + [_unkept(*name).stream(start_ns, dropped) for name, dropped in owed.items()]
+
+
+def _unkept(key: str, source: str) -> Channel:
+    return Channel(0, key, source, "", layout.CAMERAS if is_picture(key) else layout.SIGNALS)
 
 
 class Spell:

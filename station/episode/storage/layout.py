@@ -1,20 +1,36 @@
 """What an episode looks like on disk: names of files, topics, encodings and records, spelled once.
 
-``DATA/<task>/<episode_id>/{manifest.yaml, signals.mcap}``; the MCAP file is called ``signals.mcap.active`` until it
-is finished, and ``resume.json`` beside it says how far a killed recorder had got,
-``checkpoint.json`` what it knew of the file some seconds before. A repaired episode keeps what was
-torn beside it, as ``signals.mcap.torn``.
+``DATA/<task>/<episode_id>/{manifest.yaml, signals.mcap, cameras.mcap}``; pictures are in ``cameras.mcap``, which is
+there when there was one, everything else in ``signals.mcap``. An MCAP file is called ``….active`` until it is finished,
+and ``resume.json`` beside it says how far a killed recorder had got, ``checkpoint.json`` what it knew of the files some
+seconds before. A repaired episode keeps what was torn beside it, as ``….torn``.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+
+class Names(NamedTuple):
+    """What an MCAP file of an episode is called: in the end, while it is written, put aside as torn, while repaired."""
+
+    final: str
+    active: str
+    torn: str
+    repairing: str
+
+
+def _names(final: str) -> Names:
+    return Names(final, f"{final}.active", f"{final}.torn", f"{final}.repairing")
+
+
 MANIFEST = "manifest.yaml"
-SIGNALS = "signals.mcap"
-ACTIVE = "signals.mcap.active"
+SIGNALS_NAMES = _names("signals.mcap")
+CAMERAS_NAMES = _names("cameras.mcap")
+SIGNALS, ACTIVE, TORN, REPAIRING = SIGNALS_NAMES
+CAMERAS, CAMERAS_ACTIVE, *_ = CAMERAS_NAMES
 RESUME = "resume.json"
 CHECKPOINT = "checkpoint.json"
-TORN = "signals.mcap.torn"
-REPAIRING = "signals.mcap.repairing"
 
 PROFILE = "teleop-station"
 STAMPS_TOPIC = "station:recorder:stamps"
@@ -27,6 +43,8 @@ JSON = "json"
 BYTES = "application/octet-stream"
 DELETED = "application/x-deleted"
 TEXT = "text"
+PROTOBUF = "protobuf"
+"""Of a picture: the exact bytes of the key are the field ``data`` of a ``foxglove.CompressedImage``."""
 
 FOREIGN = "foreign"
 NO_CONTRACT = "none"

@@ -46,6 +46,7 @@ __all__ = [
     "Task",
     "Timing",
     "dump_manifest",
+    "facts_of",
     "load_manifest",
     "note_hole",
     "note_recovery",
@@ -125,6 +126,15 @@ def note_recovery(manifest: Manifest, note: dict[str, Any]) -> None:
     manifest.recovery.append(note)
     manifest.recovery_not_listed += max(0, len(manifest.recovery) - MAX_RECOVERY)
     del manifest.recovery[:-MAX_RECOVERY]
+
+
+def facts_of(manifest: Manifest) -> dict[str, str]:
+    """Return what stands at the head of each file of an episode, so that it can be told whose it is."""
+    return {
+        "episode_id": manifest.episode_id,
+        "task": manifest.task.name,
+        "started": manifest.timing.started,
+    }
 
 
 def load_manifest(path: Path) -> Manifest:

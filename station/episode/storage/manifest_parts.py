@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 
 from station.episode.storage.anchor import Anchor
+from station.episode.storage.layout import SIGNALS
 
 
 class Task(msgspec.Struct, kw_only=True):
@@ -66,7 +67,8 @@ class Stream(msgspec.Struct, kw_only=True):
         writer: Server name, or ``foreign``.
         role: Role by contract, or ``unknown``.
         contract: Whether the key has one; its text is in the MCAP channel.
-        encoding: ``json``, ``application/octet-stream``, or ``application/x-deleted``.
+        encoding: ``json``, ``application/octet-stream``, ``application/x-deleted``, or ``protobuf`` for pictures.
+        file: Which file its messages are in.
         count: Messages in the file.
         lost: Sequence numbers of this source that are not in the file, between its first and its last, without as many
             as the recorder dropped.
@@ -84,6 +86,7 @@ class Stream(msgspec.Struct, kw_only=True):
     role: str = "unknown"
     contract: bool = False
     encoding: str = ""
+    file: str = SIGNALS
     count: int = 0
     lost: int = 0
     dropped: int = 0

@@ -39,12 +39,12 @@ class Gap(NamedTuple):
 
 
 class Totals(msgspec.Struct, frozen=True, kw_only=True):
-    """What is in the file.
+    """What is in the files.
 
     Attributes:
         messages: Messages, without the recorder's own bookkeeping.
-        bytes: Size of the file so far.
-        dropped: Writes that arrived and are not in the file.
+        bytes: Size of the files so far.
+        dropped: Writes that arrived and are not in them.
         first_ns, last_ns: Log times of the first and last message [ns]; 0 when there is none.
         streams: Counters per channel.
         gaps: Where sequence numbers are missing; the first ones, if there are very many.
@@ -68,8 +68,9 @@ class ResumePoint(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         episode_id: The episode.
         position: The tap's place after the last write that is in the file; None where the tap has none.
-        size: Length of the file at that moment; bytes behind it belong to no flush. 0 before the file was made.
-        messages: Messages in the file at that moment.
+        size: Length of the file of signals at that moment; bytes behind it belong to no flush. 0 before it was made.
+        cameras_size: The same of the file of pictures.
+        messages: Messages in both at that moment.
         anchor: Clock of the file's log times.
         wall_ns, mono_ns: When it was written, on both clocks [ns].
         dropped: Writes before that position that arrived and could not be kept.
@@ -84,6 +85,7 @@ class ResumePoint(msgspec.Struct, frozen=True, kw_only=True):
     anchor: Anchor
     wall_ns: int
     mono_ns: int = 0
+    cameras_size: int = 0
     dropped: int = 0
     drops: list[Dropped] = []
     start_id: str = ""

@@ -17,7 +17,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Header, Metadata
+from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 
 from station.errors import EpisodeError
 
@@ -25,7 +25,7 @@ MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQIL")  # start, end, uncompressed size, CRC, length of the compression's name
-_MESSAGE_OP, _CHANNEL_OP = int(Opcode.MESSAGE), int(Opcode.CHANNEL)
+_MESSAGE_OP, _CHANNEL_OP, _SCHEMA_OP = int(Opcode.MESSAGE), int(Opcode.CHANNEL), int(Opcode.SCHEMA)
 _HEAD_SIZE = 4096  # holds the header and the records of the clock and the episode many times over
 # A damaged or malicious file must not make us ask for all the memory there is. The largest chunk that a recorder
 # writes is its pre-roll (256 MB by default) with the largest value that a bus of ours takes (64 MiB).
@@ -204,19 +204,21 @@ def _decompress(chunk: Chunk) -> bytes:
     raise ValueError(f"it is compressed with {chunk.compression!r}, expected zstd or nothing")
 
 
-def parse_chunk(data: bytes, channels: dict[int, Channel]) -> Iterator[RawMessage]:
-    """Iterate over the messages of a chunk; channels that it defines are put into `channels`.
+def parse_chunk(
+    data: bytes, channels: dict[int, Channel], schemas: dict[int, Schema] | None = None
+) -> Iterator[RawMessage]:
+    """Iterate over the messages of a chunk; channels that it defines are put into `channels`, schemas into `schemas`.
 
     Raises:
         EpisodeError: a record of it is none, or reaches beyond its end.
     """
     try:
-        yield from _parse_chunk(data, channels)
+        yield from _parse_chunk(data, channels, schemas)
     except _BROKEN as error:
         raise EpisodeError(f"a chunk holds a damaged record: {str(error) or 'it ends too early'}") from error
 
 
-def _parse_chunk(data: bytes, channels: dict[int, Channel]) -> Iterator[RawMessage]:
+def _parse_chunk(data: bytes, channels: dict[int, Channel], schemas: dict[int, Schema] | None) -> Iterator[RawMessage]:
     position, size = 0, len(data)
     unpack_head, unpack_message, head_size, fixed = _HEAD.unpack_from, _MESSAGE.unpack_from, _HEAD.size, _MESSAGE.size
     while position < size:
@@ -233,4 +235,7 @@ def _parse_chunk(data: bytes, channels: dict[int, Channel]) -> Iterator[RawMessa
         elif opcode == _CHANNEL_OP:
             channel = Channel.read(ReadDataStream(BytesIO(data[position:end])))
             channels[channel.id] = channel
+        elif opcode == _SCHEMA_OP and schemas is not None:
+            schema = Schema.read(ReadDataStream(BytesIO(data[position:end])))
+            schemas[schema.id] = schema
         position = end

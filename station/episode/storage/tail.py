@@ -27,6 +27,7 @@ from mcap.records import (
     McapRecord,
     Metadata,
     MetadataIndex,
+    Schema,
     Statistics,
     SummaryOffset,
 )
@@ -138,13 +139,13 @@ class Index:
             name = Metadata.read(ReadDataStream(BytesIO(body(file, place)))).name
             self.metadata.append(MetadataIndex(offset=place.offset, length=place.length, name=name))
 
-    def closing_bytes(self, channels: Sequence[Channel], size: int) -> bytes:
+    def closing_bytes(self, schemas: Sequence[Schema], channels: Sequence[Channel], size: int) -> bytes:
         """Return what must be appended to a file of so many bytes, all of them noted, to make it a finished one."""
         self._end_chunk()
         builder = RecordBuilder()
         DataEnd(0).write(builder)
         data_end: bytes = builder.end()
-        return data_end + self._summary(channels, size + len(data_end)) + MAGIC
+        return data_end + self._summary(schemas, channels, size + len(data_end)) + MAGIC
 
     def _take_chunk(self, file: BinaryIO, place: Place) -> None:
         self._end_chunk()
@@ -168,19 +169,20 @@ class Index:
             self.add(self._open, {})
             self._open = None
 
-    def _statistics(self, channels: int) -> Statistics:
+    def _statistics(self, schemas: int, channels: int) -> Statistics:
         start_ns, end_ns = self._span_ns or (0, 0)
         return Statistics(
             attachment_count=len(self.attachments), channel_count=channels, channel_message_counts=dict(self._counts),
             chunk_count=self._chunk_count, message_count=self._counts.total(), metadata_count=len(self.metadata),
-            message_start_time=start_ns, message_end_time=end_ns, schema_count=0,
+            message_start_time=start_ns, message_end_time=end_ns, schema_count=schemas,
         )  # fmt: skip
 
-    def _summary(self, channels: Sequence[Channel], start: int) -> bytes:
+    def _summary(self, schemas: Sequence[Schema], channels: Sequence[Channel], start: int) -> bytes:
         builder, offsets = RecordBuilder(), []
         groups: list[tuple[Opcode, bytes | bytearray]] = [
+            (Opcode.SCHEMA, _written(schemas)),
             (Opcode.CHANNEL, _written(channels)),
-            (Opcode.STATISTICS, _written([self._statistics(len(channels))])),
+            (Opcode.STATISTICS, _written([self._statistics(len(schemas), len(channels))])),
             (Opcode.CHUNK_INDEX, self._chunks),
             (Opcode.ATTACHMENT_INDEX, _written(self.attachments)),
             (Opcode.METADATA_INDEX, _written(self.metadata)),
@@ -198,18 +200,18 @@ class Index:
         return summary + _written([footer])
 
 
-def closing_bytes(path: Path, channels: Sequence[Channel]) -> bytes:
+def closing_bytes(path: Path, schemas: Sequence[Schema], channels: Sequence[Channel]) -> bytes:
     """Return what must be appended to a file that ends with a whole record, to make it a finished one.
 
     Args:
         path: The file; read, not changed.
-        channels: Every channel that its chunks define.
+        schemas, channels: Every one that its chunks define.
     """
     index, size = Index(), path.stat().st_size
     with path.open("rb") as file:
         for place in whole_records(file, size):
             index.take(file, place)
-    return index.closing_bytes(channels, size)
+    return index.closing_bytes(schemas, channels, size)
 
 
 def _written(records: Sequence[McapRecord]) -> bytes:

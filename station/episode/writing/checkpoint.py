@@ -1,11 +1,12 @@
-"""What a recorder knows of its file so far, saved every few seconds: who goes on with it need not read it all again.
+"""What a recorder knows of its files so far, saved every few seconds: who goes on need not read it all again.
 
-The file alone says the same, and without a checkpoint it is asked. But reading takes seconds for each gigabyte, and all
-the while the bus server holds back what is written, which it does not for ever.
+The files alone say the same, and without a checkpoint they are asked. But reading takes seconds for each gigabyte, and
+all the while the bus server holds back what is written, which it does not for ever.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -62,10 +63,9 @@ class Counters(msgspec.Struct, frozen=True, kw_only=True):
         """The channel as it stands in the file."""
         return mcap.records.Channel(self.id, self.topic, self.encoding, self.metadata, 0)
 
-    @property
-    def channel(self) -> Channel:
-        """The channel with its counters."""
-        channel = channel_from(self.record)
+    def channel(self, file: str) -> Channel:
+        """Return the channel with its counters; `file` is the name of the file that it is in."""
+        channel = channel_from(self.record, file)
         for name in _COUNTERS:
             setattr(channel, name, getattr(self, name))
         return channel
@@ -101,19 +101,19 @@ def counters(record: mcap.records.Channel, channel: Channel | None) -> Counters:
     )
 
 
-def save_checkpoint(checkpoint: Checkpoint, folder: Path) -> None:
-    """Write a checkpoint; survives the death of the process, not that of the machine.
+def save_checkpoints(checkpoints: Mapping[str, Checkpoint], folder: Path) -> None:
+    """Write a checkpoint of each file, by its name; survives the death of the process, not that of the machine.
 
     Raises:
         OSError: the disk refused it.
     """
-    write_atomic(folder / layout.CHECKPOINT, msgspec.json.encode(checkpoint), sync=False)
+    write_atomic(folder / layout.CHECKPOINT, msgspec.json.encode(checkpoints), sync=False)
 
 
-def load_checkpoint(folder: Path, size: int) -> Checkpoint | None:
-    """Return the checkpoint of an episode of which `size` bytes are safe; None where none fits."""
+def load_checkpoint(folder: Path, file: str, size: int) -> Checkpoint | None:
+    """Return the checkpoint of a file of an episode, of which `size` bytes are safe; None where none fits."""
     try:
-        found = msgspec.json.decode((folder / layout.CHECKPOINT).read_bytes(), type=Checkpoint)
+        found = msgspec.json.decode((folder / layout.CHECKPOINT).read_bytes(), type=dict[str, Checkpoint]).get(file)
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None
-    return found if found.size <= size else None
+    return found if found is not None and found.size <= size else None

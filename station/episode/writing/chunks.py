@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import struct
 import zlib
+from typing import Literal
 
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Attachment, AttachmentIndex, Channel, ChunkIndex, Header, Metadata, MetadataIndex
+from mcap.records import Attachment, AttachmentIndex, Channel, ChunkIndex, Header, Metadata, MetadataIndex, Schema
 
 from station.episode.storage.disk import Disk
 from station.episode.storage.records import MAGIC
@@ -26,8 +27,9 @@ _MESSAGE_OP = int(Opcode.MESSAGE)
 _ENTRY = struct.Struct("<QQ")
 _INDEX = struct.Struct("<BQHL")
 _CHUNK = struct.Struct("<BQQQQL")
-_COMPRESSION = "zstd"
 _LARGEST_INDEX = 32 << 20  # bytes; an hour of 60 keys has 5 MB
+
+Compression = Literal["zstd", ""]
 
 
 class ChunkWriter:
@@ -36,16 +38,18 @@ class ChunkWriter:
     Args:
         disk: The file, open at its end.
         is_new: Whether the file is empty; else its index cannot be known here.
+        compression: Of the chunks: ``zstd``, or none for what does not become smaller by it, such as pictures.
 
     Attributes:
         is_indexed: Whether all that the file's index must say is known here; else nothing of it is.
     """
 
-    def __init__(self, disk: Disk, *, is_new: bool = True) -> None:
+    def __init__(self, disk: Disk, *, is_new: bool = True, compression: Compression = "zstd") -> None:
         self.is_indexed = is_new
         self._disk = disk
         self._index = Index()
-        self._compressor = zstandard.ZstdCompressor(level=3)
+        self._compression = compression
+        self._compressor = zstandard.ZstdCompressor(level=3) if compression else None
         self._parts: list[bytes] = []
         self._size = 0
         self._entries: dict[int, bytearray] = {}  # per channel: log time and place of each message in the chunk
@@ -56,22 +60,25 @@ class ChunkWriter:
         self._disk.write(MAGIC)
         self._disk.write(_record(Header(profile, "teleop-station")))
 
-    def define(self, channel: Channel) -> None:
-        """Put the description of a channel into the open chunk."""
-        data = _record(channel)
+    def define(self, described: Channel | Schema) -> None:
+        """Put the description of a channel, or of a type of messages, into the open chunk."""
+        data = _record(described)
         self._parts.append(data)
         self._size += len(data)
 
-    def add(self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes) -> None:
-        """Put a message into the open chunk; times in [ns], sequence in 32 bits."""
-        length = _MESSAGE_FIELDS + len(data)
-        self._parts.append(_MESSAGE.pack(_MESSAGE_OP, length, channel, sequence, log_ns, publish_ns))
-        self._parts.append(data)
+    def add(
+        self, channel: int, sequence: int, log_ns: int, publish_ns: int, data: bytes,
+        before: bytes = b"", behind: bytes = b"",
+    ) -> None:  # fmt: skip
+        """Put a message into the open chunk: data and what stands around it; times in [ns], sequence in 32 bits."""
+        size = len(data) + len(before) + len(behind)
+        self._parts.append(_MESSAGE.pack(_MESSAGE_OP, _MESSAGE_FIELDS + size, channel, sequence, log_ns, publish_ns))
+        self._parts.extend((before, data, behind) if before else (data,))
         entries = self._entries.get(channel)
         if entries is None:
             entries = self._entries[channel] = bytearray()
         entries += _ENTRY.pack(log_ns, self._size)
-        self._size += _MESSAGE_HEAD + len(data)
+        self._size += _MESSAGE_HEAD + size
         self._first_ns = min(self._first_ns, log_ns)
         self._last_ns = max(self._last_ns, log_ns)
 
@@ -81,8 +88,8 @@ class ChunkWriter:
             return
         data = b"".join(self._parts)
         self._parts.clear()
-        packed = self._compressor.compress(data)
-        offset, name = self._disk.tell(), _COMPRESSION.encode()
+        packed = self._compressor.compress(data) if self._compressor else data
+        offset, name = self._disk.tell(), self._compression.encode()
         length = _CHUNK.size - 9 + 4 + len(name) + 8 + len(packed)
         head = _CHUNK.pack(Opcode.CHUNK, length, self._first_ns, self._last_ns, len(data), zlib.crc32(data))
         self._disk.write(head + struct.pack("<L", len(name)) + name + struct.pack("<Q", len(packed)))
@@ -96,7 +103,7 @@ class ChunkWriter:
             ChunkIndex(
                 message_start_time=self._first_ns, message_end_time=self._last_ns, chunk_start_offset=offset,
                 chunk_length=9 + length, message_index_offsets=places,
-                message_index_length=self._disk.tell() - indexes_at, compression=_COMPRESSION,
+                message_index_length=self._disk.tell() - indexes_at, compression=self._compression,
                 compressed_size=len(packed), uncompressed_size=len(data),
             ),
             {channel: len(entries) // _ENTRY.size for channel, entries in self._entries.items()},
@@ -130,12 +137,12 @@ class ChunkWriter:
             self._index.metadata.append(MetadataIndex(offset=self._disk.tell(), length=len(record), name=name))
         self._disk.write(record)
 
-    def finish(self, channels: list[Channel]) -> None:
+    def finish(self, schemas: list[Schema], channels: list[Channel]) -> None:
         """Write the end of a file that `is_indexed`."""
-        self._disk.write(self._index.closing_bytes(channels, self._disk.tell()))
+        self._disk.write(self._index.closing_bytes(schemas, channels, self._disk.tell()))
 
 
-def _record(record: Header | Channel | Attachment | Metadata) -> bytes:
+def _record(record: Header | Channel | Schema | Attachment | Metadata) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     made: bytes = builder.end()

@@ -20,17 +20,18 @@ class Recount:
     """Takes the messages of a file in order; begins with what is known of it, if anything is.
 
     Attributes:
-        channels, gaps, messages, retelling: As in `station.episode.writing.signals.SignalsFile`.
+        channels, gaps, messages, retelling: As in `station.episode.writing.file.EpisodeFile`.
         last_log_ns: Log time of the last message [ns].
     """
 
-    def __init__(self, anchor: Anchor, known: Checkpoint | None) -> None:
+    def __init__(self, anchor: Anchor, known: Checkpoint | None, file: str = layout.SIGNALS) -> None:
+        self._file = file
         self.retelling = Retelling(anchor, known.told if known else None)
         self.channels: dict[int, Channel] = {}
         self.gaps: list[Gap] = []
         self.messages = self.last_log_ns = 0
         if known is not None:
-            self.channels = {counted.id: counted.channel for counted in known.channels if counted.id != STAMPS_NUMBER}
+            self.channels = {one.id: one.channel(file) for one in known.channels if one.id != STAMPS_NUMBER}
             self.gaps, self.messages, self.last_log_ns = known.gaps, known.messages, known.last_log_ns
 
     def take(self, message: RawMessage, record: mcap.records.Channel) -> None:
@@ -41,7 +42,7 @@ class Recount:
         if channel is None:
             if record.topic == layout.STAMPS_TOPIC:
                 return
-            channel = self.channels[message.channel_id] = channel_from(record)
+            channel = self.channels[message.channel_id] = channel_from(record, self._file)
         before_ns = channel.last_ns
         if (lost := channel.note(message.sequence, message.log_ns)) and len(self.gaps) < MOST_GAPS:
             self.gaps.append(Gap(before_ns, message.log_ns, lost))

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-import mcap.records
 import msgspec
 
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, iso
 from station.episode.storage.atomic import remove_leftovers, sync_folder
 from station.episode.storage.disk import is_locked
-from station.episode.storage.drops import Drops, drops_of, larger
+from station.episode.storage.drops import Drops
 from station.episode.storage.folder import signals_file
 from station.episode.storage.left_open import is_left_open, manifest_of
 from station.episode.storage.manifest import (
@@ -26,29 +26,31 @@ from station.episode.storage.manifest import (
     save_manifest,
 )
 from station.episode.storage.progress import ResumePoint, load_resume_point
-from station.episode.storage.records import MAGIC, RawMessage, metadata_at_head, walk
+from station.episode.storage.records import MAGIC, metadata_at_head, walk
 from station.episode.writing.checkpoint import Told
 from station.episode.writing.closing import close_manifest, summary_record
+from station.episode.writing.files import EpisodeFiles
+from station.episode.writing.mended import Cut, Mended, look_over, mend
 from station.episode.writing.retell import Retelling
-from station.episode.writing.salvage import Salvaged, salvage
-from station.episode.writing.signals import SignalsFile
+from station.episode.writing.salvage import salvage
 from station.errors import EpisodeError
 
 State = Literal["whole", "closed", "repaired"]
+
+_FILES = (layout.SIGNALS_NAMES, layout.CAMERAS_NAMES)
 
 
 class Repaired(msgspec.Struct, frozen=True, kw_only=True):
     """What became of one episode.
 
     Attributes:
-        state: ``whole``: nothing to do; ``closed``: the file was whole, only its last words were missing; ``repaired``.
+        state: ``whole``: nothing to do; ``closed``: the files were whole, only the last words were missing;
+            ``repaired``.
         episode_id, path: The episode, and the folder where it is good now.
         messages, seconds: What it holds, and how long it is from its start [s].
-        cut_at, cut_bytes: Where the whole part ended, and how much of the file lay behind it.
-        cut_messages: Messages known to have been in the file once and not kept; what never reached the disk, at most
+        cut_messages: Messages known to have been in the files once and not kept; what never reached the disk, at most
             one flush interval, nobody counted.
-        cut_s: From the last message kept to the last change of the torn file [s].
-        original: Where the torn file is kept; "" when nothing was torn.
+        cuts: What was cut, of each file that was torn.
         requests: Ids of the requests to the recorder that it holds.
     """
 
@@ -57,22 +59,19 @@ class Repaired(msgspec.Struct, frozen=True, kw_only=True):
     path: str
     messages: int = 0
     seconds: float | None = None
-    cut_at: int = 0
-    cut_bytes: int = 0
     cut_messages: int = 0
-    cut_s: float = 0.0
-    original: str = ""
+    cuts: list[Cut] = []
     requests: list[str] = []
 
 
 def repair(folder: Path, *, out: Path | None = None) -> Repaired:
     """Make an episode good; one that is good stays as it is, so a second call changes nothing.
 
-    Killed at any moment, it leaves the torn file as it was, and the next call does what is left to do.
+    Killed at any moment, it leaves the torn files as they were, and the next call does what is left to do.
 
     Args:
         folder: Folder of the episode.
-        out: Folder in which the good episode's folder is made; None puts it beside the torn file.
+        out: Folder in which the good episode's folder is made; None puts it beside the torn files.
 
     Raises:
         EpisodeError: it is being recorded, or cannot be read, or nothing of it can be saved, or the disk refused.
@@ -85,21 +84,21 @@ def repair(folder: Path, *, out: Path | None = None) -> Repaired:
         may_close = out is None or not is_left_open(folder)  # closing in its own folder is no way to leave it alone
         if may_close and (done := close_whole(folder)) is not None:
             return done
-        return _repair(folder, source, folder if out is None else out / folder.name)
+        return _repair(folder, folder if out is None else out / folder.name)
     except OSError as error:
         raise EpisodeError(f"{folder}: cannot be repaired: {error.strerror} ({error.filename or source})") from error
 
 
 def close_whole(folder: Path) -> Repaired | None:
-    """Say the last words of an episode whose file is whole to its end; None when the file is not.
+    """Say the last words of an episode whose files are whole to their ends; None when they are not.
 
-    Its recorder was killed between the last byte of the file and the last of the manifest, or not at all.
+    Its recorder was killed between the last byte of the files and the last of the manifest, or not at all.
 
     Raises:
         EpisodeError: it is no episode of ours.
         OSError: the disk refused it.
     """
-    file = signals_file(folder)
+    file, cameras = signals_file(folder), _present(folder, layout.CAMERAS, layout.CAMERAS_ACTIVE)
     if file.stat().st_size < len(MAGIC):
         return None
     contents = walk(file)
@@ -113,15 +112,22 @@ def close_whole(folder: Path) -> Repaired | None:
     if anchor is None:
         return None
     requests = Retelling(anchor)
-    if not salvage(file, requests.take).is_finished:
+    if not salvage(file, requests.take).is_finished or not _are_cameras_whole(cameras, manifest):
         return None
     is_open = is_left_open(folder) or not _is_closed(folder, manifest)
     if is_open:
-        _say_last_words(folder, file, manifest)
+        _say_last_words(folder, manifest)
     return Repaired(
         state="closed" if is_open else "whole", episode_id=manifest.episode_id or folder.name, path=str(folder),
         messages=manifest.recorder.messages, seconds=manifest.timing.duration_s, requests=requests.told.requests,
     )  # fmt: skip
+
+
+def _are_cameras_whole(cameras: Path | None, manifest: Manifest) -> bool:
+    """Whether the file of pictures lacks nothing, or is not there because there were none."""
+    if cameras is None:
+        return not any(stream.count for stream in manifest.streams if stream.file == layout.CAMERAS)
+    return look_over(cameras, layout.CAMERAS_NAMES).is_finished
 
 
 def _is_closed(folder: Path, inside: Manifest) -> bool:
@@ -134,15 +140,29 @@ def _is_closed(folder: Path, inside: Manifest) -> bool:
     return beside.state != "recording" and told >= known
 
 
-def _say_last_words(folder: Path, file: Path, manifest: Manifest) -> None:
-    if file.name == layout.ACTIVE:
-        file.rename(folder / layout.SIGNALS)
+def _say_last_words(folder: Path, manifest: Manifest) -> None:
+    for names in reversed(_FILES):
+        if (folder / names.active).exists() and not (folder / names.final).exists():
+            (folder / names.active).rename(folder / names.final)
     sync_folder(folder)
-    manifest.recorder.bytes = (folder / layout.SIGNALS).stat().st_size
-    save_manifest(manifest, folder)
-    if (folder / layout.ACTIVE).exists():  # a repair was killed before it had put the original aside
-        (folder / layout.ACTIVE).rename(_free(folder / layout.TORN))
+    _save_final(folder, manifest)
+    _put_aside(folder)  # a repair was killed before it had done that
     _tidy(folder)
+
+
+def _save_final(folder: Path, manifest: Manifest) -> None:
+    files = (folder / names.final for names in _FILES)
+    manifest.recorder.bytes = sum(file.stat().st_size for file in files if file.exists())
+    save_manifest(manifest, folder)
+
+
+def _put_aside(folder: Path) -> dict[str, Path]:
+    """Put aside what is torn, the signals last, by which all see that an episode is not closed; return where to."""
+    aside = {}
+    for names in reversed(_FILES):
+        if (folder / names.active).exists():
+            aside[names.final] = (folder / names.active).rename(_free(folder / names.torn))
+    return aside
 
 
 def _tidy(folder: Path) -> None:
@@ -152,30 +172,29 @@ def _tidy(folder: Path) -> None:
     remove_leftovers(*(folder / name for name in (layout.MANIFEST, layout.RESUME, layout.CHECKPOINT)))
 
 
-def _repair(folder: Path, source: Path, target: Path) -> Repaired:
+def _repair(folder: Path, target: Path) -> Repaired:
     manifest, point = manifest_of(folder), load_resume_point(folder)
-    anchor = _clock(source, manifest, point)
+    # The unfinished file comes first: where both are there, a repair that was killed has made the other one of it.
+    found = [(names, _present(folder, names.active, names.final)) for names in _FILES]
+    sources = [(names, source) for names, source in found if source is not None]
+    anchor, drops = _clock(sources[0][1], manifest, point), Drops(point.drops if point else ())
     target.mkdir(parents=True, exist_ok=True)
-    copy = target / layout.REPAIRING
-    copy.unlink(missing_ok=True)
+    mended: list[Mended] = []
     try:
-        with copy.open("xb") as output:
-            salvaged = salvage(source, _nothing, output=output)
-        signals = _opened(copy, anchor, manifest, Drops(point.drops if point else ()))
-        try:
-            done = _close(source, salvaged, signals, anchor, manifest, point)
-        finally:
-            signals.close()
+        for names, source in sources:
+            mended.append(mend(source, target / names.repairing, names, anchor, manifest, drops))
+        done = _close(mended, anchor, manifest, point)
     except BaseException:
-        copy.unlink(missing_ok=True)
+        for names in _FILES:
+            (target / names.repairing).unlink(missing_ok=True)
         raise
-    original = source
-    if target != folder:
-        copy.rename(target / layout.SIGNALS)
-        save_manifest(manifest, target)
-    else:
-        original = _swap(source, copy, folder, manifest)
-    return msgspec.structs.replace(done, path=str(target), original=str(original))
+    finally:
+        for one in reversed(mended):
+            if one.file is not None:
+                one.file.close()
+    originals = _swap(mended, folder, manifest) if target == folder else _place(mended, target, manifest)
+    cuts = [msgspec.structs.replace(cut, original=str(originals[cut.file])) for cut in done.cuts]
+    return msgspec.structs.replace(done, path=str(target), cuts=cuts)
 
 
 def _clock(source: Path, manifest: Manifest, point: ResumePoint | None) -> Anchor:
@@ -191,48 +210,32 @@ def _clock(source: Path, manifest: Manifest, point: ResumePoint | None) -> Ancho
         ) from None
 
 
-def _opened(copy: Path, anchor: Anchor, manifest: Manifest, drops: Drops) -> SignalsFile:
-    """Open what was saved; where not even its head was whole, with a head made from the manifest."""
-    if copy.stat().st_size and layout.EPISODE_RECORD in (found := walk(copy).metadata):
-        return SignalsFile.reopen(copy, anchor, drops=larger(drops, drops_of(found.get(layout.DROPPED_RECORD))))
-    copy.unlink(missing_ok=True)
-    facts = {"episode_id": manifest.episode_id, "task": manifest.task.name, "started": manifest.timing.started}
-    return SignalsFile.create(copy, anchor, facts, dump_manifest(manifest))
-
-
-def _close(
-    source: Path, salvaged: Salvaged, signals: SignalsFile, anchor: Anchor, manifest: Manifest,
-    point: ResumePoint | None,
-) -> Repaired:  # fmt: skip
-    """Close the file and its manifest, with a note of what was cut."""
-    state, told = source.stat(), signals.retelling.told
-    totals = signals.totals(dropped=max(signals.drops.total, point.dropped if point else 0, manifest.recorder.dropped))
+def _close(mended: Sequence[Mended], anchor: Anchor, manifest: Manifest, point: ResumePoint | None) -> Repaired:
+    """Close the files and their manifest, with a note of what was cut."""
+    files = EpisodeFiles(mended[0].source.parent, anchor, {}, *(one.file for one in mended if one.file is not None))
+    told, cuts = files.signals.retelling.told, [one.cut() for one in mended if not one.is_whole]
+    totals = files.totals(dropped=max(files.drops.total, point.dropped if point else 0, manifest.recorder.dropped))
     verdict = manifest.quality_flags if manifest.state == "finished" else None  # somebody may have discarded it since
-    signals.retelling.apply(manifest, totals.first_ns)
+    files.signals.retelling.apply(manifest, totals.first_ns)
     manifest.quality_flags = verdict or manifest.quality_flags
     _end(manifest, told, anchor, totals.last_ns)
     before = max(point.messages if point else 0, manifest.recorder.messages)
     done = Repaired(
-        state="repaired", episode_id=manifest.episode_id or source.parent.name, path="", messages=totals.messages,
-        seconds=manifest.timing.duration_s, cut_at=salvaged.kept_to,
-        cut_bytes=0 if salvaged.is_finished else state.st_size - salvaged.kept_to,
-        cut_messages=max(0, before - totals.messages), requests=told.requests,
-        cut_s=round(max(0.0, (state.st_mtime_ns - totals.last_ns) * 1e-9), 3) if totals.last_ns else 0.0,
+        state="repaired", episode_id=manifest.episode_id or mended[0].source.parent.name, path="",
+        messages=totals.messages, seconds=manifest.timing.duration_s, requests=told.requests,
+        cut_messages=max(0, before - totals.messages), cuts=cuts,
     )  # fmt: skip
     note = {
         "kind": "repaired",
         "at": iso(time.time_ns()),
         "kept_messages": done.messages,
-        "cut_at": done.cut_at,
-        "cut_bytes": done.cut_bytes,
         "cut_messages": done.cut_messages,
-        "cut_s": done.cut_s,
+        "cuts": [{"file": cut.file, "at": cut.at, "bytes": cut.bytes, "seconds": cut.seconds} for cut in cuts],
     }
     note_recovery(manifest, note)
-    manifest.quality = {}  # of the torn file
+    manifest.quality = {}  # of the torn files
     close_manifest(manifest, anchor, totals)
-    signals.finish(dump_manifest(manifest), summary_record(totals))
-    manifest.recorder.bytes = signals.size
+    files.finish(dump_manifest(manifest), summary_record(totals))
     return done
 
 
@@ -247,20 +250,36 @@ def _end(manifest: Manifest, told: Told, anchor: Anchor, last_ns: int) -> None:
     manifest.timing.duration_s = round((ended_ns - anchor.wall_ns) * 1e-9, 6)
 
 
-def _swap(source: Path, copy: Path, folder: Path, manifest: Manifest) -> Path:
-    """Put the good file in its place and the torn one aside, so that one is always there; returns the latter."""
-    aside = _free(folder / layout.TORN)
-    if source.name == layout.ACTIVE:
-        copy.rename(folder / layout.SIGNALS)
-        save_manifest(manifest, folder)
-        source.rename(aside)
-    else:
-        os.link(source, aside)
-        copy.replace(source)
-        save_manifest(manifest, folder)
+def _swap(mended: Sequence[Mended], folder: Path, manifest: Manifest) -> dict[str, Path]:
+    """Put the good files in their places and the torn ones aside, so that one is always there; returns the latter."""
+    aside = {}
+    for names, source, salvaged, file in mended:
+        copy, final = folder / names.repairing, folder / names.final
+        if salvaged.is_finished and names is layout.CAMERAS_NAMES:  # the signals get another manifest, pictures nothing
+            copy.unlink(missing_ok=True)
+            source.rename(final)
+            continue
+        if source == final and not salvaged.is_finished:
+            aside[names.final] = _free(folder / names.torn)
+            os.link(source, aside[names.final])
+        if file is not None:
+            copy.replace(final)
+        elif source == final:
+            source.unlink()
+    _save_final(folder, manifest)
+    aside |= _put_aside(folder)
     _tidy(folder)
     sync_folder(folder)
     return aside
+
+
+def _place(mended: Sequence[Mended], target: Path, manifest: Manifest) -> dict[str, Path]:
+    """Put the good files into a folder of their own; returns the originals."""
+    for names, _, _, file in mended:
+        if file is not None:
+            (target / names.repairing).rename(target / names.final)
+    _save_final(target, manifest)
+    return {one.names.final: one.source for one in mended}
 
 
 def _free(path: Path) -> Path:
@@ -272,5 +291,6 @@ def _free(path: Path) -> Path:
     return free
 
 
-def _nothing(_message: RawMessage, _channel: mcap.records.Channel) -> None:
-    """Take no note: the copy is read once more."""
+def _present(folder: Path, *names: str) -> Path | None:
+    """Return the first of some files of a folder that is there."""
+    return next((folder / name for name in names if (folder / name).exists()), None)

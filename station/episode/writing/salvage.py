@@ -11,7 +11,7 @@ from typing import BinaryIO, NamedTuple
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Header, MessageIndex, Metadata
+from mcap.records import Attachment, Channel, Header, MessageIndex, Metadata, Schema
 
 from station.episode.storage.records import MAGIC, ChunkPlace, RawMessage, parse_chunk, read_chunk
 from station.episode.storage.tail import HEAD, Place, body, whole_records
@@ -29,13 +29,14 @@ class Salvaged(NamedTuple):
     """How far a file is whole.
 
     Attributes:
-        channels: Every channel that a whole chunk defines, by number.
+        channels, schemas: Every one that a whole chunk defines, by number.
         kept_to: Behind the last record that is whole; after a last chunk without its message indexes: behind the chunk.
         missing_indexes: The message indexes that the last chunk lacks, to be appended; empty when it has them.
         is_finished: Whether the file is whole to its very end, index and all.
     """
 
     channels: dict[int, Channel]
+    schemas: dict[int, Schema]
     kept_to: int
     missing_indexes: bytes
     is_finished: bool
@@ -64,7 +65,7 @@ def salvage(
     with path.open("rb") as file:
         if (begin := file.read(len(MAGIC))) != MAGIC:
             if MAGIC.startswith(begin):  # a power cut may leave no more
-                return Salvaged({}, 0, b"", is_finished=False)
+                return Salvaged({}, {}, 0, b"", is_finished=False)
             raise EpisodeError(f"{path}: not an MCAP file ({length} bytes that do not begin with its magic)")
         return _Walk(file, take, output, start, channels).run(end, length)
 
@@ -79,6 +80,7 @@ class _Walk:
         self._take = take
         self._output = output
         self._channels = {channel.id: channel for channel in channels}
+        self._schemas: dict[int, Schema] = {}
         self._owed: list[int] = []  # channels of the last chunk whose message index has not come by yet
         self._last_chunk: Place | None = None
         self._kept_to = start
@@ -98,7 +100,7 @@ class _Walk:
         if self._owed and self._last_chunk is not None:
             self._kept_to = self._last_chunk.end
             missing = _message_indexes(read_chunk(self._file, _inside(self._last_chunk)))
-        return Salvaged(self._channels, self._kept_to, missing, is_finished)
+        return Salvaged(self._channels, self._schemas, self._kept_to, missing, is_finished)
 
     def _has_footer(self, length: int) -> bool:
         last = None
@@ -125,7 +127,7 @@ class _Walk:
             return False
         data = read_chunk(self._file, _inside(place))
         defined: dict[int, Channel] = {}
-        messages = list(parse_chunk(data, defined))
+        messages = list(parse_chunk(data, defined, self._schemas))
         unknown = {message.channel_id for message in messages} - defined.keys() - self._channels.keys()
         if unknown or not _is_sound(self._file, place, data, messages):
             return False

@@ -88,6 +88,18 @@ def test_a_robot_that_shakes_is_jerky(builder: EpisodeBuilder) -> None:
     assert "jerky" in {reason.rule for reason in quality.reasons}
 
 
+def test_a_command_that_jitters_is_told_though_the_robot_smooths_it(builder: EpisodeBuilder) -> None:
+    noise = np.random.default_rng(7)
+    for number in range(200):
+        asked = STANDING.copy()
+        asked[ELBOW] += 0.1 * noise.standard_normal()
+        tick(builder, number, at_s=0.1 + number / 50, asked=command(q=asked))
+    quality = check(open_episode(builder.finish()))
+    (reason,) = [reason for reason in quality.reasons if reason.rule.startswith("jerky")]
+    assert reason.rule == "jerky-command"
+    assert "left_elbow" in reason.text
+
+
 def test_joints_at_their_ends_are_counted_by_the_limits_that_the_robots_command_format_registers(
     builder: EpisodeBuilder,
 ) -> None:
@@ -103,7 +115,7 @@ def test_joints_at_their_ends_are_counted_by_the_limits_that_the_robots_command_
     assert "joint-limits" in {reason.rule for reason in quality.reasons}
 
 
-@pytest.mark.parametrize("lag_s", [0.06, 0.13])
+@pytest.mark.parametrize("lag_s", [0.0, 0.06, 0.13, 0.35])
 def test_the_lag_of_the_joints_behind_the_command_is_found(builder: EpisodeBuilder, lag_s: float) -> None:
     quality = run(builder, 8.0, lambda at_s: np.sin(4.0 * at_s) + 0.3 * np.sin(9.0 * at_s), lag_s=lag_s)
     (found,) = quality.alignment
@@ -141,15 +153,17 @@ def jpeg() -> bytes:
     return made.getvalue()
 
 
-def filmed(builder: EpisodeBuilder, numbers: list[int], *, spent: int = 0) -> Quality:
-    """A camera of 30 Hz that wrote these of its pictures; of `spent` it spent the number, and lost the write."""
+def filmed(
+    builder: EpisodeBuilder, numbers: list[int], *, spent: int = 0, rate_hz: float = 30.0, stated: object = None
+) -> Quality:  # fmt: skip
+    """A camera that wrote these of its pictures; of `spent` it spent the number, and lost the write."""
     key, data = keys.camera_image("head"), jpeg()
     for number in numbers:
-        builder.write({key: data}, at_s=1.0 + number / 30, writer="camera")
+        builder.write({key: data}, at_s=1.0 + number / rate_hz, writer="camera")
     for _ in range(spent):
         builder.skip(key, writer="camera")
-    builder.write({key: data}, at_s=1.0 + (numbers[-1] + 1 + spent) / 30, writer="camera")
-    return check(open_episode(builder.finish()))
+    builder.write({key: data}, at_s=1.0 + (numbers[-1] + 1 + spent) / rate_hz, writer="camera")
+    return check(open_episode(builder.finish({"servers": {"head": {"key": key, "fps": stated}}})))
 
 
 def test_a_camera_that_drops_nothing_is_whole(builder: EpisodeBuilder) -> None:
@@ -160,14 +174,34 @@ def test_a_camera_that_drops_nothing_is_whole(builder: EpisodeBuilder) -> None:
 
 
 def test_pictures_that_never_got_a_number_are_missed_on_the_cameras_own_beat(builder: EpisodeBuilder) -> None:
-    quality = filmed(builder, [number for number in range(90) if not 40 <= number < 52])
+    quality = filmed(builder, [number for number in range(90) if not 40 <= number < 64])
     (camera,) = quality.cameras
-    assert (camera.missing, camera.lost, camera.expected) == (12, 0, 91)
-    assert camera.longest_gap_s == pytest.approx(13 / 30)
+    assert (camera.missing, camera.lost, camera.expected) == (24, 0, 91)
+    assert camera.longest_gap_s == pytest.approx(25 / 30)
     assert {reason.rule: reason.verdict for reason in quality.reasons if reason.rule.startswith("camera")} == {
         "camera-drops": "reject",
         "camera-gap": "usable",
     }
+
+
+def on_a_grid(builder: EpisodeBuilder, taken_s: list[float]) -> Quality:
+    for at_s in taken_s:
+        builder.write({keys.camera_image("head"): jpeg()}, at_s=1.0 + at_s, writer="camera")
+    return check(open_episode(builder.finish()))
+
+
+def test_a_camera_whose_times_lie_on_a_simulations_grid_has_its_own_rate_and_no_holes(builder: EpisodeBuilder) -> None:
+    quality = on_a_grid(builder, [np.ceil(number * 50 / 30) / 50 for number in range(150)])
+    (camera,) = quality.cameras
+    assert camera.rate_hz == pytest.approx(30.0, rel=0.01)
+    assert (camera.missing, cameras_reasons(quality)) == (0, [])
+
+
+def test_a_picture_that_is_late_is_not_missing_and_a_beat_that_drifts_is_no_hole(builder: EpisodeBuilder) -> None:
+    late = {20: 0.03, 40: 0.025, 41: 0.02}
+    taken = [number / 30 * (1.0 + 1e-4 * number) + late.get(number, 0.0) for number in range(300) if number != 100]
+    (camera,) = on_a_grid(builder, taken).cameras
+    assert camera.missing == 1
 
 
 def test_pictures_that_were_lost_by_number_are_told_as_that(builder: EpisodeBuilder) -> None:
@@ -179,3 +213,23 @@ def test_a_slow_camera_is_told(builder: EpisodeBuilder) -> None:
     quality = filmed(builder, list(range(0, 90, 2)))
     assert "camera-slow" in {reason.rule for reason in quality.reasons}
     assert quality.cameras[0].nominal_hz == 30.0
+
+
+def cameras_reasons(quality: Quality) -> list[str]:
+    return [reason.rule for reason in quality.reasons if reason.rule.startswith("camera")]
+
+
+@pytest.mark.parametrize("rate_hz", [15.0, 2.0])
+def test_a_camera_that_was_set_to_few_pictures_is_judged_by_that(builder: EpisodeBuilder, rate_hz: float) -> None:
+    quality = filmed(builder, list(range(40)), rate_hz=rate_hz, stated=rate_hz)
+    assert quality.cameras[0].nominal_hz == rate_hz
+    assert cameras_reasons(quality) == []
+
+
+def test_a_camera_that_gives_less_than_it_was_set_to_is_told_whatever_is_usual(builder: EpisodeBuilder) -> None:
+    assert cameras_reasons(filmed(builder, list(range(90)), rate_hz=30.0, stated=60)) == ["camera-slow"]
+
+
+@pytest.mark.parametrize("stated", ["fast", -1.0, float("nan"), {}], ids=str)
+def test_a_rate_that_is_none_leaves_the_contracts(builder: EpisodeBuilder, stated: object) -> None:
+    assert filmed(builder, list(range(9)), stated=stated).cameras[0].nominal_hz == 30.0

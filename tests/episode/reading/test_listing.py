@@ -56,7 +56,7 @@ def test_show_counts_the_streams_from_the_file(tmp_path: Path) -> None:
     own, plain = facts.streams
     assert (own.key, own.count, own.lost, own.writer, own.longest_gap_s) == ("own", 11, 1, "g1", 0.6)
     assert (plain.key, plain.count, plain.lost, plain.writer) == ("plain", 1, 0, "foreign")
-    assert (facts.messages, facts.torn, facts.file) == (12, None, "signals.mcap")
+    assert (facts.messages, facts.torn, [*facts.files]) == (12, None, ["signals.mcap"])
     assert facts.first_s is not None
     assert facts.first_s < 0.01
 

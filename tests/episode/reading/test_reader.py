@@ -93,7 +93,7 @@ def test_damage_in_the_middle_of_a_finished_file_is_an_error_that_says_where(
     data = bytearray(many_flushes[0])
     file = tmp_path / "signals.mcap"
     file.write_bytes(data)
-    place = EpisodeReader(file)._contents.chunks[FLUSHES // 2]
+    place = EpisodeReader(file).parts[0].contents.chunks[FLUSHES // 2]
     data[place.offset + place.length - 5] ^= 0xFF
     file.write_bytes(data)
     reader = open_episode(tmp_path)
@@ -172,7 +172,7 @@ def test_stamps_are_joined_in_a_torn_file_too(tmp_path: Path) -> None:
     writes = numbered(100)
     file = record(tmp_path, writes[:50], writes[50:], finish=False)
     data = file.read_bytes()
-    last_chunk = EpisodeReader(file)._contents.chunks[-1].offset
+    last_chunk = EpisodeReader(file).parts[0].contents.chunks[-1].offset
     file.write_bytes(data[: last_chunk + 20])
     found = list(open_episode(file).messages(stamps=True))
     assert [m.stamp for m in found] == [write.stamp for write in writes[:50]]

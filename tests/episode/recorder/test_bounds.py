@@ -150,10 +150,10 @@ def test_an_index_that_grows_large_is_read_from_the_file_at_the_end(
     for number in range(200):
         writer.put([foreign(f"key{number % 20}", bytes(100))] * 100)  # more than a flush
     wait_until(lambda: writer.queued == 0)
-    signals = writer._signals
-    assert signals is not None
-    wait_until(lambda: not signals._writer.is_indexed)
-    assert signals._writer._index.size == 0
+    files = writer._files
+    assert files is not None
+    wait_until(lambda: not files.signals._writer.is_indexed)
+    assert files.signals._writer._index.size == 0
     writer.finish(lambda _: manifest)
     assert writer.wait(60.0)
     with (tmp_path / "signals.mcap").open("rb") as file:

@@ -23,8 +23,8 @@ from station.episode.storage.anchor import Anchor, take_anchor
 from station.episode.storage.left_open import left_open
 from station.episode.storage.manifest import Manifest, Task, Timing
 from station.episode.storage.progress import WriterOptions, load_resume_point
-from station.episode.writing.checkpoint import EVERY_S, load_checkpoint, save_checkpoint
-from station.episode.writing.signals import SignalsFile
+from station.episode.writing.checkpoint import EVERY_S, load_checkpoint, save_checkpoints
+from station.episode.writing.file import EpisodeFile
 from tests.episode.writes import Native, foreign
 from tests.waiting import wait_until
 
@@ -135,22 +135,22 @@ def test_a_checkpoint_tells_the_same_as_the_file(data: Path, seed: int) -> None:
     active, point = folder / layout.ACTIVE, load_resume_point(folder)
     assert point is not None
     copy = data / "copy"
-    chunks = open_episode(folder)._contents.chunks
+    chunks = open_episode(folder).parts[0].contents.chunks
     place = random.Random(seed).choice(chunks)
     copy.write_bytes(active.read_bytes()[: place.offset - 9])
-    half = SignalsFile.reopen(copy, point.anchor)
+    half = EpisodeFile.reopen(copy, point.anchor)
     checkpoint = half.checkpoint()
     half.close()
     assert checkpoint is not None
-    save_checkpoint(checkpoint, folder)
-    loaded = load_checkpoint(folder, point.size)
+    save_checkpoints({layout.SIGNALS: checkpoint}, folder)
+    loaded = load_checkpoint(folder, layout.SIGNALS, point.size)
     assert loaded == checkpoint
-    assert load_checkpoint(folder, checkpoint.size - 1) is None
-    quick = SignalsFile.reopen(active, point.anchor, size=point.size, checkpoint=loaded)
-    found = (quick.totals(), quick.gaps, quick.retelling.told, quick.checkpoint())
+    assert load_checkpoint(folder, layout.SIGNALS, checkpoint.size - 1) is None
+    quick = EpisodeFile.reopen(active, point.anchor, size=point.size, checkpoint=loaded)
+    found = (quick.messages, quick.gaps, quick.retelling.told, quick.checkpoint())
     quick.close()
-    whole = SignalsFile.reopen(active, point.anchor, size=point.size)
-    assert found == (whole.totals(), whole.gaps, whole.retelling.told, whole.checkpoint())
+    whole = EpisodeFile.reopen(active, point.anchor, size=point.size)
+    assert found == (whole.messages, whole.gaps, whole.retelling.told, whole.checkpoint())
     whole.close()
 
 

@@ -20,7 +20,7 @@ from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage.anchor import Anchor, take_anchor
 from station.episode.storage.manifest import Manifest, Task, load_manifest
 from station.episode.storage.progress import Totals, WriterOptions, load_resume_point
-from station.episode.writing import signals
+from station.episode.writing import file as episode_file
 from tests.episode.writes import Native, foreign
 from tests.waiting import wait_until
 
@@ -173,7 +173,7 @@ def test_a_folder_that_vanishes_makes_the_writer_fail_with_a_reason_and_no_excep
 FULL_DISK = """
 import resource, signal, sys, time
 from pathlib import Path
-from station.episode.writing import signals
+from station.episode.writing import file as episode_file
 from station.episode.storage.anchor import take_anchor
 from station.episode.storage.manifest import Manifest
 from station.episode.storage.progress import WriterOptions
@@ -186,24 +186,30 @@ writer = EpisodeWriter(Path(sys.argv[1]), anchor=take_anchor(), manifest=Manifes
                        options=WriterOptions(flush_s=0.01))
 put = 0
 while writer.state in ("opening", "open"):
-    writer.put([Write("k", os.urandom(5000), None, time.monotonic_ns())])
-    put += 1
+    now_ns = time.monotonic_ns()
+    writer.put([Write("small", b"%d" % put, None, now_ns), Write(sys.argv[2], os.urandom(5000), None, now_ns)])
+    put += 2
     time.sleep(0.005)
 writer.wait(10.0)
 print(writer.state, put - writer.dropped, writer.error)
 """
 
 
-def test_a_full_disk_ends_the_episode_and_keeps_every_whole_flush(tmp_path: Path) -> None:
+@pytest.mark.parametrize("key", ["large", keys.camera_image("head")])
+def test_a_full_disk_ends_the_episode_and_keeps_every_whole_flush_of_each_file(tmp_path: Path, key: str) -> None:
     result = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, str(tmp_path)], capture_output=True, text=True, timeout=60, check=True
+        [sys.executable, "-c", FULL_DISK, str(tmp_path), key], capture_output=True, text=True, timeout=60, check=True
     )
     state, kept, *reason = result.stdout.split()
     assert state == "failed"
     assert "File too large" in " ".join(reason)
     reader = open_episode(tmp_path)
     assert reader.is_active
-    assert sum(1 for _ in reader.messages()) == int(kept) > 0
+    found = reader.collect(["small", key])
+    assert len(found["small"]) + len(found[key]) == int(kept) > 0
+    assert [int(m.data) for m in found["small"]] == list(range(0, 2 * len(found["small"]), 2))
+    is_apart = key != "large"
+    assert (len(found["small"]) > len(found[key])) is is_apart, "a flush of pictures that fails costs no signal"
     assert load_manifest(tmp_path).state == "failed"
 
 
@@ -218,7 +224,7 @@ def test_a_disk_that_is_full_from_the_start_leaves_nothing_behind(tmp_path: Path
 
 
 def test_a_client_that_invents_keys_does_not_break_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(signals, "MAX_CHANNELS", 5)
+    monkeypatch.setattr(episode_file, "MAX_CHANNELS", 5)
     writer = writer_in(tmp_path)
     writer.put([foreign(f"key{n}", b"1") for n in range(9)])
     totals = closed(writer)

@@ -21,6 +21,7 @@ from station.episode.reading.reader import EpisodeReader, open_episode
 from station.episode.replaying.replay import Replay, moments, to_bus
 from station.errors import BusError, Refused, UnknownName, UsageError
 from station.life.server import Health
+from tests.episode.filming import WRIST, Scene, film
 from tests.episode.synthetic import ROBOT, EpisodeBuilder, command, tick, walk
 from tests.waiting import wait_until
 
@@ -61,6 +62,17 @@ def test_same_bytes_in_the_same_order(builder: EpisodeBuilder, bus_server: BusAd
     recorded = [(message.topic, message.data) for message in reader.messages()]
     assert [(write.key, write.value) for write in seen(tap, len(recorded))] == recorded
     assert (report.messages, report.lost, report.skipped, report.is_complete) == (len(recorded), 0, 0, True)
+
+
+def test_pictures_are_written_byte_for_byte_between_the_signals_where_they_were(
+    tmp_path: Path, bus_server: BusAddress, tap: Tap
+) -> None:
+    scene = Scene()
+    writes = [write for _ in range(5) for write in (*scene.signals(2), scene.picture(), scene.picture(WRIST))]
+    film(tmp_path / "e", [writes[:7], writes[7:]], scene.anchor)
+    report = to_bus(open_episode(tmp_path / "e"), bus_server, speed=FAST)
+    assert (report.messages, report.lost) == (len(writes), 0)
+    assert [(write.key, write.value) for write in seen(tap, len(writes))] == [(w.key, w.value) for w in writes]
 
 
 def test_native_keys_get_a_fresh_stamp_of_the_replay_and_foreign_ones_none(

@@ -187,7 +187,7 @@ def test_a_value_larger_than_the_queue_costs_itself_and_none_of_its_neighbours(t
 def test_keys_beyond_the_most_that_a_file_takes_are_refused_counted_and_told_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("station.episode.writing.signals.MAX_CHANNELS", 5)
+    monkeypatch.setattr("station.episode.writing.file.MAX_CHANNELS", 5)
     writer, manifest = writer_in(tmp_path / "e")
     writer.put([foreign(f"key{n}", b"1") for n in range(9)])
     wait_until(lambda: writer.messages == 5)

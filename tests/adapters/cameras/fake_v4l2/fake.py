@@ -19,7 +19,7 @@ import pytest
 _SOURCE = Path(__file__).with_name("fake_v4l2.c")
 _MOST_MODES = 16
 _MONOTONIC, _ERROR = 0x2000, 0x40
-_PROFILE, _MODE, _HEAD = struct.Struct("=iiiIII32s"), struct.Struct("=4sIII"), struct.Struct("=IIIIQQ")
+_PROFILE, _MODE, _HEAD = struct.Struct("=iiiIIII32s"), struct.Struct("=4sIII"), struct.Struct("=IIIIQQ")
 DEADLINE_S = 60.0
 
 
@@ -53,18 +53,26 @@ class FakeCamera:
         open_errno, format_errno, buffers_errno: What the driver answers; 0: it does as asked.
         quantization: Range of YUYV by V4L2's number: 0 left open, 1 full, 2 limited.
         is_exposure_known: Whether it has the controls of exposure.
+        is_range: Whether it offers sizes up to those of its modes and rates from 1 Hz, instead of these alone.
     """
 
     def __init__(
         self, library: Path, folder: Path, modes: Sequence[Mode] = (Mode(),), *, card: str = "Fake Cam",
         number: int = 0, open_errno: int = 0, format_errno: int = 0, buffers_errno: int = 0, quantization: int = 0,
-        is_exposure_known: bool = False,
+        is_exposure_known: bool = False, is_range: bool = False,
     ) -> None:  # fmt: skip
         self.path = folder / f"video{number}"
         self._library = library
         padded = [*modes, *[Mode("", 0, 0, 0)] * (_MOST_MODES - len(modes))]
         self._profile = _PROFILE.pack(
-            open_errno, format_errno, buffers_errno, quantization, len(modes), is_exposure_known, card.encode()
+            open_errno,
+            format_errno,
+            buffers_errno,
+            quantization,
+            len(modes),
+            is_exposure_known,
+            is_range,
+            card.encode(),
         ) + b"".join(_MODE.pack(mode.form.encode(), *mode[1:]) for mode in padded)
         self._changed = threading.Condition()
         self._line: socket.socket | None = None
@@ -106,13 +114,21 @@ class FakeCamera:
         """
         taken_us = (time.monotonic_ns() - round(age_s * 1e9)) // 1000
         flags = (_MONOTONIC if is_stamped else 0) | (_ERROR if is_damaged else 0)
-        head = _HEAD.pack(self.sequence, flags, len(data), 0, *divmod(taken_us, 1_000_000))
+        self._send(_HEAD.pack(self.sequence, flags, len(data), 0, *divmod(taken_us, 1_000_000)) + data)
+        self.sequence += 1
+        return taken_us * 1000
+
+    def fail(self, number: int) -> None:
+        """Have the reader get an error in place of a picture; the next one is for who opens the camera anew."""
+        self._send(_HEAD.pack(0, 0, 0, number, 0, 0))
+        with self._changed:
+            self._line = None
+
+    def _send(self, data: bytes) -> None:
         with self._changed:
             assert self._changed.wait_for(lambda: self._line is not None, DEADLINE_S), "nobody reads the camera"
             assert self._line is not None
-            self._line.sendall(head + data)
-        self.sequence += 1
-        return taken_us * 1000
+            self._line.sendall(data)
 
     def _welcome(self, door: socket.socket) -> None:
         while True:

@@ -31,13 +31,13 @@ struct mode {
 
 struct profile { /* the other side's first message */
     int32_t open_errno, format_errno, buffers_errno;
-    uint32_t quantization, modes, exposure_is_known;
+    uint32_t quantization, modes, exposure_is_known, is_range;
     char card[32];
     struct mode mode[MOST_MODES];
 };
 
-struct head { /* of a picture; its bytes follow */
-    uint32_t sequence, flags, size, padding;
+struct head { /* of a picture; its bytes follow, or nothing where taking it out is to fail */
+    uint32_t sequence, flags, size, error;
     uint64_t seconds, micros;
 };
 
@@ -104,6 +104,7 @@ static int fill(struct camera *camera, int file, struct v4l2_buffer *buffer) {
     ssize_t seen = recv(file, &head, sizeof head, MSG_PEEK | MSG_DONTWAIT);
     if (seen < (ssize_t)sizeof head) return fail(seen > 0 || (seen < 0 && errno == EAGAIN) ? EAGAIN : ENODEV);
     recv(file, &head, sizeof head, MSG_WAITALL);
+    if (head.error) return fail(head.error);
     int index = camera->queue[0];
     memmove(camera->queue, camera->queue + 1, --camera->queued * sizeof *camera->queue);
     buffer->index = index;
@@ -137,6 +138,11 @@ static int list_sizes(struct camera *camera, struct v4l2_frmsizeenum *asked) {
     for (unsigned i = 0; i < camera->profile.modes; i++) {
         struct mode *mode = &camera->profile.mode[i];
         if (mode->format != asked->pixel_format || seen++ != asked->index) continue;
+        if (camera->profile.is_range) {
+            asked->type = V4L2_FRMSIZE_TYPE_STEPWISE;
+            asked->stepwise = (struct v4l2_frmsize_stepwise){16, mode->width, 2, 16, mode->height, 2};
+            return 0;
+        }
         asked->type = V4L2_FRMSIZE_TYPE_DISCRETE;
         asked->discrete.width = mode->width;
         asked->discrete.height = mode->height;
@@ -148,9 +154,13 @@ static int list_sizes(struct camera *camera, struct v4l2_frmsizeenum *asked) {
 static int list_rates(struct camera *camera, struct v4l2_frmivalenum *asked) {
     for (unsigned i = 0; asked->index == 0 && i < camera->profile.modes; i++) {
         struct mode *mode = &camera->profile.mode[i];
-        if (mode->format != asked->pixel_format || mode->width != asked->width || mode->height != asked->height ||
-            mode->fps == 0)
-            continue;
+        if (mode->format != asked->pixel_format || mode->fps == 0) continue;
+        if (camera->profile.is_range) {
+            asked->type = V4L2_FRMIVAL_TYPE_CONTINUOUS;
+            asked->stepwise = (struct v4l2_frmival_stepwise){{1, mode->fps}, {1, 1}, {1, 1}};
+            return 0;
+        }
+        if (mode->width != asked->width || mode->height != asked->height) continue;
         asked->type = V4L2_FRMIVAL_TYPE_DISCRETE;
         asked->discrete.numerator = 1;
         asked->discrete.denominator = mode->fps;
@@ -173,8 +183,10 @@ static int set_format(struct camera *camera, struct v4l2_format *asked) {
     if (camera->profile.format_errno) return fail(camera->profile.format_errno);
     for (unsigned i = 0; i < camera->profile.modes; i++) {
         struct mode *mode = &camera->profile.mode[i];
-        if (mode->format == asked->fmt.pix.pixelformat && mode->width == asked->fmt.pix.width &&
-            mode->height == asked->fmt.pix.height)
+        if (mode->format != asked->fmt.pix.pixelformat) continue;
+        if (camera->profile.is_range)
+            camera->now = (struct mode){mode->format, asked->fmt.pix.width, asked->fmt.pix.height, mode->fps};
+        else if (mode->width == asked->fmt.pix.width && mode->height == asked->fmt.pix.height)
             camera->now = *mode; /* a driver takes the nearest; here that is the one before */
     }
     tell_format(camera, asked);
@@ -214,9 +226,11 @@ static int answer(struct camera *camera, int file, unsigned long what, void *val
     case VIDIOC_ENUM_FRAMEINTERVALS: return list_rates(camera, value);
     case VIDIOC_S_FMT: return set_format(camera, value);
     case VIDIOC_G_FMT: tell_format(camera, value); return 0;
-    case VIDIOC_S_PARM:
-    case VIDIOC_G_PARM: {
+    case VIDIOC_S_PARM: {
         struct v4l2_streamparm *asked = value;
+        struct v4l2_fract *wanted = &asked->parm.capture.timeperframe;
+        if (camera->profile.is_range && wanted->numerator)
+            camera->now.fps = wanted->denominator / wanted->numerator;
         asked->parm.capture.timeperframe.numerator = 1;
         asked->parm.capture.timeperframe.denominator = camera->now.fps ? camera->now.fps : 30;
         return 0;

@@ -4,18 +4,20 @@
 
 LeRobot pins older releases of torch, numpy and PyAV than the station uses, so the two cannot share an environment.
 FOLDER gets a virtual environment with it (5.4 GB, minutes), or is used when it has one. What is printed was read by
-LeRobot alone. It reads v3.0; a v2.1 set is for GR00T and openpi.
+LeRobot alone: by the newest release for v3.0, for v2.1 by the last one that reads it, whose loader openpi has.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
-LEROBOT = "lerobot[dataset]==0.6.1"  # needs Python 3.12
+RELEASES = {"v3.0": ("lerobot[dataset]==0.6.1", "python3.12"), "v2.1": ("lerobot==0.3.3", "python3.11")}
+"""What reads a layout, and a Python that it runs on."""
 
 
 def main() -> int:
@@ -23,14 +25,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("dataset", type=Path, help="folder that `station export lerobot` made")
     parser.add_argument("--env", type=Path, help="folder of the environment; made when it is not there")
-    parser.add_argument("--python", default="python3.12", help="for a new environment")
+    parser.add_argument("--python", help="for a new environment; 3.12 for v3.0, 3.11 for v2.1 unless it is given")
     asked = parser.parse_args()
     if asked.env is None:
         return look(asked.dataset.absolute())
     inside = asked.env / "bin/python"
+    release, python = RELEASES[json.loads((asked.dataset / "meta/info.json").read_text())["codebase_version"]]
     if not inside.exists():
-        subprocess.run([asked.python, "-m", "venv", str(asked.env)], check=True)
-        subprocess.run([str(inside), "-m", "pip", "install", LEROBOT], check=True)
+        subprocess.run([asked.python or python, "-m", "venv", str(asked.env)], check=True)
+        subprocess.run([str(inside), "-m", "pip", "install", release], check=True)
     return subprocess.run([str(inside), __file__, str(asked.dataset)], check=False).returncode
 
 
@@ -46,7 +49,8 @@ def look(root: Path) -> int:
     meta = dataset.meta
     say(f"{meta.total_episodes} episodes, {meta.total_frames} rows at {meta.fps} Hz, {meta.robot_type}")
     splits = meta.info["splits"] if isinstance(meta.info, dict) else meta.info.splits
-    say(f"splits {splits}; tasks {list(meta.tasks.index)}")
+    tasks = list(meta.tasks.values()) if isinstance(meta.tasks, dict) else list(meta.tasks.index)
+    say(f"splits {splits}; tasks {tasks}")
     row = dataset[len(dataset) // 2]
     for name in sorted(row):
         value = row[name]
@@ -64,10 +68,22 @@ def look(root: Path) -> int:
     shift = (torch.stack([dataset[k]["timestamp"] for k in (0, 1)]).diff() * meta.fps).item()
     say(f"rows are {shift:.3f} periods apart; statistics of {len(meta.stats)} columns, quantiles "
         f"{'q01' in meta.stats['observation.state']}")  # fmt: skip
-    features: Any = importlib.import_module("lerobot.utils.feature_utils")
-    found = features.dataset_to_policy_features(meta.features)
+    found = policy_features(meta.features)
     say("as inputs and outputs of a policy: " + ", ".join(f"{k} {f.type.name}" for k, f in found.items()))
     return 0
+
+
+def policy_features(features: Any) -> dict[str, Any]:
+    """Return what LeRobot takes for inputs and outputs of a policy."""
+    import importlib
+
+    for name in ("lerobot.utils.feature_utils", "lerobot.datasets.utils"):  # where it is, and where it was
+        try:
+            found: Any = importlib.import_module(name).dataset_to_policy_features(features)
+        except (ModuleNotFoundError, AttributeError):
+            continue
+        return dict(found)
+    raise SystemExit("this LeRobot does not say what it takes for inputs and outputs of a policy")
 
 
 def say(line: str) -> None:

@@ -14,17 +14,20 @@ import pyarrow.parquet as pq
 import pytest
 
 from adapters.exports.kinds import LEROBOT
+from adapters.exports.lerobot.features import INDEX
 from adapters.exports.lerobot.kind import LeRobotOptions
 from adapters.exports.lerobot.modality import groups
+from adapters.exports.lerobot.plan import Camera
 from station.bus import contracts, keys
 from station.errors import EpisodeError
 from station.export import shards
 from station.export.kind import Source
-from station.export.run import Exported, Where, export
+from station.export.run import Exported, Where, export, preview
 from tests.episode.synthetic import ROBOT
 from tests.export.pictured import HEAD, number_in, walked
 
 IMAGE = "observation.images.head"
+AGE = "age_s.camera.head"
 
 
 def exported(sources: list[Source], out: Path, **options: Any) -> Exported:
@@ -60,7 +63,7 @@ def test_v30_has_the_files_types_and_names_that_lerobot_reads(tmp_path: Path) ->
     types = {field.name: str(field.type) for field in data.schema_arrow}
     assert types == {
         "observation.state": "fixed_size_list<element: float>[65]", "action": "fixed_size_list<element: float>[35]",
-        "age_s.observation.state": "float", "age_s.action": "float", f"age_s.{IMAGE}": "float", "time_ns": "int64",
+        "age_s.observation.state": "float", "age_s.action": "float", AGE: "float", "time_ns": "int64",
         "timestamp": "float", "frame_index": "int64", "episode_index": "int64", "index": "int64", "task_index": "int64",
     }  # fmt: skip
     assert set(info["features"]) == {*types, IMAGE}
@@ -96,7 +99,7 @@ def test_statistics_are_those_of_the_rows(tmp_path: Path, layout: str) -> None:
     rows = np.concatenate([np.array(pq.read_table(file).to_pydict()["observation.state"]) for file in files])
     found = json.loads((out / "meta/stats.json").read_text())
     state = found["observation.state"]
-    assert state["count"] == [len(rows)]
+    assert state.get("count") == ([len(rows)] if layout == "v3.0" else None)
     for name, expected in (("mean", rows.mean(0)), ("std", rows.std(0)), ("min", rows.min(0)), ("max", rows.max(0))):
         assert np.allclose(state[name], expected, atol=1e-6), name
     spread = rows.max(0) - rows.min(0)
@@ -122,6 +125,51 @@ def test_v21_has_a_file_and_a_video_per_episode_and_what_groot_asks_for(tmp_path
     assert modality["state"]["left_arm"] == {"start": 15, "end": 22}
     assert modality["action"]["root"] == {"start": 0, "end": 6}
     assert modality["video"] == {"head": {"original_key": IMAGE}}
+
+
+def test_whatever_has_image_in_its_name_has_the_statistics_of_pictures_or_lerobot_refuses_the_set(
+    tmp_path: Path,
+) -> None:
+    exported(two(tmp_path / "data"), out := tmp_path / "set", layout="v2.1")
+    lines = [json.loads(line) for line in (out / "meta/episodes_stats.jsonl").read_text().splitlines()]
+    assert [line["episode_index"] for line in lines] == [0, 1]
+    for line in lines:
+        assert set(line["stats"]) == set(json.loads((out / "meta/info.json").read_text())["features"])
+        for column, found in line["stats"].items():
+            shapes = {name: np.array(values).shape for name, values in found.items()}
+            assert shapes.pop("count") == (1,)
+            assert set(shapes.values()) == {(3, 1, 1)} or "image" not in column, column
+    named = Camera(name="image_left", key="k", height=2, width=2)
+    assert "image" not in named.age_column
+
+
+def test_groot_can_cut_every_statistic_into_the_parts_of_the_body(tmp_path: Path) -> None:
+    exported(two(tmp_path / "data"), out := tmp_path / "set", layout="v2.1")
+    modality, found = (json.loads((out / f"meta/{name}.json").read_text()) for name in ("modality", "stats"))
+    for part, column in (("state", "observation.state"), ("action", "action")):
+        assert {"min", "max", "mean", "std", "q01", "q99"} <= set(found[column])
+        ends = max(span["end"] for span in modality[part].values())
+        assert {len(values) for values in found[column].values()} == {ends}
+
+
+def test_cameras_that_only_later_episodes_have_are_told_of_unless_others_were_asked_for(tmp_path: Path) -> None:
+    blind = walked(tmp_path / "data", 1, seconds=0.5, camera_hz=0)
+    sources = [blind, walked(tmp_path / "data", 2, seconds=0.5)]
+    (note,) = exported(sources, tmp_path / "a").facts["notes"]
+    assert note.startswith("1 of 2 episodes (2026-11-21-g1-walk-0002 first) have cameras that the first one has not")
+    assert "not in the data set: head; with --camera" in note
+    assert exported(sources, tmp_path / "b", camera=("none",)).facts["notes"] == []
+
+
+def test_every_column_is_told_of_before_anything_is_written(tmp_path: Path) -> None:
+    sources = two(tmp_path / "data")
+    seen = preview(LEROBOT, sources, LeRobotOptions(min_quality="any"), where=Where(jobs=1))
+    assert LEROBOT.columns is not None
+    told = "\n".join(LEROBOT.columns(seen.plan))
+    exported(sources, out := tmp_path / "set")
+    features = set(json.loads((out / "meta/info.json").read_text())["features"]) - set(INDEX)
+    assert {name for name in features if name not in told} == set()
+    assert f"{IMAGE}: {HEAD}, 160x96" in told
 
 
 def test_groups_of_every_contract_cover_it_without_a_gap() -> None:
@@ -171,7 +219,7 @@ def test_a_picture_that_cannot_be_read_is_replaced_and_its_age_says_so(tmp_path:
     shown = pictures(out / f"videos/{IMAGE}/chunk-000/file-000.mp4")
     assert 20 not in shown
     ages = np.array(rows["time_ns"]) * 1e-9 - (1_795_000_000 + 0.083 + np.array(shown) / 30)
-    assert np.allclose(ages, rows[f"age_s.{IMAGE}"], atol=1e-5)
+    assert np.allclose(ages, rows[AGE], atol=1e-5)
     assert "1 could not be read" in (out / "README.md").read_text()
 
 

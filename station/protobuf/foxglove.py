@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
-from station.enrich import protobuf
-from station.enrich.protobuf import TIMESTAMP, Field, Schema
 from station.life.events import Event, Severity
+from station.protobuf import schema as types
+from station.protobuf.schema import TIMESTAMP, Field, Schema
 
 _NANOSECONDS = 1_000_000_000
 _VECTOR3, _QUATERNION, _POSE = "foxglove.Vector3", "foxglove.Quaternion", "foxglove.Pose"
@@ -54,18 +54,11 @@ def schema(name: str) -> Schema:
     order: list[str] = []
     _visit(name, order)
     files = [
-        protobuf.timestamp_file() if used == TIMESTAMP else
-        protobuf.message_file(used, _TYPES[used], enums=_ENUMS.get(used, ()))
+        types.timestamp_file() if used == TIMESTAMP else
+        types.message_file(used, _TYPES[used], enums=_ENUMS.get(used, ()))
         for used in order
     ]  # fmt: skip
-    return Schema(name, protobuf.file_set(files))
-
-
-def image(jpeg: bytes, captured_ns: int, camera: str) -> bytes:
-    """Return a picture: a whole JPEG file, when it was taken [ns since the epoch], and whose it is."""
-    message = _stamped(COMPRESSED_IMAGE, captured_ns)
-    message.data, message.format, message.frame_id = jpeg, "jpeg", camera
-    return bytes(message.SerializeToString())
+    return Schema(name, types.file_set(files))
 
 
 def log(event: Event, time_ns: int) -> bytes:
@@ -112,7 +105,7 @@ def _visit(name: str, order: list[str]) -> None:
 
 @cache
 def _class(name: str) -> Any:
-    return protobuf.message_class(schema(name))
+    return types.message_class(schema(name))
 
 
 def _stamped(name: str, time_ns: int) -> Any:

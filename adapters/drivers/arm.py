@@ -1,0 +1,232 @@
+"""The drivers `arm-joints` and `arm-tcp`: a seven-axis arm, joint by joint or by its tool.
+
+Both are one driver that begins in another mode; the mode button goes from the joints near the base to those of the
+wrist to the tool. What is asked for is a running target of the joints, absolute and never wrapped: it moves by what the
+operator asks in a tick, within soft limits and no faster than told, and stands where it is when he lets go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from adapters.commands.arm import arm_command
+from adapters.drivers import arm_input
+from adapters.drivers.arm_input import ArmInput, Choice
+from adapters.drivers.arm_options import ArmOptions
+from adapters.drivers.arm_tool import ArmTool
+from adapters.robots import arm_limits
+from adapters.robots.kassow import kinematics
+from station import rotations
+from station.bus.joints import ARM_7
+from station.errors import ConfigError
+from station.operator import deltas
+from station.operator.deadman import Snapshot
+from station.operator.driver import Look
+from station.operator.reading import Pose, Reading
+from station.protocols import CommandFormat, Floats
+
+MAKER = "kassow"
+
+BASE, WRIST, TOOL = "joints 1-4", "joints 5-7", "tool"
+MODES = (BASE, WRIST, TOOL)
+
+APART_RAD = 0.8
+"""A leader farther from the arm may not begin to drive it; as in GELLO [rad]."""
+
+_TURNED_BY_TWIST = {
+    BASE: {0: (5, 1.0), 1: (0, 1.0), 2: (3, 1.0), 3: (2, -1.0)},
+    WRIST: {4: (3, 1.0), 5: (4, 1.0), 6: (5, 1.0)},
+}
+"""By mode, which joint is turned by which axis of a twist vx vy vz wx wy wz, and which way: the cap turned turns the
+base, pushed forwards it leans the arm forwards, tilted sideways it rolls the upper arm, lifted it lifts the forearm; at
+the wrist tilting and turning do what they do to the cap."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Anchor:
+    """From where movements are counted: since driving or the mode began.
+
+    Attributes:
+        snapshot: The dead-man's.
+        mode: What moves.
+        poses: The operator's hand, and head.
+        tool: Where the tool was.
+    """
+
+    snapshot: Snapshot[ArmInput, Floats]
+    mode: str
+    poses: Mapping[str, Pose]
+    tool: Pose | None
+
+
+class ArmDriver:
+    """Implements `station.operator.driver.Driver`.
+
+    Args:
+        name: Registered name.
+        options: What is driven, and how fast.
+        begins: Whether it begins with the joints or with the tool.
+
+    Raises:
+        ConfigError: no limits of the model are known, it is slower than asked for, or it begins with the tool of a
+            model whose kinematics are not known.
+        BadFile: the file of limits cannot be read.
+    """
+
+    def __init__(self, name: str, options: ArmOptions, begins: Literal["joints", "tool"]) -> None:
+        self.name, self._options = name, options
+        self._limits = arm_limits.load(MAKER, options.model, options.limits)
+        slowest = float(self._limits.qd_max.min())
+        if options.speed_rad_s > slowest:
+            raise ConfigError(f"speed_rad_s is {options.speed_rad_s:g}; the slowest joint does {slowest:.3g} rad/s")
+        robot = "_".join(filter(None, (MAKER, options.model, options.name)))
+        self._form = arm_command(MAKER, self._limits, speed_rad_s=options.speed_rad_s, robot=robot)
+        self._tool = _tool(options) if begins == "tool" or options.model in kinematics.MODELS else None
+        self._modes = MODES if self._tool is not None else MODES[:-1]
+        self._mode = TOOL if begins == "tool" else BASE
+        self._choice = Choice()
+        self._anchor: _Anchor | None = None
+        self._q: Floats = np.array(self._form.default)
+        self._lower, self._upper = self._form.lower, self._form.upper
+
+    @property
+    def form(self) -> CommandFormat:
+        """Seven joints."""
+        return self._form
+
+    @property
+    def mode(self) -> str:
+        """What moves: ``joints 1-4``, ``joints 5-7`` or the ``tool``."""
+        return self._mode
+
+    @property
+    def target(self) -> Floats:
+        """Joints that are asked for, shape (7,) [rad]."""
+        return self._q.copy()
+
+    @property
+    def companions(self) -> Mapping[str, Floats]:
+        """Nothing stands beside the command."""
+        return self._form.companions
+
+    @property
+    def is_still(self) -> bool:
+        """A target that nobody moves stands."""
+        return True
+
+    def look(self, reading: Reading) -> Look:
+        """A leader, a tracked hand, a twist or controls are needed; a leader near the arm, for a beginning."""
+        found = self._input(reading)
+        if isinstance(found, str):
+            return Look(None, found)
+        if found.joints is None:
+            return Look(found)
+        far = [
+            f"{name} by {way:+.2f}"
+            for name, way in zip(ARM_7, (self._q - found.joints).tolist(), strict=True)
+            if abs(way) > APART_RAD
+        ]
+        return Look(found, objection=f"leader is too far from the arm; move it (rad): {', '.join(far)}" if far else "")
+
+    def jump(self, before: ArmInput, now: ArmInput) -> str:
+        """Return what jumped, or ""; a device that drives by another part of its samples has lost the one before."""
+        return arm_input.jump(before, now)
+
+    def next_mode(self) -> str:
+        """Go on to the next mode; what moved before stays."""
+        self._mode = self._modes[(self._modes.index(self._mode) + 1) % len(self._modes)]
+        if self._mode != TOOL and self._mode != _mode_of(self._choice.joint):
+            self._choice.joint = min(_TURNED_BY_TWIST[self._mode])
+        return self._mode
+
+    def step(self, reading: Reading | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+        """Go on for a period; without a snapshot the target stands."""
+        if reading is not None and self._mode != TOOL:
+            self._choice.step(reading.controls)
+            self._mode = _mode_of(self._choice.joint)
+        anchor = self._anchor
+        if snapshot is None or reading is None:
+            self._anchor = None
+        elif anchor is None or anchor.snapshot is not snapshot or anchor.mode != self._mode:
+            self._anchor = self._anchored(snapshot, reading)  # the command of this tick is the one before it
+        else:
+            self._q = np.clip(self._moved(reading, anchor, dt_s), self._lower, self._upper)
+        return self._q.copy()
+
+    def take_up(self, command: Floats) -> None:
+        """Go on from where the arm stands; one that stands outside its soft limits may only come in."""
+        self._q = np.array(command)
+        self._lower = np.minimum(self._form.lower, self._q)
+        self._upper = np.maximum(self._form.upper, self._q)
+
+    def facts(self) -> dict[str, Any]:
+        """Name, options, modes and limits."""
+        options = msgspec.to_builtins(self._options, enc_hook=str)
+        return {"driver": self.name, **options, "modes": list(self._modes), "limits": self._limits.facts()}
+
+    def _input(self, reading: Reading) -> ArmInput | str:
+        needs_head = self._options.heading == "head"
+        return arm_input.of(reading, self._options.hand, needs_head=needs_head, is_tool=self._mode == TOOL)
+
+    def _anchored(self, snapshot: Snapshot[ArmInput, Floats], reading: Reading) -> _Anchor:
+        found, pose = self._input(reading), None
+        if self._mode == TOOL and self._tool is not None:
+            self._tool.rest(self._q)
+            pose = self._tool.pose(self._q)
+        poses = found.poses if isinstance(found, ArmInput) and found.poses is not None else {}
+        return _Anchor(snapshot, self._mode, poses, pose)
+
+    def _moved(self, reading: Reading, anchor: _Anchor, dt_s: float) -> Floats:
+        """Return the joints after a period [s]; those of a sample that moves nothing, or holds nothing, stand."""
+        found, reach = self._input(reading), self._options.speed_rad_s * dt_s
+        if isinstance(found, str):
+            return self._q
+        if found.joints is not None:
+            return self._q + np.clip(found.joints - self._q, -reach, reach)
+        if self._tool is not None and anchor.tool is not None:
+            return self._moved_by_tool(self._tool, reading, found, anchor, dt_s)
+        way = np.zeros(len(ARM_7))
+        if reading.twist is None:
+            way[self._choice.joint] = arm_input.jog(reading.controls)
+        else:
+            for joint, (axis, sign) in _TURNED_BY_TWIST[self._mode].items():
+                way[joint] = sign * min(max(float(reading.twist[axis]), -1.0), 1.0)
+        return self._q + way * reach
+
+    def _moved_by_tool(self, tool: ArmTool, reading: Reading, found: ArmInput, anchor: _Anchor, dt_s: float) -> Floats:
+        options, hand = self._options, self._options.hand
+        assert anchor.tool is not None
+        if found.poses is not None and hand in anchor.poses:
+            forward = anchor.poses.get("head")
+            looks = float(rotations.roll_pitch_yaw(forward.quat_wxyz)[2]) if forward is not None else 0.0
+            goal = deltas.followed(
+                anchor.tool, anchor.poses[hand], found.poses[hand],
+                scale=options.scale, heading_rad=looks - options.facing_rad,
+            )  # fmt: skip
+            return tool.follow(self._q, goal, dt_s, self._lower, self._upper)
+        deflection = arm_input.tool_deflection(reading)
+        axes = tool.pose(self._q).quat_wxyz if options.frame == "tool" else _about_z(options.facing_rad)
+        return tool.twist(self._q, deflection, axes, dt_s, self._lower, self._upper)
+
+
+def _mode_of(joint: int) -> str:
+    return BASE if joint in _TURNED_BY_TWIST[BASE] else WRIST
+
+
+def _about_z(radians: float) -> Floats:
+    return rotations.from_rotation_vector(np.array([0.0, 0.0, radians]))
+
+
+def _tool(options: ArmOptions) -> ArmTool:
+    return ArmTool(
+        kinematics.chain(options.model).with_tool(options.tip),
+        speed_rad_s=options.speed_rad_s,
+        tool_mps=options.tool_mps,
+        tool_rad_s=options.tool_rad_s,
+        box=np.array([options.box_lower, options.box_upper]),
+    )

@@ -1,0 +1,133 @@
+"""What an operator's device asks of an arm: a leader's joints, a hand, a twist, or sticks and keys."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from adapters.drivers.sticks import live, summed
+from station.bus.joints import ARM_7
+from station.operator import deltas
+from station.operator.reading import Pose, Reading, Side
+from station.protocols import Floats
+
+Kind = Literal["leader", "hand", "twist", "controls"]
+
+LEADER_JUMP_RAD = 0.8
+"""Between two samples; a servo that restarts comes back a turn off [rad]."""
+
+_FORWARD = {"left_stick_y": 1.0, "key_w": 1.0, "key_s": -1.0}
+_LEFT = {"left_stick_x": -1.0, "key_a": 1.0, "key_d": -1.0}
+_UP = {"right_stick_y": 1.0, "key_page_up": 1.0, "key_page_down": -1.0}
+_ROLL_RIGHT = {"dpad_right": 1.0, "dpad_left": -1.0, "key_period": 1.0, "key_comma": -1.0}
+_PITCH_DOWN = {"dpad_down": 1.0, "dpad_up": -1.0, "key_k": 1.0, "key_i": -1.0}
+_TURN_LEFT = {"right_stick_x": -1.0, "key_j": 1.0, "key_l": -1.0}
+_TOOL = (_FORWARD, _LEFT, _UP, _ROLL_RIGHT, _PITCH_DOWN, _TURN_LEFT)
+
+_JOG = {"left_stick_y": 1.0, "dpad_up": 1.0, "dpad_down": -1.0, "key_up": 1.0, "key_down": -1.0}
+_NEXT = {"right_stick_x": 1.0, "dpad_right": 1.0, "dpad_left": -1.0, "key_right": 1.0, "key_left": -1.0}
+_CHOSEN = 0.5  # of a stick's way: beyond it the next joint is meant
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmInput:
+    """What a sample asks of an arm, and by which of its parts.
+
+    Attributes:
+        kind: The part that drives.
+        is_tool: Whether it drives the tool, and not joints.
+        joints: Of a leader, shape (7,) [rad].
+        poses: The hand by its side, and the head under ``head`` where it tells what is forward.
+    """
+
+    kind: Kind
+    is_tool: bool = False
+    joints: Floats | None = None
+    poses: Mapping[str, Pose] | None = None
+
+
+def of(reading: Reading, hand: Side, *, needs_head: bool, is_tool: bool) -> ArmInput | str:
+    """Return what a sample asks of an arm, or what it lacks.
+
+    Args:
+        reading: The sample.
+        hand: The hand that may drive.
+        needs_head: Whether the headset tells what is forward.
+        is_tool: Whether the tool is driven, and not joints.
+    """
+    if reading.joints is not None:
+        return "a leader arm drives joints and not the tool; change the mode" if is_tool else _leader(reading.joints)
+    if is_tool and (reading.left is not None or reading.right is not None or reading.head is not None):
+        return _hand(reading, hand, needs_head=needs_head)
+    if reading.twist is not None:
+        return ArmInput("twist", is_tool) if np.isfinite(reading.twist).all() else "the device sends no numbers"
+    return ArmInput("controls", is_tool) if reading.controls else "the device sends nothing that moves an arm"
+
+
+def jump(before: ArmInput, now: ArmInput) -> str:
+    """Return what jumped between two samples, or ""; what drives in another mode is counted from there."""
+    if before.is_tool != now.is_tool:
+        return ""
+    if before.kind != now.kind:
+        return f"the device sends {now.kind} and no {before.kind} any more"
+    if before.joints is not None and now.joints is not None:
+        change = np.abs(now.joints - before.joints)
+        worst = int(change.argmax())
+        if change[worst] > LEADER_JUMP_RAD:
+            limit = f"(limit {LEADER_JUMP_RAD:g})"
+            return f"{ARM_7[worst]} of the leader jumped {change[worst]:.2f} rad between two samples {limit}"
+    return deltas.jump(before.poses, now.poses) if before.poses and now.poses else ""
+
+
+def tool_deflection(reading: Reading) -> Floats:
+    """Return what a twist, or else sticks and keys ask of the tool: vx vy vz wx wy wz, -1 to 1, shape (6,)."""
+    if reading.twist is not None:
+        return np.clip(reading.twist, -1.0, 1.0)
+    return np.array([live(summed(reading.controls, signs)) for signs in _TOOL])
+
+
+def jog(controls: Mapping[str, float]) -> float:
+    """Return how fast sticks and keys turn the chosen joint, -1 to 1."""
+    return live(summed(controls, _JOG))
+
+
+class Choice:
+    """Which joint sticks and keys turn: a digit chooses it, arrows and a stick to the side go to the next.
+
+    Attributes:
+        joint: Index of the joint, 0 to 6.
+    """
+
+    def __init__(self) -> None:
+        self.joint = 0
+        self._was = 0.0  # where the stick stood: what is held was counted
+
+    def step(self, controls: Mapping[str, float]) -> None:
+        """Look at the controls."""
+        for index in range(len(ARM_7)):
+            if controls.get(f"key_{index + 1}", 0.0) > _CHOSEN:
+                self.joint = index
+        way = summed(controls, _NEXT)
+        if abs(way) > _CHOSEN >= abs(self._was):
+            self.joint = (self.joint + (1 if way > 0.0 else -1)) % len(ARM_7)
+        self._was = way
+
+
+def _leader(joints: Floats) -> ArmInput | str:
+    count = len(ARM_7)
+    if len(joints) not in (count, count + 1) or not np.isfinite(joints).all():  # the last one is a gripper's
+        return f"the leader sends {len(joints)} values, expected {count} joints, and a gripper or none"
+    return ArmInput("leader", joints=joints[:count])
+
+
+def _hand(reading: Reading, hand: Side, *, needs_head: bool) -> ArmInput | str:
+    found: dict[str, Pose | None] = {hand: reading.left if hand == "left" else reading.right}
+    if needs_head:
+        found["head"] = reading.head
+    flaws = [f"{name} {flaw}" for name, pose in found.items() if (flaw := deltas.flaw(pose))]
+    return (
+        "; ".join(flaws) if flaws else ArmInput("hand", True, poses={n: p for n, p in found.items() if p is not None})
+    )

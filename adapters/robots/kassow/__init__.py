@@ -1,0 +1,1 @@
+"""Seven-axis arms of Kassow Robots, behind a controller of their own."""

@@ -1,0 +1,31 @@
+# Chooses what the bridge is linked with: kord-api, or the simulator that has the same names.
+# Sets STATION_KORD_LIBRARY, STATION_KORD_BACKEND_SOURCES and STATION_KORD_IS_SIM.
+
+set(STATION_KORD_LIBRARY "")
+if(NOT STATION_KORD_BACKEND MATCHES "^(auto|sim|kord)$")
+    message(FATAL_ERROR "STATION_KORD_BACKEND is '${STATION_KORD_BACKEND}'; it must be auto, sim or kord")
+endif()
+if(NOT STATION_KORD_BACKEND STREQUAL "sim")
+    # Packages of kord-api spell their name in two ways.
+    foreach(package kord_api kord-api)
+        find_package(${package} CONFIG QUIET)
+        if(TARGET ${package}::${package})
+            set(STATION_KORD_LIBRARY ${package}::${package})
+            break()
+        endif()
+    endforeach()
+endif()
+if(STATION_KORD_BACKEND STREQUAL "kord" AND NOT STATION_KORD_LIBRARY)
+    message(FATAL_ERROR "kord-api is neither there as kord_api nor as kord-api; name its folder with CMAKE_PREFIX_PATH")
+endif()
+
+if(STATION_KORD_LIBRARY)
+    set(STATION_KORD_IS_SIM OFF)
+    set(STATION_KORD_BACKEND_SOURCES src/backend_kord.cpp)
+else()
+    set(STATION_KORD_IS_SIM ON)
+    set(STATION_KORD_BACKEND_SOURCES src/backend_sim.cpp src/simulated_time.cpp)
+    add_subdirectory(sim)
+    set(STATION_KORD_LIBRARY kord_sim)
+endif()
+message(STATUS "station_kord: linked with ${STATION_KORD_LIBRARY}")

@@ -1,0 +1,77 @@
+// A controller, its clock, and all who have to do with it: one session, and whoever disturbs or watches it.
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <vector>
+
+#include "controller.hpp"
+#include "trace.hpp"
+
+namespace kordsim {
+
+class Plant {
+public:
+    explicit Plant(const Options& options);
+
+    const Options& options() const { return options_; }
+
+    // A session within this process. `wait` is waitSync: it lets time pass until the next heartbeat.
+    void open();
+    void close();
+    bool wait(std::chrono::microseconds timeout, Status& heard);
+    void receive(const Command& command);
+    void receive(const Clear& clear);
+    Status look();
+
+    // A session through a socket has its time from `tick`, which tells whether a heartbeat goes out.
+    bool tick(int64_t time_ns, Status& told);
+    void waited();
+
+    // The virtual clock: let ticks pass and wait until the session has finished each; false where it runs free.
+    bool step(int64_t ticks);
+    void run_free(bool is_free);  // whether it stops nobody
+    int64_t now_ns() const;
+
+    void delay_commands(int count);
+    void emergency_stop(bool is_pressed);
+    void confirm();
+    void raise_event(uint32_t condition);
+    void silence(bool is_silent);
+    int64_t ticks();
+    bool is_moving();
+    std::vector<TraceRow> trace(int64_t rows);
+
+private:
+    bool wait_virtual(int64_t ticks, Status& heard);
+    bool wait_wall(std::chrono::microseconds timeout, Status& heard);
+    bool advance(int64_t time_ns, Status& told);
+    void remember();
+
+    const Options options_;
+    mutable std::mutex mutex_;
+    Controller controller_;
+    bool is_silent_ = false;
+    std::vector<TraceRow> trace_;
+    int64_t rows_ = 0;
+
+    int64_t begun_ns_ = 0, passed_ = 0;  // the wall clock's
+
+    std::condition_variable changed_;
+    int64_t granted_ = 0;
+    std::atomic<int64_t> virtual_ns_{0};
+    bool is_free_ = false, is_waiting_ = false;
+};
+
+// Plants of this process by name, which is what a session has for a host.
+std::string enroll(const std::shared_ptr<Plant>& plant);
+std::shared_ptr<Plant> find(const std::string& name);
+
+int64_t monotonic_ns();
+void sleep_until(int64_t instant_ns);
+
+}  // namespace kordsim

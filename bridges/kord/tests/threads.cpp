@@ -1,0 +1,165 @@
+// K12, K13, K14, and a controller behind a socket: where threads and processes meet.
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <chrono>
+#include <cstdlib>
+#include <thread>
+
+#include "arm.hpp"
+#include "check.hpp"
+#include "server.hpp"
+
+using namespace tests;
+
+namespace {
+
+constexpr auto kPatience = std::chrono::seconds(60);
+
+void await(const char* what, const std::function<bool()>& condition) {
+    const auto until = std::chrono::steady_clock::now() + kPatience;
+    while (!condition()) {
+        if (std::chrono::steady_clock::now() > until) checks::fail(__FILE__, __LINE__, what);
+        std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+}
+
+}  // namespace
+
+TEST(k12_the_loop_keeps_its_rate_on_the_wall_clock) {
+    Setup setup;
+    setup.is_virtual = false;
+    setup.real_time_priority = 70;
+    setup.options.window_us = 1e6;  // a sanitizer is slow; lateness is not what this is about
+    Arm arm(setup);
+    const Joints begin = arm.state().q;
+    State before = arm.state();
+    await("250 Hz within 2 %", [&] {
+        State now = arm.state();
+        Joints q = begin;
+        q[0] += 0.05 * std::sin(static_cast<double>(now.tick) * 0.02);
+        arm.bridge().stream_j(q);
+        if (now.tick - before.tick < 500) return false;
+        const double seconds = static_cast<double>(now.mono_ns - before.mono_ns) * 1e-9;
+        const double rate = static_cast<double>(now.tick - before.tick) / seconds;
+        before = now;
+        return std::abs(rate - 250) < 5 && now.stream_j_sends > 100;
+    });
+}
+
+TEST(k13_targets_of_another_thread_are_never_mixed) {
+    Setup setup;
+    setup.profile = time250();
+    setup.options.buffer_len = 100'000;
+    Arm arm(setup);
+    std::atomic<bool> stops{false};
+    std::atomic<int> torn{0};
+    std::thread writer([&] {
+        for (int64_t number = 0; !stops; ++number) {
+            Joints q{};
+            for (size_t joint = 0; joint < q.size(); ++joint)
+                q[joint] = 1e-6 * static_cast<double>(number % 1000) + 1e-4 * static_cast<double>(joint);
+            arm.bridge().stream_j(q);
+        }
+    });
+    std::thread reader([&] {
+        while (!stops) {
+            const State state = arm.state();
+            torn += state.mono_ns != state.tick * 4'000'000;
+        }
+    });
+    int different = 0;
+    double last = -1;
+    const auto until = std::chrono::steady_clock::now() + kPatience;
+    while (different < 500 && std::chrono::steady_clock::now() < until) {
+        const State state = arm.step();
+        if (state.stream_j_sends == 0) continue;
+        different += state.q_sent[0] != last;
+        last = state.q_sent[0];
+        for (size_t joint = 1; joint < state.q_sent.size(); ++joint)
+            CHECK_NEAR(state.q_sent[joint] - state.q_sent[0], 1e-4 * static_cast<double>(joint), 1e-12);
+    }
+    stops = true;
+    writer.join();
+    reader.join();
+    CHECK(different >= 500 && torn == 0 && arm.state().event_count == 0);
+}
+
+TEST(k13_all_that_may_be_called_from_any_thread_is) {
+    Setup setup;
+    setup.is_virtual = false;
+    setup.options.window_us = 1e6;
+    Arm arm(setup);
+    std::atomic<bool> stops{false};
+    std::thread others([&] {
+        while (!stops) {
+            arm.bridge().set_throttle(2);
+            arm.bridge().hold();
+            arm.bridge().trace(50);
+            arm.bridge().real_time();
+            arm.plant().trace(50);
+            arm.plant().ticks();
+        }
+    });
+    Joints q = arm.state().q;
+    const int64_t until = arm.state().tick + 250;
+    await("ticks", [&] {
+        q[0] += 1e-5;
+        arm.bridge().stream_j(q);
+        return arm.state().tick > until;
+    });
+    stops = true;
+    others.join();
+    arm.bridge().disengage();
+    arm.bridge().close();
+}
+
+TEST(k14_what_is_not_granted_is_told) {
+    const rlimit none{0, 0};
+    setrlimit(RLIMIT_RTPRIO, &none);
+    Setup setup;
+    setup.is_virtual = false;
+    setup.real_time_priority = 99;
+    Arm arm(setup);
+    const std::string told = arm.bridge().real_time();
+    CHECK(arm.state().sched_fifo_granted == (told.rfind("SCHED_FIFO", 0) == 0));
+    CHECK(geteuid() == 0 || told.rfind("normal scheduling (", 0) == 0);
+    const int64_t tick = arm.state().tick;
+    await("ticks", [&] { return arm.state().tick > tick + 20; });
+}
+
+TEST(a_session_through_a_socket_that_ends_in_motion_leaves_the_arm_at_rest) {
+    char folder[] = "/tmp/kordXXXXXX";
+    CHECK(mkdtemp(folder) != nullptr);
+    const std::string path = std::string(folder) + "/s";
+    kordsim::Options options;
+    options.window_us = 1e6;
+    auto plant = std::make_shared<kordsim::Plant>(options);
+    kordsim::Server server(path, plant, 0);
+    CHECK(server.start().empty());
+    {
+        station_kord::BridgeConfig config;
+        config.host = "unix:" + path;
+        config.q_min = options.q_min;
+        config.q_max = options.q_max;
+        config.qd_max.fill(2.0);
+        config.qdd_max.fill(10.0);
+        config.profile = speed125();
+        config.is_simulated = true;
+        Bridge bridge(config, {});
+        bridge.connect(10.0);
+        Joints q = bridge.engage();
+        q[0] += 1.0;
+        bridge.move_j(q, 0.2);
+        await("motion", [&] { return plant->is_moving() && plant->trace(1)[0].qd[0] > 0.01; });
+    }
+    const int64_t gone = plant->ticks();
+    await("rest", [&] { return !plant->is_moving(); });
+    int64_t last = gone;
+    for (const auto& row : plant->trace(-1))
+        if (row.qd[0] != 0) last = row.tick;
+    CHECK(last - gone <= 50);
+    server.stop();
+    CHECK(rmdir(folder) == 0);
+}

@@ -1,0 +1,142 @@
+"""What an arm behind a controller of its own is to the rest of the station.
+
+The controller keeps the time, and a session in native code speaks with it; Python hands targets to that session and
+reads states from it, and waits for nothing. SI units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from station.bus import joints, keys
+from station.errors import ConfigError, StationError
+from station.protocols import Floats, Reference
+
+
+def kord() -> Any:
+    """Import and return `station_kord`, the native bridge to Kassow controllers and their simulator.
+
+    Raises:
+        StationError: it is not installed, or was built for another Python.
+    """
+    try:
+        import station_kord
+    except ImportError as error:
+        raise StationError(
+            f"the bridge to Kassow controllers is not installed ({error}); build it in the station's folder with "
+            "`pip install ./bridges/kord` (needs a C++17 compiler and CMake)"
+        ) from None
+    return station_kord
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmState:
+    """What the session knew at one instant.
+
+    Attributes:
+        mono_ns: When it was read, on this machine's monotonic clock [ns].
+        q: Joint positions, shape (n,) [rad].
+        is_moving: Whether the controller still moves the arm.
+        fault: Why the controller takes no commands until somebody clears it, or "".
+        told: The session's own snapshot, for whoever publishes it.
+    """
+
+    mono_ns: int
+    q: Floats
+    is_moving: bool
+    fault: str
+    told: Any
+
+
+class ArmSession(Protocol):
+    """A session with an arm's controller; no call but `clear` waits for anything."""
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether nobody can stand beside this arm."""
+        ...
+
+    @property
+    def lead_rad(self) -> float:
+        """How far ahead of the arm a target may be [rad]: what it still goes when nothing more is sent."""
+        ...
+
+    def read(self) -> ArmState:
+        """Return the newest state."""
+        ...
+
+    def engage(self) -> str:
+        """Forget old targets and take new ones, from where the joints are; return why not, or ""."""
+        ...
+
+    def send(self, q: Floats) -> str:
+        """Hand over the newest target, shape (n,) [rad]; return why it was refused, or ""."""
+        ...
+
+    def release(self) -> None:
+        """Take no more targets: the arm finishes what it has, which is no more than `lead_rad`, and stays there."""
+        ...
+
+    def clear(self) -> str:
+        """Clear the controller's faults; return why they are not cleared, or "". Takes up to seconds."""
+        ...
+
+    def health(self) -> dict[str, Any]:
+        """Return what a server's heartbeat tells of the session."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointCommand:
+    """The command of an arm: absolute positions of its joints [rad] (`station.protocols.CommandFormat`).
+
+    Its arrays are read-only. An arm has no standing to go back to: without a command it stays where it is, and
+    `default` only tells the length of the vector and a place within its range.
+    """
+
+    name: str
+    robot: str
+    default: Floats
+    lower: Floats
+    upper: Floats
+    margin: Floats
+    rate: Floats
+    stays: bool = True
+
+    @classmethod
+    def within(cls, name: str, robot: str, *, lower: Floats, upper: Floats, margin: Floats, rate: Floats) -> Self:
+        """Return the command of a robot, given by its keys' suffix, between limits of shape (7,)."""
+        default = np.clip(np.zeros(len(lower)), lower, upper)
+        for array in (default, lower, upper, margin, rate):
+            array.flags.writeable = False
+        return cls(name, robot, default, lower, upper, margin, rate)
+
+    @property
+    def companions(self) -> Mapping[str, Floats]:
+        """Nothing goes beside an arm's command."""
+        return {}
+
+    @property
+    def key(self) -> str:
+        """Bus key of the command."""
+        return keys.action_joints(self.robot)
+
+    def encode(self, reference: Reference, joint_names: tuple[str, ...]) -> Floats:
+        """Return the joints of a reference that are the arm's, shape (7,).
+
+        Raises:
+            ConfigError: the reference lacks one of them.
+        """
+        for name in joints.ARM_7:
+            if name not in joint_names:
+                raise ConfigError(f"the motion has no joint {name!r}; the arm needs {', '.join(joints.ARM_7)}")
+        return np.array([reference.q[joint_names.index(name)] for name in joints.ARM_7])
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a manifest says of this command, so that what was sent can be derived again."""
+        arrays = {name: getattr(self, name).tolist() for name in ("lower", "upper", "margin", "rate")}
+        return {"format": self.name, "key": self.key, **arrays}

@@ -1,0 +1,215 @@
+"""Auditing an arm's episode: its commands go through the gate again, and what comes out is compared bit for bit.
+
+An arm has no policy; what decides its motion is the gate. Two questions. Do the recorded commands, at the recorded
+instants, give the recorded commands after the gate, and its states? And do those, with the recorded joints, give the
+recorded targets? With two times yes, the file holds everything that decided what was asked of the controller.
+
+Where nobody was followed nothing is derived: the recorded place of the arm is where the next derivation begins.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from station.arms import JointCommand
+from station.bus import codec, keys
+from station.bus.contracts import TIMING_STAGES
+from station.episode.reading.messages import Message
+from station.episode.reading.reader import EpisodeReader
+from station.episode.reading.steps import Step, StepJoiner
+from station.episode.replaying.audit import Comparison
+from station.errors import ConfigError, EpisodeError
+from station.life.gate import Gate, GateConfig
+from station.life.inlet import Checked, check_command
+from station.life.slew import Bounds
+from station.protocols import Floats
+
+_FOLLOWING = ("entering", "tracking", "holding")
+_REMEMBERED = 4096  # commands, of all writers: some seconds
+_ARRIVED, _OBSERVED = 2 + TIMING_STAGES.index("command_arrived"), 2 + TIMING_STAGES.index("observed")
+
+
+class ArmAudit(msgspec.Struct, kw_only=True):
+    """What an audit of an arm found.
+
+    Attributes:
+        episode_id, robot: What was audited.
+        steps: Ticks in the file.
+        followed: Those in which a command was followed.
+        commands: Commands after the gate, derived and recorded.
+        states_different: Followed ticks whose derived state of the gate is another.
+        targets: Targets, derived and recorded, in the ticks whose joints are in the file.
+        segments: Runs of followed ticks without a missing one; derivation starts anew at each.
+        incomplete: Followed ticks that cannot be derived: their command is not in the file, or had no number.
+    """
+
+    episode_id: str
+    robot: str
+    steps: int = 0
+    followed: int = 0
+    commands: Comparison = msgspec.field(default_factory=Comparison)
+    states_different: int = 0
+    targets: Comparison = msgspec.field(default_factory=Comparison)
+    segments: int = 0
+    incomplete: int = 0
+
+    @property
+    def is_equal(self) -> bool:
+        """Whether there was something to compare and every bit of it is the same."""
+        differ = self.commands.different + self.targets.different + self.states_different
+        return self.commands.compared > 0 and not differ
+
+
+def arm_of(reader: EpisodeReader, robot: str | None = None) -> str:
+    """Return the suffix of the arm in an episode, "" where there is none (or `robot` is no arm)."""
+    topics = set(reader.topics())
+    found = sorted(topic.removeprefix(keys.action_joints("")) for topic in topics
+                   if topic.startswith(keys.action_joints("")))  # fmt: skip
+    arms = [name for name in found if keys.target(name) in topics and robot in (None, name)]
+    if len(arms) > 1:
+        raise EpisodeError(f"episode {reader.episode_id}: several arms ({', '.join(arms)}); name one")
+    return arms[0] if arms else ""
+
+
+def audit_arm(reader: EpisodeReader, robot: str) -> ArmAudit:
+    """Derive an arm's targets again from its recorded commands, and compare.
+
+    Raises:
+        EpisodeError: the episode does not say what the arm's command and gate were.
+    """
+    form, config = _stated(reader, robot)
+    run = _Run(ArmAudit(episode_id=reader.episode_id, robot=robot), form, config)
+    joiner = StepJoiner(robot, context={keys.state_controller(robot)})
+    for message in reader.messages({*joiner.topics, form.key}):
+        if message.topic == form.key:
+            run.hear(message)
+        elif (step := joiner.feed(message)) is not None:
+            run.take(step)
+    for step in joiner.finish():
+        run.take(step)
+    return run.found
+
+
+def _stated(reader: EpisodeReader, robot: str) -> tuple[JointCommand, GateConfig]:
+    facts = next((one for one in reader.manifest.servers.values() if one.get("robot") == robot and "gate" in one), {})
+    stated = facts.get("command")
+    names = ("lower", "upper", "margin", "rate")
+    try:
+        arrays = {name: np.array(stated[name], dtype=np.float64) for name in names} if isinstance(stated, dict) else {}
+        if any(array.shape != (7,) or not np.isfinite(array).all() for array in arrays.values()) or not arrays:
+            raise ValueError("its limits are not seven numbers each")
+        return JointCommand.within("audit", robot, **arrays), msgspec.convert(facts.get("gate"), GateConfig)
+    except (KeyError, TypeError, ValueError, msgspec.ValidationError, ConfigError) as error:
+        raise EpisodeError(
+            f"episode {reader.episode_id}: its manifest does not say how commands of {robot} were limited ({error}); "
+            "it cannot be audited"
+        ) from None
+
+
+@dataclass
+class _Run:
+    """Follows the ticks of an episode with a gate of our own."""
+
+    found: ArmAudit
+    form: JointCommand
+    config: GateConfig
+    _commands: OrderedDict[int, list[Message]] = field(default_factory=OrderedDict)
+    _before: Step | None = None
+    _source: str = ""
+
+    def __post_init__(self) -> None:
+        bounds = Bounds.of(self.form, self.config.rate_factor)
+        self._gate = Gate(self.form.default, self.config, bounds, stays=True)
+
+    def hear(self, message: Message) -> None:
+        """Remember a command."""
+        self._commands.setdefault(message.sequence, []).append(message)
+        if len(self._commands) > _REMEMBERED:
+            self._commands.popitem(last=False)
+
+    def take(self, step: Step) -> None:
+        """Compare one tick."""
+        found, robot = self.found, self.found.robot
+        found.steps += 1
+        number = found.steps - 1
+        row, gate = _json(step, keys.policy_timing(robot)), _json(step, keys.command_gate(robot))
+        used, target = _vector(step, keys.command_used(robot)), _vector(step, keys.target(robot))
+        state = gate.get("state") if isinstance(gate, dict) else None
+        is_row = isinstance(row, list) and len(row) == 2 + len(TIMING_STAGES) and all(type(n) is int for n in row)
+        if used is None or target is None or not is_row:
+            self._before, found.incomplete = None, found.incomplete + 1
+            return
+        now_s = row[_OBSERVED] * 1e-9
+        follows_on = self._before is not None and step.number == self._before.number + 1
+        is_new_state = self._before is not None and step.state_number != self._before.state_number
+        self._before = step
+        if state not in _FOLLOWING or not follows_on:
+            self._rest(used, now_s)
+            return
+        found.followed += 1
+        found.segments += self._gate.state not in _FOLLOWING
+        self._derive(number, row, used, str(state))
+        if is_new_state and state != "holding":
+            self._compare_target(number, step, used, target)
+
+    def _rest(self, where: Floats, now_s: float) -> None:
+        """Begin anew from where the arm is."""
+        self._gate.reset()
+        self._gate.rest(where)
+        self._gate.step(now_s, None, np.inf)
+
+    def _derive(self, number: int, row: list[int], used: Floats, state: str) -> None:
+        now_s = row[_OBSERVED] * 1e-9
+        command = self._command(row[1], row[_ARRIVED])
+        if command is None:
+            self.found.incomplete += 1
+            self._gate.reset()
+            self._gate.rest(used)
+            self._gate.step(now_s, used, 0.0)
+            return
+        decision = self._gate.step(now_s, command, now_s - row[_ARRIVED] * 1e-9)
+        self.found.commands.add(number, used, decision.vector)
+        self.found.states_different += decision.state != state
+
+    def _command(self, seq: int, arrived_ns: int) -> Floats | None:
+        """Return the command of a number: of several writers' the one that a good one of them wrote last."""
+        for message in reversed(self._commands.get(seq, [])):
+            checked = check_command(message.data, self.form)
+            if isinstance(checked, Checked) and arrived_ns:
+                if self._source and message.channel.source != self._source:
+                    self._gate.change_hands("another commands")
+                self._source = message.channel.source
+                return checked.vector
+        return None
+
+    def _compare_target(self, number: int, step: Step, used: Floats, target: Floats) -> None:
+        robot = self.found.robot
+        joints = _vector(step, keys.state_joints(robot), size=21)
+        word = _parsed(step.before.get(keys.state_controller(robot)))
+        lead = word.get("lead_rad") if isinstance(word, dict) else None
+        if joints is None or not isinstance(lead, float):
+            return
+        self.found.targets.add(number, target, np.clip(used, joints[:7] - lead, joints[:7] + lead))
+
+
+def _vector(step: Step, key: str, size: int = 7) -> Floats | None:
+    data = step.values.get(key)
+    return codec.parse_f64(data) if data is not None and len(data) == 8 * size else None
+
+
+def _json(step: Step, key: str) -> Any:
+    return _parsed(step.values.get(key))
+
+
+def _parsed(data: bytes | None) -> Any:
+    if data is None:
+        return None
+    try:
+        return codec.parse_json(data)
+    except codec.BadValue:
+        return None

@@ -1,0 +1,79 @@
+"""Pictures in a file: each one a ``foxglove.CompressedImage`` around the exact bytes of its key.
+
+What stands around a picture is made by hand: the library would copy each one, and it would have to be loaded by the
+recorder. Numbers of fields are those of `station.protobuf.foxglove`.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from station.bus import keys
+from station.bus import stamp as stamps
+from station.bus.contracts import contract
+from station.episode.storage.channels import topic_of
+from station.protobuf.wire import bytes_of, varint
+
+FORMAT = "jpeg"
+
+_NANOSECONDS = 1_000_000_000
+_OLDEST_NS = 10 * _NANOSECONDS  # a capture that is older than this before its write is on another clock: says nothing
+_SECONDS, _NANOS = b"\x08", b"\x10"  # of a time stamp
+_TIMESTAMP, _DATA, _FORMAT, _FRAME_ID = b"\x0a", b"\x12", b"\x1a", b"\x22"
+_DATA_NUMBER = 2
+
+
+@lru_cache(maxsize=4096)
+def is_picture(key: str) -> bool:
+    """Whether the values of a key are pictures, by its contract."""
+    known = contract(key)
+    return known is not None and known.codec == FORMAT
+
+
+def camera_of(key: str) -> str:
+    """Return the name of the camera whose pictures a key holds; a key that is not named as ours are is its own."""
+    return topic_of(key).removeprefix(keys.camera_image(""))
+
+
+def captured_ns(publish_ns: int, stamp: bytes | None) -> int:
+    """Return when a picture was taken, on the clock of the episode; when it was written, where its stamp does not say.
+
+    Args:
+        publish_ns: When it was written, on the clock of the episode [ns].
+        stamp: The exact stamp of its write.
+    """
+    mark = stamps.decode(stamp) if stamp is not None else None
+    if mark is None or mark.capture_ns is None or not 0 <= mark.mono_ns - mark.capture_ns < _OLDEST_NS:
+        return publish_ns
+    return publish_ns - (mark.mono_ns - mark.capture_ns)
+
+
+def around(key: str, size: int, publish_ns: int, stamp: bytes | None) -> tuple[bytes, bytes]:
+    """Return what stands before and behind a picture of a key, of so many bytes; times as in `captured_ns`."""
+    return _before(captured_ns(publish_ns, stamp), size), _behind(camera_of(key))
+
+
+def _before(taken_ns: int, size: int) -> bytes:
+    seconds, nanos = divmod(max(0, taken_ns), _NANOSECONDS)
+    time = (_SECONDS + varint(seconds) if seconds else b"") + (_NANOS + varint(nanos) if nanos else b"")
+    return b"".join((_TIMESTAMP, varint(len(time)), time, _DATA, varint(size)))
+
+
+@lru_cache(maxsize=256)
+def _behind(camera: str) -> bytes:
+    name = camera.encode()
+    return b"".join((_FORMAT, varint(len(FORMAT)), FORMAT.encode(), _FRAME_ID, varint(len(name)), name))
+
+
+def compressed_image(jpeg: bytes, taken_ns: int, camera: str) -> bytes:
+    """Return a whole message: a picture, when it was taken [ns since the epoch], and whose it is."""
+    return _before(taken_ns, len(jpeg)) + jpeg + _behind(camera)
+
+
+def picture_in(message: bytes) -> bytes:
+    """Return the picture of a message, byte for byte.
+
+    Raises:
+        ValueError: it is none.
+    """
+    return bytes_of(message, _DATA_NUMBER)

@@ -1,0 +1,231 @@
+"""The MCAP files of an episode while they are written: signals, and pictures from the first one on. One thread."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from station.episode.storage import layout
+from station.episode.storage.anchor import Anchor, is_storable
+from station.episode.storage.atomic import sync_folder
+from station.episode.storage.drops import Drops, drops_record, streams_of
+from station.episode.storage.pictures import is_picture
+from station.episode.storage.progress import ResumePoint, Totals
+from station.episode.storage.records import metadata_at_head
+from station.episode.writing.checkpoint import Checkpoint, load_checkpoint
+from station.episode.writing.file import EpisodeFile
+from station.episode.writing.lag import Lag
+
+if TYPE_CHECKING:
+    from station.bus.tap.base import Write
+
+_DROPS_EVERY_S = 5.0  # a power cut may take so much of the counts of dropped writes; a kill takes none
+_TIE_NS = 1000  # a step back of the log time by no more than this came of keeping the order
+
+
+class EpisodeFiles:
+    """Takes the writes of an episode and puts each into its file.
+
+    Who reads them merges the files by log time, at equal times the signals first. That is the order of arrival, because
+    a signal behind a picture that arrived in the same instant is logged a nanosecond later.
+
+    Args:
+        folder: Where the file of pictures is made.
+        anchor: Clock of the files.
+        facts: What stands at the head of each: episode_id, task, started.
+        signals: The file of signals.
+        cameras: The file of pictures, where there is one.
+
+    Attributes:
+        signals, cameras: As above.
+        drops: Writes that belong before the end of the files and are not in them, refused ones included; the file of
+            signals tells of all of them.
+    """
+
+    def __init__(
+        self, folder: Path, anchor: Anchor, facts: Mapping[str, str], signals: EpisodeFile,
+        cameras: EpisodeFile | None = None,
+    ) -> None:  # fmt: skip
+        self.signals = signals
+        self.cameras = cameras
+        self.drops = signals.drops
+        self._folder = folder
+        self._anchor = anchor
+        self._facts = facts
+        self._last_ns = max(file.last_log_ns for file in self)
+        self._was_picture = False
+        self._noted_drops, self._drops_due = 0, 0.0
+
+    @classmethod
+    def create(cls, folder: Path, anchor: Anchor, facts: Mapping[str, str], manifest: bytes) -> EpisodeFiles:
+        """Create the file of signals.
+
+        Raises:
+            OSError: the disk refused it, or the file exists.
+        """
+        signals = EpisodeFile.create(folder / layout.ACTIVE, anchor, facts, manifest=manifest)
+        sync_folder(folder)
+        return cls(folder, anchor, facts, signals)
+
+    @classmethod
+    def reopen(cls, folder: Path, facts: Mapping[str, str], point: ResumePoint, *, is_exact: bool) -> EpisodeFiles:
+        """Go on with files that were never finished.
+
+        Args:
+            folder: Folder of the episode.
+            facts: As for `create`.
+            point: How far they are safe; the file of signals was there.
+            is_exact: Whether to go on exactly behind what is safe, else behind the last whole chunk of each.
+
+        Raises:
+            OSError: the disk refused it.
+            EpisodeError: one of them is damaged.
+        """
+        drops = Drops(point.drops)
+        opened: list[EpisodeFile] = []
+        try:
+            for names, size in ((layout.SIGNALS_NAMES, point.size), (layout.CAMERAS_NAMES, point.cameras_size)):
+                path = folder / names.active
+                if not (size or (path.exists() and not is_exact and metadata_at_head(path, layout.ANCHOR_RECORD))):
+                    path.unlink(missing_ok=True)  # it was not safe yet, not even its head; what was in it comes again
+                    continue
+                length = path.stat().st_size if path.exists() else 0
+                known = load_checkpoint(folder, names.final, min(length, size))
+                kept = size if is_exact else None
+                opened.append(
+                    EpisodeFile.reopen(path, point.anchor, size=kept, checkpoint=known, names=names, drops=drops)
+                )
+            return cls(folder, point.anchor, facts, *opened)
+        except BaseException:
+            for file in opened:
+                file.close()
+            raise
+
+    def __iter__(self) -> Iterator[EpisodeFile]:
+        """Iterate over the files that there are; signals last, so that what is said of them holds for all."""
+        if self.cameras is not None:
+            yield self.cameras
+        yield self.signals
+
+    @property
+    def messages(self) -> int:
+        """Messages, flushed or not."""
+        return sum(file.messages for file in self)
+
+    @property
+    def size(self) -> int:
+        """Bytes that the system has."""
+        return sum(file.size for file in self)
+
+    @property
+    def refused(self) -> int:
+        """Writes that could not be kept, because there were too many channels."""
+        return sum(file.refused for file in self)
+
+    @property
+    def pending_bytes(self) -> int:
+        """Size of the values since the last flush."""
+        return sum(file.pending_bytes for file in self)
+
+    @property
+    def unsynced_messages(self) -> int:
+        """Messages that are not on the disk yet."""
+        return sum(file.unsynced_messages for file in self)
+
+    def totals(self, dropped: int = 0, lag: Lag | None = None) -> Totals:
+        """Return the counters; `dropped` writes never came here, and `lag` is the writer's."""
+        channels = [channel for file in reversed([*self]) for channel in file.channels]
+        counted = [channel for channel in channels if channel.count]
+        return Totals(
+            messages=self.messages,
+            bytes=self.size,
+            dropped=dropped + self.refused,
+            first_ns=min((channel.first_ns for channel in counted), default=0),
+            last_ns=max((channel.last_ns for channel in counted), default=0),
+            streams=streams_of(channels, self.drops, self._anchor.wall_ns),
+            gaps=[gap for file in self for gap in file.gaps],
+            lag_p50_ms=lag.percentile_ms(50) if lag else None,
+            lag_p99_ms=lag.percentile_ms(99) if lag else None,
+        )
+
+    def checkpoints(self) -> dict[str, Checkpoint]:
+        """Return what is known of each file as far as it is flushed, by its name; nothing of one that is too much."""
+        found = {file.names.final: file.checkpoint() for file in self}
+        return {name: checkpoint for name, checkpoint in found.items() if checkpoint is not None}
+
+    def add(self, writes: Iterable[Write]) -> None:
+        """Put writes into the open chunks of their files.
+
+        Raises:
+            OSError: the disk refused the file of pictures, which is made for the first one.
+        """
+        at = self._anchor.at
+        for write in writes:
+            log_ns, last_ns = at(write[3]), self._last_ns
+            if not is_storable(log_ns):
+                log_ns = last_ns
+            if write[1] is not None and is_picture(write[0]):
+                file = self.cameras or self._make_cameras()
+                if 0 < last_ns - log_ns < _TIE_NS:
+                    log_ns = last_ns
+                self._was_picture = True
+            else:
+                file = self.signals
+                if self.cameras is not None and 0 <= last_ns - log_ns < _TIE_NS:
+                    log_ns = last_ns + self._was_picture
+                self._was_picture = False
+            self._last_ns = log_ns
+            file.add(write, log_ns)
+
+    def sync(self) -> None:
+        """Close the chunks and wait until they are on the disk; a disk that refuses pictures may still take signals.
+
+        Raises:
+            OSError: the disk is full or gone.
+        """
+        try:
+            if self.cameras is not None and self.cameras.pending_bytes:
+                self.cameras.sync()
+        finally:
+            if self.drops.total > self._noted_drops and time.monotonic() >= self._drops_due:
+                self._note_drops()
+            self.signals.sync()
+
+    def finish(self, manifest: bytes, summary: Mapping[str, str]) -> None:
+        """Close the last chunks, add summary and closed manifest, write the indexes, and give the files their names.
+
+        Whoever finds the file of signals finished finds that of the pictures finished too; and whoever finds it by its
+        final name, likewise.
+
+        Raises:
+            OSError: the disk is full or gone.
+        """
+        self.sync()
+        if self.drops.total:
+            self._note_drops()
+        if self.cameras is not None:
+            self.cameras.finish({"messages": str(self.cameras.messages)})
+        self.signals.finish(summary, manifest)
+
+    def name(self) -> None:
+        """Give the finished files their final names, that of the signals last."""
+        for file in self:
+            file.path.rename(self._folder / file.names.final)
+        sync_folder(self._folder)
+
+    def close(self) -> None:
+        """Release the files; that of the signals, by which others see that they are being written, last."""
+        for file in self:
+            file.close()
+
+    def _make_cameras(self) -> EpisodeFile:
+        path = self._folder / layout.CAMERAS_ACTIVE
+        self.cameras = EpisodeFile.create(path, self._anchor, self._facts, names=layout.CAMERAS_NAMES, drops=self.drops)
+        sync_folder(self._folder)
+        return self.cameras
+
+    def _note_drops(self) -> None:
+        self.signals.note(layout.DROPPED_RECORD, drops_record(self.drops))
+        self._noted_drops, self._drops_due = self.drops.total, time.monotonic() + _DROPS_EVERY_S

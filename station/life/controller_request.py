@@ -1,0 +1,102 @@
+"""Asking an arm's controller for something: JSON on ``station:controller``, answered in the arm's ``command_gate``."""
+
+from __future__ import annotations
+
+import getpass
+import secrets
+import time
+from typing import Literal
+
+import msgspec
+
+from station.bus import codec, keys
+from station.bus.client import Bus
+from station.bus.watch import Watch
+from station.errors import NotReady, Refused
+
+Action = Literal["clear", "profile", "throttle"]
+
+WITHIN_S = 8.0
+"""Longest wait for an answer [s]: clearing gives up after five."""
+
+
+class ControllerRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is asked for.
+
+    Attributes:
+        action: ``clear`` faults; choose a named ``profile``; send targets on every n-th tick only (``throttle``).
+        id: Found again in the answer.
+        robot: Suffix of the arm's keys.
+        profile: Name, for ``profile``.
+        throttle: Ticks, for ``throttle``.
+        who: For the recording.
+    """
+
+    action: Action
+    id: str = ""
+    robot: str = ""
+    profile: str = ""
+    throttle: int = 0
+    who: str = ""
+
+
+class ControllerAnswer(msgspec.Struct, frozen=True, kw_only=True):
+    """What came of a request; `refused` says why nothing was done, or is ""."""
+
+    id: str
+    action: Action
+    refused: str = ""
+
+
+class _Gate(msgspec.Struct):
+    controller: ControllerAnswer | None = None
+
+
+def read(data: bytes) -> ControllerRequest | None:
+    """Return the request that bytes from the bus hold, or None when they hold none."""
+    try:
+        return codec.parse_struct(data, ControllerRequest)
+    except codec.BadValue:
+        return None
+
+
+def ask(
+    bus: Bus, robot: str, action: Action, *, profile: str = "", throttle: int = 0, within_s: float = WITHIN_S
+) -> None:
+    """Ask and wait until it is done.
+
+    Args:
+        bus: The bus that the arm's server runs on.
+        robot: Suffix of the arm's keys.
+        action, profile, throttle: As in `ControllerRequest`.
+        within_s: Longest wait [s].
+
+    Raises:
+        NotReady: the bus did not take the request, or nobody answered.
+        Refused: the controller's session said no; with its reason.
+    """
+    wanted = ControllerRequest(
+        action=action, id=secrets.token_hex(4), robot=robot, profile=profile, throttle=throttle, who=getpass.getuser()
+    )
+    deadline_s = time.monotonic() + within_s
+    with bus.watch([keys.command_gate(robot)]) as watch:
+        if not bus.publish({keys.CONTROLLER: codec.json_object(wanted)}):
+            raise NotReady(f"{action}: the bus {bus.address} did not take the request ({bus.last_error})")
+        answer = _answer(watch, keys.command_gate(robot), wanted.id, deadline_s)
+    if answer is None:
+        raise NotReady(f"{robot}: no answer within {within_s:g} s; does its server run? `station status` tells")
+    if answer.refused:
+        raise Refused(f"{robot}: {answer.refused}")
+
+
+def _answer(watch: Watch, key: str, wanted: str, deadline_s: float) -> ControllerAnswer | None:
+    newest = None
+    while (left_s := deadline_s - time.monotonic()) > 0:
+        newest = watch.wait(key, after=newest, timeout_s=left_s) or newest
+        try:
+            answer = codec.parse_struct(newest.value, _Gate).controller if newest is not None else None
+        except codec.BadValue:  # somebody else's value; the server's next one is 4 ms away
+            continue
+        if answer is not None and answer.id == wanted:
+            return answer
+    return None

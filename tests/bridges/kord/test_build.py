@@ -1,0 +1,60 @@
+"""The same source is linked with kord-api where that is installed: here, a package that has its names."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+SOURCE = Path(__file__).parents[3] / "bridges/kord"
+
+PACKAGE = """
+if(NOT TARGET {name}::{name})
+    add_library({name}::{name} INTERFACE IMPORTED)
+    target_include_directories({name}::{name} INTERFACE "{include}")
+endif()
+"""
+
+
+@pytest.fixture(autouse=True)
+def _a_compiler() -> None:
+    for program in ("cmake", "c++"):
+        if shutil.which(program) is None:
+            pytest.skip(f"there is no {program} to build with")
+
+
+def _configure(build: Path, *options: str) -> subprocess.CompletedProcess[str]:
+    command = ["cmake", "-S", SOURCE, "-B", build, "-DSTATION_KORD_PYTHON=OFF", *options]
+    return subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+
+
+@pytest.mark.parametrize("name", ["kord_api", "kord-api"])
+def test_both_spellings_of_the_package_are_found_and_nothing_of_the_simulator_is_needed(
+    name: str, tmp_path: Path
+) -> None:
+    headers, package = tmp_path / "include", tmp_path / "package"
+    shutil.copytree(SOURCE / "sim/include", headers)
+    package.mkdir()
+    (package / f"{name}Config.cmake").write_text(PACKAGE.format(name=name, include=headers))
+    build = tmp_path / "build"
+    done = _configure(build, f"-D{name}_DIR={package}")
+    assert f"linked with {name}::{name}" in done.stdout, done.stdout + done.stderr
+    if name == "kord_api":  # compiling once is enough
+        built = subprocess.run(
+            ["cmake", "--build", build, "--parallel", "2"], capture_output=True, text=True, timeout=300, check=False
+        )  # fmt: skip
+        assert built.returncode == 0, built.stdout[-3000:]
+        assert list(build.rglob("*backend_kord*.o"))
+        assert not list(build.rglob("*plant*.o"))
+
+
+def test_a_build_for_real_controllers_without_kord_api_is_refused_in_words(tmp_path: Path) -> None:
+    done = _configure(tmp_path, "-DSTATION_KORD_BACKEND=kord")
+    assert done.returncode != 0
+    assert "kord-api is neither there as kord_api nor as kord-api" in " ".join(done.stderr.split())
+
+
+def test_without_kord_api_the_simulator_is_built(tmp_path: Path) -> None:
+    assert "linked with kord_sim" in _configure(tmp_path).stdout

@@ -1,0 +1,81 @@
+"""The loop in real time: K12 and K14 of the table. What it may not have it does without, and says so."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+from station_kord import KordBridge, SimOptions
+
+from tests.bridges.kord.arms import LIMITS, ONE_JOINT
+from tests.waiting import wait_until
+
+WITHOUT_RIGHTS = """
+import json, os, resource, sys
+from station_kord import KordBridge, Limits, SimOptions
+resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
+if os.getuid() == 0:
+    os.setgroups([]); os.setgid(65534); os.setuid(65534)
+sim = SimOptions()
+limits = Limits(q_min=sim.q_min, q_max=sim.q_max, qd_max=(2.0,) * 7, qdd_max=(10.0,) * 7)
+with KordBridge(limits=limits, sim=sim, real_time_priority=70, lock_memory=True) as bridge:
+    first = bridge.connect().tick
+    while bridge.get_state().tick < first + 50:
+        pass
+    state = bridge.get_state()
+    json.dump({"fifo": state.sched_fifo_granted, "locked": state.memory_locked, "told": bridge.real_time}, sys.stdout)
+"""
+
+
+def test_k12_the_loop_keeps_250_hz_and_sends_at_once() -> None:
+    with KordBridge(limits=LIMITS, sim=SimOptions()) as bridge:
+        bridge.connect()
+        q = bridge.engage()
+        rates: list[float] = []
+        before = bridge.get_state()
+
+        def measured() -> bool:
+            nonlocal before
+            target = q + 0.05 * np.sin(bridge.get_state().tick * 0.02) * ONE_JOINT
+            bridge.stream_j(target)
+            now = bridge.get_state()
+            if now.tick - before.tick >= 500:
+                rates.append((now.tick - before.tick) / ((now.mono_ns - before.mono_ns) * 1e-9))
+                before = now
+            return len(rates) >= 5 and abs(np.median(rates) - 250) < 5 and now.sync_to_send_us.p50 < 100
+
+        wait_until(measured, timeout_s=90)
+        assert bridge.get_state().events == ()
+
+
+def test_k14_without_rights_the_request_is_told_as_not_granted_and_the_loop_runs() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_RIGHTS], capture_output=True, text=True, timeout=60, check=False
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert (told["fifo"], told["locked"]) == (False, False)
+    assert told["told"].startswith("normal scheduling (Operation not permitted), memory not locked (")
+
+
+def test_no_priority_asked_for_is_none_tried() -> None:
+    with KordBridge(limits=LIMITS, sim=SimOptions(), real_time_priority=0) as bridge:
+        bridge.connect()
+        assert bridge.real_time == "normal scheduling"
+
+
+def test_a_python_that_does_not_come_round_leaves_the_arm_at_its_last_target() -> None:
+    with KordBridge(limits=LIMITS, sim=SimOptions()) as bridge:
+        bridge.connect()
+        q = bridge.engage() + 0.03 * ONE_JOINT
+        bridge.stream_j(q)
+        tick = bridge.get_state().tick
+        total = sum(range(3_000_000))  # the interpreter is busy and holds its lock
+        state = bridge.get_state()
+        assert total
+        assert state.tick > tick
+        wait_until(lambda: abs(bridge.get_state().q[0] - q[0]) < 1e-9)
+        assert bridge.get_state().stream_j_sends == 1

@@ -1,0 +1,135 @@
+"""A Kassow arm under test: bus, the arm's server in a process of its own, who moves a joint, all that is written."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from servers.kassow import KassowConfig
+from station.bus import codec, keys
+from station.bus.client import Bus
+from station.bus.redis_server import RedisServer, ServerOptions
+from station.life.supervisor import Supervisor
+from station.protocols import Floats
+from tests.servers.g1_station import Log
+from tests.waiting import wait_until
+
+ROBOT = keys.KASSOW_KR810
+TIMEOUT_S = 60.0
+
+
+class ArmStation:
+    """A context manager; leaves no process behind.
+
+    Args:
+        folder: For everything that is written.
+        settings: Of the arm's server.
+    """
+
+    def __init__(self, folder: Path, **settings: Any) -> None:
+        self.data = folder / "data"
+        self.server = RedisServer.start(ServerOptions(folder=folder, socket=folder / "bus.sock"))
+        self.bus = Bus(self.server.address, name="anna", timeout_s=5.0)
+        self.log = Log(self.server.address)
+        self.supervisor = Supervisor(self.bus, folder / "logs")
+        try:
+            self.start("kassow", KassowConfig(real_time_priority=0, **settings))
+            self.log.last(keys.command_used(ROBOT))
+        except BaseException:
+            self.close()
+            raise
+
+    def start(self, name: str, config: Any) -> None:
+        self.supervisor.spawn(name, config)
+        self.supervisor.wait_for(name, "inactive", TIMEOUT_S)
+        self.supervisor.activate(name)
+        self.supervisor.wait_for(name, "active", TIMEOUT_S)
+
+    def gate(self) -> dict[str, Any]:
+        """The newest word of the gate."""
+        return dict(codec.parse_json(self.bus.get(keys.command_gate(ROBOT)) or b"{}"))
+
+    def wait_for_gate(self, state: str) -> None:
+        try:
+            wait_until(lambda: self.gate().get("state") == state, TIMEOUT_S)
+        except AssertionError:
+            raise AssertionError(f"gate is not {state}: {self.gate()}; {self.controller()}") from None
+
+    def used(self) -> Floats:
+        """The command that the arm follows; where it is, when nobody commands."""
+        return codec.parse_f64(self.bus.get(keys.command_used(ROBOT)) or b"")
+
+    def joints(self) -> Floats:
+        """Where the joints are [rad]."""
+        return codec.parse_f64(self.bus.get(keys.state_joints(ROBOT)) or b"")[:7]
+
+    def counter(self, name: str) -> float:
+        """The newest value of a counter."""
+        from station.bus import arm_contracts
+
+        values = codec.parse_f64(self.bus.get(keys.state_counters(ROBOT)) or b"")
+        return float(values[arm_contracts.COUNTERS.index(name)])
+
+    def controller(self) -> dict[str, Any]:
+        """What the controller last said of itself."""
+        return dict(codec.parse_json(self.bus.get(keys.state_controller(ROBOT)) or b"{}"))
+
+    def publish(self, q: Floats) -> None:
+        self.bus.publish({keys.action_joints(ROBOT): codec.json_vector(q)})
+
+    def close(self) -> None:
+        self.log.close()
+        self.supervisor.stop_all()
+        self.bus.close()
+        self.server.stop()
+
+    def __enter__(self) -> ArmStation:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class Commander:
+    """Who commands: writes 250 times a second, from where the arm is; moves joint 1 to and fro, or holds.
+
+    Args:
+        station: Whose arm.
+        name: Under which it writes.
+    """
+
+    def __init__(self, station: ArmStation, name: str = "commander") -> None:
+        self._bus = Bus(station.server.address, name=name, timeout_s=5.0)
+        self.q = station.used()
+        self.moves = True
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        began_s = last_s = time.monotonic()
+        while not self._stop.wait(0.004):
+            now_s = time.monotonic()
+            if self.moves:
+                direction = 1.0 if int((now_s - began_s) / 2.0) % 2 == 0 else -1.0
+                self.q = self.q + direction * 0.3 * min(now_s - last_s, 0.02) * np.eye(7)[0]
+            last_s = now_s
+            self._bus.publish({keys.action_joints(ROBOT): codec.json_vector(self.q)})
+
+    def stop(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._bus.close()
+
+    def __enter__(self) -> Commander:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()

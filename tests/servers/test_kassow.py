@@ -1,0 +1,254 @@
+"""The server of a Kassow arm over the simulated controller: processes and a bus as a user has them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from servers.kassow import KassowConfig
+from station.bus import arm_contracts, codec, contracts, keys
+from station.bus.address import BusAddress
+from station.errors import Refused
+from station.life import arm_request, controller_request
+from station.life.events import Event, decode
+from tests.servers.kassow_station import ROBOT, ArmStation, Commander
+from tests.waiting import wait_until
+
+
+@pytest.fixture(scope="module")
+def arm(kord: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ArmStation]:
+    with ArmStation(tmp_path_factory.mktemp("arm")) as station:
+        yield station
+
+
+def serve(address: BusAddress, *settings: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    sets = [word for setting in settings for word in ("--set", setting)]
+    return subprocess.run(
+        [sys.executable, "-m", "station", "serve", "kassow", "--bus", address.url, *sets],
+        capture_output=True, text=True, timeout=60, env=os.environ | environment, check=False,
+    )  # fmt: skip
+
+
+def events(station: ArmStation, name: str) -> list[Event]:
+    found = [decode(value) for value in station.log.values(keys.EVENT)]
+    return [event for event in found if event is not None and event.name == name]
+
+
+def rate_hz(station: ArmStation, counter: str, seconds: float) -> float:
+    """How fast a counter grows, by the clock of the controller's ticks."""
+    ticks, count = station.counter("tick"), station.counter(counter)
+    wait_until(lambda: station.counter("tick") >= ticks + seconds * 250)
+    return (station.counter(counter) - count) / (station.counter("tick") - ticks) * 250
+
+
+def test_a_server_without_the_bridge_says_in_a_line_how_to_build_it(bus_server: BusAddress, tmp_path: Path) -> None:
+    (tmp_path / "station_kord.py").write_text("raise ImportError('built for another Python')\n")
+    done = serve(bus_server, PYTHONPATH=str(tmp_path))
+    assert done.returncode == 1
+    assert "pip install ./bridges/kord" in done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr
+
+
+def test_a_model_whose_limits_nobody_has_given_is_refused(bus_server: BusAddress) -> None:
+    done = serve(bus_server, "model=kr1018")
+    assert done.returncode == 2
+    assert "kr1018" in done.stderr.splitlines()[-1]
+    assert "limits" in done.stderr.splitlines()[-1]
+
+
+def test_limits_of_another_model_are_refused(bus_server: BusAddress) -> None:
+    shipped = Path(__file__).parents[2] / "adapters/robots/kassow/kr810.yaml"
+    done = serve(bus_server, "model=kr1410", f"limits={shipped}")
+    assert done.returncode == 2
+    assert "kr810" in done.stderr.splitlines()[-1]
+
+
+def test_a_controller_that_is_not_there_is_told_in_a_line(kord: Any, bus_server: BusAddress, tmp_path: Path) -> None:
+    done = serve(bus_server, f"host=unix:{tmp_path}/nobody.sock", "connect_within_s=0.3")
+    assert done.returncode == 1
+    assert "nobody.sock" in done.stderr.splitlines()[-1]
+
+
+@pytest.mark.parametrize("settings", [{"speed_rad_s": 0.0}, {"lead_s": 1.0}, {"model": "kr 810"}])
+def test_settings_that_cannot_be_are_refused(settings: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        KassowConfig(**settings)
+
+
+def test_every_value_is_as_its_contract_says(arm: ArmStation) -> None:
+    for key in (keys.state_joints(ROBOT), keys.state_tcp(ROBOT), keys.state_counters(ROBOT), keys.target(ROBOT),
+                keys.command_used(ROBOT)):  # fmt: skip
+        contract = contracts.contract(key)
+        assert contract is not None
+        assert len(codec.parse_f64(arm.log.last(key))) == len(contract.elements), key
+    assert len(codec.parse_json(arm.log.last(keys.policy_timing(ROBOT)))) == 2 + len(contracts.TIMING_STAGES)
+    told = codec.parse_json(arm.log.last(keys.state_controller(ROBOT)))
+    assert (told["backend"], told["profile"], told["throttle"]) == ("sim", "speed125", 2)
+
+
+def test_the_tool_is_where_the_kinematics_of_the_model_say(arm: ArmStation) -> None:
+    from adapters.robots.kassow import kinematics
+
+    pose = codec.parse_f64(arm.log.last(keys.state_tcp(ROBOT)))
+    expected = kinematics.chain("kr810").posture(arm.joints()).pose
+    np.testing.assert_allclose(pose, [*expected.position, *expected.quat_wxyz], atol=1e-9)
+
+
+def test_it_sends_half_of_the_ticks_in_motion_and_nothing_at_hold(arm: ArmStation) -> None:
+    arm.wait_for_gate("waiting")
+    with Commander(arm) as commander:
+        arm.wait_for_gate("tracking")
+        moving_hz = rate_hz(arm, "stream_j_sends", 1.5)
+        commander.moves = False
+        wait_until(lambda: np.allclose(arm.joints(), commander.q, atol=1e-9))
+        assert rate_hz(arm, "stream_j_sends", 0.5) == 0.0
+        assert arm.gate()["state"] == "tracking"
+    assert 40.0 <= moving_hz <= 126.0  # 125; a commander that a busy machine holds up has nothing new to send
+    assert arm.counter("fault_count") == 0
+
+
+def test_states_come_at_half_of_the_ticks_and_the_controllers_word_ten_times_a_second(arm: ArmStation) -> None:
+    contract = contracts.contract(keys.state_joints(ROBOT))
+    assert contract is not None
+    assert contract.rate_hz == 125.0
+    begun = len(arm.log.values(keys.command_used(ROBOT)))
+    wait_until(lambda: len(arm.log.values(keys.command_used(ROBOT))) >= begun + 250)
+    used, states = len(arm.log.values(keys.command_used(ROBOT))), len(arm.log.values(keys.state_joints(ROBOT)))
+    assert states == pytest.approx(used / 2, abs=2)
+
+
+def test_silence_leaves_the_arm_where_it_is_and_who_returns_begins_from_there(arm: ArmStation) -> None:
+    arm.wait_for_gate("waiting")
+    with Commander(arm):
+        arm.wait_for_gate("tracking")
+        rate_hz(arm, "stream_j_sends", 0.3)
+    arm.wait_for_gate("waiting")
+    wait_until(lambda: not arm.controller()["moving"])
+    at = arm.joints()
+    with Commander(arm) as commander:
+        commander.moves = False
+        arm.wait_for_gate("tracking")
+        np.testing.assert_allclose(arm.joints(), at, atol=1e-9)
+
+
+def test_an_emergency_stop_stops_it_and_a_reset_waits_for_a_command_that_begins_anew(arm: ArmStation) -> None:
+    arm.wait_for_gate("waiting")
+    with Commander(arm):
+        arm.wait_for_gate("tracking")
+        arm.bus.publish({keys.ESTOP: b"1"})
+        arm.wait_for_gate("stopped")
+        wait_until(lambda: not arm.controller()["moving"])
+        assert rate_hz(arm, "stream_j_sends", 0.3) == 0.0
+        arm.bus.publish({keys.ESTOP: b"0"})
+        arm.wait_for_gate("waiting")
+        assert rate_hz(arm, "stream_j_sends", 0.5) == 0.0
+        assert "let go" in arm.gate()["reason"]
+    wait_until(lambda: "let go" not in arm.gate()["reason"])
+    with Commander(arm):
+        arm.wait_for_gate("tracking")
+
+
+def test_disarming_lets_nothing_through_until_it_is_armed(arm: ArmStation) -> None:
+    arm_request.ask(arm.bus, "disarm", server="kassow")
+    with Commander(arm):
+        wait_until(lambda: "disarmed" in arm.gate()["reason"])
+        assert rate_hz(arm, "stream_j_sends", 0.3) == 0.0
+    arm_request.ask(arm.bus, "arm", server="kassow")
+    wait_until(lambda: arm.gate()["reason"].startswith(("no command", "the newest")))
+
+
+def test_a_profile_is_changed_at_standstill_only_and_stands_in_the_state(arm: ArmStation) -> None:
+    arm.wait_for_gate("waiting")
+    with Commander(arm):
+        arm.wait_for_gate("tracking")
+        wait_until(lambda: arm.controller()["moving"])
+        with pytest.raises(Refused):
+            controller_request.ask(arm.bus, ROBOT, "profile", profile="time125")
+    arm.wait_for_gate("waiting")
+    wait_until(lambda: not arm.controller()["moving"])
+    controller_request.ask(arm.bus, ROBOT, "profile", profile="time125")
+    wait_until(lambda: arm.controller()["profile"] == "time125")
+    with Commander(arm):
+        arm.wait_for_gate("tracking")
+        assert 20.0 <= rate_hz(arm, "stream_j_sends", 0.5) <= 126.0
+    arm.wait_for_gate("waiting")
+    wait_until(lambda: not arm.controller()["moving"])
+    controller_request.ask(arm.bus, ROBOT, "profile", profile="speed125")
+
+
+def test_an_unknown_profile_is_refused_with_those_that_there_are(arm: ArmStation) -> None:
+    with pytest.raises(Refused, match="speed125"):
+        controller_request.ask(arm.bus, ROBOT, "profile", profile="fast")
+
+
+def test_a_throttle_holds_at_once_also_in_motion(arm: ArmStation) -> None:
+    arm.wait_for_gate("waiting")
+    with Commander(arm):
+        arm.wait_for_gate("tracking")
+        controller_request.ask(arm.bus, ROBOT, "throttle", throttle=4)
+        assert 20.0 <= rate_hz(arm, "stream_j_sends", 1.0) <= 63.0
+        controller_request.ask(arm.bus, ROBOT, "throttle", throttle=2)
+
+
+def test_a_fault_disengages_is_told_and_is_left_by_clear_and_a_command_that_begins_anew(
+    kord: Any, tmp_path: Path
+) -> None:
+    socket = tmp_path / "controller.sock"
+    with kord.ControllerServer(socket) as controller, ArmStation(tmp_path, host=f"unix:{socket}") as arm:
+        with Commander(arm):
+            arm.wait_for_gate("tracking")
+            controller.simulator.raise_event(1010)
+            arm.wait_for_gate("faulted")
+            assert "1010" in arm.gate()["reason"]
+            arm_request.ask(arm.bus, "disarm", server="kassow")
+            with pytest.raises(Refused, match="faulted"):
+                arm_request.ask(arm.bus, "arm", server="kassow")
+            controller_request.ask(arm.bus, ROBOT, "clear")
+            arm.wait_for_gate("waiting")
+            arm_request.ask(arm.bus, "arm", server="kassow")
+            assert rate_hz(arm, "stream_j_sends", 0.5) == 0.0
+        at = arm.joints()
+        wait_until(lambda: "let go" not in arm.gate()["reason"])
+        with Commander(arm) as commander:
+            commander.moves = False
+            arm.wait_for_gate("tracking")
+        np.testing.assert_allclose(arm.joints(), at, atol=1e-6)
+        wait_until(lambda: events(arm, "controller-cleared"))
+        assert [event.detail["id"] for event in events(arm, "controller-event")] == [1010]
+        assert len(events(arm, "controller-fault")) == 1
+
+
+def test_what_only_a_person_can_confirm_is_not_cleared(kord: Any, tmp_path: Path) -> None:
+    socket = tmp_path / "controller.sock"
+    with kord.ControllerServer(socket) as controller, ArmStation(tmp_path, host=f"unix:{socket}") as arm:
+        controller.simulator.emergency_stop(True)
+        arm.wait_for_gate("faulted")
+        with pytest.raises(Refused):
+            controller_request.ask(arm.bus, ROBOT, "clear")
+        controller.simulator.emergency_stop(False)
+        controller.simulator.confirm()
+        controller_request.ask(arm.bus, ROBOT, "clear")
+        arm.wait_for_gate("waiting")
+
+
+def test_a_lost_session_is_a_fault_and_clearing_opens_it_anew(kord: Any, tmp_path: Path) -> None:
+    socket = tmp_path / "controller.sock"
+    with kord.ControllerServer(socket) as controller, ArmStation(tmp_path, host=f"unix:{socket}") as arm:
+        ticks = arm.counter("tick")
+        controller.simulator.silence(True)
+        arm.wait_for_gate("faulted")
+        controller.simulator.silence(False)
+        controller_request.ask(arm.bus, ROBOT, "clear")
+        arm.wait_for_gate("waiting")
+        wait_until(lambda: arm.counter("tick") > ticks + 100)
+
+
+def test_counters_have_a_name_each_in_the_state_of_the_bridge(kord: Any) -> None:
+    assert not [name for name in arm_contracts.COUNTERS if name not in kord.State.__slots__]

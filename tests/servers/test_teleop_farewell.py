@@ -1,0 +1,19 @@
+"""A teleoperation server that is asked to stop while it drives says so, before the robot returns to standing."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+from tests.servers.operated_station import OperatedStation
+
+
+def test_a_stop_from_outside_ends_the_commands_in_an_event(tmp_path: Path) -> None:
+    with OperatedStation(tmp_path, driver="walk") as station:
+        station.engage()
+        station.supervisor.children["teleop"].process.send_signal(signal.SIGTERM)
+        assert station.wait_for_end() == 0
+        farewell = station.wait_for("teleop-commands-end")
+        assert (farewell.severity, farewell.detail["reason"]) == ("info", "the server was asked to stop")
+        station.wait_for_gate("returning")
+        assert station.is_upright()
