@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 _HZ, _TICK_US = 250.0, 4000.0
 _CALLS = 2000
-PYTHON, OURS, FIFO = "loop in Python", "`KordBridge`", "`KordBridge`, FIFO"
+PYTHON, PYTHON_FIFO = "loop in Python", "loop in Python, FIFO"
+OURS, OURS_FIFO = "`KordBridge`", "`KordBridge`, FIFO"
+BASELINES = {OURS: PYTHON, OURS_FIFO: PYTHON_FIFO}
 
 METHOD = """\
 The simulated controller ticks at 250 Hz of the wall clock; a target of one joint swings, written at 250 Hz by a thread
@@ -30,8 +32,8 @@ in Python, and another one computes without a pause, as servers do. *waitSync �
 the command was handed over, measured in the loop. *Period*: how much longer than 4 ms the 99th percentile of the time
 between two heartbeats is, as the loop saw them. Baseline: the same in a thread of Python with absolute deadlines, which
 waits for its turn at the interpreter like every other. *Cost*: of one call from Python, which never waits for the loop.
-*Loaded*: a process of normal priority on every core. *FIFO*: the loop asks for SCHED_FIFO, which the baseline has as
-well; left out where that is not permitted. No controller and no network are in these figures. Left out where
+*Loaded*: a process of normal priority on every core. *FIFO*: the loop asks for SCHED_FIFO; left out where that is not
+permitted. No controller and no network are in these figures. Left out where
 `bridges/kord` is not built."""
 
 
@@ -49,11 +51,11 @@ def run(settings: Settings) -> list[Row]:
     """Measure."""
     if importlib.util.find_spec("station_kord") is None:
         return []
-    seconds = settings.pick(6.0, 1.0)
-    names = (PYTHON, OURS, FIFO) if processes.fifo_is_permitted() else (PYTHON, OURS)
+    seconds = settings.pick(5.0, 1.0)
+    names = (PYTHON, OURS, *((PYTHON_FIFO, OURS_FIFO) if processes.fifo_is_permitted() else ()))
     rows: list[Row] = []
     with contextlib.ExitStack() as stack:
-        workers = {name: stack.enter_context(processes.Worker(arm, name, FIFO in names)) for name in names}
+        workers = {name: stack.enter_context(processes.Worker(arm, name)) for name in names}
         for condition, beside in (("quiet", processes.nothing), ("loaded", processes.burners)):
             with beside():
                 turns = {name: _turn(worker, seconds) for name, worker in workers.items()}
@@ -62,9 +64,9 @@ def run(settings: Settings) -> list[Row]:
 
 
 @contextlib.contextmanager
-def arm(name: str, is_permitted: bool) -> Iterator[Callable[[float], Seen]]:
+def arm(name: str) -> Iterator[Callable[[float], Seen]]:
     """Drive a simulated arm in this process; yields what does so for so many seconds."""
-    if name == PYTHON and is_permitted:
+    if name == PYTHON_FIFO:
         real_time()
 
     def act(seconds: float) -> Seen:
@@ -72,9 +74,9 @@ def arm(name: str, is_permitted: bool) -> Iterator[Callable[[float], Seen]]:
         busy = threading.Thread(target=_compute, args=(stop,))
         busy.start()
         try:
-            with _connected(70 if name == FIFO else 0) as bridge:
+            with _connected(70 if name == OURS_FIFO else 0) as bridge:
                 seen = _drive(bridge, seconds)
-                if name == PYTHON:
+                if name in BASELINES.values():
                     return seen
                 state = bridge.get_state()
                 send, period_us = state.sync_to_send_us, state.period_us.p99 - _TICK_US
@@ -94,7 +96,7 @@ def _compute(stop: threading.Event) -> None:
 def _connected(priority: int) -> KordBridge:
     from station_kord import KordBridge, Limits, SimOptions
 
-    sim = SimOptions()
+    sim = SimOptions(late_fault_ticks=1_000_000, watchdog_ticks=1_000_000)  # late is what is measured here, not a fault
     limits = Limits(q_min=sim.q_min, q_max=sim.q_max, qd_max=(2.0,) * 7, qdd_max=(10.0,) * 7)
     bridge = KordBridge(limits=limits, sim=sim, real_time_priority=priority)
     bridge.connect()
@@ -142,15 +144,15 @@ def _rows(condition: str, taken: dict[str, list[Seen]]) -> list[Row]:
         return [[getattr(seen, field)] for seen in taken[name]]
 
     rows = []
-    for name in [name for name in taken if name != PYTHON]:
-        label = f"{name}, {condition}"
+    for name in [name for name in BASELINES if name in taken]:
+        label, baseline = f"{name}, {condition}", BASELINES[name]
         for what, field, target in (
             ("waitSync → send, p50", "send_p50", Target(limit=100.0)),
             ("waitSync → send, p99", "send_p99", None),
             ("period, p99", "period_p99", None),
         ):
-            rows.append(compare(f"{label}: {what}", "µs", of(name, field), of(PYTHON, field),
-                                baseline=PYTHON, by=mean, target=target))  # fmt: skip
+            rows.append(compare(f"{label}: {what}", "µs", of(name, field), of(baseline, field),
+                                baseline=baseline, by=mean, target=target))  # fmt: skip
         for what, field in (("stream_j", "command"), ("get_state", "state")):
             rows.append(compare(f"{label}: cost of {what}", "µs", of(name, field), by=mean))
     return rows

@@ -13,6 +13,7 @@ from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.watch import Watch
 from station.errors import NotReady, Refused
+from station.life import arm_request
 
 Action = Literal["clear", "profile", "throttle"]
 
@@ -72,12 +73,13 @@ def ask(
         within_s: Longest wait [s].
 
     Raises:
-        NotReady: the bus did not take the request, or nobody answered.
+        NotReady: nobody drives that arm, the bus did not take the request, or nobody answered.
         Refused: the controller's session said no; with its reason.
     """
     wanted = ControllerRequest(
         action=action, id=secrets.token_hex(4), robot=robot, profile=profile, throttle=throttle, who=getpass.getuser()
     )
+    arm_request.server_of(bus, robot)
     deadline_s = time.monotonic() + within_s
     with bus.watch([keys.command_gate(robot)]) as watch:
         if not bus.publish({keys.CONTROLLER: codec.json_object(wanted)}):

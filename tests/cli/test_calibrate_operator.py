@@ -87,6 +87,16 @@ def test_an_operator_is_measured_with_nothing_but_a_fake(home: Home, kept: Path)
     assert not home.bus_is_there(), "it takes with it what it started"
 
 
+def measured_until(terminal: AtTerminal, text: str, place: int = 0) -> int:
+    """Press Enter when asked to, until a text is there; return its place. A busy machine may hear nothing at first."""
+    while text not in terminal.screen[place:]:
+        asked = terminal.wait_for("Enter when ready", place)
+        terminal.type(b"\n")
+        place = terminal.wait_for("stand still", asked)
+        terminal.wait_for_any(text, "Enter when ready", after=place)
+    return terminal.screen.index(text, place)
+
+
 def test_at_a_terminal_it_listens_to_a_running_server_and_tries_again_until_somebody_stands_still(
     home: Home, kept: Path, person: Person
 ) -> None:
@@ -100,16 +110,9 @@ def test_at_a_terminal_it_listens_to_a_running_server_and_tries_again_until_some
             assert refused == "--set port=1: server 'pico' runs already and is listened to; stop it first"
             with AtTerminal(home, *CALIBRATE, "--count", "0") as terminal:
                 terminal.wait_for("listening to pico on ")
-                place = terminal.wait_for("Enter when ready")
-                terminal.type(b"\n")
-                place = terminal.wait_for("moved by 0.", place)
-                place = terminal.wait_for("Enter when ready", place)
+                place = measured_until(terminal, "moved by 0.")
                 person.is_still = True
-                asked = f"{kept} is there; replace it? [y/N]"
-                while asked not in terminal.screen[place:]:  # a busy machine may have heard of the last step late
-                    terminal.type(b"\n")
-                    place = terminal.wait_for("stand still", place)
-                    terminal.wait_for_any(asked, "Enter when ready", after=place)
+                measured_until(terminal, f"{kept} is there; replace it? [y/N]", place)
                 assert kept.read_text() == "the one before"
                 terminal.type(b"y\n")
                 assert terminal.finish() == 0, terminal.screen

@@ -62,7 +62,9 @@ def test_a_dry_run_names_episodes_and_columns_and_writes_nothing(walked: Home, t
     assert done.returncode == 0, done.stderr
     assert "goes in   2026-11-21-g1-walk-0001\n" in done.stdout
     assert "left out  2026-11-21-g1-walk-0003: reject" in done.stdout
-    assert f"columns   {keys.robot_state(keys.TWIST2_ROBOT)} (state, 65): left_hip_pitch_pos [rad], " in done.stdout
+    state = keys.robot_state(keys.TWIST2_ROBOT)
+    assert f"column    observation.state: {state}, 65 numbers: left_hip_pitch_pos [rad], " in done.stdout
+    assert "column    age_s.observation.state, age_s.action: how old" in done.stdout
     assert done.stdout.endswith("2 of 4 episodes would go in; nothing was written\n")
     assert list(tmp_path.iterdir()) == []
 
@@ -136,7 +138,8 @@ def test_an_export_onto_a_full_disk_says_so_in_a_line_and_goes_on_when_there_is_
         command = ("export", "npz", "--data", str(many), "--out", str(disk.path / "out"), "--jobs", "2")
         told = one_line(walked.run(*command))
         assert re.search(
-            r"No space left on device; [1-9]\d* of 300 episodes are converted and kept beside .*/out: make", told
+            r"\d{4}: .*: No space left on device; [1-9]\d* of 300 episodes are converted and kept beside .*/out: make",
+            told,
         )
         assert not (disk.path / "out").exists()
         (disk.path / "filler").unlink()
@@ -163,7 +166,13 @@ def test_recordings_of_twist2_become_episodes_that_list_check_show_and_export(ho
     rows = home.json("episodes", "list")
     assert {(row["task"], row["state"], row["operator"]) for row in rows} == {("cabinet", "finished", "ada")}
     checked = home.run("check", rows[0]["episode_id"])
-    assert "recorded by TWIST2's recorder, which cannot promise every foreign write" in checked.stdout
+    assert "recorded by TWIST2's recorder, which polled: what came between is lost" in checked.stdout
+    assert "not judged: slow, old-command, misaligned, jerky, jerky-command: its recorder polled" in checked.stdout
+    command = ("export", "lerobot", "--task", "cabinet", "--out", str(tmp_path / "set"))
+    stock = ("--state", keys.state_body(keys.TWIST2_ROBOT), "--action", keys.action_body())
+    assert f"name other keys, such as {' '.join(stock)}" in one_line(home.run(*command))
+    assert "--fps 50 is more than its state has (30.3 Hz)" in home.run(*command, *stock).stderr
+    assert home.run(*command, *stock, "--fps", "30", "--camera", "none").returncode == 0
     shown = home.run("episodes", "show", rows[0]["episode_id"]).stdout
     assert "whether the task succeeded; whether the robot fell" in shown
     exported = home.run("export", "csv", "--out", str(tmp_path / "look"))

@@ -7,14 +7,14 @@ import time
 from collections.abc import Sequence
 
 from benchmarks.processes import Beside, Stop
-from station.bus import codec
+from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.episode.reading.reader import EpisodeReader
 from station.life.loop import Rate
 
 SMALL = tuple(f"soak_state_{index}" for index in range(10))
-PICTURES = tuple(f"soak_picture_{index}" for index in range(3))
+PICTURES = tuple(keys.camera_image(f"soak_{index}") for index in range(3))
 PICTURE_BYTES = 66_000
 _NUMBERS = [random.Random(0).uniform(-1.0, 1.0) for _ in range(8)]
 _NOISE = random.Random(1).randbytes(1000 * PICTURE_BYTES)  # no compression makes it smaller, as with JPEG

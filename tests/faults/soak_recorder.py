@@ -1,7 +1,7 @@
 """``python -m tests.faults.soak_recorder --minutes 60``: a recorder killed every few seconds, under load, for long.
 
-Each minute is an episode of its own; after each, every write is looked for in the file. Prints one JSON line at the
-end: kills survived, messages written, lost, duplicated, and the longest time away.
+Each minute is an episode of its own; after each, every write and every picture is looked for in its files. Prints one
+JSON line at the end: kills survived, messages written, lost, duplicated, and the longest time away.
 """
 
 from __future__ import annotations
@@ -17,7 +17,13 @@ from pathlib import Path
 
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.episode.storage.manifest import Manifest, load_manifest
-from tests.faults.recorded_station import RecordedStation, Writers, assert_holds_everything, recorded_station
+from tests.faults.recorded_station import (
+    RecordedStation,
+    Writers,
+    assert_holds_every_picture,
+    assert_holds_everything,
+    recorded_station,
+)
 
 EPISODE_S = 60.0
 LIVED_S = 3.1  # a recorder that dies younger, again and again, is given up on purpose
@@ -38,14 +44,16 @@ def soak(minutes: float, *, kill_every_s: float, period_s: float, seed: int) -> 
         end = time.monotonic() + 60.0 * minutes
         while time.monotonic() < end:
             episode = Path(station.ask("start", task="soak").path or "")
-            writers = Writers(server.address, period_s)
+            writers = Writers(server.address, period_s, films=True)
             figures["kills"] += _kill_for(station, EPISODE_S, kill_every_s, moments)
             station.wait_until_it_records()
             count = writers.stop()
             station.ask("stop")
             assert_holds_everything(episode, count)
-            _add(figures, load_manifest(episode), 3 * count)
-            (episode / "signals.mcap").unlink()
+            assert_holds_every_picture(episode, writers.pictures)
+            _add(figures, load_manifest(episode), 3 * count + writers.pictures)
+            for file in episode.glob("*.mcap"):
+                file.unlink()
     return figures
 
 

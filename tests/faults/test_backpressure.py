@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
 from station.episode.quality.check import check
@@ -20,7 +21,7 @@ from tests.faults.recorded_station import RecordedStation, Writers, assert_holds
 from tests.waiting import wait_until
 
 PERIOD_S = 0.005
-CAMERAS = ("camera_left", "camera_right")
+CAMERAS = (keys.camera_image("left"), keys.camera_image("right"))
 BURST = 300  # images of 100 kB
 QUEUE_MB, FLUSH_KB, FLUSH_TAKES_S = 8.0, 1000.0, 0.1  # a disk of 10 MB a second
 

@@ -11,10 +11,8 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import msgspec
 import pytest
 
-from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
 from station.episode.quality.check import check
@@ -29,6 +27,7 @@ from tests.faults.recorded_station import (
     assert_holds_everything,
     recorded_station,
 )
+from tests.servers.g1_station import logged
 from tests.waiting import wait_until
 
 PERIOD_S = 0.003
@@ -233,12 +232,11 @@ def test_a_server_that_no_longer_has_it_leaves_a_hole_that_is_measured_and_check
 
 
 def test_one_that_dies_at_once_again_and_again_is_given_up(bus_server: BusAddress, tmp_path: Path) -> None:
-    with recorded_station(bus_server, tmp_path) as station:
+    with recorded_station(bus_server, tmp_path) as station, logged(bus_server) as log:
         folder = Path(station.ask("start", task="walk").path or "")
         while "recorder" not in station.supervisor.ended():
             pid = station.kill()
             wait_until(lambda pid=pid: station.pid != pid or "recorder" in station.supervisor.ended())  # type: ignore[misc]
-        event = msgspec.json.decode(station.bus.get(keys.EVENT) or b"")
-        assert event["name"] == "server-given-up"
-        assert "dies within 3 s each time" in event["detail"]["reason"]
+        wait_until(lambda: log.events("server-given-up"))
+        assert "dies within 3 s each time" in log.events("server-given-up")[0].detail["reason"]
     assert (folder / "signals.mcap.active").exists()

@@ -8,9 +8,12 @@ from typing import Any
 import pytest
 
 from station import assets
-from tests.main_job.station_runs import ROOT, Terminal
-from tests.servers.g1_station import LIGHT
+from station.bus import keys
+from tests.cli.running import Home
+from tests.main_job.station_runs import ROOT as HOUSE
+from tests.servers.g1_station import LIGHT, ROBOT, Log, logged
 from tests.verdicts import OF_A_BUSY_MACHINE
+from tests.waiting import DEADLINE_S, wait_until
 
 PAD = {"gamepad": "builtin:gamepad/example.json"}
 SCRIPTS: dict[str, dict[str, str]] = {
@@ -20,6 +23,7 @@ SCRIPTS: dict[str, dict[str, str]] = {
     "gello": {"gello": "builtin:gello/g1.json"} | PAD,
     "keyboard": {"keyboard": "builtin:keyboard/example.json"},
 }
+TRACKED = 150  # steps: three seconds
 
 pytestmark = pytest.mark.timeout(240)
 
@@ -31,24 +35,32 @@ def sets(scripts: dict[str, str]) -> list[str]:
 
 @pytest.mark.parametrize("device", SCRIPTS)
 def test_fake_operator_drives_the_robot_and_leaves_a_sound_episode(device: str, tmp_path: Path) -> None:
-    terminal = Terminal(tmp_path)
-    done = terminal.run(
-        "up", f"runbooks/g1-sim-{device}.yaml", "--yes", "--record", "--task", device, "--for", "8s",
-        *sets(SCRIPTS[device]),
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    check: dict[str, Any] = terminal.json("check", str(terminal.episode(device)))
-    assert check["events"]["operator-engaged"] >= 1, done.stderr
+    home = Home(tmp_path)
+    arguments = ("--yes", "--record", "--task", device, *sets(SCRIPTS[device]))
+    with home.running("up", f"runbooks/g1-sim-{device}.yaml", *arguments) as station:
+        station.wait_for("✓ start g1")
+        with logged(home.bus) as log:
+            wait_until(lambda: tracked(log) >= TRACKED, 2 * DEADLINE_S)
+        station.interrupt()
+        code, out = station.finish()
+    assert code == 0, station.text
+    check: dict[str, Any] = home.json("check", out.strip())
+    assert check["events"]["operator-engaged"] >= 1, station.text
     assert (check["falls"], check["resets"], check["estops"]) == (0, 0, 0)
     rejected = {reason["rule"] for reason in check["reasons"] if reason["verdict"] == "reject"}
     assert rejected <= OF_A_BUSY_MACHINE, check["reasons"]
     (robot,) = check["steps"]
-    assert robot["gate_shares"]["tracking"] > 0.2
+    assert robot["gate_shares"]["tracking"] * robot["steps"] >= TRACKED
+
+
+def tracked(log: Log) -> int:
+    """Return in how many steps the robot followed the operator."""
+    return sum(b'"tracking"' in value for value in log.values(keys.command_gate(ROBOT)))
 
 
 @pytest.mark.parametrize("device", SCRIPTS)
 def test_runbook_names_the_fake_that_it_is_tried_with(device: str) -> None:
-    text = (ROOT / "runbooks" / f"g1-sim-{device}.yaml").read_text(encoding="utf-8")
+    text = (HOUSE / "runbooks" / f"g1-sim-{device}.yaml").read_text(encoding="utf-8")
     for server, file in SCRIPTS[device].items():
         assert f"--set {server}.fake={file}" in text
         assert assets.resolve(file).is_file()

@@ -122,7 +122,7 @@ class StockCommander:
     """What a stock TWIST2 script does, fifty times a second: plain SETs of JSON lists, nothing else."""
 
     def __init__(self, address: BusAddress, vector: Callable[[float], Floats] = lambda time_s: FORM.default) -> None:
-        self._line, self._vector = Connection(address, timeout_s=1.0), vector
+        self._line, self._vector = Connection(address, timeout_s=5.0), vector
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from servers.kassow import KassowConfig
-from station.bus import codec, keys
+from station.bus import arm_contracts, codec, keys
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
+from station.life import arm_request
 from station.life.supervisor import Supervisor
 from station.protocols import Floats
 from tests.servers.g1_station import Log
@@ -68,19 +69,26 @@ class ArmStation:
         """Where the joints are [rad]."""
         return codec.parse_f64(self.bus.get(keys.state_joints(ROBOT)) or b"")[:7]
 
+    def counters(self) -> dict[str, float]:
+        """The newest values of all counters, of one instant."""
+        values = codec.parse_f64(self.bus.get(keys.state_counters(ROBOT)) or b"").tolist()
+        return dict(zip(arm_contracts.COUNTERS, values, strict=False))
+
     def counter(self, name: str) -> float:
         """The newest value of a counter."""
-        from station.bus import arm_contracts
-
-        values = codec.parse_f64(self.bus.get(keys.state_counters(ROBOT)) or b"")
-        return float(values[arm_contracts.COUNTERS.index(name)])
+        return self.counters()[name]
 
     def controller(self) -> dict[str, Any]:
         """What the controller last said of itself."""
         return dict(codec.parse_json(self.bus.get(keys.state_controller(ROBOT)) or b"{}"))
 
-    def publish(self, q: Floats) -> None:
-        self.bus.publish({keys.action_joints(ROBOT): codec.json_vector(q)})
+    def settle(self) -> None:
+        """Let the arm stand, armed, with nobody commanding it and nothing stopping it."""
+        if self.gate()["state"] == "stopped":
+            self.bus.publish({keys.ESTOP: b"0"})
+        arm_request.ask(self.bus, "arm", server="kassow")
+        self.wait_for_gate("waiting")
+        wait_until(lambda: not self.controller()["moving"] and "let go" not in self.gate()["reason"])
 
     def close(self) -> None:
         self.log.close()
@@ -109,6 +117,7 @@ class Commander:
         self._bus = Bus(station.server.address, name=name, timeout_s=5.0)
         self.q = station.used()
         self.moves = True
+        self.longest_gap_s = 0.0  # a busy machine may keep it from writing
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -120,6 +129,7 @@ class Commander:
             if self.moves:
                 direction = 1.0 if int((now_s - began_s) / 2.0) % 2 == 0 else -1.0
                 self.q = self.q + direction * 0.3 * min(now_s - last_s, 0.02) * np.eye(7)[0]
+            self.longest_gap_s = max(self.longest_gap_s, now_s - last_s)
             last_s = now_s
             self._bus.publish({keys.action_joints(ROBOT): codec.json_vector(self.q)})
 

@@ -41,7 +41,7 @@ def test_a_disarmed_robot_gets_nothing_though_its_policy_follows_the_commands(bu
 
 
 def test_arming_ramps_the_stiffness_up_is_told_and_the_robot_stays_on_its_feet(bus_server: BusAddress) -> None:
-    with logged(bus_server) as log, G1Process(bus_server, *DISARMED), Bus(bus_server, name="ada") as bus:
+    with logged(bus_server) as log, G1Process(bus_server, *DISARMED), Bus(bus_server, name="ada", timeout_s=5.0) as bus:
         wait_until(lambda: ticks(log) > 5)
         assert arm_request.ask(bus, "arm", reason="a test") == {"g1": ["arming", "armed"]}
         wait_until(lambda: log.events("armed"))
@@ -65,7 +65,7 @@ def test_arming_ramps_the_stiffness_up_is_told_and_the_robot_stays_on_its_feet(b
 def test_arming_is_refused_while_commands_come_that_are_not_valid(bus_server: BusAddress) -> None:
     bad = FORM.default.copy()
     bad[7] = 9.0
-    with logged(bus_server) as log, G1Process(bus_server, *DISARMED), Bus(bus_server, name="ada") as bus:
+    with logged(bus_server) as log, G1Process(bus_server, *DISARMED), Bus(bus_server, name="ada", timeout_s=5.0) as bus:
         with StockCommander(bus_server, lambda _: bad):
             wait_until(lambda: log.gate()["refused"] > 5)
             with pytest.raises(Refused, match=r"g1 is not armed: commands come and are refused .out-of-range: left_"):
@@ -78,7 +78,7 @@ def test_arming_is_refused_while_commands_come_that_are_not_valid(bus_server: Bu
 def test_arming_is_refused_while_the_command_is_stale_and_allowed_once_the_robot_is_asked_to_stand(
     bus_server: BusAddress,
 ) -> None:
-    with logged(bus_server) as log, G1Process(bus_server, *DISARMED), Bus(bus_server, name="ada") as bus:
+    with logged(bus_server) as log, G1Process(bus_server, *DISARMED), Bus(bus_server, name="ada", timeout_s=5.0) as bus:
         with StockCommander(bus_server):
             wait_until(lambda: log.gate()["state"] == "tracking")
         wait_until(lambda: log.gate()["state"] in ("holding", "returning"))
@@ -89,7 +89,7 @@ def test_arming_is_refused_while_the_command_is_stale_and_allowed_once_the_robot
 
 
 def test_after_an_emergency_stop_it_takes_a_reset_and_then_arming(bus_server: BusAddress) -> None:
-    with logged(bus_server) as log, G1Process(bus_server, *DISARMED), Bus(bus_server, name="ada") as bus:
+    with logged(bus_server) as log, G1Process(bus_server, *DISARMED), Bus(bus_server, name="ada", timeout_s=5.0) as bus:
         wait_until(lambda: ticks(log) > 5)
         arm_request.ask(bus, "arm")
         bus.publish({keys.ESTOP: b'{"stop": true, "who": "ada", "reason": "smoke"}'})
@@ -104,12 +104,12 @@ def test_after_an_emergency_stop_it_takes_a_reset_and_then_arming(bus_server: Bu
 
 
 def test_who_waits_for_a_robot_that_is_stopped_while_it_is_arming_is_told_so(bus_server: BusAddress) -> None:
-    with logged(bus_server) as log, G1Process(bus_server, *DISARMED), Bus(bus_server, name="ada") as bus:
+    with logged(bus_server) as log, G1Process(bus_server, *DISARMED), Bus(bus_server, name="ada", timeout_s=5.0) as bus:
         wait_until(lambda: ticks(log) > 5)
         with ThreadPoolExecutor(1) as pool:
             asked = pool.submit(arm_request.ask, bus, "arm")
             wait_until(lambda: log.events("arming"))
-            with Bus(bus_server, name="button") as button:
+            with Bus(bus_server, name="button", timeout_s=5.0) as button:
                 button.publish({keys.ESTOP: b"1"})
             with pytest.raises(Refused, match="g1 was stopped while it was arming"):
                 asked.result(30)
@@ -118,7 +118,7 @@ def test_who_waits_for_a_robot_that_is_stopped_while_it_is_arming_is_told_so(bus
 
 def test_the_key_of_the_emergency_stop_arms_under_the_same_rules(bus_server: BusAddress) -> None:
     release = b'{"stop": false, "arm": true, "who": "ada"}'
-    with logged(bus_server) as log, G1Process(bus_server, *DISARMED), Bus(bus_server, name="ada") as bus:
+    with logged(bus_server) as log, G1Process(bus_server, *DISARMED), Bus(bus_server, name="ada", timeout_s=5.0) as bus:
         with StockCommander(bus_server, lambda _: np.zeros(3)):
             wait_until(lambda: log.gate()["refused"] > 5)
             bus.publish({keys.ESTOP: release})
@@ -131,7 +131,7 @@ def test_the_key_of_the_emergency_stop_arms_under_the_same_rules(bus_server: Bus
 
 
 def test_a_request_from_before_the_server_started_arms_nothing(bus_server: BusAddress) -> None:
-    with logged(bus_server) as log, Bus(bus_server, name="ghost") as bus:
+    with logged(bus_server) as log, Bus(bus_server, name="ghost", timeout_s=5.0) as bus:
         bus.publish({keys.ARM: json.dumps({"action": "arm", "id": "1"}).encode()})
         with G1Process(bus_server, *DISARMED):
             wait_until(lambda: ticks(log) > 20)
@@ -144,7 +144,7 @@ def test_a_request_from_before_the_server_started_arms_nothing(bus_server: BusAd
 
 
 def test_who_is_not_there_cannot_be_armed(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="ada") as bus:
+    with Bus(bus_server, name="ada", timeout_s=5.0) as bus:
         publish(bus, FORM.default)
         with pytest.raises(NotReady, match=r"no low-level server runs on .*; start a station first"):
             arm_request.ask(bus, "arm")

@@ -132,7 +132,11 @@ def test_a_stock_commander_is_followed_and_when_it_falls_silent_the_robot_stands
 def test_malformed_commands_of_every_kind_are_refused_told_once_per_kind_and_survived(bus_server: BusAddress) -> None:
     bad = [b"", b"hello", b"[1, 2]", json.dumps([float("nan")] * 35).encode(), b"[" * 100_000, b"\xff" * 10,
            json.dumps([9.0] * 35).encode(), b'{"a": 1}', b"null"]  # fmt: skip
-    with logged(bus_server) as log, G1Process(bus_server, *LIGHT) as server, Bus(bus_server, name="bad") as bus:
+    with (
+        logged(bus_server) as log,
+        G1Process(bus_server, *LIGHT) as server,
+        Bus(bus_server, name="bad", timeout_s=5.0) as bus,
+    ):
         wait_until(lambda: _ticks(log) > 5)
         for value in bad:
             before = log.gate()["refused"]
@@ -160,7 +164,7 @@ def test_malformed_commands_of_every_kind_are_refused_told_once_per_kind_and_sur
 def test_the_emergency_stop_damps_within_one_step_and_is_left_only_by_a_reset(
     bus_server: BusAddress, stop: bytes
 ) -> None:
-    with logged(bus_server) as log, G1Process(bus_server, *LIGHT), Bus(bus_server, name="anna") as bus:
+    with logged(bus_server) as log, G1Process(bus_server, *LIGHT), Bus(bus_server, name="anna", timeout_s=5.0) as bus:
         with StockCommander(bus_server):
             wait_until(lambda: log.gate()["state"] == "tracking")
             bus.publish({keys.ESTOP: stop})
@@ -186,7 +190,7 @@ def test_the_emergency_stop_damps_within_one_step_and_is_left_only_by_a_reset(
 
 
 def test_a_stop_that_stood_before_the_server_started_holds(bus_server: BusAddress) -> None:
-    with logged(bus_server) as log, Bus(bus_server, name="anna") as bus:
+    with logged(bus_server) as log, Bus(bus_server, name="anna", timeout_s=5.0) as bus:
         bus.publish({keys.ESTOP: b"1"})
         with G1Process(bus_server, *LIGHT):
             wait_until(lambda: _ticks(log) > 10)
@@ -194,7 +198,7 @@ def test_a_stop_that_stood_before_the_server_started_holds(bus_server: BusAddres
 
 
 def test_a_command_left_over_from_another_time_moves_nothing(bus_server: BusAddress) -> None:
-    with logged(bus_server) as log, Bus(bus_server, name="ghost") as bus:
+    with logged(bus_server) as log, Bus(bus_server, name="ghost", timeout_s=5.0) as bus:
         publish(bus, leaning(0.0))
         with G1Process(bus_server, *LIGHT):
             wait_until(lambda: _ticks(log) > 20)
@@ -202,7 +206,7 @@ def test_a_command_left_over_from_another_time_moves_nothing(bus_server: BusAddr
 
 
 def test_two_writers_of_the_command_are_an_event_that_names_both(bus_server: BusAddress) -> None:
-    with logged(bus_server) as log, G1Process(bus_server, *LIGHT), Bus(bus_server, name="native") as bus:
+    with logged(bus_server) as log, G1Process(bus_server, *LIGHT), Bus(bus_server, name="native", timeout_s=5.0) as bus:
         wait_until(lambda: _ticks(log) > 5)
         with StockCommander(bus_server):
 
@@ -235,7 +239,7 @@ def test_a_disarmed_robot_is_not_moved_until_it_is_armed(bus_server: BusAddress)
     with (
         logged(bus_server) as log,
         G1Process(bus_server, *LIGHT, "start_armed=false"),
-        Bus(bus_server, name="anna") as bus,
+        Bus(bus_server, name="anna", timeout_s=5.0) as bus,
     ):
         wait_until(lambda: _ticks(log) > 10)
         assert not any(codec.parse_f64(value)[29:].any() for value in log.values(keys.target(ROBOT)))
@@ -283,7 +287,7 @@ def test_in_lock_step_nothing_moves_before_the_first_command_and_then_once_per_c
     with (
         logged(bus_server) as log,
         G1Process(bus_server, *LIGHT, "pace=command", "command_timeout_s=0.2"),
-        Bus(bus_server, name="slow") as bus,
+        Bus(bus_server, name="slow", timeout_s=5.0) as bus,
     ):
         wait_until(lambda: len(log.of(keys.robot_state(ROBOT))) > 2)
         assert _ticks(log) == 0
@@ -299,7 +303,7 @@ def test_the_emergency_stop_is_heard_in_lock_step_while_no_command_comes(bus_ser
     with (
         logged(bus_server) as log,
         G1Process(bus_server, *LIGHT, "pace=command", "command_timeout_s=30"),
-        Bus(bus_server, name="anna") as bus,
+        Bus(bus_server, name="anna", timeout_s=5.0) as bus,
     ):
         wait_until(lambda: log.of(keys.robot_state(ROBOT)))
         publish(bus, FORM.default)

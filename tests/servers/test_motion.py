@@ -73,7 +73,7 @@ def start(bus_server: BusAddress, motion: Path, tmp_path: Path) -> Iterator[Star
 
 @pytest.fixture
 def bus(bus_server: BusAddress) -> Iterator[Bus]:
-    with Bus(bus_server, name="test") as client:
+    with Bus(bus_server, name="test", timeout_s=5.0) as client:
         yield client
 
 

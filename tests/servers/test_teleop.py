@@ -164,7 +164,7 @@ def disarm_while_driving(station: OperatedStation) -> None:
 
 
 def test_an_arm_button_that_nobody_answers_is_told(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="teleop") as line, logged(bus_server) as log:
+    with Bus(bus_server, name="teleop", timeout_s=5.0) as line, logged(bus_server) as log:
         life = Life(registry.find("server", "teleop"), "teleop", line, "")
         buttons = ArmButtons(life, ROBOT, "pico")
         buttons.press("arm")

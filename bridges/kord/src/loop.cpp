@@ -30,13 +30,11 @@ uint32_t group_of(uint32_t alarm) {
 }  // namespace
 
 void Bridge::be_punctual() {
-    std::string obtained = "normal scheduling";
-    if (config_.real_time_priority > 0) {
-        const std::string reason = request_fifo(config_.real_time_priority);
-        now_.sched_fifo_granted = reason.empty();
-        obtained = reason.empty() ? "SCHED_FIFO " + std::to_string(config_.real_time_priority)
-                                  : "normal scheduling (" + reason + ")";
-    }
+    const std::string refusal = config_.real_time_priority > 0 ? request_fifo(config_.real_time_priority) : "";
+    const int priority = fifo_priority();
+    now_.sched_fifo_granted = priority > 0;
+    std::string obtained = priority > 0 ? "SCHED_FIFO " + std::to_string(priority) : "normal scheduling";
+    if (!refusal.empty()) obtained += " (" + refusal + ")";
     if (config_.lock_memory) {
         const std::string reason = memory_.acquire();
         now_.memory_locked = reason.empty();
@@ -75,6 +73,7 @@ bool Bridge::open() {
     motion_.reset(session_.reading().q);
     now_.is_connected = true;
     now_.mono_ns = opened_ns_;
+    now_.q_sent = session_.reading().q;
     read();
     publish();
     if (hooks_.step) return true;

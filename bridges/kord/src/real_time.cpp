@@ -33,6 +33,13 @@ std::string request_fifo(int priority) {
     return error == 0 ? "" : std::strerror(error);
 }
 
+int fifo_priority() {
+    int policy = SCHED_OTHER;
+    sched_param has{};
+    pthread_getschedparam(pthread_self(), &policy, &has);
+    return policy == SCHED_FIFO ? has.sched_priority : 0;
+}
+
 std::string MemoryLock::acquire() {
     const std::lock_guard lock(holders_mutex);
     if (is_held_) return "";

@@ -94,7 +94,7 @@ class State:
         torque: Shape (7,) [N·m].
         tcp_pose: Position [m] and roll, pitch, yaw [rad] of the tool in the base frame, shape (6,).
         q_target: What was asked for last, shape (7,) [rad]; after engaging, the joints at that moment.
-        q_sent: What was sent last, shape (7,) [rad].
+        q_sent: What was sent last in this session, shape (7,) [rad]; before, the joints at its beginning.
         queued_motion_s: Motion that the controller still owes [s]; NaN where it does not tell.
         planner_backlog: Moves that wait to be planned; -1 where the controller does not tell.
         tick: Heartbeats that waitSync returned: 250 Hz.

@@ -1,8 +1,8 @@
 """What an arm's session with its controller counted: heartbeats, targets sent in motion and at hold, lateness, faults.
 
-Rates are differences of counters over the writer's time. A span between two states counts as motion where every target
-handed over in it differs from the one before, as hold where none does; it counts as neither where some do, and right
-after such a span or motion, where the last target of the motion may still be on its way.
+Rates are differences of counters over the writer's time. A span of a fifth of a second counts as motion where nine of
+ten targets in it differ from the one before (now and then a tick meets no new command), as hold where none does. It
+counts as neither where some do, and right after motion, where its last target may still be on its way.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from station.episode.reading.messages import Message
 from station.protocols import Floats
 
 _SPAN_NS = 200_000_000
+_MOVING = 0.9
 _SETTLED_S = 0.4  # from the end of a motion until a hold is one
 _NAMES = (*arm_contracts.COUNTERS, *arm_contracts.SESSION_TIMES)
 
@@ -111,7 +112,7 @@ class ArmMeter:
         seconds, grown = (at_ns - self._span[0]) * 1e-9, values - self._span[1]
         self._ticks.seconds += seconds
         self._ticks.sends += float(grown[_NAMES.index("tick")])
-        is_motion = 0 < self._targets == self._moved
+        is_motion = self._moved > _MOVING * self._targets
         self._settled_s = 0.0 if self._moved else self._settled_s + seconds
         rate = self._in_motion if is_motion else self._at_hold if self._settled_s > _SETTLED_S else None
         if rate is not None:

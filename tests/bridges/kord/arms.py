@@ -19,6 +19,10 @@ LIMITS = Limits(
 )  # fmt: skip
 
 
+PATIENT = SimOptions(late_fault_ticks=1_000_000, watchdog_ticks=1_000_000, torque_deviation_rad=1.0)
+"""A controller on the wall clock that does not mind what a busy machine does to the bridge."""
+
+
 @contextlib.contextmanager
 def arm(profile: str | Profile = "speed125", *, limits: Limits = LIMITS, **sim: Any) -> Iterator[KordBridge]:
     """Yield a connected and engaged arm on a virtual clock; `sim` are fields of `SimOptions`."""

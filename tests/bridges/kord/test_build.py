@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-SOURCE = Path(__file__).parents[3] / "bridges/kord"
+from tests.bridges.kord.compiling import SOURCE, environment
 
 PACKAGE = """
 if(NOT TARGET {name}::{name})
@@ -18,18 +18,16 @@ endif()
 """
 
 
-@pytest.fixture(autouse=True)
-def _a_compiler() -> None:
-    for program in ("cmake", "c++"):
-        if shutil.which(program) is None:
-            pytest.skip(f"there is no {program} to build with")
-
-
 def _configure(build: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    command = ["cmake", "-S", SOURCE, "-B", build, "-DSTATION_KORD_PYTHON=OFF", *options]
-    return subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+    return _cmake("-S", SOURCE, "-B", build, "-DSTATION_KORD_PYTHON=OFF", *options)
 
 
+def _cmake(*arguments: Path | str) -> subprocess.CompletedProcess[str]:
+    command = ["cmake", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, env=environment())
+
+
+@pytest.mark.timeout(400)
 @pytest.mark.parametrize("name", ["kord_api", "kord-api"])
 def test_both_spellings_of_the_package_are_found_and_nothing_of_the_simulator_is_needed(
     name: str, tmp_path: Path
@@ -42,9 +40,7 @@ def test_both_spellings_of_the_package_are_found_and_nothing_of_the_simulator_is
     done = _configure(build, f"-D{name}_DIR={package}")
     assert f"linked with {name}::{name}" in done.stdout, done.stdout + done.stderr
     if name == "kord_api":  # compiling once is enough
-        built = subprocess.run(
-            ["cmake", "--build", build, "--parallel", "2"], capture_output=True, text=True, timeout=300, check=False
-        )  # fmt: skip
+        built = _cmake("--build", build, "--parallel", "2")
         assert built.returncode == 0, built.stdout[-3000:]
         assert list(build.rglob("*backend_kord*.o"))
         assert not list(build.rglob("*plant*.o"))

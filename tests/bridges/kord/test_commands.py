@@ -18,6 +18,8 @@ from station_kord import (
     SimOptions,
 )
 
+from adapters.robots.kassow.kinematics import KR810
+from station.rotations import roll_pitch_yaw
 from tests.bridges.kord.arms import LIMITS, ONE_JOINT, arm, stream
 
 
@@ -188,6 +190,15 @@ def test_a_line_moves_the_tool_straight_and_keeps_what_does_not_change() -> None
         assert np.abs(offsets - np.outer(offsets @ along, along)).max() < 1e-6
         assert np.abs(np.array(poses)[:, 3:] - begin[3:]).max() < 1e-6
         assert state.events == ()
+
+
+def test_the_tool_is_where_the_stations_own_kinematics_have_it() -> None:
+    q = np.array([0.3, 0.5, 0.1, 1.0, 0.2, 0.8, 0.1])
+    pose = KR810.posture(q).pose
+    with arm(q_start=tuple(q)) as bridge:
+        told = bridge.get_state().tcp_pose
+    assert np.allclose(told[:3], pose.position, atol=1e-9)
+    assert np.allclose(told[3:], roll_pitch_yaw(pose.quat_wxyz), atol=1e-9)
 
 
 def test_a_line_out_of_reach_is_infeasible() -> None:

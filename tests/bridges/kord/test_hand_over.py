@@ -111,3 +111,27 @@ def test_the_trace_of_a_running_arm_can_be_read_again_and_again() -> None:
             rows = bridge.trace()
             assert np.all(np.diff(rows["tick"]) >= 1)
         assert len(bridge.trace(5)) == 5
+
+
+def test_a_target_of_an_engagement_that_has_ended_is_never_sent() -> None:
+    with arm() as bridge:
+        bridge.stream_j(0.001 * ONE_JOINT)  # no tick comes before the end
+        bridge.disengage()
+        bridge.engage()
+        state = bridge.step(10)
+        assert state.stream_j_sends == 0
+        assert np.all(state.q_target == state.q)
+
+
+def test_engaging_anew_forgets_the_target_that_was_still_to_come() -> None:
+    with arm() as bridge:
+        bridge.stream_j(0.001 * ONE_JOINT)
+        bridge.step(1)
+        bridge.stream_j(0.002 * ONE_JOINT)  # waits for its turn
+        bridge.step(1)
+        bridge.disengage()
+        bridge.step(30)
+        q = bridge.engage()
+        state = bridge.step(10)
+        assert state.stream_j_sends == 1
+        assert state.q_target[0] == q[0] == 0.001

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
-SCRIPT = Path(__file__).parents[3] / "bridges/kord/tools/sanitize.sh"
+from tests.bridges.kord.compiling import SOURCE, environment
 
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("sanitizer", ["thread", "address"])
 def test_all_tests_in_cpp_pass_under_a_sanitizer(sanitizer: str, tmp_path: Path) -> None:
-    for program in ("cmake", "c++"):
-        if shutil.which(program) is None:
-            pytest.skip(f"there is no {program} to build with")
-    done = subprocess.run([SCRIPT, sanitizer, tmp_path], capture_output=True, text=True, timeout=850, check=False)
+    done = subprocess.run(
+        [SOURCE / "tools/sanitize.sh", sanitizer, tmp_path],
+        capture_output=True, text=True, timeout=850, check=False, env=environment(),
+    )  # fmt: skip
     if "cannot find -l" in done.stderr:
         pytest.skip(f"the compiler has no library for its {sanitizer} sanitizer")
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]

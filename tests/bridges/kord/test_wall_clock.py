@@ -9,7 +9,7 @@ import sys
 import numpy as np
 from station_kord import KordBridge, SimOptions
 
-from tests.bridges.kord.arms import LIMITS, ONE_JOINT
+from tests.bridges.kord.arms import LIMITS, ONE_JOINT, PATIENT
 from tests.waiting import wait_until
 
 WITHOUT_RIGHTS = """
@@ -29,9 +29,24 @@ with KordBridge(limits=limits, sim=sim, real_time_priority=70, lock_memory=True)
     json.dump({"fifo": state.sched_fifo_granted, "locked": state.memory_locked, "told": bridge.real_time}, sys.stdout)
 """
 
+WITH_LOCKED_MEMORY = """
+import json, sys
+from pathlib import Path
+from station_kord import KordBridge, Limits, SimOptions
+def locked_kb():
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmLck"))
+sim = SimOptions()
+limits = Limits(q_min=sim.q_min, q_max=sim.q_max, qd_max=(2.0,) * 7, qdd_max=(10.0,) * 7)
+with KordBridge(limits=limits, sim=sim, lock_memory=True) as bridge:
+    bridge.connect()
+    during = {"told": bridge.get_state().memory_locked, "during_kb": locked_kb()}
+json.dump(during | {"after_kb": locked_kb(), "told_after": bridge.get_state().memory_locked}, sys.stdout)
+"""
+
 
 def test_k12_the_loop_keeps_250_hz_and_sends_at_once() -> None:
-    with KordBridge(limits=LIMITS, sim=SimOptions()) as bridge:
+    with KordBridge(limits=LIMITS, sim=PATIENT) as bridge:
         bridge.connect()
         q = bridge.engage()
         rates: list[float] = []
@@ -61,6 +76,16 @@ def test_k14_without_rights_the_request_is_told_as_not_granted_and_the_loop_runs
     assert told["told"].startswith("normal scheduling (Operation not permitted), memory not locked (")
 
 
+def test_memory_is_locked_no_longer_than_the_session_lasts() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", WITH_LOCKED_MEMORY], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert (told["during_kb"] > 0) == told["told"]
+    assert (told["after_kb"], told["told_after"]) == (0, False)
+
+
 def test_no_priority_asked_for_is_none_tried() -> None:
     with KordBridge(limits=LIMITS, sim=SimOptions(), real_time_priority=0) as bridge:
         bridge.connect()
@@ -68,7 +93,7 @@ def test_no_priority_asked_for_is_none_tried() -> None:
 
 
 def test_a_python_that_does_not_come_round_leaves_the_arm_at_its_last_target() -> None:
-    with KordBridge(limits=LIMITS, sim=SimOptions()) as bridge:
+    with KordBridge(limits=LIMITS, sim=PATIENT) as bridge:
         bridge.connect()
         q = bridge.engage() + 0.03 * ONE_JOINT
         bridge.stream_j(q)

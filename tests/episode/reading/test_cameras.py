@@ -60,7 +60,7 @@ def test_no_more_than_a_chunk_of_each_file_is_in_memory(tmp_path: Path) -> None:
     for order in ("file", "log"):
         tracemalloc.start()
         try:
-            assert sum(1 for _ in reader.messages(order=order)) == 30 * 21  # type: ignore[arg-type]
+            assert sum(1 for _ in reader.messages(order=order)) == 30 * 21
             _, peak = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()

@@ -112,6 +112,7 @@ class FakeCamera:
 
         Add to `sequence` before for pictures that the driver lost.
         """
+        self._wait_for_a_reader()
         taken_us = (time.monotonic_ns() - round(age_s * 1e9)) // 1000
         flags = (_MONOTONIC if is_stamped else 0) | (_ERROR if is_damaged else 0)
         self._send(_HEAD.pack(self.sequence, flags, len(data), 0, *divmod(taken_us, 1_000_000)) + data)
@@ -124,9 +125,13 @@ class FakeCamera:
         with self._changed:
             self._line = None
 
-    def _send(self, data: bytes) -> None:
+    def _wait_for_a_reader(self) -> None:
         with self._changed:
             assert self._changed.wait_for(lambda: self._line is not None, DEADLINE_S), "nobody reads the camera"
+
+    def _send(self, data: bytes) -> None:
+        self._wait_for_a_reader()
+        with self._changed:
             assert self._line is not None
             self._line.sendall(data)
 
