@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from adapters.exports.lerobot.plan import ACTION, AGE, PIXELS, STATE, TIME, Camera, Layout, Plan
+from adapters.exports.lerobot.codec import PIXELS
+from adapters.exports.lerobot.plan import ACTION, AGE, STATE, TIME, Camera, Layout, Plan
 
 CHUNK = 1000
 """Files per folder of v3.0, episodes per folder of v2.1."""

@@ -9,7 +9,8 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from adapters.exports.lerobot import plan as plans
-from adapters.exports.lerobot.plan import Codec, Layout, Plan
+from adapters.exports.lerobot.codec import Codec
+from adapters.exports.lerobot.plan import Layout, Plan
 from station.export.kind import ExportOptions, LeftOut, Made, Shard, Source
 
 NO_CAMERA = "none"

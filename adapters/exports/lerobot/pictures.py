@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adapters.exports.lerobot.av_library import av
-from adapters.exports.lerobot.plan import PIXELS, Camera, Plan
+from adapters.exports.lerobot.codec import PIXELS
+from adapters.exports.lerobot.decoder import Decoder
+from adapters.exports.lerobot.plan import Camera, Plan
 from adapters.exports.lerobot.stats import PixelCounts
 from adapters.exports.lerobot.video import VideoWriter, expect_frames
 from station.episode.reading.messages import Ints
@@ -19,23 +21,6 @@ from station.episode.reading.reader import EpisodeReader
 from station.errors import EpisodeError
 
 _MOST_BAD = 0.01  # of a camera's pictures; more is no transmission error but a fault of the camera
-
-
-class Decoder:
-    """JPEG files to pictures, with PyAV's decoder: it keeps the camera's own colour planes, no detour through RGB."""
-
-    def __init__(self) -> None:
-        self._context = av.CodecContext.create("mjpeg", "r")
-        self._context.thread_count = 1
-        self._context.options = {"err_detect": "explode"}  # else half a picture is filled up with grey
-
-    def picture(self, jpeg: bytes) -> Any | None:
-        """Return an `av.VideoFrame`, or None for what is no whole JPEG file."""
-        try:
-            found = self._context.decode(av.Packet(jpeg)) if jpeg else []
-        except (av.error.FFmpegError, ValueError):
-            return None
-        return found[0] if found else None
 
 
 @dataclass(frozen=True)

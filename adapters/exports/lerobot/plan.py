@@ -8,6 +8,7 @@ from typing import Literal
 
 import msgspec
 
+from adapters.exports.lerobot.codec import Codec
 from station.bus import keys
 from station.episode.reading import frames
 from station.episode.reading.reader import EpisodeReader
@@ -19,7 +20,6 @@ from station.export.kind import MinQuality, Source
 from station.export.resample import state_of_step
 
 Layout = Literal["v3.0", "v2.1"]
-Codec = Literal["h264", "av1"]
 
 STATE = "observation.state"
 ACTION = "action"
@@ -28,8 +28,6 @@ AGE = "age_s."
 """Before the name of a column: how old what stands there is. Names that begin with ``observation`` or ``action`` would
 be taken for inputs and outputs of a policy by LeRobot, whatever they hold."""
 TIME = "time_ns"
-PIXELS = "yuv420p"
-"""Colour planes of every video: what all decoders read."""
 
 
 class Camera(msgspec.Struct, frozen=True, kw_only=True):
@@ -179,7 +177,7 @@ def _expect_defaults(reader: EpisodeReader, wish: Wish, robot: str) -> None:
 
 
 def _camera(reader: EpisodeReader, name: str, key: str) -> Camera:
-    from adapters.exports.lerobot.pictures import Decoder
+    from adapters.exports.lerobot.decoder import Decoder
 
     first = next(frames.frames(reader, key), None)
     picture = Decoder().picture(first.jpeg) if first is not None else None

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from adapters.exports.lerobot.av_library import av
-from adapters.exports.lerobot.plan import PIXELS, Codec
+from adapters.exports.lerobot.codec import PIXELS, Codec
 from station.errors import EpisodeError
 
 _ENCODERS: dict[Codec, tuple[str, dict[str, str]]] = {
