@@ -17,7 +17,8 @@ from station.life.arming import RAMP_S
 from tests.servers.g1_station import FORM, LIGHT, ROBOT, G1Process, Log, StockCommander, logged, publish
 from tests.waiting import wait_until
 
-DISARMED = (*LIGHT, "start_armed=false")
+DISARMED = (*LIGHT, "start_armed=false", "gate.return_after_s=1.5")
+"""A busy machine may be late with a command; how long it takes until they have ceased is not the subject here."""
 
 
 def stiffness(log: Log) -> list[float]:
@@ -124,7 +125,7 @@ def test_the_key_of_the_emergency_stop_arms_under_the_same_rules(bus_server: Bus
             bus.publish({keys.ESTOP: release})
             wait_until(lambda: log.events("arm-refused"))
         silent_since = ticks(log)
-        wait_until(lambda: ticks(log) > silent_since + 50)
+        wait_until(lambda: ticks(log) > silent_since + 100)
         assert log.gate()["arming"] == "disarmed"
         bus.publish({keys.ESTOP: release})
         wait_until(lambda: log.gate()["arming"] == "armed")

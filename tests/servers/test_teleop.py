@@ -57,7 +57,7 @@ def test_operator_waves_walks_lets_go_and_leaves(tmp_path: Path) -> None:
         jumps = station.restarts_at_engaging()
         assert len(jumps) == len(station.told("operator-engaged")) >= 2
         assert max(jumps) <= SAME
-        assert np.abs(vectors(station)[-1] - FORM.default).max() <= SAME
+        wait_until(lambda: np.abs(vectors(station)[-1] - FORM.default).max() <= SAME)  # the log may be a moment behind
         change = np.abs(np.diff(vectors(station), axis=0)) / (FORM.rate * 0.02)
         assert change.max() <= 1.0 + SAME
         states = station.log.states()

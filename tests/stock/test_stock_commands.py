@@ -20,6 +20,7 @@ from tests.stock.stock_twist2 import ACTIONS, BODY, STANDING, STATE_BODY, Motion
 from tests.waiting import DEADLINE_S, wait_until
 
 AS_STOCK = ("policy=twist2", "robot_model=twist2:g1/g1_sim2sim_29dof.xml")
+FOLLOWED = ("tracking", "holding")  # the second a moment after the last command
 MOST_JOINT_ERROR_RAD = 0.11
 SETTLED = 150  # commands: stock steps into the clip at once, our gate blends for 1 s
 
@@ -102,7 +103,7 @@ def test_order_of_starting_does_not_matter(bus: Bus, serve: Serve, stock: Motion
     wait_until(lambda: gate(bus))
     assert gate(bus) == "waiting"  # an empty bus, or the last words of somebody who has gone, move nothing
     stock.play(until_followed(bus))
-    assert gate(bus) == "tracking"
+    assert gate(bus) in FOLLOWED
     stock.close()
     wait_until(lambda: gate(bus) == "waiting")  # stock would repeat the last command for ever
     assert g1.poll() is None
@@ -119,7 +120,7 @@ def test_what_stock_may_write_wrongly_is_refused_and_the_robot_stands(
     wait_until(lambda: sum(health(bus, "g1").detail.get("refused", {}).values()) >= 4)
     assert (g1.poll(), gate(bus)) == (None, "waiting")
     stock.play(until_followed(bus))
-    assert gate(bus) == "tracking"
+    assert gate(bus) in FOLLOWED
     stock.close()
 
 
@@ -127,5 +128,6 @@ def test_robot_needs_none_of_the_companion_keys(bus: Bus, serve: Serve, stock: M
     g1 = serve("g1")
     others = [key for key in ACTIONS if key != BODY]
     stock.play(until_followed(bus), each=lambda _: stock.redis.delete(*others))
-    assert (g1.poll(), gate(bus)) == (None, "tracking")
+    assert g1.poll() is None
+    assert gate(bus) in FOLLOWED
     stock.close()

@@ -10,6 +10,7 @@
 
 #include "arm_session.hpp"
 #include "histogram.hpp"
+#include "monotonic.hpp"
 #include "motion.hpp"
 #include "real_time.hpp"
 #include "recovery.hpp"

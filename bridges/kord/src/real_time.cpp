@@ -7,7 +7,6 @@
 
 #include <cerrno>
 #include <cstring>
-#include <ctime>
 #include <mutex>
 
 namespace station_kord {
@@ -18,12 +17,6 @@ std::mutex holders_mutex;
 int holders = 0;
 
 }  // namespace
-
-int64_t monotonic_ns() {
-    timespec now{};
-    clock_gettime(CLOCK_MONOTONIC, &now);
-    return now.tv_sec * 1'000'000'000LL + now.tv_nsec;
-}
 
 std::string request_fifo(int priority) {
     prctl(PR_SET_TIMERSLACK, 1UL, 0, 0, 0);  // wake at the instant, not up to 50 us after it

@@ -1,12 +1,9 @@
 // What a punctual thread asks of the system; none of it may fail the run.
 #pragma once
 
-#include <cstdint>
 #include <string>
 
 namespace station_kord {
-
-int64_t monotonic_ns();
 
 // Ask for SCHED_FIFO for the calling thread; empty where it was granted, otherwise the reason.
 std::string request_fifo(int priority);

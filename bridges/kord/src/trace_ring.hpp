@@ -4,19 +4,9 @@
 #include <mutex>
 #include <vector>
 
-#include "types.hpp"
+#include "trace_row.hpp"
 
 namespace station_kord {
-
-#pragma pack(push, 1)
-struct TraceRow {  // as station_kord.TRACE has it
-    int64_t tick = 0;
-    double q[kJoints] = {}, qd[kJoints] = {}, q_target[kJoints] = {}, q_sent[kJoints] = {};
-    double queued_motion_s = 0;
-    int32_t planner_backlog = -1;
-    uint8_t sent = 0, late = 0, moving = 0, fault = 0;
-};
-#pragma pack(pop)
 
 class TraceRing {
 public:

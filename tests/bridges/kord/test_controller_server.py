@@ -60,7 +60,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ControllerServe
 
 @contextlib.contextmanager
 def _driver(server: ControllerServer, mode: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Yield a process that drives the arm, under way; one that a busy machine stops on its way is followed by another."""
+    """Yield a process that drives the arm, under way; one that a busy machine stops before is followed by another."""
 
     def is_under_way() -> bool:
         row = server.simulator.trace(1)

@@ -29,12 +29,6 @@ TraceRow row_of(const Controller& controller) {
 
 }  // namespace
 
-int64_t monotonic_ns() {
-    timespec now{};
-    clock_gettime(CLOCK_MONOTONIC, &now);
-    return now.tv_sec * 1'000'000'000LL + now.tv_nsec;
-}
-
 void sleep_until(int64_t instant_ns) {
     const timespec until{instant_ns / 1'000'000'000LL, instant_ns % 1'000'000'000LL};
     while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, nullptr) != 0) {

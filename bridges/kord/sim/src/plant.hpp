@@ -10,9 +10,13 @@
 #include <vector>
 
 #include "controller.hpp"
-#include "trace.hpp"
+#include "monotonic.hpp"
+#include "trace_row.hpp"
 
 namespace kordsim {
+
+using station_kord::monotonic_ns;
+using station_kord::TraceRow;
 
 class Plant {
 public:
@@ -71,7 +75,6 @@ private:
 std::string enroll(const std::shared_ptr<Plant>& plant);
 std::shared_ptr<Plant> find(const std::string& name);
 
-int64_t monotonic_ns();
 void sleep_until(int64_t instant_ns);
 
 }  // namespace kordsim
