@@ -5,10 +5,10 @@ from __future__ import annotations
 import signal
 import threading
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from station import kord_faults
 from station.arms import kord
 from station.bus import keys
 from station.bus.client import Bus
@@ -16,6 +16,12 @@ from station.cli.options import Verbs, address_of, bus_option
 from station.errors import UsageError
 from station.life import controller_request
 from station.life.controller_request import Action
+
+if TYPE_CHECKING:
+    from station_kord.demonstrations import Course
+
+FAULTS = ("fetch-first", "stop-point", "hold-flood", "no-throttle", "short-time")
+"""The demonstrations of `station_kord.demonstrations`, which need not be installed to be named."""
 
 _robot_option = click.option(
     "--robot", default=keys.KASSOW_KR810, show_default=True, help="Suffix of the arm's keys; holds its model."
@@ -99,7 +105,7 @@ def controller(socket: Path, q_start: str, preset: str) -> None:
 
 
 @command.command("demo-fault")
-@click.argument("name", type=click.Choice(kord_faults.names()))
+@click.argument("name", type=click.Choice(FAULTS))
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), default=None,
               help="Where to draw it.  [default: kassow-NAME.png]")  # fmt: skip
 def demo_fault(name: str, output: Path | None) -> None:
@@ -108,9 +114,12 @@ def demo_fault(name: str, output: Path | None) -> None:
     Runs twice in exact virtual time, once with the mistake and once with the one setting that cures it, and draws
     target, arm, queue and sends of both over time.
     """
+    kord()  # says what to do where it is not installed
+    from station_kord import demonstrations
+
     from station.view import fault_plot
 
-    shown = kord_faults.find(name)
+    shown = demonstrations.find(name)
     faulty, cured = shown.run()
     path = fault_plot.save(shown, faulty, cured, output or Path(f"kassow-{name}.png"))
     click.echo(shown.symptom)
@@ -120,7 +129,7 @@ def demo_fault(name: str, output: Path | None) -> None:
     click.echo(str(path))
 
 
-def _outcome(course: kord_faults.Course) -> str:
+def _outcome(course: Course) -> str:
     parts = [f"{course.sends} targets sent"]
     if course.event_s is not None:
         parts.insert(0, f"{course.event} ({course.event_s:.3f} s after the start)")

@@ -11,15 +11,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from station.errors import StationError
-from station.kord_faults import TICK_S, Course, Demonstration
 from station.view import plot_style as style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from station_kord.demonstrations import Course, Demonstration
 
 _HEIGHT_IN = 8.4
-_WINDOW = 50  # ticks of 4 ms: sends per second are counted over a fifth of a second
+_TICK_S = 0.004  # of the controller
+_WINDOW = 50  # ticks: sends per second are counted over a fifth of a second
 _TITLE_CHARS = 120
 _FULL = 150  # moves; more suspend the controller
 
@@ -91,7 +92,7 @@ def _per_second(sent: np.ndarray[tuple[int], np.dtype[np.uint8]]) -> np.ndarray[
     """Return how many were sent in the last fifth of a second, as a rate."""
     total = np.concatenate([[0.0], np.cumsum(sent, dtype=np.float64)])
     first = np.maximum(np.arange(len(sent)) + 1 - _WINDOW, 0)
-    rate: np.ndarray[tuple[int], np.dtype[np.float64]] = (total[1:] - total[first]) / (_WINDOW * TICK_S)
+    rate: np.ndarray[tuple[int], np.dtype[np.float64]] = (total[1:] - total[first]) / (_WINDOW * _TICK_S)
     return rate
 
 

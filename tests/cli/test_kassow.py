@@ -13,8 +13,7 @@ from typing import Any
 
 import pytest
 
-from station import kord_faults
-from station.kord_faults import Course
+from station.cli.kassow import FAULTS
 from station.view import fault_plot
 from tests.cli.running import Home, one_line
 from tests.servers.kassow_station import ArmStation, Commander
@@ -106,13 +105,25 @@ def test_a_demonstration_draws_a_picture_and_prints_the_cure(kord: Any, home: Ho
 
 
 @cache
-def courses(name: str) -> tuple[Course, Course]:
-    return kord_faults.find(name).run()
+def courses(name: str) -> Any:
+    return demonstration(name).run()
 
 
-@pytest.mark.parametrize("name", kord_faults.names())
+def demonstration(name: str) -> Any:
+    from station_kord import demonstrations
+
+    return demonstrations.find(name)
+
+
+def test_the_command_line_names_every_demonstration(kord: Any) -> None:
+    from station_kord import demonstrations
+
+    assert list(FAULTS) == demonstrations.names()
+
+
+@pytest.mark.parametrize("name", FAULTS)
 def test_every_demonstration_can_be_drawn(kord: Any, tmp_path: Path, name: str) -> None:
-    path = fault_plot.save(kord_faults.find(name), *courses(name), tmp_path / "fault.png")
+    path = fault_plot.save(demonstration(name), *courses(name), tmp_path / "fault.png")
     assert len(path.read_bytes()) > 20_000
 
 

@@ -9,18 +9,16 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from station.arms import kord
-from station.errors import UnknownName
+from station_kord.bridge import KordBridge
+from station_kord.errors import NotConnected, Refused
+from station_kord.options import TICK_S, Limits, SimOptions
+from station_kord.profiles import PROFILES, Profile
 
-if TYPE_CHECKING:
-    from station_kord import KordBridge, Profile, SimOptions
-
-TICK_S = 0.004
 _SPEED_RAD_S, _STANDS_RAD_S = 0.3, 1e-4
 _START = (0.0, 0.35, 0.0, 1.6, 0.0, 1.19, 0.0)
 """Joints at the start [rad]: anywhere within the limits of any model."""
@@ -104,10 +102,9 @@ class Demonstration:
         return self._course(self.faulty), self._course(self.cured)
 
     def _course(self, run: Run) -> Course:
-        native = kord()
-        limits = native.Limits(q_min=run.sim.q_min, q_max=run.sim.q_max, qd_max=(run.sim.qd_max_radps,) * 7,
+        limits = Limits(q_min=run.sim.q_min, q_max=run.sim.q_max, qd_max=(run.sim.qd_max_radps,) * 7,
                                qdd_max=(run.sim.qdd_max_radps2,) * 7)  # fmt: skip
-        bridge: KordBridge = native.KordBridge(
+        bridge = KordBridge(
             limits=limits, profile=run.profile, sim=run.sim, real_time_priority=0, trace_ticks=self.ticks + 100
         )
         with bridge:
@@ -126,16 +123,15 @@ class Demonstration:
 
     def _drive(self, bridge: KordBridge, start: NDArray[np.float64]) -> None:
         """Hand over targets until the time is over, or the session is."""
-        native = kord()
         for tick in range(self.ticks):
             way = self.drive(tick)
             try:
                 if way is not None:
                     bridge.stream_j(start + np.array([way, 0, 0, 0, 0, 0, 0]))
                 bridge.step(1)
-            except native.NotConnected:
+            except NotConnected:
                 return
-            except native.Refused:  # faulted: the arm stands, and a real one's operator has noticed
+            except Refused:  # faulted: the arm stands, and a real one's operator has noticed
                 bridge.step(1)
 
 
@@ -148,22 +144,17 @@ def find(name: str) -> Demonstration:
     """Return a demonstration.
 
     Raises:
-        UnknownName: there is none of that name.
-        StationError: the native bridge, whose simulator it runs on, is not installed.
+        KeyError: there is none of that name.
     """
-    if name not in _MAKERS:
-        raise UnknownName("demonstration", name, _MAKERS)
     return _MAKERS[name]()
 
 
 def _options(**changes: Any) -> SimOptions:
-    options: SimOptions = kord().SimOptions(clock="virtual", q_start=_START, **changes)
-    return options
+    return SimOptions(clock="virtual", q_start=_START, **changes)
 
 
 def _profile(name: str, **changes: Any) -> Profile:
-    profile: Profile = dataclasses.replace(kord().PROFILES[name], **changes)
-    return profile
+    return dataclasses.replace(PROFILES[name], **changes)
 
 
 def _ramp(begins_s: float, ends_s: float, *, every: int = 1) -> Callable[[int], float | None]:
