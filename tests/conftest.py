@@ -65,6 +65,16 @@ def _own_runtime_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: p
         monkeypatch.delenv(name, raising=False)
 
 
+@pytest.fixture(autouse=True)
+def _ordinary_scheduling() -> Iterator[None]:
+    """See that no test leaves real-time scheduling to those after it: their children would starve everybody else."""
+    yield
+    if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK != os.SCHED_OTHER:
+        found = f"policy {os.sched_getscheduler(0)}, priority {os.sched_getparam(0).sched_priority}"
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        pytest.fail(f"the test leaves its process with real-time scheduling ({found})")
+
+
 @pytest.fixture
 def bus_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BusAddress]:
     """Address of a real server in a folder of its own."""

@@ -35,6 +35,7 @@ from tests.waiting import wait_until
 
 ROBOT = keys.KASSOW_KR810
 TIMEOUT_S = 60.0
+_LATER_S = 2.5  # than the script says: by then the teleoperation server hears the arm, on a busy machine too
 
 
 class ArmAtWork:
@@ -88,7 +89,8 @@ class OperatedArm:
 
     def __init__(self, folder: Path, steps: Sequence[Mapping[str, Any]], **teleop: Any) -> None:
         script = folder / "script.json"
-        script.write_text(json.dumps({"device": "spacemouse", "steps": list(steps)}))
+        later = [{**step, "at_s": step["at_s"] + _LATER_S} for step in steps]
+        script.write_text(json.dumps({"device": "spacemouse", "steps": later}))
         self.server = RedisServer.start(ServerOptions(folder=folder, socket=folder / "bus.sock"))
         self.bus = Bus(self.server.address, name="supervisor", timeout_s=5.0)
         self.log = Log(self.server.address)

@@ -245,8 +245,17 @@ def test_what_only_a_person_can_confirm_is_not_cleared(kord: Any, tmp_path: Path
             controller_request.ask(arm.bus, ROBOT, "clear")
         controller.simulator.emergency_stop(False)
         controller.simulator.confirm()
-        controller_request.ask(arm.bus, ROBOT, "clear")
+        wait_until(lambda: is_cleared(arm))  # once a heartbeat has told the server of it
         arm.wait_for_gate("waiting")
+
+
+def is_cleared(arm: ArmStation) -> bool:
+    """Ask for it; return whether it was granted."""
+    try:
+        controller_request.ask(arm.bus, ROBOT, "clear")
+    except Refused:
+        return False
+    return True
 
 
 def test_a_lost_session_is_a_fault_and_clearing_opens_it_anew(kord: Any, tmp_path: Path) -> None:

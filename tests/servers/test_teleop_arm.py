@@ -19,7 +19,7 @@ SPEED_RAD_S, RATE_HZ = 0.3, 250.0
 _REST = [0, 0, 0, 0, 0, 0]
 
 
-def press(at_s: float, for_s: float = 0.2) -> list[dict[str, Any]]:
+def press(at_s: float, for_s: float = 0.4) -> list[dict[str, Any]]:
     return [{"at_s": at_s, "buttons": [0]}, {"at_s": at_s + for_s, "buttons": []}]
 
 
