@@ -10,6 +10,7 @@ from typing import Any
 
 from adapters.exports.lerobot.av_library import av
 from adapters.exports.lerobot.codec import PIXELS, Codec
+from adapters.exports.lerobot.scheduling import kept_scheduling
 from station.errors import EpisodeError
 
 _ENCODERS: dict[Codec, tuple[str, dict[str, str]]] = {
@@ -42,6 +43,8 @@ class VideoWriter:
         context = stream.codec_context
         context.thread_count = 1
         context.color_range, context.colorspace = _LIMITED_RANGE, _BT601
+        with kept_scheduling():
+            context.open()
         self._stream = stream
 
     def add(self, picture: Any) -> None:
