@@ -130,6 +130,11 @@ def state_joints(robot: str) -> str:
     return f"state_joints_{robot}"
 
 
+def state_of_step(robot: str) -> str:
+    """Whichever state a robot's control step reads: an arm's joints, or all that `robot_state` holds."""
+    return state_joints(robot) if robot.startswith(KASSOW_FAMILY) else robot_state(robot)
+
+
 def state_tcp(robot: str) -> str:
     """Pose of an arm's tool centre point in the frame of its base, 125 times a second."""
     return f"state_tcp_{robot}"

@@ -76,7 +76,7 @@ def state_of_step(key: str) -> str | None:
     """Return the key of the state that a policy step reads before it writes a key; None for a key of no step."""
     for family in steps.RESULTS:
         if key.startswith(family("")):
-            return keys.robot_state(key.removeprefix(family("")))
+            return keys.state_of_step(key.removeprefix(family("")))
     return None
 
 

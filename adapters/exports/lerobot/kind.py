@@ -15,7 +15,7 @@ from station.export.kind import ExportOptions, LeftOut, Made, Shard, Source
 
 NO_CAMERA = "none"
 
-_STATE = "Keys of observation.state.  [default: robot_state of the episodes' robot]"
+_STATE = "Keys of observation.state.  [default: robot_state of the episodes' robot, state_joints of an arm]"
 _ACTION = "Keys of action.  [default: command_used of the episodes' robot, the command that the policy was given]"
 _CAMERA = f"Cameras; `{NO_CAMERA}` for no pictures.  [default: all]"
 

@@ -147,7 +147,7 @@ def cameras_of(reader: EpisodeReader, names: Sequence[str]) -> dict[str, str]:
 def _of(reader: EpisodeReader, wish: Wish) -> Common:
     robot = "" if wish.state and wish.action else robot_of(reader)
     _expect_defaults(reader, wish, robot)
-    state = tuple(key_columns(reader, key) for key in wish.state or (keys.robot_state(robot),))
+    state = tuple(key_columns(reader, key) for key in wish.state or (keys.state_of_step(robot),))
     action = tuple(key_columns(reader, key) for key in wish.action or (keys.command_used(robot),))
     chosen = {one.key: one for one in (*state, *action)}
     steps = {state_of_step(one.key) for one in action if one.role == "policy"}
@@ -166,7 +166,7 @@ def _of(reader: EpisodeReader, wish: Wish) -> Common:
 def _expect_defaults(reader: EpisodeReader, wish: Wish, robot: str) -> None:
     """Refuse an episode that lacks the keys that nobody named, as one of stock scripts does; say what it has."""
     topics = reader.topics()
-    sides = (("--state", wish.state, keys.robot_state(robot), keys.state_body(robot)),
+    sides = (("--state", wish.state, keys.state_of_step(robot), keys.state_body(robot)),
              ("--action", wish.action, keys.command_used(robot), keys.action_body(robot)))  # fmt: skip
     lacking = [default for _, named, default, _ in sides if not named and default not in topics]
     stock = " ".join(f"{option} {stock}" for option, named, _, stock in sides if not named and stock in topics)

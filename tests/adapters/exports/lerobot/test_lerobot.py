@@ -23,7 +23,8 @@ from station.errors import EpisodeError
 from station.export import shards
 from station.export.kind import Source
 from station.export.run import Exported, Where, export, preview
-from tests.episode.synthetic import ROBOT
+from tests.episode.arm_run import ArmRun
+from tests.episode.synthetic import ROBOT, EpisodeBuilder
 from tests.export.pictured import HEAD, number_in, walked
 
 IMAGE = "observation.images.head"
@@ -309,3 +310,18 @@ def test_a_camera_can_be_left_out(tmp_path: Path) -> None:
     assert not (out / "videos").exists()
     assert json.loads((out / "meta/info.json").read_text())["video_path"] is None
     assert HEAD not in (out / "meta/info.json").read_text()
+
+
+def test_an_arm_needs_no_keys_named(tmp_path: Path) -> None:
+    made = ArmRun(EpisodeBuilder(tmp_path / "data", task="jog"))
+    made.hold(0.5)
+    made.move(2.0)
+    folder = made.finish()
+    exported([Source(episode_id=folder.name, folder=str(folder))], out := tmp_path / "set")
+    table = pq.read_table(out / "data/chunk-000/file-000.parquet")
+    state, action = np.array(table["observation.state"].to_pylist()), np.array(table["action"].to_pylist())
+    assert (state.shape[1], action.shape[1]) == (21, 7)
+    assert action[-1, 0] - action[0, 0] > 0.4  # joint 1 moved at 0.3 rad/s
+    ahead = action[:, 0] - state[:, 0]  # what was made of the state of the same row
+    assert ahead.min() >= 0.0
+    assert ahead.max() < 0.02
