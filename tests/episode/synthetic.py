@@ -177,26 +177,13 @@ def tick(
         commander: Server that writes the commands.
     """
     wanted = command(q, height=height) if asked is None else asked
-    source = {"file": "walk.pkl", "frame": number, "phase": phase}
     if is_commanded:
-        builder.write(
-            {keys.action_body(): codec.json_vector(wanted), keys.command_source(ROBOT): json.dumps(source).encode()},
-            at_s=at_s - age_s,
-            writer=commander,
-        )
-    measured = np.concatenate([q, np.zeros(29), quat, np.zeros(3)])
-    builder.write(
-        {
-            keys.robot_state(ROBOT): codec.f64(measured),
-            keys.state_body(ROBOT): codec.json_vector(np.concatenate([np.zeros(5), q])),
-            keys.sim_qpos(ROBOT): codec.f64(np.concatenate([[0.02 * number, 0.0, height], quat, q])),
-        },
-        at_s=at_s,
-    )
+        source = {"file": "walk.pkl", "frame": number, "phase": phase}
+        _ask(builder, wanted, source, at_s=at_s - age_s, writer=commander)
+    _read(builder, q, quat, [0.02 * number, 0.0, height], at_s=at_s)
     read = MONO_START_NS + round(at_s * 1e9)
     stages = [read - round(age_s * 1e9), read - round(age_s * 1e9) + 300_000, read, read + 100_000]
     inferred = read + 3_000_000 + round(slow_s * 1e9)
-    timing = [number, number + 1, *stages, inferred, inferred + 200_000]
     builder.write(
         {
             keys.policy_obs(ROBOT): codec.f32(np.arange(8) + number),
@@ -204,9 +191,27 @@ def tick(
             keys.target(ROBOT): codec.f64(np.concatenate([q, np.full(29, 100.0), np.full(29, 2.0)])),
             keys.command_gate(ROBOT): json.dumps({"state": gate, "reason": "", "age_s": age_s}).encode(),
             keys.command_used(ROBOT): codec.f64(wanted),
-            keys.policy_timing(ROBOT): json.dumps(timing).encode(),
+            keys.policy_timing(ROBOT): json.dumps([number, number + 1, *stages, inferred, inferred + 200_000]).encode(),
         },
         at_s=at_s + 0.0035 + slow_s,
+    )
+
+
+def _ask(builder: EpisodeBuilder, wanted: Floats, source: dict[str, Any], *, at_s: float, writer: str) -> None:
+    """What a commander writes in a tick."""
+    values = {keys.action_body(): codec.json_vector(wanted), keys.command_source(ROBOT): json.dumps(source).encode()}
+    builder.write(values, at_s=at_s, writer=writer)
+
+
+def _read(builder: EpisodeBuilder, q: Floats, quat: Sequence[float], place: Sequence[float], *, at_s: float) -> None:
+    """What the robot writes of its state: joints, orientation, and where its root is."""
+    builder.write(
+        {
+            keys.robot_state(ROBOT): codec.f64(np.concatenate([q, np.zeros(29), quat, np.zeros(3)])),
+            keys.state_body(ROBOT): codec.json_vector(np.concatenate([np.zeros(5), q])),
+            keys.sim_qpos(ROBOT): codec.f64(np.concatenate([place, quat, q])),
+        },
+        at_s=at_s,
     )
 
 

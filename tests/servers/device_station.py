@@ -6,7 +6,7 @@ import contextlib
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,11 @@ from typing import Any
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.sample import Sample
-from station.bus.tap import Tap, open_tap
-from station.life import events
+from station.bus.tap import Write
 from station.life.events import Event
 from station.operator import reading as readings
 from station.operator.reading import Reading, Status
-from tests.waiting import DEADLINE_S, wait_until
+from tests.servers.one_server import OneServer
 
 RUN = """
 import importlib, json, sys
@@ -36,7 +35,7 @@ except StationError as error:
 """
 
 
-class Station:
+class Station(OneServer):
     """One device server and everything that it writes to the bus.
 
     Args:
@@ -46,13 +45,11 @@ class Station:
     """
 
     def __init__(self, device: str, address: BusAddress, folder: Path) -> None:
-        self.device, self._address, self._folder = device, address, folder
+        super().__init__(address, folder / "stderr")
+        self.device, self._folder = device, folder
         self.samples: list[Reading] = []
         self.statuses: list[Status] = []
-        self.events: list[Event] = []
         self.facts: dict[str, Any] = {}
-        self._tap: Tap = open_tap(address)
-        self._process: subprocess.Popen[bytes] | None = None
 
     def start(self, steps: Sequence[Mapping[str, Any]] = (), *, before: str = "", **config: Any) -> None:
         """Start the server, on a fake with a script where there are steps; `before` is Python that runs first."""
@@ -60,24 +57,8 @@ class Station:
             config["fake"] = str(self._folder / "script.json")
             Path(config["fake"]).write_text(json.dumps({"device": self.device, "steps": steps}))
         command = [sys.executable, "-c", before + RUN, self.device, self._address.url, json.dumps(config)]
-        with (self._folder / "stderr").open("wb") as stderr:
+        with self._words.open("wb") as stderr:
             self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=stderr)
-
-    @property
-    def process(self) -> subprocess.Popen[bytes]:
-        """The server's process."""
-        assert self._process is not None
-        return self._process
-
-    def until(self, condition: Callable[[], object]) -> None:
-        """Read what is written until a condition holds."""
-
-        def holds() -> object:
-            self._take()
-            assert self.process.poll() is None, self.last_words()
-            return condition()
-
-        wait_until(holds)
 
     def states(self) -> list[str]:
         """Return the states that were told, in order; without ``stale``, which a busy machine brings about as well."""
@@ -88,41 +69,16 @@ class Station:
         """Return the newest event of a name."""
         return [event for event in self.events if event.name == name][-1]
 
-    def stop(self) -> int:
-        """Ask it to finish; return its exit code."""
-        self.process.terminate()
-        return self.process.wait(DEADLINE_S)
-
-    def ends(self) -> tuple[int, str]:
-        """Wait for its end by itself; return exit code and the last line it printed."""
-        return self.process.wait(DEADLINE_S), self.last_words()
-
-    def last_words(self) -> str:
-        """Return the last line it printed."""
-        lines = (self._folder / "stderr").read_text().splitlines()
-        return lines[-1] if lines else ""
-
-    def close(self) -> None:
-        """Kill what still runs."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-        self._tap.close()
-
-    def _take(self) -> None:
-        for _, group in groupby(self._tap.read(0.05), lambda write: write.stamp and write.stamp.split()[1]):
-            values = {write.key: write.value or b"" for write in group}
-            event = events.decode(values.get(keys.EVENT, b""))
-            if event is not None:
-                self.events.append(event)
-            if keys.server_config(self.device) in values:
-                self.facts = json.loads(values[keys.server_config(self.device)])
-            samples = {key: Sample(key, value, None, 0) for key, value in values.items()}
-            status = readings.decode_status(self.device, samples)
-            if status is not None:
-                self.statuses.append(status)
-                if len(values) > 1:
-                    self.samples.append(readings.decode(self.device, samples))
+    def _keep(self, writes: list[Write]) -> None:
+        values = {write.key: write.value or b"" for write in writes}
+        if keys.server_config(self.device) in values:
+            self.facts = json.loads(values[keys.server_config(self.device)])
+        samples = {key: Sample(key, value, None, 0) for key, value in values.items()}
+        status = readings.decode_status(self.device, samples)
+        if status is not None:
+            self.statuses.append(status)
+            if len(values) > 1:
+                self.samples.append(readings.decode(self.device, samples))
 
 
 @contextlib.contextmanager

@@ -24,7 +24,7 @@ from station.bus.tap import Write, open_tap
 from station.errors import BusError
 from station.life.events import Event, decode
 from station.protocols import Floats
-from tests.waiting import wait_until
+from tests.waiting import DEADLINE_S, wait_until
 
 ROBOT = keys.TWIST2_ROBOT
 FORM = registry.find("command", "twist2")
@@ -98,9 +98,15 @@ class Log:
         wait_until(lambda: key in self._by_key)
         return self._by_key[key][-1].value or b""
 
-    def events(self, name: str) -> list[Event]:
+    def events(self, *names: str) -> list[Event]:
+        """Return the events of some names, in order."""
         found = [decode(value) for value in self.values(keys.EVENT)]
-        return [event for event in found if event is not None and event.name == name]
+        return [event for event in found if event is not None and event.name in names]
+
+    def wait_for(self, name: str, count: int = 1, timeout_s: float = DEADLINE_S) -> Event:
+        """Wait until something was told so often; return the event."""
+        wait_until(lambda: len(self.events(name)) >= count, timeout_s)
+        return self.events(name)[count - 1]
 
     def gate(self) -> dict[str, Any]:
         return dict(codec.parse_json(self.last(keys.command_gate(ROBOT))))

@@ -20,7 +20,6 @@ from servers.teleop import TeleopConfig
 from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
-from station.life import events
 from station.life.arm_control import ArmControl
 from station.life.commanded import told_of_gate
 from station.life.events import Event
@@ -31,7 +30,6 @@ from station.life.supervisor import Supervisor
 from station.protocols import Floats
 from tests.life.ideal_arm import TICK_S, IdealArm
 from tests.servers.g1_station import Log
-from tests.waiting import wait_until
 
 ROBOT = keys.KASSOW_KR810
 TIMEOUT_S = 60.0
@@ -110,13 +108,11 @@ class OperatedArm:
 
     def told(self, *names: str) -> list[Event]:
         """Return the events of some names, in order."""
-        found = [events.decode(value) for value in self.log.values(keys.EVENT)]
-        return [event for event in found if event is not None and event.name in names]
+        return self.log.events(*names)
 
     def wait_for(self, name: str, count: int = 1) -> Event:
         """Wait until something was told so often; return the event."""
-        wait_until(lambda: len(self.told(name)) >= count, TIMEOUT_S)
-        return self.told(name)[count - 1]
+        return self.log.wait_for(name, count, TIMEOUT_S)
 
     def commands(self) -> Floats:
         """Return all commands, shape (n, 7) [rad]."""

@@ -23,7 +23,6 @@ from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.bus.tap import Write
-from station.life import events
 from station.life.events import Event
 from station.life.gate import GateConfig
 from station.life.restarts import Restarts
@@ -138,13 +137,11 @@ class OperatedStation:
 
     def told(self, *names: str) -> list[Event]:
         """Return the events of some names, in order."""
-        found = [events.decode(value) for value in self.log.values(keys.EVENT)]
-        return [event for event in found if event is not None and event.name in names]
+        return self.log.events(*names)
 
     def wait_for(self, name: str, count: int = 1) -> Event:
         """Wait until something was told so often; return the event."""
-        wait_until(lambda: len(self.told(name)) >= count, TIMEOUT_S)
-        return self.told(name)[count - 1]
+        return self.log.wait_for(name, count, TIMEOUT_S)
 
     def why_not(self) -> str:
         """Return what the status line says of why nobody drives; "" where nothing is known."""
