@@ -26,11 +26,13 @@ std::string request_fifo(int priority) {
     return error == 0 ? "" : std::strerror(error);
 }
 
+// Of the kernel: pthread_getschedparam answers with what the C library once set for a thread, and what it was asked for
+// of a thread goes on to those that it starts, whatever the kernel does with either.
 int fifo_priority() {
-    int policy = SCHED_OTHER;
     sched_param has{};
-    pthread_getschedparam(pthread_self(), &policy, &has);
-    return policy == SCHED_FIFO ? has.sched_priority : 0;
+    const int policy = sched_getscheduler(0);
+    if (policy < 0 || (policy & ~SCHED_RESET_ON_FORK) != SCHED_FIFO || sched_getparam(0, &has) != 0) return 0;
+    return has.sched_priority;
 }
 
 std::string MemoryLock::acquire() {

@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 from station_kord import KordBridge, SimOptions
 
 from tests.bridges.kord.arms import LIMITS, ONE_JOINT, PATIENT
@@ -43,6 +44,31 @@ with KordBridge(limits=limits, sim=sim, lock_memory=True) as bridge:
     during = {"told": bridge.get_state().memory_locked, "during_kb": locked_kb()}
 json.dump(during | {"after_kb": locked_kb(), "told_after": bridge.get_state().memory_locked}, sys.stdout)
 """
+
+WHERE_TWO_ANSWER = """
+import ctypes, json, os, sys
+from station_kord import KordBridge, Limits, SimOptions
+by_library, by_kernel = (int(word) for word in sys.argv[1:])  # priorities of SCHED_FIFO; 0 for normal scheduling
+def policy_of(priority):
+    return os.SCHED_FIFO if priority else os.SCHED_OTHER
+library = ctypes.CDLL(None)
+library.pthread_self.restype = ctypes.c_ulong
+library.pthread_setschedparam.argtypes = [ctypes.c_ulong, ctypes.c_int, ctypes.POINTER(ctypes.c_int)]
+priority = ctypes.byref(ctypes.c_int(by_library))
+error = library.pthread_setschedparam(library.pthread_self(), policy_of(by_library), priority)
+if error:
+    sys.exit(os.strerror(error))
+try:
+    os.sched_setscheduler(0, policy_of(by_kernel), os.sched_param(by_kernel))
+except PermissionError as problem:
+    sys.exit(problem.strerror)
+sim = SimOptions()
+limits = Limits(q_min=sim.q_min, q_max=sim.q_max, qd_max=(2.0,) * 7, qdd_max=(10.0,) * 7)
+with KordBridge(limits=limits, sim=sim, real_time_priority=0) as bridge:
+    bridge.connect()
+    json.dump({"fifo": bridge.get_state().sched_fifo_granted, "told": bridge.real_time}, sys.stdout)
+"""
+"""What the C library keeps of the main thread, and hands on to those that it starts, is not what the kernel does."""
 
 
 def test_k12_the_loop_keeps_250_hz_and_sends_at_once() -> None:
@@ -90,6 +116,22 @@ def test_no_priority_asked_for_is_none_tried() -> None:
     with KordBridge(limits=LIMITS, sim=SimOptions(), real_time_priority=0) as bridge:
         bridge.connect()
         assert bridge.real_time == "normal scheduling"
+
+
+@pytest.mark.parametrize(
+    ("by_library", "by_kernel", "told"), [(99, 0, "normal scheduling"), (0, 1, "SCHED_FIFO 1")], ids=["gone", "given"]
+)
+def test_the_scheduling_that_is_told_is_the_kernels_and_not_what_a_library_once_asked_for(
+    by_library: int, by_kernel: int, told: str
+) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", WHERE_TWO_ANSWER, str(by_library), str(by_kernel)],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    if done.stderr.strip() == "Operation not permitted":
+        pytest.skip("this user may not ask for SCHED_FIFO, so no library can have")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == {"fifo": by_kernel > 0, "told": told}
 
 
 def test_a_python_that_does_not_come_round_leaves_the_arm_at_its_last_target() -> None:
