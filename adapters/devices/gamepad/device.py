@@ -50,7 +50,7 @@ class Gamepad:
         if self._lost:
             self.close()
             raise DeviceError(self._lost)
-        for event in self._pygame.event.get():
+        for event in self._events():
             if getattr(event, "instance_id", None) == self._id:
                 self._take(event)
         shown = dict(self._state)
@@ -84,6 +84,18 @@ class Gamepad:
             self._opened.quit()
             self._opened = None
 
+    def _events(self) -> list[Any]:
+        try:
+            return list(self._pygame.event.get())
+        except (SystemError, KeyError):  # pygame's, of a pad that came and went before anybody looked
+            self._lose("SDL lost count of the pads that came and went; it is opened anew")
+            return []
+
+    def _lose(self, why: str) -> None:
+        self._lost = f"gamepad {self._pad.name!r}: {why}"
+        self._state = dict.fromkeys(self._state, 0.0)
+        self._tapped.clear()
+
     def _open(self) -> Any:
         if not self._pad.is_mapped:
             opened = self._pygame.joystick.Joystick(self._pad.index)
@@ -102,9 +114,7 @@ class Gamepad:
     def _take(self, event: Any) -> None:
         pygame = self._pygame
         if event.type in (pygame.JOYDEVICEREMOVED, pygame.CONTROLLERDEVICEREMOVED):
-            self._lost = f"gamepad {self._pad.name!r}: gone; plug it in again, or wake it"
-            self._state = dict.fromkeys(self._state, 0.0)
-            self._tapped.clear()
+            self._lose("gone; plug it in again, or wake it")
         elif self._lost:
             return
         elif self._pad.is_mapped:

@@ -162,10 +162,10 @@ class FakePad:
         while not self._stop.wait(_LOOK_S):
             if not self._play.has_begun:
                 continue
-            for _, step in self._plugging.due(self._play.time_s()):
-                if step.plugged is not None:
-                    with contextlib.suppress(DeviceError):
-                        (self.plug if step.plugged else self.unplug)()
+            due = [step.plugged for _, step in self._plugging.due(self._play.time_s()) if step.plugged is not None]
+            if due:  # begun midway, much is due at once; what counts is where it stands then
+                with contextlib.suppress(DeviceError):
+                    (self.plug if due[-1] else self.unplug)()
 
 
 def _raw(control: str, value: float) -> int:

@@ -178,6 +178,32 @@ def test_a_pad_that_is_torn_out_gives_rest_is_gone_and_comes_back(plug: Plug, op
     assert shown(again) == {"left_stick_y": 0.5}
 
 
+def test_pads_that_come_and_go_before_anybody_looks_cost_at_most_an_opening(plug: Plug, opened: Open) -> None:
+    pad = plug()
+    device = opened()
+    held = {"right_primary": 1.0}
+    for _ in range(3):  # a loose plug: pygame stumbles over what SDL says of pads that are gone by now
+        pad.unplug()
+        pad.plug()
+    shown(device)
+    with pytest.raises(DeviceError, match=r"^gamepad 'Fake gamepad': (gone|SDL lost count)"):
+        device.read()
+    again = opened()
+    pad._state.update(held)
+    assert shown(again) == held
+
+
+def test_a_script_begun_midway_shows_the_pad_as_it_stands_then(plug: Plug, clock: HandClock) -> None:
+    steps = [PadStep(at_s=float(at_s), plugged=at_s % 2 == 0) for at_s in range(1, 9)]
+    pad = plug(*steps, PadStep(at_s=9.0, set={"right_primary": 1.0}))
+    device = Gamepad()
+    first = pad._id
+    pad.begin(9.5)
+    wait_until(lambda: pad._plugging._next is None)
+    assert shown(device) == {"right_primary": 1.0}
+    assert pad._id == first, "it was torn out and back four times before"
+
+
 def test_events_of_another_pad_are_not_ours(plug: Plug, opened: Open) -> None:
     plug()
     device = opened()
