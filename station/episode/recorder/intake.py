@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from station.bus import codec, keys
@@ -13,8 +13,9 @@ from station.bus import stamp as stamps
 from station.bus.tap import Tap, Write, open_tap, why_not_resumed
 from station.episode.recorder.catching_up import CatchingUp
 from station.episode.recorder.heritage import Heritage
+from station.episode.recorder.latched import latched, not_among
 from station.episode.recorder.recording import Recording
-from station.episode.recorder.resume import as_written
+from station.episode.recorder.resume import as_written, written_ns
 from station.errors import BusError
 
 if TYPE_CHECKING:
@@ -52,43 +53,44 @@ class Intake:
         heritage = Heritage(options, life, take_up_s)
         self.tap: Tap = open_tap(life.bus.address, resume=heritage.position, backend=backend)
         self._catching_up = CatchingUp(self.tap, time.monotonic())
-        self._heard_ns = time.monotonic_ns()
+        self._heard_ns = self._known_ns = time.monotonic_ns()  # the tap; up to when we know of every write
         bus, tap = str(life.bus.address), self.tap
         self.recording = Recording(options, backend=tap.backend, is_lossless=tap.is_lossless, bus=bus)
         self.recording.placed(tap.position())
         self._seed()
         self._written_ns = heritage.enter(self.recording, tap)  # the newest write, on our monotonic clock
+        if tap.resumed and self._written_ns:
+            self._known_ns = self._written_ns
+        self._early: list[Write] = []  # came while we looked back
+        if options.preroll_s and not tap.resumed:
+            self._look_back(options.preroll_s)
 
     def step(self) -> None:
         """Take in what arrived, unless it had better wait at the bus; see to a tap that is lost."""
         try:
             must_wait = self._catching_up.must_wait(self.recording.load, time.monotonic())
-            writes = [] if must_wait and not self._life.stop_event.wait(_READ_S) else self.tap.read(_READ_S)
+            if must_wait and not self._life.stop_event.wait(_READ_S):
+                self._heard_ns = time.monotonic_ns()
+                return
+            writes = self._read()
         except BusError as error:
             self._tap_again(error)
             return
-        self._heard_ns = time.monotonic_ns()
         if writes:
             self._feed(writes)
         self.recording.not_mirrored(self.tap.not_mirrored)
 
     def drain(self) -> None:
         """Take in all that was written before we were asked to stop: until a write of our own has come back."""
-        began_ns = time.monotonic_ns()
-        deadline_ns = began_ns + int(_DRAIN_S * 1e9)
-        self._life.bus.publish({keys.RECORDER: codec.json_object(self.recording.state())})
-        while time.monotonic_ns() < deadline_ns:
-            try:
-                writes = self.tap.read(_READ_S)
-            except BusError as error:
-                log.warning("the tap was lost at the end: %s", error)
-                return
-            if writes:
-                self._feed(writes)
-            if any(self._is_own(write, began_ns) for write in writes):
-                return
-        if self._catching_up.is_late:
-            self.recording.hole(self._written_ns or began_ns, began_ns, _NOT_READ)
+        try:
+            is_whole = self._read_up_to_now(self._feed)
+        except BusError as error:
+            log.warning("the tap was lost at the end: %s", error)
+            reason = f"the tap was lost while the recorder stopped: {_bare(error, self._life.bus)}"
+            self.recording.hole(self._known_ns, time.monotonic_ns(), reason)
+            return
+        if not is_whole and self._catching_up.is_late:
+            self.recording.hole(self._known_ns, time.monotonic_ns(), _NOT_READ)
 
     def close(self) -> None:
         """Hang up; a second call does nothing."""
@@ -101,6 +103,46 @@ class Intake:
         if not is_late:  # what waited comes all at once, and says nothing of the rate
             self.recording.room.note(writes)
         self.recording.feed(writes, self.tap.position(), is_live=not is_late)
+
+    def _read(self) -> list[Write]:
+        """Return what the tap brings, and take note of up to when we know of every write: what it brings may be old."""
+        early, self._early = self._early, []
+        writes = early or self.tap.read(_READ_S)
+        self._heard_ns = now_ns = time.monotonic_ns()
+        newest_ns = next((told for write in reversed(writes) if (told := written_ns(write)) is not None), 0)
+        if not writes and not self._catching_up.is_late:
+            newest_ns = now_ns
+        self._known_ns = max(self._known_ns, min(newest_ns, now_ns))
+        return writes
+
+    def _read_up_to_now(self, take: Callable[[list[Write]], None]) -> bool:
+        """Hand over what the tap brings until a write of our own has come back; False when that takes too long.
+
+        Raises:
+            BusError: the tap is lost.
+        """
+        began_ns = time.monotonic_ns()
+        deadline_ns = began_ns + int(_DRAIN_S * 1e9)
+        self._life.bus.publish({keys.RECORDER: codec.json_object(self.recording.state())})
+        while time.monotonic_ns() < deadline_ns:
+            writes = self._read()
+            if writes:
+                take(writes)
+            if any(self._is_own(write, began_ns) for write in writes):
+                return True
+        return False
+
+    def _look_back(self, span_s: float) -> None:
+        """Have states that were written before the tap was open in the pre-roll, unless the tap brings them as well."""
+        states = latched(self._life.bus, span_s)
+        if not states:
+            return
+        early: list[Write] = []
+        if self._read_up_to_now(early.extend):
+            self.recording.latched(not_among(states, early))
+        else:
+            log.warning("the bus is slow: states from before the recorder's start are not in its pre-roll")
+        self._early = early
 
     def _is_own(self, write: Write, since_ns: int) -> bool:
         mark = stamps.decode(write.stamp) if write.stamp is not None and write.key == keys.RECORDER else None
@@ -123,7 +165,7 @@ class Intake:
 
     def _tap_again(self, error: BusError) -> None:
         """Open another tap where the lost one was; an episode waits for it, though not for ever."""
-        position = self.tap.position()
+        position, known_ns = self.tap.position(), self._known_ns
         self.tap.close()
         reason = _bare(error, self._life.bus)
         self._life.event("tap-lost", severity="warning", reason=reason)
@@ -138,7 +180,9 @@ class Intake:
             return
         why = why_not_resumed(position, self.tap.position())
         self.recording.placed(self.tap.position())
-        self.recording.hole(self._heard_ns, now_ns, f"the tap could not go on where it was: {why}")
+        self._known_ns = now_ns
+        self.recording.hole(known_ns, now_ns, f"the tap could not go on where it was: {why}")
+        seconds = round((now_ns - known_ns) * 1e-9, 3)
         self._life.event("tap-hole", severity="warning", seconds=seconds, reason=why)
         self._learn()
 

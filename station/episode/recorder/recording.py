@@ -38,6 +38,10 @@ class Recording(Desk):
         elif self._heard.is_of_interest(key):
             self._heard.hear(key, value, stamp, time.monotonic_ns())
 
+    def latched(self, states: Sequence[Write]) -> None:
+        """Take states into the pre-roll that were written before the tap was open; see `recorder.latched`."""
+        self._ring.add(states, self._position)
+
     def placed(self, position: Position | None) -> None:
         """Tell where a tap stands before its first write."""
         self._position = position
@@ -88,6 +92,7 @@ class Recording(Desk):
     def hole(self, from_ns: int, to_ns: int, reason: str) -> None:
         """Say that writes between two instants [ns, monotonic] may be missing."""
         self._ring.clear()
+        self._awaited = self._ignored_until = ""  # a start that was to come once more is among them
         if self._take is not None:
             self._take.hole(from_ns, to_ns, reason)
 

@@ -180,7 +180,7 @@ def as_written(writes: Sequence[Write], after_ns: int) -> list[Write]:
         writes: In the order of the bus, with the time of their late arrival.
         after_ns: No time before this one [ns, monotonic]; 0 when nothing is known of what came before.
     """
-    told = [_written_ns(write) for write in writes]
+    told = [written_ns(write) for write in writes]
     at_ns = after_ns or next((time_ns for time_ns in told if time_ns is not None), 0)
     dated = []
     for write, time_ns in zip(writes, told, strict=True):
@@ -190,6 +190,7 @@ def as_written(writes: Sequence[Write], after_ns: int) -> list[Write]:
     return dated
 
 
-def _written_ns(write: Write) -> int | None:
+def written_ns(write: Write) -> int | None:
+    """Return when a write was made [ns, monotonic]; None for a writer without stamps, or with another clock."""
     mark = stamps.decode(write.stamp) if write.stamp is not None else None
     return mark.mono_ns if mark is not None and mark.is_from_this_boot else None

@@ -15,7 +15,11 @@ from station.episode.reading.listing import list_episodes
 from station.episode.reading.reader import open_episode
 from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.recording import Recording
-from station.episode.storage.manifest import load_manifest
+from station.episode.recorder.take import Take
+from station.episode.recorder.writer import EpisodeWriter
+from station.episode.storage.anchor import take_anchor
+from station.episode.storage.folder import new_folder
+from station.episode.storage.manifest import Manifest, load_manifest
 from station.episode.storage.progress import WriterOptions
 from station.episode.storage.request import RecordAnswer
 from tests.episode.writes import Native, foreign
@@ -290,6 +294,26 @@ def test_a_hole_stands_in_the_manifest_and_cuts_the_preroll(make: Make) -> None:
     after = open_episode(Path(found["4"].path or ""))
     assert after.topics() == [keys.RECORD]
     assert after.manifest.recorder.backend == "poll"
+
+
+def test_a_start_that_a_hole_has_swallowed_is_not_waited_for(make: Make) -> None:
+    recording, cli = make(), Native("record")
+    recording.ignore_until("swallowed")
+    recording.hole(0, time.monotonic_ns(), "the tap was lost")
+    recording.feed([cli.request("start")])
+    assert answer(recording).ok
+
+
+def test_an_episode_whose_start_a_hole_has_swallowed_goes_on_and_can_be_ended(make: Make, tmp_path: Path) -> None:
+    recording, cli = make(), Native("record")
+    folder, manifest = new_folder(tmp_path, "walk", "g1"), Manifest(episode_id="e")
+    take = Take(EpisodeWriter(folder, anchor=take_anchor(), manifest=manifest), manifest, start_id="swallowed")
+    recording.take_up(take, [], awaited="swallowed")
+    recording.hole(0, time.monotonic_ns(), "the tap was lost")
+    recording.feed([Native().write(BODY, b"[0]"), cli.request("stop")])
+    found = {item.id: item.ok for item in (answer(recording) for _ in range(2))}
+    assert found == {"swallowed": True, "stop": True}
+    assert [message.data for message in open_episode(folder).messages([BODY])] == [b"[0]"]
 
 
 def test_a_disk_that_goes_away_is_an_event_and_a_state_and_the_next_episode_works(make: Make) -> None:

@@ -1,0 +1,52 @@
+"""States that the bus held when its tap was opened: written shortly before, and perhaps not written again.
+
+A robot that waits for a command says its state once and then waits. A recorder whose tap opens in between would have
+the step that answers to this state and not the state itself.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from station.bus import contracts
+from station.bus.tap import Write
+
+if TYPE_CHECKING:
+    from station.bus.client import Bus
+
+
+def latched(bus: Bus, span_s: float) -> list[Write]:
+    """Return the states that were written within a span before now and stand on the bus, oldest first.
+
+    Only those of native writers on this machine: others do not say when. Each has the time of its write [ns,
+    monotonic] as that of its arrival.
+
+    Args:
+        bus: The bus.
+        span_s: How far back to look [s].
+
+    Raises:
+        BusError: the bus cannot be read.
+    """
+    held = bus.read([name for name in bus.names() if _is_state(name)])
+    now_ns = time.monotonic_ns()
+    oldest_ns = now_ns - int(span_s * 1e9)
+    found = [
+        Write(key, sample.value, mark.encode(), mark.mono_ns)
+        for key, sample in held.items()
+        if (mark := sample.stamp) is not None and mark.is_from_this_boot and oldest_ns <= mark.mono_ns <= now_ns
+    ]
+    return sorted(found, key=lambda write: write.mono_ns)
+
+
+def not_among(states: Iterable[Write], writes: Iterable[Write]) -> list[Write]:
+    """Return the states that are not also among some writes: those came by the tap."""
+    known = {(write.key, write.stamp) for write in writes}
+    return [state for state in states if (state.key, state.stamp) not in known]
+
+
+def _is_state(key: str) -> bool:
+    contract = contracts.contract(key)
+    return contract is not None and contract.role == "state"

@@ -1,0 +1,261 @@
+"""What a recorder takes in, on a real bus and without its process: what came before it, and what it has missed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from servers.recorder import KIND
+from station.bus import codec, keys
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.bus.connection import Connection
+from station.bus.tap import open_tap
+from station.episode.reading import steps
+from station.episode.reading.reader import open_episode
+from station.episode.recorder import remote
+from station.episode.recorder.intake import Intake
+from station.episode.recorder.latched import latched, not_among
+from station.episode.recorder.options import RecordingOptions
+from station.episode.storage.left_open import left_open
+from station.episode.storage.manifest import Hole, Manifest, load_manifest
+from station.episode.storage.progress import load_resume_point
+from station.life.server import Life
+from tests.episode.writes import Native
+from tests.waiting import wait_until
+
+ROBOT = keys.TWIST2_ROBOT
+STATE = keys.robot_state(ROBOT)
+LONG_S = 600.0
+BLOCK = b"x" * 100_000
+BLOCKS = 60  # more than a read takes and a socket holds
+Make = Callable[..., Intake]
+
+
+@pytest.fixture
+def g1(bus_server: BusAddress) -> Iterator[Bus]:
+    with Bus(bus_server, name="g1", timeout_s=5.0) as line:
+        yield line
+
+
+@pytest.fixture
+def make(bus_server: BusAddress, tmp_path: Path) -> Iterator[Make]:
+    """Opens an intake as the recorder's process does; at the end all are closed."""
+    made: list[tuple[Intake, Life]] = []
+    with Bus(bus_server, name="recorder", timeout_s=5.0) as line:
+
+        def build(**options: Any) -> Intake:
+            chosen = RecordingOptions(data=tmp_path, min_free_mb=0.0, **{"preroll_s": LONG_S, **options})
+            life = Life(KIND, "recorder", line, "")
+            made.append((Intake(chosen, life, backend=None, resume_s=5.0, take_up_s=LONG_S), life))
+            return made[-1][0]
+
+        yield build
+        for intake, life in made:
+            intake.recording.close()
+            intake.close()
+            life.end("test")
+
+
+def ask(intake: Intake, g1: Bus, action: str) -> str:
+    """Have a request done; return the path of its episode."""
+    g1.publish({keys.RECORD: codec.json_object({"id": action, "action": action, "task": "walk"})})
+    found: list[Any] = []
+
+    def answered() -> bool:
+        intake.step()
+        intake.recording.poll()
+        found.extend(intake.recording.answers.take())
+        return bool(found)
+
+    wait_until(answered)
+    (answer,) = found
+    assert answer.ok, answer.reason
+    return str(answer.path)
+
+
+def stepped(g1: Bus, tick: int) -> None:
+    """Write what a step of the policy leaves behind."""
+    g1.publish({keys.policy_timing(ROBOT): b"[%d,1,2,3,4,5,6,7]" % tick, keys.command_gate(ROBOT): b"{}"})
+
+
+def test_the_first_step_has_its_state_also_where_that_was_written_before_the_recorder_was_there(
+    make: Make, g1: Bus
+) -> None:
+    state, later = codec.f64([1.0] * 65), codec.f64([2.0] * 65)
+    g1.publish({STATE: b"of a step that nobody recorded", keys.T_STATE: b"1"})
+    g1.publish({STATE: state, keys.T_STATE: b"2"})  # and now it waits for a command
+    intake = make()
+    folder = ask(intake, g1, "start")
+    stepped(g1, 1)
+    g1.publish({STATE: later, keys.T_STATE: b"3"})
+    stepped(g1, 2)
+    ask(intake, g1, "stop")
+    reader = open_episode(folder)
+    found = list(steps.iterate(reader, ROBOT))
+    assert [(step.values[STATE], step.state_number) for step in found] == [(state, 2), (later, 3)]
+    assert [message.sequence for message in reader.messages([STATE])] == [2, 3]
+    first = next(iter(reader.messages([STATE], stamps=True)))
+    assert first.stamp is not None
+    assert first.log_ns == pytest.approx(first.publish_ns, abs=1e6), "when it was written"
+    assert {stream.key: stream.lost for stream in reader.manifest.streams if stream.lost} == {}
+    assert reader.manifest.timing.preroll_s > 0
+
+
+def test_only_states_of_this_machine_that_are_not_old_are_looked_back_for(g1: Bus) -> None:
+    now_ns = time.monotonic_ns()
+    old = Native().write(keys.state_body(ROBOT), b"[]", written_ns=now_ns - 10_000_000_000)
+    g1.publish({STATE: b"new", keys.action_body(): b"[]", keys.policy_action(ROBOT): b"", "own": b""})
+    g1.call("SET", keys.T_STATE, b"5")
+    g1.call("MSET", old.key, old.value or b"", keys.stamp(old.key), old.stamp or b"")
+    g1.call("MSET", keys.sim_qpos(ROBOT), b"", keys.stamp(keys.sim_qpos(ROBOT)), b"1 5 5 g1.1.00000000.ab")
+    assert [(write.key, write.value) for write in latched(g1, 5.0)] == [(STATE, b"new")]
+    assert [write.key for write in latched(g1, LONG_S)] == [old.key, STATE], "oldest first"
+
+
+def test_a_state_that_the_tap_brings_too_is_taken_once(g1: Bus, bus_server: BusAddress) -> None:
+    g1.publish({STATE: b"before", keys.sim_qpos(ROBOT): b"before"})
+    tap = open_tap(bus_server)
+    try:
+        g1.publish({STATE: b"after"})
+        states = latched(g1, LONG_S)
+        brought = tap.read(5.0)
+    finally:
+        tap.close()
+    assert [write.value for write in brought] == [b"after"]
+    assert [(write.key, write.value) for write in not_among(states, brought)] == [(keys.sim_qpos(ROBOT), b"before")]
+
+
+def test_what_a_robot_says_while_the_recorder_looks_back_is_recorded_once_and_without_a_hole(
+    make: Make, g1: Bus
+) -> None:
+    is_open = threading.Event()
+
+    def write() -> None:
+        while not is_open.is_set():
+            g1.publish({STATE: b""})
+
+    robot = threading.Thread(target=write)
+    robot.start()
+    try:
+        intake = make()
+    finally:
+        is_open.set()
+        robot.join()
+    folder = ask(intake, g1, "start")
+    ask(intake, g1, "stop")
+    numbers = [message.sequence for message in open_episode(folder).messages([STATE])]
+    assert len(numbers) > 1
+    assert numbers == list(range(numbers[0], numbers[-1] + 1))
+
+
+def test_without_a_preroll_nobody_looks_back(make: Make, g1: Bus) -> None:
+    g1.publish({STATE: b""})
+    intake = make(preroll_s=0.0)
+    folder = ask(intake, g1, "start")
+    ask(intake, g1, "stop")
+    assert STATE not in open_episode(folder).topics()
+
+
+def test_a_hole_that_cuts_off_what_was_waiting_reaches_back_to_the_newest_write_in_the_file(
+    make: Make, g1: Bus, bus_server: BusAddress, tmp_path: Path
+) -> None:
+    folder = killed_recorder(g1, bus_server, tmp_path)
+    publish_blocks(g1)
+    intake = make()
+    opened_ns = time.monotonic_ns()
+    assert intake.tap.is_catching_up
+    intake.step()
+    overrun(bus_server)
+    step_until(intake, lambda: manifest_of(intake).holes)
+    ask(intake, g1, "stop")
+    (hole,) = load_manifest(folder).holes
+    assert_begins_behind_the_newest_block(folder, hole)
+    anchor = open_episode(folder).anchor
+    assert anchor is not None
+    assert hole.from_s < (opened_ns - anchor.mono_ns) * 1e-9, "all that waited was written before"
+    assert "backlog is too small" in hole.reason
+
+
+def test_a_tap_that_is_lost_at_the_end_leaves_a_hole_from_the_newest_write_that_came(
+    make: Make, g1: Bus, bus_server: BusAddress
+) -> None:
+    intake = make(preroll_s=0.0)
+    folder = Path(ask(intake, g1, "start"))
+    publish_blocks(g1)
+    admin = Connection(bus_server, timeout_s=5.0)
+    assert admin.call("CLIENT", "KILL", "TYPE", "replica") == 1
+    admin.close()
+    intake.drain()
+    assert intake.recording.close()
+    (hole,) = load_manifest(folder).holes
+    assert "lost while the recorder stopped" in hole.reason
+    assert_begins_behind_the_newest_block(folder, hole)
+
+
+def killed_recorder(g1: Bus, address: BusAddress, data: Path) -> Path:
+    """Have a recorder's process begin an episode and be killed in the middle of it; return the folder."""
+    serve = [sys.executable, "-m", "station", "serve", "recorder", "--bus", address.url]
+    settings = [word for value in (f"data={data}", "min_free_mb=0") for word in ("--set", value)]
+    recorder = subprocess.Popen([*serve, *settings], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        wait_until(lambda: g1.get(keys.RECORDER) or recorder.poll() is not None)
+        folder = Path(remote.ask(g1, "start", task="walk", timeout_s=60.0).path or "")
+        g1.publish({"own": b"first"})
+        wait_until(lambda: (point := load_resume_point(folder)) is not None and point.messages)
+    finally:
+        os.kill(recorder.pid, signal.SIGKILL)
+        recorder.wait()
+    wait_until(lambda: left_open(data) == [folder])
+    return folder
+
+
+def publish_blocks(g1: Bus) -> None:
+    for _ in range(BLOCKS):
+        assert g1.publish({"own": BLOCK})
+
+
+def overrun(address: BusAddress) -> None:
+    """Cut the recorder off and have the bus forget what it has not read."""
+    admin = Connection(address, timeout_s=5.0)
+    admin.call("CONFIG", "SET", "repl-backlog-size", 16384)
+    assert admin.call("CLIENT", "KILL", "TYPE", "replica") == 1
+    admin.call("SET", "bulk", BLOCK)
+    admin.close()
+
+
+def step_until(intake: Intake, condition: Callable[[], object]) -> None:
+    def holds() -> object:
+        intake.step()
+        intake.recording.poll()
+        return condition()
+
+    wait_until(holds)
+
+
+def manifest_of(intake: Intake) -> Manifest:
+    state = intake.recording.state()
+    assert state.path
+    return load_manifest(Path(state.path))
+
+
+def assert_begins_behind_the_newest_block(folder: Path, hole: Hole) -> None:
+    """A hole is to begin where the newest stamped write was made that came before it, while blocks are missing."""
+    reader = open_episode(folder)
+    assert reader.anchor is not None
+    assert hole.to_s is not None
+    start_ns, end_ns = reader.anchor.wall_ns, reader.anchor.wall_ns + hole.to_s * 1e9
+    stamped = [message for message in reader.messages() if message.channel.is_native and message.publish_ns < end_ns]
+    blocks = [message for message in stamped if message.data == BLOCK]
+    assert 0 < len(blocks) < BLOCKS
+    newest_s = [(max(message.publish_ns for message in some) - start_ns) * 1e-9 for some in (blocks, stamped)]
+    assert newest_s[0] - 1e-5 <= hole.from_s <= newest_s[1] + 1e-5
