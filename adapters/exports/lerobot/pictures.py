@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,17 +53,18 @@ def encode(reader: EpisodeReader, plan: Plan, rows: Mapping[str, Ints], folder: 
             many pictures as there are rows; names the camera.
         OSError: the disk refuses.
     """
-    films = {camera.key: _Film(reader.episode_id, camera, plan, rows[camera.key], folder)
-             for camera in plan.common.cameras}  # fmt: skip
-    try:
+    films: dict[str, _Film] = {}
+    with ExitStack() as unfinished:
+        for camera in plan.common.cameras:
+            film = _Film(reader.episode_id, camera, plan, rows[camera.key], folder)
+            unfinished.callback(film.abandon)
+            films[camera.key] = film
         for message in reader.messages(films.keys()):
             if not message.channel.is_deletion:
                 films[message.topic].feed(message.data)
-        return {key: film.finish() for key, film in films.items()}
-    except BaseException:
-        for film in films.values():
-            film.abandon()
-        raise
+        found = {key: film.finish() for key, film in films.items()}
+        unfinished.pop_all()
+    return found
 
 
 class _Film:

@@ -8,6 +8,7 @@ import pytest
 
 from adapters.exports.lerobot.codec import PIXELS, Codec
 from adapters.exports.lerobot.video import VideoWriter, expect_frames
+from tests.adapters.exports.lerobot.test_scheduling import told_of_a_new_thread
 
 
 def scheduling() -> set[tuple[int, int]]:
@@ -18,7 +19,7 @@ def scheduling() -> set[tuple[int, int]]:
 @pytest.mark.parametrize("codec", ["h264", "av1"])
 def test_an_encoder_takes_no_precedence_over_a_robot(tmp_path: Path, codec: Codec) -> None:
     av = pytest.importorskip("av")
-    before = scheduling()
+    before, told = scheduling(), told_of_a_new_thread()
     writer = VideoWriter(tmp_path / "video.mp4", 64, 96, 30, codec)
     for level in range(10):
         grey = np.full((64, 96, 3), 25 * level, dtype=np.uint8)
@@ -26,4 +27,5 @@ def test_an_encoder_takes_no_precedence_over_a_robot(tmp_path: Path, codec: Code
     assert scheduling() == before  # SVT-AV1, run by root, asks for SCHED_FIFO 99 for itself and its caller
     writer.close()
     assert scheduling() == before
+    assert told_of_a_new_thread() == told, "a thread inherits what the C library keeps of the one that starts it"
     expect_frames(tmp_path / "video.mp4", 10, "video")
