@@ -100,17 +100,14 @@ def _speaker(config: CuesConfig, name: str) -> Speaker:
 
 
 def _run(life: Life, onlooker: Onlooker, table: Phrases, speakers: Mapping[str, Speaker]) -> None:
-    flaws = dict.fromkeys(speakers, "")
     while not life.stop_event.wait(_PERIOD_S):
         for event in onlooker.take():
             if (cue := table.cue(event)) is not None:
                 for speaker in speakers.values():
                     speaker.say(cue)
         for name, speaker in speakers.items():
-            flaw = speaker.flaw
-            if flaw and flaw != flaws[name]:
+            if flaw := speaker.take_flaw():
                 life.event("cue-not-said", severity="warning", voice=name, reason=flaw)
-            flaws[name] = flaw
         life.report(
             said=sum(speaker.said for speaker in speakers.values()),
             dropped=sum(speaker.dropped for speaker in speakers.values()),

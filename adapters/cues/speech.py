@@ -94,7 +94,7 @@ class Speech:
         """Speak the words of a cue.
 
         Raises:
-            DeviceError: the program failed, or does not come to an end.
+            DeviceError: the program failed, does not come to an end, or cannot be broken off.
         """
         program = PROGRAMS[self.program]
         command = [self._path, *program.arguments(self._options, cue.words)]
@@ -104,7 +104,7 @@ class Speech:
                     command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=stderr, start_new_session=True
                 )
             except OSError as error:
-                raise DeviceError(f"{self._path} cannot be run: {error.strerror}; is it still installed?") from None
+                raise self._cannot_be_run(error) from None
             with process:
                 if not _is_over(process, hush):
                     self._break_off(process, program)
@@ -125,8 +125,22 @@ class Speech:
         except subprocess.TimeoutExpired:
             process.kill()
         if program.cancel:
-            subprocess.run([self._path, *program.cancel], timeout=_ENDS_S, check=False, stdin=subprocess.DEVNULL,
-                           stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
+            self._cancel(program.cancel)
+
+    def _cancel(self, arguments: Sequence[str]) -> None:
+        quiet = subprocess.DEVNULL
+        try:
+            subprocess.run(
+                [self._path, *arguments], timeout=_ENDS_S, check=False, stdin=quiet, stdout=quiet, stderr=quiet
+            )
+        except subprocess.TimeoutExpired:
+            words = " ".join((self.program, *arguments))
+            raise DeviceError(f"`{words}` has not ended within {_ENDS_S:g} s; does its sound service run?") from None
+        except OSError as error:
+            raise self._cannot_be_run(error) from None
+
+    def _cannot_be_run(self, error: OSError) -> DeviceError:
+        return DeviceError(f"{self._path} cannot be run: {error.strerror}; is it still installed?")
 
 
 def missing() -> str:

@@ -19,6 +19,7 @@ RATE_HZ = 44100
 _LOOK_S = 0.02
 _LATE_S = 1.0  # a card that takes longer than the tune and this does not play
 _STDERR = 2
+_ANEW = "plug it in again, and start this server anew"
 
 
 class TonesOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -60,21 +61,29 @@ class Tones:
         Raises:
             DeviceError: the sound output plays nothing.
         """
+        try:
+            self._play(cue, hush)
+        except self._error as error:
+            raise DeviceError(f"the sound output fails ({error}); {_ANEW}") from None
+
+    def close(self) -> None:
+        """Let the sound output go."""
+        self._mixer.quit()
+
+    def _play(self, cue: Cue, hush: Hush) -> None:
         sound = self._mixer.Sound(buffer=tunes.samples(cue.tune, RATE_HZ, self._volume).tobytes())
         channel = sound.play()
+        if channel is None:
+            raise DeviceError(f"the sound output has no channel left; {_ANEW}")
         left_s = tunes.seconds(cue.tune) + _LATE_S
-        while channel is not None and channel.get_busy():
+        while channel.get_busy():
             if hush(_LOOK_S):
                 channel.stop()
                 return
             left_s -= _LOOK_S
             if left_s < 0.0:
                 channel.stop()
-                raise DeviceError("the sound output has ceased to play; plug it in again, and start this server anew")
-
-    def close(self) -> None:
-        """Let the sound output go."""
-        self._mixer.quit()
+                raise DeviceError(f"the sound output has ceased to play; {_ANEW}")
 
 
 def missing() -> str:

@@ -54,7 +54,7 @@ class Wav:
             self._words = self.labels.open("w", encoding="utf-8")
             self._sound = wave.open(str(self.file), "wb")  # noqa: SIM115  closed with the voice
         except OSError as error:
-            raise BadFile(f"{self.file}: cannot be written: {error.strerror}") from None
+            raise self._cannot_be_written(error) from None
         self._sound.setparams((1, 2, RATE_HZ, 0, "NONE", ""))
         self._began_s = time.monotonic()
 
@@ -76,17 +76,27 @@ class Wav:
             self._words.write(f"{begin_s:.6f}\t{self._sound.tell() / RATE_HZ:.6f}\t{cue.words}\n")
             self._words.flush()
         except OSError as error:
-            raise BadFile(f"{self.file}: cannot be written: {error.strerror}") from None
+            raise self._cannot_be_written(error) from None
 
     def close(self) -> None:
-        """Close both files."""
-        self._sound.close()
-        self._words.close()
+        """Close both files.
+
+        Raises:
+            BadFile: they cannot be written to their ends.
+        """
+        try:
+            with self._words:
+                self._sound.close()
+        except OSError as error:
+            raise self._cannot_be_written(error) from None
 
     def _pad(self, until: int) -> None:
         """Write silence up to a frame, in pieces: an hour of it is a hundred megabytes."""
         while (left := until - self._sound.tell()) > 0:
             self._sound.writeframes(np.zeros(min(left, RATE_HZ * 60), dtype=np.int16).tobytes())
+
+    def _cannot_be_written(self, error: OSError) -> BadFile:
+        return BadFile(f"{self.file}: cannot be written: {error.strerror}")
 
 
 def _new(file: Path) -> Path:

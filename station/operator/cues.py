@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections import deque
@@ -9,6 +10,8 @@ from collections.abc import Callable
 
 from station.errors import StationError
 from station.operator.voice import Cue, Voice
+
+log = logging.getLogger(__name__)
 
 MOST_WAITING = 4
 OLD_S = 4.0
@@ -87,12 +90,11 @@ class Speaker:
     Attributes:
         said: Number of cues that were begun.
         broken_off: Number of these that an urgent one broke off.
-        flaw: Why the newest cue could not be said, or "".
     """
 
     def __init__(self, voice: Voice, queue: CueQueue | None = None) -> None:
         self.said = self.broken_off = 0
-        self.flaw = ""
+        self._flaw = self._untold = ""
         self._voice, self._queue = voice, queue or CueQueue()
         self._changed = threading.Condition()
         self._present: Cue | None = None
@@ -122,6 +124,12 @@ class Speaker:
                 self.broken_off += 1
             self._changed.notify_all()
 
+    def take_flaw(self) -> str:
+        """Return why a cue could not be said since the last call, "" where all were; what lasts is told once."""
+        with self._changed:
+            flaw, self._untold = self._untold, ""
+            return flaw
+
     def close(self, within_s: float = 2.0) -> None:
         """Break off, and release the voice."""
         with self._changed:
@@ -133,13 +141,22 @@ class Speaker:
 
     def _run(self) -> None:
         while (cue := self._next()) is not None:
-            try:
-                self._voice.say(cue, self._hush)
-                self.flaw = ""
-            except StationError as error:  # told by whoever looks after the speaker; the next cue is tried again
-                self.flaw = str(error)
+            flaw = self._flaw_of(cue)
             with self._changed:
-                self._present = None
+                if flaw and flaw != self._flaw:
+                    self._untold = flaw
+                self._flaw, self._present = flaw, None
+
+    def _flaw_of(self, cue: Cue) -> str:
+        """Say a cue; return why it could not be said, or ""."""
+        try:
+            self._voice.say(cue, self._hush)
+        except StationError as error:
+            return str(error)
+        except Exception as error:  # a fault in one voice, somebody else's perhaps, must not silence an operator's ears
+            log.debug("%r", cue, exc_info=True)
+            return f"internal error in the voice: {' '.join(f'{type(error).__name__}: {error}'.split())}"
+        return ""
 
     def _next(self) -> Cue | None:
         with self._changed:

@@ -153,12 +153,25 @@ def test_a_voice_that_fails_is_an_event_and_the_others_go_on(start: Start, bus: 
     tell(bus, "teleop", "operator-engaged")
     wait_until(lambda: (tmp_path / "cues.txt").read_text().endswith("\tengaged\n"))
 
-    def told() -> list[dict[str, Any]]:
-        found = (event for health in read_health(bus) for event in health.events)
-        return [event.detail for event in found if event.name == "cue-not-said"]
+    wait_until(lambda: flaws(bus) == [{"voice": "speech", "reason": "espeak-ng ended with exit code 1: no card"}])
 
-    wait_until(told)
-    assert told() == [{"voice": "speech", "reason": "espeak-ng ended with exit code 1: no card"}]
+
+def flaws(bus: Bus) -> list[dict[str, Any]]:
+    """What the server told of cues that were not said."""
+    found = (event for health in read_health(bus) for event in health.events)
+    return [event.detail for event in found if event.name == "cue-not-said"]
+
+
+def test_after_a_cue_that_could_not_be_broken_off_the_next_is_said(start: Start, bus: Bus, tmp_path: Path) -> None:
+    hangs = 'while "engaged" in sys.argv or "--cancel" in sys.argv: time.sleep(0.05)'
+    log = put(tmp_path / "bin", "spd-say", then=hangs)
+    start(voices=["speech"])
+    tell(bus, "teleop", "operator-engaged")
+    wait_until(lambda: calls(log))
+    tell(bus, "g1", "estop", reason="emergency stop")
+    reason = "`spd-say --cancel` has not ended within 1 s; does its sound service run?"
+    wait_until(lambda: flaws(bus) == [{"voice": "speech", "reason": reason}])
+    wait_until(lambda: [arguments[-1] for arguments in calls(log)][2:] == ["emergency stop"])
 
 
 def test_a_file_of_the_lab_is_heeded(start: Start, bus: Bus, tmp_path: Path, said: Callable[[], list[str]]) -> None:

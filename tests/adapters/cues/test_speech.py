@@ -64,6 +64,12 @@ def test_a_program_that_fails_is_told_with_its_last_words(path: Path) -> None:
         Speech(SpeechOptions()).say(TAKE, NEVER)
 
 
+def test_a_program_that_does_not_let_itself_be_broken_off_is_told(path: Path) -> None:
+    log = put(path, "spd-say", then=FOR_EVER)
+    with pytest.raises(DeviceError, match=r"^`spd-say --cancel` has not ended within 1 s; does its sound service run"):
+        Speech(SpeechOptions()).say(TAKE, lambda wait_s: NEVER(wait_s) or bool(calls(log)))
+
+
 def test_a_program_that_vanishes_is_told(path: Path) -> None:
     put(path, "espeak-ng")
     voice = Speech(SpeechOptions())

@@ -17,7 +17,7 @@ from station.operator.voice import Cue
 from tests.adapters.cues.test_tunes import pitches
 from tests.waiting import wait_until
 
-pytest.importorskip("pygame")
+pygame = pytest.importorskip("pygame")
 
 
 @pytest.fixture
@@ -60,6 +60,15 @@ def test_a_cue_is_broken_off_within_a_moment(card: Path) -> None:
     wait_until(lambda: len(played(card)) > before)
     voice.close()
     assert before < 0.8 * len(tunes.samples("alarm", RATE_HZ))
+
+
+def test_an_output_that_is_gone_is_told_with_each_cue(card: Path) -> None:
+    voice = Tones(TonesOptions())
+    pygame.mixer.quit()
+    for _ in range(2):
+        with pytest.raises(DeviceError, match=r"^the sound output fails \(mixer not initialized\); plug it in again"):
+            voice.say(Cue(words="engaged", tune="up"), threading.Event().wait)
+    voice.close()
 
 
 def test_no_card_is_one_line_that_says_what_to_do(
