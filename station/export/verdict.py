@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from station.episode.quality.check import check
 from station.episode.quality.findings import Verdict
 from station.episode.quality.rule_file import of_user
+from station.episode.quality.standing import standing
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.folder import signals_file
-from station.episode.storage.manifest import Manifest
 from station.errors import EpisodeError
 from station.export.kind import MinQuality, Source
 
@@ -37,25 +36,9 @@ def expect(source: Source, least: MinQuality) -> Verdict | None:
         raise EpisodeError(f"{source.episode_id}: holds no message; there is nothing to export")
     if least == "any":
         return None
-    found, reason = _measured(reader.manifest) or _measure(reader)
+    quality = standing(reader, of_user())
+    found = quality.verdict
     if _RANK[found] < _RANK[least]:
-        raise NotGoodEnough(
-            f"{source.episode_id}: {found}, and --min-quality asks for {least}: {reason or 'see `station check`'}"
-        )
+        reason = next((item.text for item in quality.reasons if item.verdict == found), "see `station check`")
+        raise NotGoodEnough(f"{source.episode_id}: {found}, and --min-quality asks for {least}: {reason}")
     return found
-
-
-def _measured(manifest: Manifest) -> tuple[Verdict, str] | None:
-    """Return verdict and worst reason that stand in a manifest; None when a person has said something else since."""
-    block, flags = manifest.quality, manifest.quality_flags
-    found = block.get("verdict")
-    is_current = block.get("discarded") == flags.discarded and block.get("success") == flags.success
-    if found not in ("good", "usable", "reject") or not is_current:
-        return None
-    reasons = [item for item in block.get("reasons") or [] if isinstance(item, dict)]
-    return found, next((str(item.get("text", "")) for item in reasons if item.get("verdict") == found), "")
-
-
-def _measure(reader: EpisodeReader) -> tuple[Verdict, str]:
-    quality = check(reader, of_user())
-    return quality.verdict, next((item.text for item in quality.reasons if item.verdict == quality.verdict), "")

@@ -9,10 +9,9 @@ from pathlib import Path
 
 import msgspec
 
-from station.episode.quality.check import check
 from station.episode.quality.findings import Quality
 from station.episode.quality.rule_file import RuleBook
-from station.episode.quality.rules import judge
+from station.episode.quality.standing import standing
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.folder import signals_file
 from station.episode.storage.manifest import Manifest
@@ -91,21 +90,5 @@ def gather(
 def _read(folder: Path, book: RuleBook, *, named: bool, is_judged_anew: bool) -> Episode:
     reader = EpisodeReader(signals_file(folder))
     manifest = reader.manifest
-    quality = _measured(manifest) or check(reader, book)
-    flags = manifest.quality_flags
-    if is_judged_anew or (quality.discarded, quality.success) != (flags.discarded, flags.success):
-        quality.discarded, quality.success = flags.discarded, flags.success  # somebody said so since
-        quality.verdict, quality.reasons = judge(quality, book.limits)
-        quality.rules = list(book.files)
     slim = msgspec.structs.replace(manifest, streams=[], quality={})
-    return Episode(reader.folder, slim, quality, named)
-
-
-def _measured(manifest: Manifest) -> Quality | None:
-    """Return what a check wrote into a manifest, or None where it wrote nothing, or less than is measured today."""
-    if not {"verdict", "rules", "motion", "cameras", "not_judged"} <= manifest.quality.keys():
-        return None
-    try:
-        return msgspec.convert(manifest.quality, Quality)
-    except msgspec.ValidationError:
-        return None
+    return Episode(reader.folder, slim, standing(reader, book, is_judged_anew=is_judged_anew), named)
