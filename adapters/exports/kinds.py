@@ -14,7 +14,7 @@ LEROBOT = ExportKind(
     convert=lerobot.convert,
     join=lerobot.join,
     columns=lerobot.columns,
-    version=2,
+    version=3,
 )
 CSV = ExportKind(
     name="csv",

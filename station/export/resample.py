@@ -60,7 +60,8 @@ class Table:
         state, action: By key. An age is negative where the value is of after the tick.
         pictures: By the key of the camera.
         head_s, tail_s: Recorded time before the first and after the last row [s].
-        without_own_step: Rows of whose step no action was recorded, so that the next step's stands there.
+        without_own_step: Rows of whose step no action was recorded, so that a neighbouring step's stands there: that
+            of the next step of the same process, else that of the one before.
     """
 
     ticks_ns: Ints
@@ -117,7 +118,7 @@ def resample(
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Of each state of a step that has an action: its time, and the index of that action; ascending."""
+    """Of each state while a policy ran: its time, the index of its action, and whether that is its own; ascending."""
 
     state_ns: Ints
     action: Ints
@@ -146,8 +147,8 @@ def _pairs(recorded: Recorded, key: str, episode: str) -> _Pairs:
             f"{episode}: no value of {key} follows a state in {state_key}; name another key with --action"
         )
     kept = np.arange(followed[0], followed[-1] + 1)  # before and after that, no policy ran
-    kept = kept[chosen[kept] >= 0]
-    return _Pairs(states.times_ns[kept], chosen[kept], is_own[kept], actions)
+    latest = np.maximum.accumulate(np.where(chosen[kept] >= 0, kept, -1))  # a process that ended writes no next one
+    return _Pairs(states.times_ns[kept], chosen[latest], is_own[kept], actions)
 
 
 def _all_times(recorded: Recorded) -> dict[str, Ints]:
@@ -200,7 +201,7 @@ def _table(
         index = np.searchsorted(track.times_ns, ticks, side="right") - 1
         return Column(track.values[index], ages_s(ticks, track.times_ns[index]))
 
-    strange = 0
+    is_without = np.zeros(len(ticks), dtype=np.bool_)
     actions: dict[str, Column] = {}
     for key in (one.key for one in action):
         if (pair := pairs.get(key)) is None:
@@ -209,7 +210,7 @@ def _table(
         row = np.searchsorted(pair.state_ns, ticks, side="right") - 1
         index = pair.action[row]
         actions[key] = Column(pair.track.values[index], ages_s(ticks, pair.track.times_ns[index]))
-        strange = max(strange, int(np.count_nonzero(~pair.is_own[row])))
+        is_without |= ~pair.is_own[row]
     pictures = {
         key: Pictures(numbers := nearest(times, ticks), ages_s(ticks, times[numbers]))
         for key, times in recorded.pictures.items()
@@ -223,7 +224,7 @@ def _table(
         pictures=pictures,
         head_s=max(0.0, float(head_ns) * 1e-9),
         tail_s=max(0.0, float(tail_ns) * 1e-9),
-        without_own_step=strange,
+        without_own_step=int(np.count_nonzero(is_without)),
     )
 
 

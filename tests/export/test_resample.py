@@ -70,15 +70,31 @@ def test_a_picture_that_runs_backwards_is_never_chosen() -> None:
     assert found.tolist() == [0, 0, 1, 1, 3, 5]
 
 
-def test_a_step_whose_action_was_lost_is_counted(tmp_path: Path) -> None:
+def without_action(tmp_path: Path, lost: int, *, second_from: int = 10_000) -> tuple[Table, Ints]:
+    """Lose the action of one step; a second process runs from another step on. Return rows, and each row's lag."""
     source = walked(tmp_path, camera_hz=0)
     reader = EpisodeReader(signals_file(Path(source.folder)))
     columns = [key_columns(reader, STATE), key_columns(reader, ACTION)]
     recorded = tracks.read(reader, columns, ())
-    track = recorded.tracks[ACTION]
-    kept = np.arange(len(track.times_ns)) != 40
-    recorded.tracks[ACTION] = tracks.Track(track.times_ns[kept], track.values[kept], track.writers[kept], 0)
-    assert resample(recorded, columns[:1], columns[1:], 50, "it").without_own_step == 1
+    for key in (STATE, ACTION):
+        track = recorded.tracks[key]
+        numbers = np.arange(len(track.times_ns))
+        kept = (numbers != lost) | (key == STATE)
+        writers = np.where(numbers < second_from, 0, 1)
+        recorded.tracks[key] = tracks.Track(track.times_ns[kept], track.values[kept], writers[kept], 0)
+    table = resample(recorded, columns[:1], columns[1:], 50, "it")
+    lag = np.round(table.action[ACTION].values[:, 6] * 1000 - 500 - table.state[STATE].values[:, 0] * 1000)
+    return table, lag.astype(np.int64)
+
+
+def test_a_step_whose_action_was_lost_is_counted(tmp_path: Path) -> None:
+    table, lag = without_action(tmp_path, 40)
+    assert (table.without_own_step, np.flatnonzero(lag).tolist(), lag.max()) == (1, [40], 1)
+
+
+def test_the_last_step_of_a_process_that_died_before_its_action_is_counted(tmp_path: Path) -> None:
+    table, lag = without_action(tmp_path, 40, second_from=41)
+    assert (table.without_own_step, np.flatnonzero(lag).tolist(), lag.min()) == (1, [40], -1)
 
 
 def test_a_rate_above_the_state_is_refused_with_the_rate_that_would_do(tmp_path: Path) -> None:

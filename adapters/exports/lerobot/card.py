@@ -116,7 +116,7 @@ def _episode_row(number: int, shard: Shard, plan: Plan) -> tuple[str, ...]:
     facts = shard.made.facts
     remarks = [f"{count} values of `{key}` did not fit" for key, count in facts["skipped"].items()]
     if facts["without_own_step"]:
-        remarks.append(f"{facts['without_own_step']} rows with the action of the next step")
+        remarks.append(f"{facts['without_own_step']} rows with the action of a neighbouring step")
     for camera, found in facts["pictures"].items():
         remarks.append(f"{camera}: {found['distinct']} pictures")
         if found["bad"]:

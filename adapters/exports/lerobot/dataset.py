@@ -69,6 +69,13 @@ def _notes(shards: Sequence[Shard]) -> Iterator[str]:
             f"that the first one has not, and that are not in the data set: {', '.join(names)}; with --camera NAME "
             "they are, and episodes without them are not"
         )
+    without = [shard for shard in shards if shard.made.facts["without_own_step"]]
+    if without:
+        rows = sum(shard.made.facts["without_own_step"] for shard in without)
+        yield (
+            f"{rows} rows in {len(without)} of {len(shards)} episodes ({without[0].source.episode_id} first) hold the "
+            "action of a neighbouring step, since none of their own was recorded; README.md says how many each has"
+        )
 
 
 class _Totals:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ import numpy as np
 
 from adapters.exports.lerobot import parquet, stats
 from adapters.exports.lerobot.plan import ACTION, AGE, STATE, TIME, Plan, cameras_of, open_source
+from station.assets import sha256
 from station.episode.reading import frames
 from station.episode.reading.messages import Ints
 from station.episode.reading.reader import EpisodeReader
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 ROWS = "rows.parquet"
 STATS = "stats.json"
-
-_BLOCK = 1 << 20
 
 
 class Measured(msgspec.Struct, frozen=True):
@@ -88,7 +86,7 @@ def provenance(reader: EpisodeReader) -> dict[str, Any]:
     """Return where an episode comes from: hashes, who, when, with which policy, how good."""
     manifest = reader.manifest
     return {
-        "sha256": {file.name: _sha256(file) for file in sorted(reader.folder.glob("*.mcap"))},
+        "sha256": {file.name: sha256(file) for file in sorted(reader.files)},
         "recorded": manifest.timing.started,
         "operator": manifest.operator.interface,
         "policy": manifest.policy.name,
@@ -137,11 +135,3 @@ def _column(ages: Sequence[Floats]) -> Floats32:
 
 def _picture_facts(encoded: Encoded) -> dict[str, Any]:
     return {"bad": encoded.bad, "distinct": len(np.unique(encoded.shown))}
-
-
-def _sha256(file: Path) -> str:
-    digest = hashlib.sha256()
-    with file.open("rb") as stream:
-        while block := stream.read(_BLOCK):
-            digest.update(block)
-    return digest.hexdigest()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import threading
 from collections import Counter
@@ -18,13 +19,13 @@ from adapters.exports.lerobot.features import INDEX
 from adapters.exports.lerobot.kind import LeRobotOptions
 from adapters.exports.lerobot.modality import groups
 from adapters.exports.lerobot.plan import Camera
-from station.bus import contracts, keys
+from station.bus import codec, contracts, keys
 from station.errors import EpisodeError
 from station.export import shards
 from station.export.kind import Source
 from station.export.run import Exported, Where, export, preview
 from tests.episode.arm_run import ArmRun
-from tests.episode.synthetic import ROBOT, EpisodeBuilder
+from tests.episode.synthetic import ROBOT, EpisodeBuilder, tick
 from tests.export.pictured import HEAD, number_in, walked
 
 IMAGE = "observation.images.head"
@@ -160,6 +161,24 @@ def test_cameras_that_only_later_episodes_have_are_told_of_unless_others_were_as
     assert note.startswith("1 of 2 episodes (2026-11-21-g1-walk-0002 first) have cameras that the first one has not")
     assert "not in the data set: head; with --camera" in note
     assert exported(sources, tmp_path / "b", camera=("none",)).facts["notes"] == []
+
+
+def test_rows_without_an_action_of_their_own_are_told_and_hashes_are_those_of_the_recording(tmp_path: Path) -> None:
+    builder = EpisodeBuilder(tmp_path / "data")
+    for number in range(50):
+        if number in (20, 21):
+            builder.write({keys.robot_state(ROBOT): codec.f64(np.zeros(65))}, at_s=0.02 * number)
+        else:
+            tick(builder, number, at_s=0.02 * number)
+    folder = builder.finish({"robot": {"suffix": ROBOT}})
+    (folder / "enriched.mcap").write_bytes(b"made of it, and made anew at will")
+    source = Source(episode_id=folder.name, folder=str(folder))
+    (note,) = exported([source], out := tmp_path / "set").facts["notes"]
+    assert note.startswith(f"2 rows in 1 of 1 episodes ({folder.name} first) hold the action of a neighbouring step")
+    assert "2 rows with the action of a neighbouring step" in (out / "README.md").read_text()
+    (episode,) = json.loads((out / "meta/station.json").read_text())["episodes"]
+    digest = hashlib.sha256((folder / "signals.mcap").read_bytes()).hexdigest()
+    assert episode["sha256"] == {"signals.mcap": digest}
 
 
 def test_every_column_is_told_of_before_anything_is_written(tmp_path: Path) -> None:
