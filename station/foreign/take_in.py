@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Iterator
 from itertools import islice
@@ -23,6 +22,7 @@ from station.episode.storage.manifest import Manifest, Operator, Recorder, Robot
 from station.episode.storage.progress import Totals
 from station.episode.writing.closing import close_manifest
 from station.errors import EpisodeError, StationError
+from station.foreign.claim import claimed
 from station.foreign.kind import ForeignKind, ForeignWrite, Recording
 from station.software import software
 
@@ -74,7 +74,8 @@ class TakenIn(msgspec.Struct, frozen=True, kw_only=True):
 def take_in(order: Order) -> TakenIn:
     """Make an episode of a recording; one that is there already stays as it is.
 
-    Killed at any moment, it leaves nothing that could be taken for an episode; the next call does it anew.
+    Killed at any moment, it leaves nothing that could be taken for an episode; the next call does it anew. Several
+    processes that are given the same recording make one episode of it.
 
     Raises:
         BadFile: the recording is not of this format, or something in it is wrong.
@@ -87,17 +88,17 @@ def take_in(order: Order) -> TakenIn:
     there = _there(data, kind, recording)
     if there is not None:
         return _told(there, recording, is_new=False)
-    folder, making = data / slug(task) / name, data / f".importing-{name}"
+    folder, making = data / slug(task) / name, data / f".importing-{kind.name}-{recording.sha256[:_SHORT]}"
     try:
-        shutil.rmtree(making, ignore_errors=True)  # of a run that was killed
-        making.mkdir(parents=True)
-        try:
+        with claimed(making):
+            there = _there(data, kind, recording)  # of another process, since we looked
+            if there is not None:
+                return _told(there, recording, is_new=False)
+            making.mkdir()
             _write(making, _manifest(kind, recording, order, name, task), recording)
             folder.parent.mkdir(exist_ok=True)
             making.rename(folder)
             sync_folder(folder.parent)
-        finally:
-            shutil.rmtree(making, ignore_errors=True)
     except OSError as error:
         if error.filename is None:
             raise EpisodeError(f"{folder}: cannot be written: {error.strerror}") from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -23,7 +24,7 @@ from station.export.jobs import map_episodes
 from station.foreign import take_in as module
 from station.foreign.take_in import Order, TakenIn, take_in
 from tests.foreign.recorded import PERIOD_MS, STARTED_MS, document, jpeg, record
-from tests.waiting import wait_until
+from tests.waiting import DEADLINE_S, wait_until
 
 ROOT = Path(__file__).parents[2]
 
@@ -123,17 +124,53 @@ def test_a_recording_that_turns_out_bad_half_way_leaves_nothing(tmp_path: Path) 
     assert taken(folder, data).is_new
 
 
-def test_one_that_was_killed_in_the_middle_is_no_episode_and_is_done_anew(tmp_path: Path) -> None:
+def long_recording(folder: Path) -> Path:
+    """One that takes seconds to be taken in."""
     entries = [{"idx": n, "t_img": STARTED_MS + n, "action_neck": [0.0, 0.0]} for n in range(40_000)]
-    folder, data = record(tmp_path / "cabinet" / "episode_0000", {"data": entries}, pictures=0), tmp_path / "data"
-    code = "import sys; from tests.foreign.test_take_in import *; taken(Path(sys.argv[1]), Path(sys.argv[2]))"
-    with subprocess.Popen([sys.executable, "-c", code, folder, data], cwd=ROOT) as process:
+    return record(folder, {"data": entries}, pictures=0)
+
+
+def begun(folder: Path, data: Path, task: str = "") -> subprocess.Popen[bytes]:
+    """Take a recording in, in a process of its own."""
+    code = (
+        "import sys; from tests.foreign.test_take_in import *;"
+        "done = taken(Path(sys.argv[1]), Path(sys.argv[2]), task=sys.argv[3]); print(done.is_new, done.path)"
+    )
+    return subprocess.Popen([sys.executable, "-c", code, folder, data, task], cwd=ROOT, stdout=subprocess.PIPE)
+
+
+def test_one_that_was_killed_in_the_middle_is_no_episode_and_is_done_anew(tmp_path: Path) -> None:
+    folder, data = long_recording(tmp_path / "cabinet" / "episode_0000"), tmp_path / "data"
+    with begun(folder, data) as process:
         wait_until(lambda: list(data.glob(".importing-*/*.active")))
         process.send_signal(signal.SIGKILL)
     assert process.returncode == -signal.SIGKILL
     assert find_episodes(data) == []
     done = taken(folder, data)
     assert (done.is_new, done.messages) == (True, 80_000)
+    assert [path.name for path in data.iterdir()] == ["cabinet"]
+
+
+def waits_for_a_lock(pid: int) -> bool:
+    """Whether a process has opened what only one at a time may lock."""
+    try:
+        return any(os.readlink(file).endswith(".lock") for file in Path(f"/proc/{pid}/fd").iterdir())
+    except FileNotFoundError:  # closed while we looked
+        return False
+
+
+def test_two_processes_that_take_in_the_same_recording_make_one_episode_of_it(tmp_path: Path) -> None:
+    folder, data = long_recording(tmp_path / "cabinet" / "episode_0000"), tmp_path / "data"
+    with begun(folder, data) as first:
+        wait_until(lambda: list(data.glob(".importing-*/*.active")))
+        first.send_signal(signal.SIGSTOP)
+        with begun(folder, data, "another") as second:
+            wait_until(lambda: second.poll() is not None or waits_for_a_lock(second.pid))
+            first.send_signal(signal.SIGCONT)
+            told = [process.communicate(timeout=DEADLINE_S)[0].decode().split() for process in (first, second)]
+    (episode,) = find_episodes(data)
+    assert told == [["True", str(episode)], ["False", str(episode)]]
+    assert (first.returncode, second.returncode) == (0, 0)
     assert [path.name for path in data.iterdir()] == ["cabinet"]
 
 
