@@ -191,9 +191,21 @@ def _opened(file: Path) -> Any:
 
 
 def _decoded(container: Any) -> Iterator[Any]:
-    """Iterate over the frames of the first video; None for what is broken within it."""
+    """Iterate over the frames of the first video; None for what is broken within it.
+
+    Raises:
+        CameraError: what comes next in the file cannot be found.
+    """
     failed = library("av", "av", "a video file").error.FFmpegError
-    for packet in container.demux(container.streams.video[0]):
+    packets = container.demux(container.streams.video[0])
+    while True:
+        try:
+            packet = next(packets, None)
+        except failed as error:
+            why = f"{error.strerror or error}; is the file whole?"
+            raise CameraError(f"{container.name}: cannot be read to its end: {why}") from None
+        if packet is None:
+            return
         try:
             yield from packet.decode()
         except failed:
