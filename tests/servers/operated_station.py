@@ -7,7 +7,6 @@ On one that is busy the headset may look silent for a moment: then driving ends,
 from __future__ import annotations
 
 import json
-from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -29,6 +28,7 @@ from station.life.restarts import Restarts
 from station.life.supervisor import Supervisor
 from station.protocols import FALL_TILT_RAD, Floats
 from station.rotations import tilt
+from tests.servers.engagements import jumps_at_engaging
 from tests.servers.g1_station import ROBOT, Log
 from tests.servers.worn_headset import PRESS_S, WornHeadset
 from tests.waiting import wait_until
@@ -39,7 +39,6 @@ TIMEOUT_S = 90.0
 PATIENT = GateConfig(hold_after_s=0.5, return_after_s=2.0)
 """These tests are about who drives, and not about a robot whose commands are late: that is the gate's."""
 
-_HALF_A_SECOND = 25  # steps
 _SEEN = 20  # looks of the device server: what drives has then seen that nothing is pressed
 
 
@@ -178,22 +177,8 @@ class OperatedStation:
         return all(float(tilt(pose[3:7])) < FALL_TILT_RAD and pose[2] > UPRIGHT_M for pose in poses)
 
     def restarts_at_engaging(self) -> list[float]:
-        """Return, for each engaging, how far the first command was from what the robot was asked for before it: by us,
-        or, where nobody commanded, from what it followed."""
-        commands, used = self.commands(), self.used()
-        jumps, was_engaged = [], False
-        for place, write in self._writes():
-            if write.key != keys.command_source(ROBOT):
-                continue
-            is_engaged = bool(codec.parse_json(write.value or b"")["engaged"])
-            if is_engaged and not was_engaged:  # the source comes after the command in their common write
-                count = bisect_left(commands, place, key=lambda found: found[0])
-                followed = used[: bisect_left(used, place, key=lambda found: found[0])]
-                was_silent = count < 2 or commands[count - 2][0] < followed[-_HALF_A_SECOND][0]
-                before = followed[-1][1] if was_silent else commands[count - 2][1]
-                jumps.append(float(np.abs(commands[count - 1][1] - before).max()))
-            was_engaged = is_engaged
-        return jumps
+        """Return how far the first command of each engaging was from the one before it."""
+        return jumps_at_engaging(self.log)
 
     def close(self) -> None:
         self.log.close()

@@ -1,0 +1,33 @@
+"""An operator's session with what goes wrong in it, in short; `tests.faults.soak_operator` is the long one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from station.life.runbook import load
+from tests.faults.operator_scripts import SESSIONS, Plan
+from tests.faults.soak_operator import is_safe, soak
+from tests.main_job.station_runs import ROOT
+
+SHORT_MIN = 0.5
+
+
+@pytest.mark.timeout(240)
+def test_signals_are_lost_and_the_device_server_is_killed_and_the_robot_stands() -> None:
+    found = soak("spacemouse", SHORT_MIN)
+    assert is_safe(found), found
+
+
+@pytest.mark.parametrize("runbook", sorted((ROOT / "runbooks").glob("*-sim-*.yaml")), ids=lambda path: path.stem)
+def test_device_server_that_dies_is_started_again(runbook: Path) -> None:
+    devices = [step for step in load(runbook).servers if step.start in SESSIONS]
+    assert [step.start for step in devices if step.if_it_dies != "restart"] == []
+
+
+def test_plan_of_five_minutes_has_fifty_engagements_three_losses_and_a_death_in_cycles_of_their_own() -> None:
+    plan = Plan.lasting(5.0)
+    assert plan.cycles >= 50
+    assert len({*plan.lossy, plan.fatal}) == 4
+    assert plan.fatal < plan.cycles - 1
