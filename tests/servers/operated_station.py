@@ -167,10 +167,6 @@ class OperatedStation:
         """Return all commands with their places in the log."""
         return self._vectors(keys.action_body(), codec.parse_json)
 
-    def used(self) -> list[tuple[int, Floats]]:
-        """Return the commands that the robot followed, with their places in the log."""
-        return self._vectors(keys.command_used(ROBOT), codec.parse_f64)
-
     def is_upright(self) -> bool:
         """Whether the robot has stood all the time."""
         poses = [codec.parse_f64(value) for value in self.log.values(keys.sim_qpos(ROBOT))]
