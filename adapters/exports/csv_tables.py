@@ -17,6 +17,7 @@ import msgspec
 
 from adapters.exports.named_rows import Plan, Rows, in_seconds
 from station.errors import EpisodeError
+from station.export.columns import contract_of
 from station.export.kind import Made, Source
 
 FIRST_COLUMNS = ("log_time_s", "publish_time_s", "sequence")
@@ -43,18 +44,12 @@ def convert(source: Source, plan: Plan, folder: Path) -> Made:
         for key, columns in rows.columns.items():
             file = stack.enter_context((place / names[key]).open("w", encoding="utf-8", newline=""))
             tables[key] = csv.writer(file, lineterminator="\n").writerow
-            titles = (titled(name, unit) for name, unit in zip(columns.names, columns.units, strict=True))
-            tables[key]([*FIRST_COLUMNS, *titles])
+            tables[key]([*FIRST_COLUMNS, *columns.titles])
         for key, log_ns, publish_ns, sequence, values in rows:
             times = in_seconds(log_ns - rows.start_ns), in_seconds(publish_ns - rows.start_ns)
             tables[key]([*times, sequence, *values])
     (place / CONTENTS).write_bytes(msgspec.json.format(msgspec.json.encode(_contents(rows, names)), indent=2))
     return rows.made()
-
-
-def titled(name: str, unit: str) -> str:
-    """Return the title of a column: ``left_knee_pos [rad]``; a number without a unit has its name alone."""
-    return f"{name} [{unit}]" if unit else name
 
 
 def file_names(keys: Any) -> dict[str, str]:
@@ -72,7 +67,7 @@ def file_names(keys: Any) -> dict[str, str]:
 
 def _contents(rows: Rows, names: dict[str, str]) -> dict[str, Any]:
     manifest = rows.reader.manifest
-    notes = {stream.channel.topic: stream.channel.contract for stream in rows.reader.streams()}
+    contracts = {key: contract_of(rows.recorded, key) for key in rows.columns}
     return {
         "episode_id": rows.reader.episode_id,
         "task": manifest.task.name,
@@ -86,7 +81,7 @@ def _contents(rows: Rows, names: dict[str, str]) -> dict[str, Any]:
                 "rows": rows.counts[key],
                 "unfit": rows.unfit[key],
                 "role": columns.role,
-                "note": getattr(notes.get(key), "note", ""),
+                "note": contract.note if (contract := contracts[key]) is not None else "",
             }
             for key, columns in rows.columns.items()
         },

@@ -21,7 +21,6 @@ from station.errors import EpisodeError, UsageError
 from station.export.columns import KeyColumns, key_columns, recorded_contracts
 from station.export.kind import ExportOptions, Made, MinQuality, Source
 
-_NUMBERS = ("json-vector", "f64", "f32")
 _NANOSECONDS = 1_000_000_000
 
 
@@ -61,8 +60,8 @@ def prepare(_sources: Sequence[Source], options: QuickLookOptions) -> Plan:
     """
     for key in options.keys:
         contract = contracts.contract(key)
-        if contract is not None and not (contract.elements and contract.codec in _NUMBERS):
-            what = f"holds {contract.codec}" if contract.codec not in _NUMBERS else "has no names for its numbers"
+        if contract is not None and not (contract.elements and contract.vector_codec):
+            what = "has no names for its numbers" if contract.vector_codec else f"holds {contract.codec}"
             raise UsageError(f"--keys {key}: {what}; leave it out, `station keys` says which keys hold named numbers")
     return Plan(keys=options.keys)
 
@@ -77,6 +76,7 @@ class Rows:
     Attributes:
         reader: Of the episode.
         start_ns: When it begins; times are told from there [ns since the epoch].
+        recorded: The contract of every key of the episode as it was recorded, None for none.
         columns: What the numbers of each key are called.
         left_out: Keys that are in the episode and not in the rows.
         counts, unfit: Rows so far, and values that did not fit their contract, by key.
@@ -88,8 +88,8 @@ class Rows:
 
     def __init__(self, source: Source, keys: Sequence[str]) -> None:
         self.reader: EpisodeReader = open_episode(Path(source.folder))
-        found = recorded_contracts(self.reader)
-        named = [key for key, one in found.items() if one is not None and one.elements and one.codec in _NUMBERS]
+        self.recorded = found = recorded_contracts(self.reader)
+        named = [key for key, one in found.items() if one is not None and one.elements and one.vector_codec]
         self.columns: Mapping[str, KeyColumns] = {key: key_columns(self.reader, key) for key in keys or named}
         if not self.columns:
             raise EpisodeError(f"{source.episode_id}: no key in it whose numbers have names, so nothing to export")
@@ -122,7 +122,7 @@ class Rows:
     def narrow(self, keys: Collection[str]) -> None:
         """Leave out all but some keys."""
         self.columns = {key: columns for key, columns in self.columns.items() if key in keys}
-        self.left_out = sorted({*self.left_out, *(stream.channel.topic for stream in self.reader.streams())} - {*keys})
+        self.left_out = sorted({*self.recorded} - {*keys})
 
     def made(self) -> Made:
         """Return what was made, once all rows were read."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 import msgspec
 
 Role = Literal["command", "state", "policy", "sensor", "network", "event", "control"]
-Codec = Literal["json-vector", "json", "f32", "f64", "jpeg", "text", "integer"]
+VectorCodec = Literal["json-vector", "f32", "f64"]
+Codec = Literal[VectorCodec, "json", "jpeg", "text", "integer"]
 
 
 class Element(msgspec.Struct, frozen=True):
@@ -15,6 +16,11 @@ class Element(msgspec.Struct, frozen=True):
 
     name: str
     unit: str
+
+    @property
+    def title(self) -> str:
+        """What a person reads of it: ``left_knee_pos [rad]``, or its name alone where it has no unit."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
 class Contract(msgspec.Struct, frozen=True, kw_only=True):
@@ -42,6 +48,11 @@ class Contract(msgspec.Struct, frozen=True, kw_only=True):
     def names(self) -> tuple[str, ...]:
         """Names of the elements, in order."""
         return tuple(element.name for element in self.elements)
+
+    @property
+    def vector_codec(self) -> VectorCodec | None:
+        """How its bytes are read as numbers in order; None where they are none."""
+        return next((codec for codec in get_args(VectorCodec) if codec == self.codec), None)
 
 
 def elements(*groups: tuple[tuple[str, ...], str]) -> tuple[Element, ...]:

@@ -16,10 +16,10 @@ from station.enrich import source
 from station.enrich.scalars import Shape
 from station.enrich.siblings import Siblings, siblings
 from station.enrich.vector import type_name
-from station.enrich.whole_file import whole_file
 from station.episode.reading.messages import Channel
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.left_open import is_left_open
+from station.episode.storage.whole_file import whole_file
 from station.errors import EpisodeError
 from station.protobuf import schema as protobuf
 

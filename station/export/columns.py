@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 import msgspec
 
 from station.bus import contracts, keys
-from station.bus.contracts import Contract, Role
+from station.bus.contract import Contract, Element, Role, VectorCodec
 from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
 from station.errors import EpisodeError, did_you_mean
-
-NumberCodec = Literal["json-vector", "f64", "f32"]
 
 
 class KeyColumns(msgspec.Struct, frozen=True, kw_only=True):
@@ -31,14 +28,18 @@ class KeyColumns(msgspec.Struct, frozen=True, kw_only=True):
 
     key: str
     role: Role
-    codec: NumberCodec
+    codec: VectorCodec
     names: tuple[str, ...]
     units: tuple[str, ...]
     rate_hz: float | None = None
 
+    @property
+    def titles(self) -> list[str]:
+        """Names with units, as a person reads them: ``left_knee_pos [rad]``."""
+        return [Element(name, unit).title for name, unit in zip(self.names, self.units, strict=True)]
+
     def __str__(self) -> str:
-        named = [f"{name} [{unit}]" if unit else name for name, unit in zip(self.names, self.units, strict=True)]
-        return f"{len(named)} numbers: {', '.join(named)}"
+        return f"{len(self.names)} numbers: {', '.join(self.titles)}"
 
 
 def key_columns(reader: EpisodeReader, key: str) -> KeyColumns:
@@ -53,13 +54,13 @@ def key_columns(reader: EpisodeReader, key: str) -> KeyColumns:
             f"{reader.episode_id}: no key {key!r} in it{did_you_mean(key, found)}; "
             f"`station episodes show {reader.episode_id}` lists its keys"
         )
-    contract = found[key] or contracts.contract(key)  # one that was described only after it had been recorded
+    contract = contract_of(found, key)
     if contract is None:
         raise EpisodeError(
             f"{reader.episode_id}: key {key!r} has no contract, so nobody knows what its numbers are; "
             "describe it in station/bus/contracts.py, or leave it out"
         )
-    if contract.codec not in ("json-vector", "f64", "f32"):
+    if contract.vector_codec is None:
         raise EpisodeError(f"{reader.episode_id}: key {key!r} holds {contract.codec}, no numbers; leave it out")
     if not contract.elements:
         raise EpisodeError(
@@ -68,7 +69,12 @@ def key_columns(reader: EpisodeReader, key: str) -> KeyColumns:
         )
     units = tuple(element.unit for element in contract.elements)
     return KeyColumns(
-        key=key, role=contract.role, codec=contract.codec, names=contract.names, units=units, rate_hz=contract.rate_hz
+        key=key,
+        role=contract.role,
+        codec=contract.vector_codec,
+        names=contract.names,
+        units=units,
+        rate_hz=contract.rate_hz,
     )
 
 
@@ -102,6 +108,11 @@ def recorded_contracts(reader: EpisodeReader) -> Mapping[str, Contract | None]:
         if not stream.channel.is_deletion:
             found[stream.channel.topic] = found.get(stream.channel.topic) or stream.channel.contract
     return found
+
+
+def contract_of(recorded: Mapping[str, Contract | None], key: str) -> Contract | None:
+    """Return the contract of a key as it was recorded, else as it is today: it may have been described only since."""
+    return recorded.get(key) or contracts.contract(key)
 
 
 def robot_of(reader: EpisodeReader) -> str:

@@ -20,8 +20,9 @@ def columns(keys: Iterable[str], recorded: Mapping[str, Contract]) -> Html | Non
     text = (
         "The names and units of these numbers are the columns of an export, which takes them from the same contracts; "
         "they are recorded beside the values. In a LeRobot data set, unless other keys were named, observation.state "
-        "is robot_state_…, action is command_used_…, observation.images.NAME is camera_image_NAME; the columns age_s.* "
-        "say how old each was at time_ns, the instant of the row. README.md in the data set has all of its own."
+        "is robot_state_… (of an arm state_joints_…), action is command_used_…, observation.images.NAME is "
+        "camera_image_NAME; the columns age_s.* say how old each was at time_ns, the instant of the row. README.md in "
+        "the data set has all of its own."
     )
     head = ("key", "role", "rate", "numbers", "what it holds")
     return tag(

@@ -67,7 +67,9 @@ def section(
 def _tables(quality: Quality) -> Html:
     halves = tag("div", episode_tables.latency(quality)), tag("div", episode_tables.motion(quality))
     streams = details(f"Streams ({len(quality.streams)})", episode_tables.streams(quality.streams))
-    return join([tag("div", halves, class_="two"), episode_tables.cameras(quality), streams])
+    return join(
+        [tag("div", halves, class_="two"), episode_tables.arms(quality), episode_tables.cameras(quality), streams]
+    )
 
 
 def _provenance(episode: Episode) -> Html:

@@ -83,6 +83,24 @@ def motion(quality: Quality) -> Html | None:
     return join([tag("h3", "Motion and tracking"), table((), rows)]) if rows else None
 
 
+def arms(quality: Quality) -> Html | None:
+    """Return what each arm's session with its controller counted."""
+    tables = [
+        table((), [
+            ("controller", ", ".join([arm.backend, *arm.profiles])),
+            ("heartbeats", f"{_hz(arm.sync_hz)}, at most {_ms(arm.period_max_s)} apart"),
+            ("targets sent in motion", f"{_hz(arm.sends_moving_hz)} over {arm.moving_s:.1f} s"),
+            ("targets sent at hold", f"{_hz(arm.sends_holding_hz)} over {arm.holding_s:.1f} s"),
+            ("heartbeat to send", f"p50 {_us(arm.sync_to_send_p50_s)}, p99 {_us(arm.sync_to_send_p99_s)}"),
+            ("faults · refused at limits", f"{arm.faults} · {arm.limit_refusals}"),
+            ("late commands · missed ticks · time-outs",
+             f"{arm.late_commands} · {arm.missed_ticks} · {arm.sync_timeouts}"),
+        ])
+        for arm in quality.arms
+    ]  # fmt: skip
+    return join([tag("h3", "The arm and its controller"), *tables]) if tables else None
+
+
 def cameras(quality: Quality) -> Html | None:
     """Return what became of each camera's pictures."""
     if not quality.cameras:
@@ -169,6 +187,10 @@ def _count(number: int) -> Html | str:
 
 def _ms(value_s: float | None) -> str:
     return "–" if value_s is None else f"{value_s * 1e3:.1f} ms" if abs(value_s) < 10.0 else f"{value_s:.1f} s"
+
+
+def _us(value_s: float | None) -> str:
+    return "–" if value_s is None else f"{value_s * 1e6:.0f} µs"
 
 
 def _hz(value: float | None) -> str:

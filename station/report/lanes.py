@@ -8,7 +8,8 @@ from collections.abc import Iterable, Sequence
 from station.episode.quality.findings import Quality
 from station.episode.storage.manifest import Manifest
 from station.report.html import Html, tag
-from station.report.story import Happened, Span, Story, named
+from station.report.story import Happened, Story, lasting
+from station.view.phases import Span
 
 _STATES = frozenset(
     ("tracking", "playing", "entering", "waiting", "done", "holding", "returning", "leaving", "stopped", "faulted",
@@ -30,8 +31,8 @@ def time_line(story: Story, quality: Quality, manifest: Manifest) -> Html:
     ]
     ended = [Span(item.at_s, item.at_s + item.seconds, f"commands ended: {item.reason}") for item in quality.pauses]
     lanes = [
-        _lane("motion", _clips(scale, named(story.phases))),
-        _lane("gate", [_span(scale, span, span.name if span.name in _STATES else "") for span in named(story.gate)]),
+        _lane("motion", _clips(scale, lasting(story.phases))),
+        _lane("gate", [_span(scale, span, span.name if span.name in _STATES else "") for span in lasting(story.gate)]),
         _lane("pauses", [_span(scale, span, "pause") for span in ended]),
         _lane("bus", [_span(scale, span, "bus") for span in bus]),
         _lane("events", [_dot(scale, event) for event in (*story.events, *marks)], class_="track thin"),

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
+import io
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -12,7 +11,8 @@ from typing import TextIO
 from station.bus.contracts import Contract
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.folder import signals_file
-from station.errors import EpisodeError, StationError
+from station.episode.storage.whole_file import named_file
+from station.errors import EpisodeError
 from station.report import columns_page, data_page, episode_page, story, strip, tracking_plot
 from station.report.gather import Episode, Unread
 from station.report.html import Html, join, tag
@@ -45,17 +45,10 @@ def write(
         StationError: the file cannot be written.
     """
     drawn = _chosen(episodes, pictured)
-    try:
-        descriptor, part = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        try:
-            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-                _write(file, episodes, unread, title, drawn, tell)
-                os.fchmod(file.fileno(), 0o644)  # mkstemp closes it to others
-            os.replace(part, path)
-        finally:
-            Path(part).unlink(missing_ok=True)
-    except OSError as error:
-        raise StationError(f"{path}: cannot be written ({error.strerror}); name a file in a folder of yours") from error
+    with named_file(path) as file:
+        text = io.TextIOWrapper(file, encoding="utf-8")
+        _write(text, episodes, unread, title, drawn, tell)
+        text.detach()  # its text is in the file, which stays open until it is on the disk
     return len(drawn)
 
 

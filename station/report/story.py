@@ -9,31 +9,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from station.bus import codec, contracts, keys
+from station.bus import codec, keys
 from station.bus.contracts import Contract
 from station.episode.quality import interruptions
 from station.episode.quality.measuring import start_ns
-from station.episode.reading import steps
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step, StepJoiner
 from station.protocols import Floats
-from station.view import clips
+from station.view import phases
+from station.view.phases import TRACKING, PhaseNames, Span, Spans
 
 POINTS = 1200
 """Of a curve, at least where there are as many steps, and not twice as many."""
 MOST_SPANS, MOST_EVENTS = 400, 400
-PLAYING, TRACKING = "playing", "tracking"
 _JOINT = "_pos"
-_LONGEST_TEXT = 300
-
-
-class Span(NamedTuple):
-    """Something that lasted [s]."""
-
-    start_s: float
-    end_s: float
-    name: str
+_LONGEST_TEXT, _LONGEST_STATE = 300, 40
 
 
 class Happened(NamedTuple):
@@ -72,10 +63,10 @@ class Story:
     """What happened in an episode.
 
     Attributes:
-        robot: Suffix of the robot that a policy drove, "" for none.
+        robot: Suffix of the robot that it is about, "" for none.
         first_s, last_s: First and last message, from the start of the episode [s].
         gate: States of the gate.
-        phases: Clips that played, else the phase of the motion.
+        phases: Clips that played, else the phase of the motion; or what an operator moved.
         events: The first events, and `events_in_all` how many there are.
         tracks: How well it was tracked; None where nothing tells.
         contracts: What each key holds, as it was recorded.
@@ -100,7 +91,7 @@ def read(reader: EpisodeReader) -> Story:
     """
     streams = [stream for stream in reader.streams() if stream.count]
     begin_ns = start_ns(reader)
-    story = Story(robot=next(iter(steps.robots(reader.topics())), ""))
+    story = Story(robot=phases.robot_of(reader))
     story.first_s = (min((stream.first_ns for stream in streams), default=begin_ns) - begin_ns) * 1e-9
     story.last_s = (max((stream.last_ns for stream in streams), default=begin_ns) - begin_ns) * 1e-9
     story.contracts = {s.channel.topic: s.channel.contract for s in streams if s.channel.contract is not None}
@@ -118,10 +109,10 @@ class _Teller:
         robot, self._story, self._begin_ns = story.robot, story, begin_ns
         self._gate_key, self._source_key = keys.command_gate(robot), keys.command_source(robot)
         self._joiner = StepJoiner(robot)
-        self._phase_of = _Phases(reader, robot)
+        self._phase_of = PhaseNames(phases.motion_facts(reader, robot))
+        self._gate, self._phases = Spans(MOST_SPANS), Spans(MOST_SPANS)
         count = sum(stream.count for stream in reader.streams() if stream.channel.topic == keys.command_used(robot))
-        self._tracker = _Tracker(robot, max(1, count // POINTS), begin_ns)
-        self._state = ""
+        self._tracker = _Tracker(robot, story.contracts, max(1, count // POINTS), begin_ns)
         self.topics = (self._joiner.topics | {self._source_key} if robot else set()) | {keys.EVENT}
 
     def feed(self, message: Message) -> None:
@@ -129,11 +120,10 @@ class _Teller:
         if message.topic == keys.EVENT:
             self._note_event(at_s, _object(message.data))
         elif message.topic == self._source_key:
-            _extend(self._story.phases, at_s, self._phase_of(_object(message.data)))
+            self._phases.add(at_s, self._phase_of(_object(message.data)))
         else:
             if message.topic == self._gate_key:
-                self._state = str(_object(message.data).get("state", ""))[:40]
-                _extend(self._story.gate, at_s, self._state)
+                self._gate.add(at_s, str(_object(message.data).get("state", ""))[:_LONGEST_STATE])
             step = self._joiner.feed(message)
             if step is not None:
                 self._tracker.feed(step)
@@ -141,6 +131,7 @@ class _Teller:
     def finish(self) -> None:
         for step in self._joiner.finish():
             self._tracker.feed(step)
+        self._story.gate, self._story.phases = self._gate.named, self._phases.named
         self._story.tracks = self._tracker.result()
 
     def _note_event(self, at_s: float, event: Mapping[str, Any]) -> None:
@@ -160,11 +151,12 @@ class _Teller:
 class _Tracker:
     """Gathers the distance of the joints from the command, a point for each `stride` steps."""
 
-    def __init__(self, robot: str, stride: int, begin_ns: int) -> None:
+    def __init__(self, robot: str, recorded: Mapping[str, Contract], stride: int, begin_ns: int) -> None:
         self._stride, self._begin_ns = stride, begin_ns
-        self._state_key, self._asked_key = keys.robot_state(robot), keys.command_used(robot)
+        self._state_key, self._asked_key = keys.state_of_step(robot), keys.command_used(robot)
         self._gate_key = keys.command_gate(robot)
-        state, asked = (_names(key) for key in (self._state_key, self._asked_key))
+        described = (recorded.get(key) for key in (self._state_key, self._asked_key))
+        state, asked = (() if contract is None else contract.names for contract in described)
         shared = [name for name in state if name.endswith(_JOINT) and name in asked]
         self._sizes = 8 * len(state), 8 * len(asked)
         self._columns = [state.index(name) for name in shared], [asked.index(name) for name in shared]
@@ -202,47 +194,10 @@ class _Tracker:
         return Tracks(times, means, mosts, self._joints, asked, measured, mean)
 
 
-def _names(key: str) -> tuple[str, ...]:
-    contract = contracts.contract(key)
-    return contract.names if contract is not None else ()
-
-
-class _Phases:
-    """Names what is playing: a clip of the motion where its server told of clips, else the phase."""
-
-    def __init__(self, reader: EpisodeReader, robot: str) -> None:
-        stated = (facts.get("motion") for facts in reader.manifest.servers.values() if facts.get("robot") == robot)
-        facts = next((motion for motion in stated if isinstance(motion, Mapping)), {})
-        self._whole = clips.short_name(str(facts.get("file", "")))[:80]
-        try:
-            self._clips = clips.clips(facts)
-        except (TypeError, ValueError):  # a stranger's manifest; the phases are told all the same
-            self._clips = []
-
-    def __call__(self, source: Mapping[str, Any]) -> str:
-        phase, time_s = str(source.get("phase", ""))[:40], source.get("time_s")
-        if phase != PLAYING:
-            return phase
-        clip = clips.name_at(self._clips, float(time_s)) if isinstance(time_s, (int, float)) else ""
-        return clip or self._whole or phase
-
-
-def _extend(spans: list[Span], at_s: float, name: str) -> None:
-    """Let the last state last until now; begin another when it changed. The last one stands for all beyond the most."""
-    if spans:
-        spans[-1] = spans[-1]._replace(end_s=at_s)
-    if (not spans or spans[-1].name != name) and len(spans) < MOST_SPANS:
-        spans.append(Span(at_s, at_s, name))
-
-
 def _object(data: bytes) -> dict[str, Any]:
-    try:
-        value = codec.parse_json(data)
-    except codec.BadValue:
-        return {}
-    return value if isinstance(value, dict) else {}
+    return phases.parsed(data) or {}
 
 
-def named(spans: Iterable[Span]) -> list[Span]:
-    """Return the spans that have a name and lasted."""
-    return [span for span in spans if span.name and span.end_s > span.start_s]
+def lasting(spans: Iterable[Span]) -> list[Span]:
+    """Return the spans that lasted."""
+    return [span for span in spans if span.end_s > span.start_s]

@@ -3,38 +3,33 @@
 from __future__ import annotations
 
 import io
-import logging
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from station.report.story import Story, Tracks
 from station.view import plot_style as style
-from station.view.run import Run, Span
+from station.view.picture_file import page
+from station.view.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_WIDTH_IN, _HEIGHT_IN, _DPI = 15.0, 5.6, 100
+_WIDTH_IN, _HEIGHT_IN = 15.0, 5.6
+_SMALLER = {"font.size": 9.5, "xtick.labelsize": 8.5, "ytick.labelsize": 8.5}  # than the page it is shown in
 _SHOWN = 3  # joints as curves
 _BARS = 16  # joints as bars
 _COLOURS = 48  # of the picture's palette; lines and text need no more
 _LEAST_SPAN_RAD = 0.2
+_LEAST_ERROR_RAD = 0.01  # an arm follows within milliradians
 
 
 def draw(story: Story) -> bytes | None:
     """Return the picture of an episode as PNG, or None where nothing tells how it was tracked."""
     if story.tracks is None:
         return None
-    logging.getLogger("matplotlib").setLevel(logging.WARNING)  # else the first plot of a machine tells of its fonts
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context({**style.RC, "font.size": 9.5, "xtick.labelsize": 8.5, "ytick.labelsize": 8.5}):
-        figure = Figure(figsize=(_WIDTH_IN, _HEIGHT_IN), dpi=_DPI, facecolor=style.PAPER)
-        FigureCanvasAgg(figure)  # of its own, so that no display is looked for
+    with page(_WIDTH_IN, _HEIGHT_IN, _SMALLER) as figure:
         _draw(figure, story, story.tracks)
         return _png(figure)
 
@@ -44,10 +39,7 @@ def _draw(figure: Figure, story: Story, tracks: Tracks) -> None:
         1 + _SHOWN, 2, width_ratios=(3.6, 1), height_ratios=(1.35, *[1] * _SHOWN), left=0.035, right=0.99, top=0.945,
         bottom=0.055, hspace=0.52, wspace=0.2,
     )  # fmt: skip
-    run = Run(
-        episode_id="", robot=story.robot, gate=[Span(*span) for span in story.gate],
-        phases=[Span(*span) for span in story.phases],
-    )  # fmt: skip
+    run = Run(episode_id="", robot=story.robot, gate=story.gate, phases=story.phases)
     limits = (min(story.first_s, 0.0), max(story.last_s, story.first_s + 0.1))
     order = np.argsort(-np.nan_to_num(tracks.errors_rad, nan=-1.0), kind="stable")
     error = figure.add_subplot(grid[0, 0])
@@ -68,7 +60,7 @@ def _draw_error(axes: Axes, run: Run, tracks: Tracks) -> None:
     axes.fill_between(tracks.times_s, 0, tracks.most_rad, color=style.SECOND, linewidth=0, alpha=0.45)
     axes.plot(tracks.times_s, tracks.mean_rad, color=style.MEASURED, linewidth=1.3)
     usual = float(np.percentile(tracks.most_rad, 99.5))
-    axes.set_ylim(0, max(1.15 * usual, 0.1))  # a single leap must not flatten all else
+    axes.set_ylim(0, max(1.15 * usual, _LEAST_ERROR_RAD))  # a single leap must not flatten all else
     axes.locator_params(axis="y", nbins=4)
 
 
@@ -91,7 +83,7 @@ def _draw_bars(axes: Axes, tracks: Tracks, columns: list[int]) -> None:
     )
     axes.set_yticks(range(len(columns)), [tracks.joints[column].replace("_", " ") for column in columns])
     axes.set_ylim(len(columns) - 0.4, -0.6)
-    axes.set_xlim(0, 1.1 * max(float(values.max(initial=0.0)), 0.01))
+    axes.set_xlim(0, 1.1 * max(float(values.max(initial=0.0)), _LEAST_ERROR_RAD))
     axes.grid(visible=True, axis="x")
     axes.grid(visible=False, axis="y")
     axes.locator_params(axis="x", nbins=4)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from station.episode.reading.reader import EpisodeReader
+from station.episode.storage.whole_file import named_file
 from station.errors import StationError
 from station.view import offscreen
 from station.view import plot_style as style
@@ -54,7 +54,8 @@ def save_sheet(
     pictures = offscreen.render(
         model, run.measured.root[rows], run.measured.joints, run.measured.q[rows], width=_CELL, height=_PICTURE, gl=gl
     )
-    _save(_page(run, shown, pictures), path)
+    with named_file(path) as file:
+        _page(run, shown, pictures).save(file, format="PNG", optimize=True)
     return warnings
 
 
@@ -132,14 +133,3 @@ def _rounded(size: tuple[int, int]) -> Image:
     mask = Image.new("L", (size[0] * 4, size[1] * 4), 0)
     ImageDraw.Draw(mask).rounded_rectangle((0, 0, mask.width - 1, mask.height - 1), _CORNER * 4, fill=255)
     return mask.resize(size, Image.Resampling.LANCZOS)
-
-
-def _save(page: Image, path: Path) -> None:
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        page.save(part, format="PNG", optimize=True)
-        os.replace(part, path)
-    except OSError as error:
-        raise StationError(f"{path}: cannot be written ({error.strerror}); name a file in a folder of yours") from error
-    finally:
-        part.unlink(missing_ok=True)

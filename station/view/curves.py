@@ -42,7 +42,7 @@ def entity(contract: Contract, quantity: str) -> str:
 def log_names(recording: rr.RecordingStream, contract: Contract) -> None:
     """Give the curves of a key the names of its elements, units included."""
     for quantity, indices in groups(contract.elements).items():
-        names = [_label(contract.elements[index]) for index in indices]
+        names = [contract.elements[index].title for index in indices]
         recording.log(entity(contract, quantity), rr.SeriesLines(names=names), static=True)
 
 
@@ -69,7 +69,3 @@ def log_values(recording: rr.RecordingStream, contract: Contract, values: Floats
 def drawable(contracts: Iterable[Contract | None]) -> list[Contract]:
     """Return those contracts whose elements are named numbers worth a curve: all but clock readings."""
     return [item for item in contracts if item is not None and item.elements and item.elements[-1].unit != "ns"]
-
-
-def _label(element: Element) -> str:
-    return f"{element.name} [{element.unit}]" if element.unit else element.name

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
 
 import numpy as np
 import rerun as rr
@@ -10,15 +11,18 @@ import rerun as rr
 from station.bus import keys
 from station.view import layout
 from station.view.episode_curves import Source
+from station.view.phases import driven_by
+
+StateOf: TypeAlias = Callable[[Mapping[str, Any]], str]
 
 _LEVELS = {"info": rr.TextLogLevel.INFO, "warning": rr.TextLogLevel.WARN, "error": rr.TextLogLevel.ERROR}
 
 
 def draw_states(recording: rr.RecordingStream, source: Source, robot: str) -> None:
-    """Send each change of the gate's state and of the motion's phase."""
+    """Send each change of the gate's state, and of the motion's phase or what an operator moves."""
     layout.log_state_colours(recording)
-    _send_changes(recording, source, f"{layout.STATES}/gate", keys.command_gate(robot), "state")
-    _send_changes(recording, source, f"{layout.STATES}/motion", keys.command_source(robot), "phase")
+    _send_changes(recording, source, f"{layout.STATES}/gate", keys.command_gate(robot), gate_state)
+    _send_changes(recording, source, f"{layout.STATES}/motion", keys.command_source(robot), driven_by)
 
 
 def draw_events(recording: rr.RecordingStream, source: Source) -> int:
@@ -48,11 +52,16 @@ def level(event: dict[str, Any]) -> str:
     return str(_LEVELS.get(str(event.get("severity")), rr.TextLogLevel.INFO))
 
 
-def _send_changes(recording: rr.RecordingStream, source: Source, entity: str, key: str, name: str) -> None:
+def gate_state(gate: Mapping[str, Any]) -> str:
+    """Return the state that a value of `keys.command_gate` tells, "" for none."""
+    return str(gate.get("state", ""))
+
+
+def _send_changes(recording: rr.RecordingStream, source: Source, entity: str, key: str, state_of: StateOf) -> None:
     times: list[int] = []
     states: list[str] = []
     for log_ns, value in source.reader.json(key):
-        state = str(value.get(name, "")) if isinstance(value, dict) else ""
+        state = state_of(value) if isinstance(value, dict) else ""
         if state and (not states or states[-1] != state):
             times.append(log_ns)
             states.append(state)

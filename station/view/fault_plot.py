@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import logging
-import os
 import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from station.errors import StationError
+from station.view import picture_file
 from station.view import plot_style as style
 
 if TYPE_CHECKING:
@@ -31,17 +29,9 @@ def save(shown: Demonstration, faulty: Course, cured: Course, path: Path) -> Pat
     Raises:
         StationError: the file cannot be written.
     """
-    logging.getLogger("matplotlib").setLevel(logging.WARNING)  # else the first plot of a machine tells of its fonts
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context(style.RC):
-        size = (style.WIDTH_PX / style.DPI, _HEIGHT_IN)
-        figure = Figure(figsize=size, dpi=style.DPI, facecolor=style.PAPER)
-        FigureCanvasAgg(figure)  # of its own, so that no display is looked for
+    with picture_file.page(style.WIDTH_PX / style.DPI, _HEIGHT_IN) as figure:
         _draw(figure, shown, faulty, cured)
-        return _save(figure, path)
+        return picture_file.save(figure, path)
 
 
 def _draw(figure: Figure, shown: Demonstration, faulty: Course, cured: Course) -> None:
@@ -94,15 +84,3 @@ def _per_second(sent: np.ndarray[tuple[int], np.dtype[np.uint8]]) -> np.ndarray[
     first = np.maximum(np.arange(len(sent)) + 1 - _WINDOW, 0)
     rate: np.ndarray[tuple[int], np.dtype[np.float64]] = (total[1:] - total[first]) / (_WINDOW * _TICK_S)
     return rate
-
-
-def _save(figure: Figure, path: Path) -> Path:
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        figure.savefig(part, format="png")
-        os.replace(part, path)
-    except OSError as error:
-        raise StationError(f"{path}: cannot be written ({error.strerror}); name a file in a folder of yours") from error
-    finally:
-        part.unlink(missing_ok=True)
-    return path

@@ -18,8 +18,9 @@ from station.errors import NotReady
 from station.life.loop import Rate
 from station.protocols import Floats
 from station.view import curves, layout, poses, scene
-from station.view.episode_story import level, line
+from station.view.episode_story import StateOf, gate_state, level, line
 from station.view.find_model import find_model
+from station.view.phases import driven_by
 from station.view.poses import Numbers, Posture
 
 RATE_HZ = 25.0
@@ -61,7 +62,8 @@ class LiveView:
     def look(self) -> int:
         """Draw what is new since the last look; return how many keys that were."""
         self._recording.set_time(layout.TIMELINE, duration=time.monotonic() - self._began_s)
-        fresh = {key: sample for key in (*self._contracts, *self._told) if (sample := self._fresh(key)) is not None}
+        wanted = (*self._contracts, *self._shown, keys.EVENT)
+        fresh = {key: sample for key in wanted if (sample := self._fresh(key)) is not None}
         numbers = {key: found for key in self._contracts if key in fresh and (found := self._numbers(fresh[key]))}
         for found in numbers.values():
             curves.log_values(self._recording, found.contract, found.values[0])
@@ -81,12 +83,11 @@ class LiveView:
         self.close()
 
     @property
-    def _told(self) -> dict[str, tuple[str, str]]:
-        """Keys whose changes are shown as states: entity, and field of the value."""
+    def _shown(self) -> dict[str, tuple[str, StateOf]]:
+        """Keys whose changes are shown as states: entity, and what makes the state of a value."""
         return {
-            keys.command_gate(self.robot): (f"{layout.STATES}/gate", "state"),
-            keys.command_source(self.robot): (f"{layout.STATES}/motion", "phase"),
-            keys.EVENT: (layout.EVENTS, ""),
+            keys.command_gate(self.robot): (f"{layout.STATES}/gate", gate_state),
+            keys.command_source(self.robot): (f"{layout.STATES}/motion", driven_by),
         }
 
     def _prepare(self) -> None:
@@ -135,13 +136,13 @@ class LiveView:
         scene.log_pose(self._recording, root, self._model, positions[0], quats[0])
 
     def _tell(self, fresh: dict[str, Sample]) -> None:
-        for key, (entity, name) in self._told.items():
-            value = _json(fresh[key].value) if key in fresh else {}
-            if value and key == keys.EVENT:
-                self._recording.log(entity, rr.TextLog(line(value), level=level(value)))
-            elif value and value.get(name) != self._states.get(entity):
-                self._states[entity] = str(value.get(name))
-                self._recording.log(entity, rr.StateChange(state=self._states[entity]))
+        if keys.EVENT in fresh and (event := _json(fresh[keys.EVENT].value)):
+            self._recording.log(layout.EVENTS, rr.TextLog(line(event), level=level(event)))
+        for key, (entity, state_of) in self._shown.items():
+            state = state_of(_json(fresh[key].value)) if key in fresh else ""
+            if state and state != self._states.get(entity):
+                self._states[entity] = state
+                self._recording.log(entity, rr.StateChange(state=state))
 
 
 def run(view: LiveView, stop: threading.Event, *, rate_hz: float = RATE_HZ) -> None:

@@ -9,7 +9,8 @@ import numpy as np
 
 from station import rotations
 from station.protocols import FALL_TILT_RAD, Floats
-from station.view.run import Run, Span
+from station.view.phases import Span
+from station.view.run import Run
 
 _LYING_S = 0.8  # after a fall begins: by then one sees it
 _SHORTEST_S = 0.25  # a part that is shorter gets no picture of its own

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from station.view import plot_style as style
 from station.view.layout import GATE_COLOURS
-from station.view.run import TRACKING, Run, Span
+from station.view.phases import TRACKING, Span
+from station.view.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from station.protocols import Floats
-from station.view.run import TRACKING, Run
+from station.view.phases import TRACKING
+from station.view.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

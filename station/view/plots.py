@@ -6,8 +6,6 @@ without those limbs has its joints below each other (`station.view.joint_plot`).
 
 from __future__ import annotations
 
-import logging
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +19,7 @@ from station.protocols import FALL_TILT_RAD, Floats
 from station.view import joint_plot
 from station.view import plot_style as style
 from station.view.layout import LIMBS
+from station.view.picture_file import page, save
 from station.view.plot_lanes import draw_lanes
 from station.view.run import Run, read_run
 from station.view.tracking import joint_errors
@@ -52,32 +51,13 @@ def save_run(run: Run, path: Path) -> Path:
     """Like `save_plot`, of a run that has been read."""
     if run.commanded is None and run.measured is None:
         raise StationError(f"{run.episode_id}: no plot, it holds neither a command nor a state with joints")
-    logging.getLogger("matplotlib").setLevel(logging.WARNING)  # else the first plot of a machine tells of its fonts
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context(style.RC):
-        names = joint_plot.names(run)
-        has_limbs = not names or any(joint in LIMBS[limb] for limb in _COLUMNS for joint in names)
-        below_in = _ROOT_IN + _ROWS * _ROW_IN if has_limbs else len(names) * _ROW_IN
-        height_in = _HEAD_IN + _LANES_IN + below_in + _FOOT_IN
-        figure = Figure(figsize=(style.WIDTH_PX / style.DPI, height_in), dpi=style.DPI, facecolor=style.PAPER)
-        FigureCanvasAgg(figure)  # of its own, so that no display is looked for
+    names = joint_plot.names(run)
+    has_limbs = not names or any(joint in LIMBS[limb] for limb in _COLUMNS for joint in names)
+    below_in = _ROOT_IN + _ROWS * _ROW_IN if has_limbs else len(names) * _ROW_IN
+    height_in = _HEAD_IN + _LANES_IN + below_in + _FOOT_IN
+    with page(style.WIDTH_PX / style.DPI, height_in) as figure:
         (_draw if has_limbs else _draw_joints)(figure, run, joint_errors(run))
-        return _save(figure, path)
-
-
-def _save(figure: Figure, path: Path) -> Path:
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        figure.savefig(part, format="png")
-        os.replace(part, path)
-    except OSError as error:
-        raise StationError(f"{path}: cannot be written ({error.strerror}); name a file in a folder of yours") from error
-    finally:
-        part.unlink(missing_ok=True)
-    return path
+        return save(figure, path)
 
 
 def _draw(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:

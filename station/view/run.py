@@ -12,28 +12,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from station import rotations
-from station.bus import codec, keys
+from station.bus import keys
 from station.episode.quality import falls
 from station.episode.quality.findings import FallSeen
-from station.episode.reading import steps
+from station.episode.quality.measuring import start_ns
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.vectors import numbers
 from station.protocols import Floats
-from station.view import clips, poses
+from station.view import phases, poses
+from station.view.phases import PLAYING, Span
 from station.view.poses import Ints, Numbers, Posture
 
-PLAYING, TRACKING = "playing", "tracking"
-"""The phase of a motion, and the state of the gate, in which a robot is to follow."""
 _JOINT = "_pos"  # end of the name of a joint's position in a contract
-
-
-class Span(NamedTuple):
-    """Something that lasted."""
-
-    start_s: float
-    end_s: float
-    name: str
 
 
 class Joints(NamedTuple):
@@ -99,55 +90,37 @@ class Run:
 
 def read_run(reader: EpisodeReader) -> Run:
     """Read from an episode what pictures show of it, in one pass over its signals."""
-    robot = _robot(reader.topics())
+    robot = phases.robot_of(reader)
     held = reader.collect(_topics(robot))
-    start_ns = _start_ns(reader)
+    begin_ns = start_ns(reader)
     find = _finder(held)
     measured = poses.measured(find, robot)
-    facts = _motion_facts(reader, robot)
-    source = list(_objects(held[keys.command_source(robot)], start_ns))
-    gates = _objects(held[keys.command_gate(robot)], start_ns)
+    name = phases.PhaseNames(phases.motion_facts(reader, robot))
+    source = list(_objects(held[keys.command_source(robot)], begin_ns))
+    gates = _objects(held[keys.command_gate(robot)], begin_ns)
+    played = phases.spans((at_s, str(value.get("phase", ""))) for at_s, value in source)
     return Run(
         episode_id=reader.episode_id,
         robot=robot,
         policy=reader.manifest.policy.name or "",
-        motion=clips.short_name(str(facts.get("file", ""))),
+        motion=name.motion,
         measured=measured,
         has_place=find(keys.sim_qpos(robot)) is not None,
-        commanded=_commanded(find, robot, start_ns),
-        heights=_heights(find, robot, start_ns),
-        gate=_spans((at_s, str(value.get("state", ""))) for at_s, value in gates),
-        phases=_phases(source, facts),
-        playing=[
-            span for span in _spans((at_s, str(v.get("phase", ""))) for at_s, v in source) if span.name == PLAYING
-        ],
+        commanded=_commanded(find, robot, begin_ns),
+        heights=_heights(find, robot, begin_ns),
+        gate=phases.spans((at_s, str(value.get("state", ""))) for at_s, value in gates),
+        phases=phases.spans((at_s, name(value)) for at_s, value in source),
+        playing=[span for span in played if span.name == PLAYING],
         can_fall=find(keys.state_joints(robot)) is None,
-        falls_s=_falls(held[keys.EVENT], robot, measured, start_ns),
-        start_ns=start_ns,
+        falls_s=_falls(held[keys.EVENT], robot, measured, begin_ns),
+        start_ns=begin_ns,
     )
-
-
-def _robot(topics: list[str]) -> str:
-    """Return the robot that a policy drove; else one whose state or command is there (stock scripts, no robot)."""
-    others = [
-        robot
-        for family in (keys.state_body, keys.action_body, keys.action_mimic)
-        for robot in (keys.TWIST2_ROBOT, keys.TWIST_ROBOT)
-        if family(robot) in topics
-    ]
-    return next(iter([*steps.robots(topics), *others]), "")
 
 
 def _topics(robot: str) -> set[str]:
     families = (keys.sim_qpos, keys.robot_state, keys.state_body, keys.state_joints, *poses.COMMANDS,
                 keys.command_gate, keys.command_source)  # fmt: skip
     return {family(robot) for family in families} | {keys.EVENT}
-
-
-def _start_ns(reader: EpisodeReader) -> int:
-    if reader.anchor is not None:
-        return reader.anchor.wall_ns
-    return min((stream.first_ns for stream in reader.streams() if stream.count), default=0)
 
 
 def _seconds(times_ns: Ints, start_ns: int) -> Floats:
@@ -195,49 +168,10 @@ def _heights(find: poses.Find, robot: str, start_ns: int) -> tuple[Floats, Float
     return _seconds(command.times_ns, start_ns), column
 
 
-def _motion_facts(reader: EpisodeReader, robot: str) -> Mapping[str, Any]:
-    """Return what the server that commanded the robot said of its motion."""
-    stated = (facts["motion"] for facts in reader.manifest.servers.values()
-              if facts.get("robot") == robot and isinstance(facts.get("motion"), Mapping))  # fmt: skip
-    return next(stated, {})
-
-
-def _phases(source: Iterable[tuple[float, Mapping[str, Any]]], facts: Mapping[str, Any]) -> list[Span]:
-    parts = clips.clips(facts)
-    whole = clips.short_name(str(facts.get("file", "")))
-
-    def name(value: Mapping[str, Any]) -> str:
-        if value.get("kind") == "operator":
-            return str(value.get("mode") or value.get("driver") or "") if value.get("engaged") else ""
-        phase, time_s = str(value.get("phase", "")), value.get("time_s")
-        if phase != PLAYING:
-            return phase
-        return (clips.name_at(parts, float(time_s)) if isinstance(time_s, (int, float)) else "") or whole or phase
-
-    return _spans((at_s, name(value)) for at_s, value in source)
-
-
-def _spans(states: Iterable[tuple[float, str]]) -> list[Span]:
-    """Join equal neighbours; a state lasts until the next one begins."""
-    found: list[Span] = []
-    for at_s, name in states:
-        if found and found[-1].name == name:
-            found[-1] = found[-1]._replace(end_s=at_s)
-            continue
-        if found:
-            found[-1] = found[-1]._replace(end_s=at_s)
-        found.append(Span(at_s, at_s, name))
-    return [span for span in found if span.name]
-
-
 def _objects(messages: Iterable[Message], start_ns: int) -> Iterable[tuple[float, dict[str, Any]]]:
-    """Yield each JSON object with its time [s]; what is none is counted by `check`, not here."""
+    """Yield each JSON object with its time [s]."""
     for message in messages:
-        try:
-            value = codec.parse_json(message.data)
-        except codec.BadValue:
-            continue
-        if isinstance(value, dict):
+        if (value := phases.parsed(message.data)) is not None:
             yield (message.log_ns - start_ns) * 1e-9, value
 
 

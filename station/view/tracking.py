@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.protocols import Floats
-from station.view.run import TRACKING, Run, Span
+from station.view.phases import TRACKING, Span
+from station.view.run import Run
 
 
 def joint_errors(run: Run) -> dict[str, float]:

@@ -14,6 +14,7 @@ from station.view.episode_rrd import save
 from station.view.layout import TIMELINE
 from tests.episode import lock_step
 from tests.episode.synthetic import ROBOT, STANDING, EpisodeBuilder, command, tick, walk
+from tests.view import arms
 from tests.view.robots import tiny
 from tests.view.rrd import Recorded, verify
 
@@ -95,6 +96,19 @@ def test_gate_motion_and_events_are_told(builder: EpisodeBuilder, tmp_path: Path
     assert recorded.column("events", "TextLog:text") == [["g1: fall tilt_rad=1.235 contacts=['torso_link']"]]
     assert recorded.column("events", "TextLog:level") == [["ERROR"]]
     assert view.events == 1
+
+
+def test_what_an_operator_moves_is_told_as_a_state_until_he_lets_go(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    for number, (mode, is_engaged) in enumerate(
+        [("tool", False), ("tool", True), ("joints 1-4", True), ("tool", False)]
+    ):
+        source = {"kind": "operator", "driver": "arm-tcp", "mode": mode, "engaged": is_engaged}
+        values = arms.values(arms.START, asked=arms.START)
+        values[keys.command_source(arms.ROBOT)] = codec.json_object(source)
+        builder.write(values, at_s=0.1 * number, writer="teleop")
+    save(open_episode(builder.finish()), tmp_path / "ep.rrd")
+    states = Recorded(tmp_path / "ep.rrd").column("states/motion", "StateChange:state")
+    assert states == [["released"], ["tool"], ["joints 1-4"], ["released"]]
 
 
 def test_where_the_model_that_ran_is_not_here_the_built_in_one_is_drawn_and_a_warning_says_so(

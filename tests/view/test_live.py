@@ -95,7 +95,9 @@ def test_bus_without_a_robot_is_one_line(bus: Bus) -> None:
 def test_an_arm_is_found_and_drawn_with_its_target_in_its_place(bus: Bus, tmp_path: Path) -> None:
     recording = rr.RecordingStream("test")
     recording.save(tmp_path / "live.rrd")
-    bus.publish(arms.values(arms.START, asked=arms.START + 0.1))
+    source = {"kind": "operator", "driver": "arm-tcp", "mode": "tool", "engaged": True}
+    told = {keys.command_source(arms.ROBOT): codec.json_object(source)}
+    bus.publish(arms.values(arms.START, asked=arms.START + 0.1) | told)
     with LiveView(bus, recording) as view:
         assert (view.robot, view.warnings) == (arms.ROBOT, [])
         wait_until(view.look)
@@ -107,6 +109,7 @@ def test_an_arm_is_found_and_drawn_with_its_target_in_its_place(bus: Bus, tmp_pa
         flange = np.array(recorded.column(f"world/{entity}/link7", ":translation")).reshape(-1, 3)[-1]
         assert flange == pytest.approx(chain.posture(q).position, abs=1e-6)
     assert recorded.rows(f"curves/state/{keys.state_joints(arms.ROBOT)}/angle") == 1
+    assert recorded.column("states/motion", "StateChange:state") == [["tool"]]
 
 
 def test_a_second_arm_of_a_model_that_nobody_has_drawn_is_shown_by_its_curves(bus: Bus, tmp_path: Path) -> None:

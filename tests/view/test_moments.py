@@ -7,8 +7,9 @@ import pytest
 
 from station.bus import joints
 from station.view.moments import instants, moments
+from station.view.phases import Span
 from station.view.poses import Posture
-from station.view.run import Run, Span
+from station.view.run import Run
 
 
 def run_of(phases: list[Span], *, seconds: float = 10.0, falls_s: list[float] | None = None) -> Run:

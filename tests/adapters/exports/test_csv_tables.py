@@ -58,6 +58,17 @@ def test_the_contents_say_what_is_where_and_what_was_left_out(tmp_path: Path) ->
     assert contents["left_out"] == made.facts["left_out"] == ["strange"]
 
 
+def test_the_contents_tell_the_note_of_a_key_that_was_deleted_too(tmp_path: Path) -> None:
+    builder = EpisodeBuilder(tmp_path / "data")
+    builder.write({STATE: codec.f64([0.0] * 65)}, at_s=0.1)
+    builder.delete(STATE, at_s=0.2)
+    episode, described = builder.finish(), contract(STATE)
+    converted("csv", episode, tmp_path / "out", STATE)
+    contents = json.loads((tmp_path / "out" / episode.name / CONTENTS).read_text())
+    assert described is not None
+    assert contents["keys"][STATE]["note"] == described.note != ""
+
+
 def test_only_the_keys_that_are_asked_for_are_exported(tmp_path: Path) -> None:
     episode = walked(tmp_path / "data")
     converted("csv", episode, tmp_path / "out", COMMAND)

@@ -1,4 +1,4 @@
-"""A large file that is there whole or not at all, written by one process at a time."""
+"""A file that is there whole or not at all, written by one process at a time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from station.episode.storage.atomic import sync_folder
-from station.errors import EpisodeError
+from station.errors import EpisodeError, StationError
 
 
 @contextmanager
@@ -35,6 +35,21 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
         _remove(part)
         raise
     sync_folder(path.parent)
+
+
+@contextmanager
+def named_file(path: Path) -> Iterator[BinaryIO]:
+    """Open a file that a person asked for by its name; as `whole_file`, and what fails is told with what to do.
+
+    Raises:
+        StationError: it cannot be written, or another process is writing it.
+    """
+    try:
+        with whole_file(path) as file:
+            yield file
+    except OSError as error:
+        why = error.strerror or error
+        raise StationError(f"{path}: cannot be written ({why}); name a file in a folder of yours") from error
 
 
 def _claim(part: Path) -> BinaryIO:

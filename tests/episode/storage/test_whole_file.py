@@ -1,0 +1,54 @@
+"""A large file is there whole or not at all, and what a person named is told of in one line."""
+
+from __future__ import annotations
+
+import fcntl
+from pathlib import Path
+
+import pytest
+
+from station.episode.storage.whole_file import named_file
+from station.errors import EpisodeError, StationError
+
+
+def write(path: Path, *, fails: Exception | None = None) -> None:
+    with named_file(path) as file:
+        file.write(b"new")
+        if fails is not None:
+            raise fails
+
+
+def test_it_takes_the_place_of_an_older_one_and_leaves_nothing_beside_it(tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    path.write_bytes(b"an older one")
+    (tmp_path / ".report.html.part").write_bytes(b"what a killed process left, which is longer")
+    write(path)
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {"report.html": b"new"}
+
+
+def test_what_fails_half_way_leaves_the_older_one(tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    path.write_bytes(b"an older one")
+    with pytest.raises(ZeroDivisionError):
+        write(path, fails=ZeroDivisionError())
+    with pytest.raises(StationError, match=r"report\.html: cannot be written \(No space left on device\); name a file"):
+        write(path, fails=OSError(28, "No space left on device"))
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {"report.html": b"an older one"}
+
+
+def test_a_place_that_takes_no_file_is_told_with_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(StationError, match=r"folder: cannot be written \(Is a directory\); name a file in a folder"):
+        write(tmp_path / "folder")
+    with pytest.raises(StationError, match=r"none/r: cannot be written \(No such file or directory\); name a file"):
+        write(tmp_path / "none" / "r")
+    assert [file.name for file in tmp_path.iterdir()] == ["folder"]
+
+
+def test_one_that_another_process_writes_is_refused(tmp_path: Path) -> None:
+    part = tmp_path / ".report.html.part"
+    with part.open("wb") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        with pytest.raises(EpisodeError, match=r"\.part: another process is writing this file; wait for it"):
+            write(tmp_path / "report.html")
+    assert part.exists()
