@@ -29,7 +29,7 @@ def cameras(reader: EpisodeReader) -> dict[str, str]:
 
     Any key whose recorded contract says JPEG is one; a key that is not named as ours are is called by its whole name.
     """
-    found = {stream.channel.topic for stream in reader.streams() if _is_camera(stream.channel.contract)}
+    found = {channel.topic for channel in reader.channels() if _is_camera(channel.contract)}
     return {topic.removeprefix(keys.camera_image("")): topic for topic in sorted(found)}
 
 

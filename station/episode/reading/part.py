@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+import mcap.records
 import msgspec
 
 from station.episode.reading.messages import Channel, Message, channel_of
@@ -59,6 +60,14 @@ class Part:
         known = self.contents.channels if self.contents.is_finished else {}
         return topics is None or not known or any(record.topic in topics for record in known.values())
 
+    def channels(self) -> list[Channel] | None:
+        """Return the channels that have messages, by the summary of a finished file; None where only those tell."""
+        known, counts = self.contents.channels, self.contents.counts
+        if not self.contents.is_finished or not counts or not counts.keys() <= known.keys():
+            return None
+        found = [self._channel(known[number]) for number, count in counts.items() if count]
+        return [channel for channel in found if not channel.is_bookkeeping]
+
     def in_file_order(self, topics: frozenset[str] | None, *, stamps: bool = False) -> Iterator[Message]:
         """Iterate over the messages of some topics (None: all), joined to their exact stamps where those are wanted."""
         if not stamps:
@@ -97,7 +106,7 @@ class Part:
             record = records.get(number)
             if record is None:
                 raise EpisodeError(f"{self.path}: a message of channel {number}, which nothing describes")
-            channel = channel_of(record, file=self._name, first_id=self._first_id)
+            channel = self._channel(record)
             is_chosen = bookkeeping if channel.is_bookkeeping else (topics is None or record.topic in topics)
             wanted[number] = channel if is_chosen else None
             return wanted[number]
@@ -112,6 +121,9 @@ class Part:
                     value = self._picture(data, channel) if channel.is_typed else data
                     found.append(Message(channel.topic, value, log_ns, publish_ns, sequence, channel))
                 yield place, found
+
+    def _channel(self, record: mcap.records.Channel) -> Channel:
+        return channel_of(record, file=self._name, first_id=self._first_id)
 
     def _picture(self, data: bytes, channel: Channel) -> bytes:
         try:

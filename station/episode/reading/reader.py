@@ -75,9 +75,17 @@ class EpisodeReader:
             )
         return self._streams
 
+    def channels(self) -> list[Channel]:
+        """Return every channel that has messages, by topic; the messages of finished files are not read for it."""
+        parts = [part.channels() for part in self.parts]
+        if None in parts:
+            return [stream.channel for stream in self.streams()]
+        found = (channel for part in parts if part is not None for channel in part)
+        return sorted(found, key=lambda channel: (channel.topic, channel.id))
+
     def topics(self) -> list[str]:
         """Return every key that has messages, sorted."""
-        return sorted({stream.channel.topic for stream in self.streams()})
+        return sorted({channel.topic for channel in self.channels()})
 
     def messages(
         self, topics: Collection[str] | None = None, *, order: Order = "file", stamps: bool = False

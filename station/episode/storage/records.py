@@ -17,7 +17,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema, Statistics
 
 from station.errors import EpisodeError
 
@@ -65,6 +65,7 @@ class Contents(NamedTuple):
         is_finished: Whether the footer and the closing magic are there.
         cut_at: Where the first record begins that is not whole; None when all are.
         size: Length of the file.
+        counts: Number of messages by channel, as the summary of a finished file tells it; empty where none does.
     """
 
     profile: str
@@ -75,6 +76,7 @@ class Contents(NamedTuple):
     is_finished: bool
     cut_at: int | None
     size: int
+    counts: dict[int, int]
 
 
 def walk(path: Path) -> Contents:
@@ -95,7 +97,7 @@ def _walk(file: BinaryIO, path: Path) -> Contents:
     size = path.stat().st_size
     if file.read(len(MAGIC)) != MAGIC:
         raise EpisodeError(f"{path}: not an MCAP file ({size} bytes that do not begin with its magic)")
-    found = Contents("", [], {}, {}, {}, False, None, size)
+    found = Contents("", [], {}, {}, {}, False, None, size, {})
     position = len(MAGIC)
     while position < size:
         head = file.read(_HEAD.size)
@@ -132,7 +134,7 @@ def _take(file: BinaryIO, opcode: int, length: int, position: int, found: Conten
     if opcode == Opcode.CHUNK:
         start_ns, end_ns, *_ = _CHUNK.unpack(file.read(_CHUNK.size))
         found.chunks.append(ChunkPlace(position + _HEAD.size, length, start_ns, end_ns))
-    elif opcode in (Opcode.HEADER, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT):
+    elif opcode in (Opcode.HEADER, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT, Opcode.STATISTICS):
         if length > _LARGEST_RECORD:
             raise ValueError(f"a record of {length} bytes")
         stream = ReadDataStream(BytesIO(file.read(length)))
@@ -145,6 +147,8 @@ def _take(file: BinaryIO, opcode: int, length: int, position: int, found: Conten
         elif opcode == Opcode.METADATA:
             metadata = Metadata.read(stream)
             found.metadata[metadata.name] = metadata.metadata
+        elif opcode == Opcode.STATISTICS:
+            found.counts.update(Statistics.read(stream).channel_message_counts)
         else:
             attachment = Attachment.read(stream)
             found.attachments[attachment.name] = attachment.data

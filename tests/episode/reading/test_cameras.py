@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from station.episode.quality.check import check
-from station.episode.reading.frames import frames
+from station.episode.reading.frames import cameras, frames
 from station.episode.reading.listing import list_episodes
 from station.episode.reading.part import Part
 from station.episode.reading.reader import open_episode
@@ -67,11 +67,11 @@ def test_no_more_than_a_chunk_of_each_file_is_in_memory(tmp_path: Path) -> None:
         assert peak < 8 * size, "a chunk: read, decoded, its picture taken out, beside the one before it"
 
 
-def damage(folder: Path) -> None:
-    data = bytearray((folder / "cameras.mcap").read_bytes())
-    place = Part(folder / "cameras.mcap").contents.chunks[FLUSHES // 2]
+def damage(folder: Path, name: str = "cameras.mcap") -> None:
+    data = bytearray((folder / name).read_bytes())
+    place = Part(folder / name).contents.chunks[FLUSHES // 2]
     data[place.offset + 100] ^= 1
-    (folder / "cameras.mcap").write_bytes(data)
+    (folder / name).write_bytes(data)
 
 
 def test_whoever_wants_signals_alone_reads_no_pictures(folder: Path) -> None:
@@ -82,6 +82,22 @@ def test_whoever_wants_signals_alone_reads_no_pictures(folder: Path) -> None:
     for topics in ([HEAD], None):
         with pytest.raises(EpisodeError, match=r"cameras\.mcap: the chunk at byte \d+ is damaged"):
             list(reader.messages(topics))
+
+
+def test_which_keys_and_cameras_there_are_is_told_without_reading_a_message(folder: Path) -> None:
+    read = open_episode(folder).streams()
+    for name in ("signals.mcap", "cameras.mcap"):
+        damage(folder, name)
+    reader = open_episode(folder)
+    assert (reader.topics(), cameras(reader)) == (sorted([BODY, HEAD]), {"head": HEAD})
+    assert reader.channels() == [stream.channel for stream in read]
+
+
+@pytest.mark.parametrize("name", ["signals.mcap", "cameras.mcap"])
+def test_a_file_without_a_summary_tells_by_its_messages(folder: Path, name: str) -> None:
+    read, file = open_episode(folder).channels(), folder / name
+    file.write_bytes(file.read_bytes()[: Part(file).contents.chunks[3].offset])
+    assert open_episode(folder).channels() == read
 
 
 def remove(cameras: Path) -> None:

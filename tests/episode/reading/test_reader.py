@@ -157,6 +157,18 @@ def test_streams_tell_writers_apart_and_leave_out_the_bookkeeping(tmp_path: Path
     assert streams[0].channel.contract is not None
 
 
+def test_a_channel_whose_messages_are_none_is_no_key_of_an_episode(tmp_path: Path) -> None:
+    with (tmp_path / "signals.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="teleop-station")
+        for topic in ("silent", "spoken"):
+            number = writer.register_channel(topic, "json", 0)
+        writer.add_message(number, 1, b"{}", 1)
+        writer.finish()
+    (tmp_path / "manifest.yaml").write_bytes(dump_manifest(Manifest(episode_id="e")))
+    assert open_episode(tmp_path).topics() == ["spoken"]
+
+
 def test_log_order_sorts_across_chunks_and_file_order_keeps_arrival(tmp_path: Path) -> None:
     now = time.monotonic_ns()
     offsets = [[5, 1], [3, 9], [2, 8], [12, 11]]
