@@ -47,6 +47,7 @@ class Disk:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._parts: list[bytes] = []
         self._position = self.written = keep or 0
+        self._is_synced = False
         if keep is not None:
             os.ftruncate(self._descriptor, keep)
             os.lseek(self._descriptor, keep, os.SEEK_SET)
@@ -82,10 +83,17 @@ class Disk:
                 os.ftruncate(self._descriptor, self.written)
             raise
         self.written += len(data)
+        self._is_synced &= not data
 
     def sync(self) -> None:
-        """Wait until the data are on the disk."""
-        os.fdatasync(self._descriptor)
+        """Wait until the data are on the disk; at once where nothing has come since the last time.
+
+        Raises:
+            OSError: the disk refused it.
+        """
+        if not self._is_synced:
+            os.fdatasync(self._descriptor)
+            self._is_synced = True
 
     def close(self) -> None:
         """Release the file; what was not flushed is lost."""

@@ -202,9 +202,11 @@ class EpisodeFiles:
         Raises:
             OSError: the disk is full or gone.
         """
-        self.sync()
-        if self.drops.total:
+        # Each file is waited for twice: its messages, then its end. So after a power cut a file that has an end is
+        # whole, and one without is cut at its last whole chunk. The names follow once both ends are safe.
+        if self.drops.total > self._noted_drops:
             self._note_drops()
+        self.sync()
         if self.cameras is not None:
             self.cameras.finish({"messages": str(self.cameras.messages)})
         self.signals.finish(summary, manifest)

@@ -20,11 +20,14 @@ from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage.anchor import Anchor, take_anchor
 from station.episode.storage.manifest import Manifest, Task, load_manifest
 from station.episode.storage.progress import Totals, WriterOptions, load_resume_point
+from station.episode.storage.records import MAGIC
 from station.episode.writing import file as episode_file
 from tests.episode.writes import Native, foreign
 from tests.waiting import wait_until
 
 BODY = keys.action_body()
+CAMERA = keys.camera_image("head")
+CLOSING = (("sync", False), ("sync", True), ("rename", True))  # what is done, and whether the file has its end by then
 ANCHOR = Anchor(wall_ns=1_795_000_000_000_000_000, mono_ns=time.monotonic_ns(), boot=take_anchor().boot)
 
 
@@ -173,6 +176,7 @@ def test_a_folder_that_vanishes_makes_the_writer_fail_with_a_reason_and_no_excep
 FULL_DISK = """
 import resource, signal, sys, time
 from pathlib import Path
+from station.episode.storage.records import MAGIC
 from station.episode.writing import file as episode_file
 from station.episode.storage.anchor import take_anchor
 from station.episode.storage.manifest import Manifest
@@ -189,6 +193,8 @@ while writer.state in ("opening", "open"):
     now_ns = time.monotonic_ns()
     writer.put([Write("small", b"%d" % put, None, now_ns), Write(sys.argv[2], os.urandom(5000), None, now_ns)])
     put += 2
+    while writer.state == "opening":  # the first flush is safe before the disk can be full
+        time.sleep(0.001)
     time.sleep(0.005)
 writer.wait(10.0)
 print(writer.state, put - writer.dropped, writer.error)
@@ -230,3 +236,29 @@ def test_a_client_that_invents_keys_does_not_break_the_file(tmp_path: Path, monk
     totals = closed(writer)
     assert (totals.messages, totals.dropped) == (5, 4)
     assert len(open_episode(tmp_path).topics()) == 5
+
+
+@pytest.mark.parametrize("is_dropping", [False, True])
+def test_closing_waits_for_the_messages_of_each_file_then_for_its_end_and_then_names_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_dropping: bool
+) -> None:
+    seen: list[tuple[str, str, bool]] = []
+
+    def look(what: str, file: Path) -> None:
+        seen.append((what, file.name.removesuffix(".active"), file.read_bytes().endswith(MAGIC)))
+
+    def fdatasync(descriptor: int) -> None:
+        look("sync", Path(os.readlink(f"/proc/self/fd/{descriptor}")))
+
+    sound = os.rename
+    g1, writer = Native(), writer_in(tmp_path, flush_s=60.0, queue_writes=3 if is_dropping else 100)
+    writer.put([g1.write(BODY, b"[1]"), g1.write(CAMERA, b"\xff\xd8")])
+    wait_until(lambda: writer.state == "open" and writer.size > 0 and writer.queued == 0)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fdatasync", fdatasync)
+        patch.setattr(os, "rename", lambda file, target: (look("rename", Path(file)), sound(file, target)))
+        writer.put([g1.write(BODY, b"[2]"), *[g1.write(CAMERA, b"\xff\xd8") for _ in range(5)]])
+        totals = closed(writer)
+    assert (totals.dropped > 0) == is_dropping
+    both = ("cameras.mcap", "signals.mcap")
+    assert seen == [(what, name, has_end) for what, has_end in CLOSING for name in both]
