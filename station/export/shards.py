@@ -196,7 +196,7 @@ def _fingerprint(kind: ExportKind, task: Task) -> str:
         raise EpisodeError(f"{folder}: no episode any more; was it moved?")
     manifest = folder / layout.MANIFEST
     facts = [
-        kind.name, kind.version, task.min_quality, task.plan,
+        kind.name, kind.version, task.min_quality, verdict.rules(task.min_quality), task.plan,
         [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in files if path != manifest],
         hashlib.sha256(manifest.read_bytes()).hexdigest() if manifest in files else "",
     ]  # fmt: skip

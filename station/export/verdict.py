@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from station.episode.quality.finding_parts import RulesFile
 from station.episode.quality.findings import Verdict
 from station.episode.quality.rule_file import of_user
 from station.episode.quality.standing import standing
@@ -17,6 +18,11 @@ _RANK: dict[str, int] = {"any": 0, "reject": 0, "usable": 1, "good": 2}
 
 class NotGoodEnough(EpisodeError):
     """An episode whose verdict is less than an export asks for."""
+
+
+def rules(least: MinQuality) -> list[RulesFile]:
+    """Return the files that decide, each with its hash; none where any episode will do."""
+    return [] if least == "any" else list(of_user().files)
 
 
 def expect(source: Source, least: MinQuality) -> Verdict | None:

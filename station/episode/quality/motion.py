@@ -136,10 +136,10 @@ class _Blocks:
 
 def _joints(contract: Contract | None) -> tuple[tuple[str, ...], list[int]]:
     """Return the joints that a contract names, and their columns."""
-    is_vector = contract is not None and contract.codec in ("json-vector", "f64", "f32")
+    elements = contract.elements if contract is not None and contract.vector_codec is not None else ()
     pairs = [
         (element.name.removesuffix(_JOINT), column)
-        for column, element in enumerate(contract.elements if contract is not None and is_vector else ())
+        for column, element in enumerate(elements)
         if element.name.endswith(_JOINT) and element.unit == "rad"
     ]
     return tuple(name for name, _ in pairs), [column for _, column in pairs]

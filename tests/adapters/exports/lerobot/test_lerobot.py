@@ -293,6 +293,23 @@ def test_an_export_that_broke_off_goes_on_with_what_is_missing(tmp_path: Path, m
     assert not (tmp_path / ".set.export").exists()
 
 
+def test_a_shard_is_kept_only_while_the_rules_are_those_that_let_it_in(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    source = walked(tmp_path / "data", seconds=0.3, camera_hz=0)
+    plan = LEROBOT.prepare([source], LeRobotOptions(min_quality="usable"))
+    lab = tmp_path / "station" / "quality.yaml"
+    lab.parent.mkdir()
+    found = []
+    with shards.open_work(tmp_path / "set") as work:
+        for text in ("gap: off", "gap: off", "slow: off"):
+            lab.write_text(text)
+            task = shards.Task(format="lerobot", source=source, plan=plan, min_quality="usable", work=str(work))
+            found.append(shards.make_shard(task).status)
+    assert found == ["made", "kept", "made"]
+
+
 def test_an_episode_that_changes_while_it_is_read_is_left_out(tmp_path: Path) -> None:
     sources, out = two(tmp_path / "data"), tmp_path / "set"
     manifest = Path(sources[1].folder) / "manifest.yaml"
