@@ -17,10 +17,7 @@ if TYPE_CHECKING:
     from station_kord.demonstrations import Course, Demonstration
 
 _HEIGHT_IN = 8.4
-_TICK_S = 0.004  # of the controller
-_WINDOW = 50  # ticks: sends per second are counted over a fifth of a second
 _TITLE_CHARS = 120
-_FULL = 150  # moves; more suspend the controller
 
 
 def save(shown: Demonstration, faulty: Course, cured: Course, path: Path) -> Path:
@@ -60,13 +57,14 @@ def _draw_course(panels: list[Axes], course: Course) -> None:
     arm.plot(time_s, rows["q"][:, 0] - start, color=style.MEASURED, lw=1.2, label="arm")
     arm.legend(loc="upper left", frameon=False, fontsize=7.5)
     waiting.plot(time_s, rows["planner_backlog"], color=style.MEASURED, lw=1.2)
-    if rows["planner_backlog"].max() > _FULL / 3:
-        waiting.axhline(_FULL, color=style.FELL, lw=0.8, ls="--")
-        waiting.annotate("buffer is full", (0, _FULL), xytext=(2, -9), textcoords="offset points", fontsize=7,
+    full = course.buffer_len  # moves; more suspend the controller
+    if rows["planner_backlog"].max() > full / 3:
+        waiting.axhline(full, color=style.FELL, lw=0.8, ls="--")
+        waiting.annotate("buffer is full", (0, full), xytext=(2, -9), textcoords="offset points", fontsize=7,
                          color=style.FELL)  # fmt: skip
     waiting.set_ylim(0.0, max(10.0, waiting.get_ylim()[1]))
     owed.plot(time_s, rows["queued_motion_s"], color=style.MEASURED, lw=1.2)
-    sends.plot(time_s, _per_second(rows["sent"]), color=style.MEASURED, lw=1.2)
+    sends.plot(time_s, course.sends_per_s, color=style.MEASURED, lw=1.2)
     late = np.flatnonzero(rows["late"])
     sends.plot(time_s[late], np.zeros(len(late)), "x", color=style.FELL, ms=5, clip_on=False,
                label=f"{len(late)} came late")  # fmt: skip
@@ -76,11 +74,3 @@ def _draw_course(panels: list[Axes], course: Course) -> None:
         axes.axvspan(*course.keys_s, color=style.FAINT, lw=0)
         if course.event_s is not None:
             axes.axvline(course.event_s, color=style.FELL, lw=1.0)
-
-
-def _per_second(sent: np.ndarray[tuple[int], np.dtype[np.uint8]]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Return how many were sent in the last fifth of a second, as a rate."""
-    total = np.concatenate([[0.0], np.cumsum(sent, dtype=np.float64)])
-    first = np.maximum(np.arange(len(sent)) + 1 - _WINDOW, 0)
-    rate: np.ndarray[tuple[int], np.dtype[np.float64]] = (total[1:] - total[first]) / (_WINDOW * _TICK_S)
-    return rate

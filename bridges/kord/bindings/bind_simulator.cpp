@@ -73,6 +73,8 @@ void bind_simulator(nb::module_& module) {
                  new (self) Simulator{plant, kordsim::enroll(plant)};
              })
         .def("delay_commands", [](Simulator& self, int count) { self.plant->delay_commands(count); }, Free())
+        .def("fail_sends", [](Simulator& self, int count) { self.plant->fail_sends(count); }, Free())
+        .def("pause", [](Simulator& self, bool paused) { self.plant->pause(paused); }, Free())
         .def("emergency_stop", [](Simulator& self, bool pressed) { self.plant->emergency_stop(pressed); }, Free())
         .def("confirm", [](Simulator& self) { self.plant->confirm(); }, Free())
         .def("raise_event", [](Simulator& self, uint32_t condition) { self.plant->raise_event(condition); }, Free())

@@ -9,6 +9,7 @@ using namespace kr2::kord;
 namespace {
 
 constexpr std::chrono::microseconds kWait{8000};  // two ticks
+constexpr double kStopBlendS = 0.008;             // as in the vendor's pattern for streams
 
 }  // namespace
 
@@ -57,6 +58,11 @@ bool ArmSession::move_joints(const Joints& q, double speed_radps) {
 
 bool ArmSession::move_line(const Pose& pose, double speed_mps) {
     return control_->moveL(pose, TT_WS_TARGET_SPEED, speed_mps, BT_NONE, 0.0, OT_STOPPOINT);
+}
+
+// In place of the move that runs, as a newer target of a stream is.
+bool ArmSession::stop(const Joints& q, double duration_s) {
+    return control_->moveJ(q, TT_TIME, duration_s, BT_TIME, kStopBlendS, OT_VIAPOINT);
 }
 
 int64_t ArmSession::clear(ControlInterface::EClearRequest what) { return control_->clearAlarmRequest(what); }

@@ -13,7 +13,9 @@ namespace station_kord {
 
 // Bits of the controller's words that the bridge acts on.
 constexpr uint32_t kHalt = 8, kSuspended = 32;
-constexpr uint32_t kNotReady = 64 | 128 | 256 | 512 | 1024 | 2048;  // offline to maintenance: others drive, or nobody
+constexpr uint32_t kOffline = 64, kInit = 128, kReinit = 256, kBackdrive = 512, kPaused = 1024, kMaintenance = 2048;
+constexpr uint32_t kNotReady = kOffline | kInit | kReinit | kBackdrive | kPaused | kMaintenance;  // others drive
+constexpr uint32_t kCbunCategory = 4, kKordConditions = 3;  // of an alarm; of its condition, in thousands
 constexpr uint32_t kStops = 2 | 4 | 8, kForPeople = 2 | 4 | 16;     // E, P, S stop; E, P stop and confirmation
 
 struct Reading {
@@ -29,6 +31,7 @@ struct Reading {
         return alarm != 0 || (motion_flags & (kHalt | kSuspended)) != 0 || (safety_flags & (kStops | kForPeople)) != 0;
     }
     bool is_ready() const { return (motion_flags & kNotReady) == 0; }
+    bool is_kords() const { return (alarm & 0xf) == kCbunCategory || (alarm >> 8 & 0xfff) / 1000 == kKordConditions; }
     bool needs_user() const { return (safety_flags & kForPeople) != 0; }
 };
 
@@ -45,6 +48,7 @@ public:
     bool direct(const Joints& q, const Joints& qd, const Joints& qdd);
     bool move_joints(const Joints& q, double speed_radps);
     bool move_line(const Pose& pose, double speed_mps);
+    bool stop(const Joints& q, double duration_s);
     int64_t clear(kr2::kord::ControlInterface::EClearRequest what);
     void fetch();
 

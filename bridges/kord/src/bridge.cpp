@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdio>
 
+#include "events.hpp"
 #include "guard.hpp"
 
 namespace station_kord {
@@ -13,6 +14,9 @@ namespace {
 
 constexpr double kSeedRad = 0.0005;  // how far a first direct command may be from the arm
 constexpr double kPollS = 0.002;
+constexpr double kToolMaxMps = 2.0;  // of the tool, in the example of [MOTION_CONSTRAINTS] in KORD.ini
+constexpr double kLeast = 1e-9;      // of what must be positive
+constexpr int kLongestThrottle = 250;
 
 std::string number(double value) {
     char text[32];
@@ -23,6 +27,23 @@ std::string number(double value) {
 Joints negative(Joints values) {
     for (double& value : values) value = -value;
     return values;
+}
+
+void check_throttle(const std::string& what, int ticks) {
+    if (ticks < 1 || ticks > kLongestThrottle)
+        throw Refusal("BadOption", what + ": 1 to 250 ticks of 4 ms are expected, not " + std::to_string(ticks));
+}
+
+void check_speed(const std::string& what, double speed, double most, const std::string& unit) {
+    if (!(speed > 0 && speed <= most))
+        throw Refusal("OutOfLimits", what + ": a speed of " + number(speed) + " " + unit + " is not above 0 and " +
+                                         number(most) + " " + unit + " at most");
+}
+
+void check_taking(const std::string& what, const State& state) {
+    const std::string why = not_ready_text(state.motion_flags);
+    if (!why.empty())
+        throw Refusal("Refused", what + ": the controller takes no commands (" + why + "); see its own display");
 }
 
 const char* name_of(Mode mode) {
@@ -41,10 +62,9 @@ const char* name_of(Mode mode) {
 
 Bridge::Bridge(BridgeConfig config, Hooks hooks)
     : config_(std::move(config)), limits_{config_.q_min, config_.q_max, config_.qd_max, config_.qdd_max},
-      hooks_(std::move(hooks)), throttle_(config_.profile.throttle), motion_(limits_, config_.resend_targets),
-      profile_(config_.profile), trace_(config_.trace_ticks) {
-    if (profile_.sim_only && !config_.is_simulated)
-        throw Refusal("Refused", std::string("profile ") + profile_.name.data() + " is for the simulator only");
+      hooks_(std::move(hooks)), motion_(limits_, config_.resend_targets), profile_(config_.profile),
+      trace_(config_.trace_ticks) {
+    check_profile(profile_);
 }
 
 Bridge::~Bridge() { close(); }
@@ -104,10 +124,8 @@ Joints Bridge::engage() {
     const State now = snapshot();
     if (!now.is_connected) throw Refusal("NotConnected", "there is no session; connect first");
     if (now.is_faulted) throw Refusal("Refused", "the arm is faulted; clear the faults first");
+    check_taking("engage", now);
     if (now.is_moving) throw Refusal("Refused", "the arm still moves; wait until it stands");
-    if ((now.motion_flags & kNotReady) != 0)
-        throw Refusal("Refused", "the controller is not ready (motion flags " + std::to_string(now.motion_flags) +
-                                     "): it initialises, is paused, or somebody else moves the arm");
     granted_ = std::max(granted_.load(), revoked_.load()) + 1;
     return now.q;
 }
@@ -116,10 +134,24 @@ void Bridge::disengage() { revoked_ = granted_.load(); }
 
 void Bridge::hold() { post(Wish{}); }
 
+void Bridge::check_profile(const Profile& profile) const {
+    const std::string name = std::string("profile '") + profile.name.data() + "'";
+    if (profile.sim_only && !config_.is_simulated) throw Refusal("Refused", name + " is for the simulator only");
+    const auto is_within = [](double value, double low) { return std::isfinite(value) && value >= low; };
+    if (!is_within(profile.tracking_value, kLeast) || !is_within(profile.blend_s, 0.0))
+        throw Refusal("BadOption", name + ": tracking_value must be positive, blend_s not negative, both finite; not " +
+                                       number(profile.tracking_value) + " and " + number(profile.blend_s));
+    if (profile.offset_guard && !is_within(profile.guard_qdd_radps2, kLeast))
+        throw Refusal("BadOption", name + ": guard_qdd_radps2 must be positive and finite with an offset guard, not " +
+                                       number(profile.guard_qdd_radps2));
+    check_throttle(name + ": throttle", profile.throttle);
+}
+
 void Bridge::check_ready(const State& state, Mode wanted) const {
     const std::string what = name_of(wanted);
     if (!state.is_connected) throw Refusal("NotConnected", what + ": there is no session; connect first");
     if (state.is_faulted) throw Refusal("Refused", what + ": the arm is faulted; clear the faults, then engage");
+    check_taking(what, state);
     if (!is_engaged()) throw Refusal("Refused", what + ": not engaged; engage first");
     const bool is_one_shot = wanted == Mode::move_joints || wanted == Mode::move_line;
     if (state.is_moving && (state.mode != wanted || is_one_shot) && state.mode != Mode::idle)
@@ -139,7 +171,11 @@ void Bridge::check_joints(const char* what, const Joints& values, const Joints& 
 void Bridge::post(Wish wish) {
     const std::lock_guard lock(writers_mutex_);
     wish.epoch = granted_;
-    wish.number = wish.kind == Mode::stream ? ++wish_number_ : wish_number_;
+    const bool goes_on = wish.epoch == posted_.epoch;
+    const bool is_same = goes_on && posted_.kind == Mode::stream && wish.q == posted_.q;
+    wish.number = goes_on ? posted_.number : 0;
+    if (wish.kind == Mode::stream && !is_same) ++wish.number;
+    posted_ = wish;
     wishes_.write(wish);
 }
 
@@ -166,6 +202,7 @@ void Bridge::direct_j(const Joints& q, const Joints& qd, const Joints& qdd) {
     check_ready(now, Mode::direct);
     check_joints("direct_j", q, limits_.q_min, limits_.q_max, "rad");
     check_joints("direct_j", qd, negative(limits_.qd_max), limits_.qd_max, "rad/s");
+    check_joints("direct_j", qdd, negative(limits_.qdd_max), limits_.qdd_max, "rad/s²");
     for (size_t joint = 0; joint < kJoints && now.mode != Mode::direct; ++joint)
         if (std::abs(q[joint] - now.q[joint]) > kSeedRad)
             throw Refusal("Refused", "direct_j: the first command must be where the arm is; joint " +
@@ -183,9 +220,7 @@ void Bridge::move_j(const Joints& q, double speed_radps) {
     check_ready(snapshot(), Mode::move_joints);
     check_joints("move_j", q, limits_.q_min, limits_.q_max, "rad");
     const double limit = *std::min_element(limits_.qd_max.begin(), limits_.qd_max.end());
-    if (!(speed_radps > 0 && speed_radps <= limit))
-        throw Refusal("OutOfLimits",
-                      "move_j: a speed of " + number(speed_radps) + " rad/s is outside 0 to " + number(limit));
+    check_speed("move_j", speed_radps, limit, "rad/s");
     Wish wish;
     wish.kind = Mode::move_joints;
     wish.q = q;
@@ -195,7 +230,9 @@ void Bridge::move_j(const Joints& q, double speed_radps) {
 
 void Bridge::move_l(const Pose& pose, double speed_mps) {
     check_ready(snapshot(), Mode::move_line);
-    if (!(speed_mps > 0)) throw Refusal("BadOption", "move_l: a positive speed is expected, not " + number(speed_mps));
+    if (!std::all_of(pose.begin(), pose.end(), [](double value) { return std::isfinite(value); }))
+        throw Refusal("BadOption", "move_l: six finite numbers are needed, x y z roll pitch yaw");
+    check_speed("move_l", speed_mps, kToolMaxMps, "m/s");
     Wish wish;
     wish.kind = Mode::move_line;
     wish.pose = pose;
@@ -204,15 +241,17 @@ void Bridge::move_l(const Pose& pose, double speed_mps) {
 }
 
 void Bridge::set_profile(const Profile& profile) {
-    if (profile.sim_only && !config_.is_simulated)
-        throw Refusal("Refused", std::string("profile ") + profile.name.data() + " is for the simulator only");
+    check_profile(profile);
     if (snapshot().is_moving) throw Refusal("Refused", "profiles change at standstill only, and the arm moves");
     const std::lock_guard lock(writers_mutex_);
     profiles_.write(profile);
-    throttle_ = profile.throttle;
+    throttle_ = 0;
 }
 
-void Bridge::set_throttle(int ticks) { throttle_ = ticks; }
+void Bridge::set_throttle(int ticks) {
+    check_throttle("throttle", ticks);
+    throttle_ = ticks;
+}
 
 void Bridge::clear_faults(double deadline_s) {
     if (!is_running_) throw Refusal("NotConnected", "there is no session; connect first");

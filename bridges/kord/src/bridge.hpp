@@ -49,13 +49,15 @@ private:
     // The face's, in bridge.cpp.
     State snapshot() const;
     bool is_engaged() const { return granted_.load() > revoked_.load(); }
+    void check_profile(const Profile& profile) const;
     void check_ready(const State& state, Mode wanted) const;
     void check_joints(const char* what, const Joints& values, const Joints& low, const Joints& high,
                       const char* unit) const;
     void post(Wish wish);
     Outcome await_recovery(double deadline_s);
 
-    // The thread's, in loop.cpp. Nothing here calls Python, allocates in motion, logs, or waits for a lock.
+    // The thread's, in loop.cpp and telling.cpp. Nothing here calls Python, allocates in motion, logs, or waits for a
+    // lock.
     void be_punctual();
     void run();
     bool open();
@@ -66,6 +68,7 @@ private:
     Arm arm() const;
     void act(const Arm& arm);
     bool send(const Sending& sending);
+    bool hand_over(const Sending& sending);
     void read();
     void note_fault(bool is_stopped);
     void note_events();
@@ -74,6 +77,10 @@ private:
     void recover();
     void publish();
     void remember(bool was_sent);
+    int throttle() const {
+        const int chosen = throttle_.load(std::memory_order_relaxed);
+        return chosen > 0 ? chosen : profile_.throttle;
+    }
     int64_t sends() const { return now_.stream_j_sends + now_.direct_sends + now_.move_sends; }
     bool winds_down();
     int64_t now_ns() const { return hooks_.now_ns ? hooks_.now_ns() : monotonic_ns(); }
@@ -91,9 +98,9 @@ private:
 
     std::mutex writers_mutex_;  // among writers; the loop never takes it
     TripleBuffer<Wish> wishes_;
-    int64_t wish_number_ = 0;
+    Wish posted_;
     TripleBuffer<Profile> profiles_;
-    std::atomic<int> throttle_;
+    std::atomic<int> throttle_{0};  // 0: the profile's own
     std::atomic<uint64_t> granted_{0}, revoked_{0};  // engagements; engaged is a grant that was not revoked
 
     std::atomic<int64_t> recovery_ticks_{0};  // > 0: begin

@@ -1,5 +1,7 @@
 #include "events.hpp"
 
+#include "arm_session.hpp"
+
 namespace station_kord {
 
 namespace {
@@ -25,6 +27,15 @@ constexpr Text kTexts[] = {
     {3003, "communication error"},
 };
 
+constexpr Text kNotReadyTexts[] = {
+    {kOffline, "offline"},
+    {kInit, "initialising"},
+    {kReinit, "initialising anew"},
+    {kBackdrive, "moved by hand"},
+    {kPaused, "paused"},
+    {kMaintenance, "under maintenance"},
+};
+
 }  // namespace
 
 const char* group_name(uint32_t group) {
@@ -36,6 +47,13 @@ const char* event_text(uint32_t id) {
     for (const Text& known : kTexts)
         if (known.id == id) return known.text;
     return id == 0 ? "no heartbeat from the controller; the session is lost" : "see the controller's own display";
+}
+
+std::string not_ready_text(uint32_t motion_flags) {
+    std::string text;
+    for (const Text& known : kNotReadyTexts)
+        if (motion_flags & known.id) text += (text.empty() ? "" : ", ") + std::string(known.text);
+    return text;
 }
 
 }  // namespace station_kord

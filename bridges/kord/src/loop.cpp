@@ -1,7 +1,6 @@
 // The thread of a bridge: waitSync, the command, fetchData, once per tick and in this order.
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <ctime>
 
 #include "bridge.hpp"
@@ -14,18 +13,11 @@ constexpr double kStandstillRadps = 1e-3;
 constexpr int64_t kBeginTicks = 5;       // until a command that was sent can be seen in the arm's speed
 constexpr int kSilentWaits = 12;         // 100 ms without a heartbeat: the session is lost
 constexpr int kFirstWaits = 125;         // one second for the first heartbeat
-constexpr int kWindDownTicks = 60;
+constexpr int kWindDownTicks = 300;      // 1.2 s: the longest stop of a move, and some
 constexpr int64_t kPercentileTicks = 50;
 constexpr double kMissShare = 0.4;       // of a tick that a heartbeat may be late without one being missed
 constexpr double kWindowUs = 1500;       // a command after it acts one tick later; for controllers that do not tell
-constexpr uint32_t kKordGroup = 3, kHardwareGroup = 4, kConnectionGroup = 5;
-constexpr uint32_t kHardwareCategory = 3, kCbun = 4;
-
-uint32_t group_of(uint32_t alarm) {
-    const uint32_t category = alarm & 0xf;
-    if (category == kCbun) return kKordGroup;
-    return category == kHardwareCategory ? kHardwareGroup : category;
-}
+constexpr uint32_t kConnectionGroup = 5;
 
 }  // namespace
 
@@ -133,21 +125,20 @@ void Bridge::lost_tick() {
 }
 
 // Only the newest wish counts, and only if it belongs to the engagement that holds. The wish is looked at first: whoever
-// wrote it has been granted the engagement before.
+// wrote it has been granted the engagement before. A profile waits until the arm stands, whatever came meanwhile.
 void Bridge::follow_engagement() {
     const bool is_new = wishes_.refresh();
-    if (profiles_.refresh()) profile_ = profiles_.front();
-    const bool is_stopped = session_.reading().is_stopped() || !now_.is_connected;
-    if (is_stopped || !session_.reading().is_ready()) revoked_ = granted_.load();
+    const Reading& reading = session_.reading();
+    const bool takes_commands = now_.is_connected && !reading.is_stopped() && reading.is_ready();
+    if (!takes_commands) revoked_ = granted_.load();
     const uint64_t granted = granted_.load();
     const bool is_engaged = granted > revoked_.load();
-    if (is_stopped) {
-        motion_.reset(session_.reading().q);
-    } else if (is_engaged && granted != epoch_) {
-        motion_.reset(session_.reading().q);
+    if (!takes_commands || (is_engaged && granted != epoch_)) {
+        motion_.reset(reading.q);
     } else if (!is_engaged && epoch_ != 0) {
-        motion_.take(Wish{}, arm());
+        motion_.hold(arm());
     }
+    if (!arm().is_moving && !motion_.is_pending() && profiles_.refresh()) profile_ = profiles_.front();
     epoch_ = is_engaged ? granted : 0;
     if (is_new && is_engaged && wishes_.front().epoch == epoch_) motion_.take(wishes_.front(), arm());
 }
@@ -161,8 +152,9 @@ Arm Bridge::arm() const {
 }
 
 void Bridge::act(const Arm& arm) {
-    const Sending sending = motion_.decide(arm, profile_, throttle_.load(std::memory_order_relaxed));
-    if (sending.kind == Mode::idle || session_.reading().is_stopped() || !send(sending)) return;
+    const Sending sending = motion_.decide(arm, profile_, throttle());
+    if (sending.kind == Mode::idle) return;
+    if (session_.reading().is_stopped() || !send(sending)) return motion_.unsent();
     const double took_us = static_cast<double>(monotonic_ns() - returned_ns_) * 1e-3;
     sync_to_send_.add(took_us);
     if (!session_.reading().has_insight && took_us > kWindowUs) ++now_.late_commands;
@@ -170,18 +162,25 @@ void Bridge::act(const Arm& arm) {
 }
 
 bool Bridge::send(const Sending& sending) {
+    if (!hand_over(sending)) {
+        ++now_.failed_sends;
+        return false;
+    }
+    const bool is_pose = sending.kind == Mode::move_line && sending.stop_s == 0;
+    if (!is_pose) now_.q_sent = sending.q;
+    const bool is_stream = sending.kind == Mode::stream, is_direct = sending.kind == Mode::direct;
+    ++(is_stream ? now_.stream_j_sends : is_direct ? now_.direct_sends : now_.move_sends);
+    return true;
+}
+
+bool Bridge::hand_over(const Sending& sending) {
+    if (sending.stop_s > 0) return session_.stop(sending.q, sending.stop_s);
     switch (sending.kind) {
-        case Mode::stream:
-            now_.q_sent = sending.q;
-            return session_.stream(sending.q, profile_) && ++now_.stream_j_sends;
-        case Mode::velocity:
-        case Mode::direct:
-            now_.q_sent = sending.q;
-            return session_.direct(sending.q, sending.qd, sending.qdd) && ++now_.direct_sends;
-        case Mode::move_joints:
-            now_.q_sent = sending.q;
-            return session_.move_joints(sending.q, sending.speed) && ++now_.move_sends;
-        case Mode::move_line: return session_.move_line(sending.pose, sending.speed) && ++now_.move_sends;
+        case Mode::stream: return session_.stream(sending.q, profile_);
+        case Mode::velocity:  // sent as direct commands
+        case Mode::direct: return session_.direct(sending.q, sending.qd, sending.qdd);
+        case Mode::move_joints: return session_.move_joints(sending.q, sending.speed);
+        case Mode::move_line: return session_.move_line(sending.pose, sending.speed);
         case Mode::idle: break;
     }
     return false;
@@ -207,24 +206,6 @@ void Bridge::note_fault(bool is_stopped) {
     if (is_stopped) revoked_ = granted_.load();
 }
 
-// The library's list allocates, so it is asked for only when something has changed: by then the arm is stopped.
-void Bridge::note_events() {
-    const Reading& reading = session_.reading();
-    if (!reading.is_stopped()) return;
-    const auto told = session_.events();
-    for (const auto& event : told) note(event.event_id_, event.event_group_);
-    if (told.empty() && reading.alarm != 0) note(reading.alarm >> 8 & 0xfff, group_of(reading.alarm));
-}
-
-void Bridge::note(uint32_t id, uint32_t group) {
-    if (now_.event_count == kEvents) {
-        std::move(now_.events.begin() + 1, now_.events.end(), now_.events.begin());
-        --now_.event_count;
-    }
-    const int64_t number = now_.event_count > 0 ? now_.events[static_cast<size_t>(now_.event_count - 1)].number : 0;
-    now_.events[static_cast<size_t>(now_.event_count++)] = {number + 1, now_.tick, now_.mono_ns, id, group};
-}
-
 void Bridge::lose() {
     now_.is_connected = false;
     note(0, kConnectionGroup);
@@ -241,53 +222,10 @@ void Bridge::recover() {
     ++recovery_number_;
 }
 
-void Bridge::publish() {
-    const Reading& reading = session_.reading();
-    const Counters& counters = motion_.counters();
-    now_.mode = motion_.mode();
-    now_.profile = profile_.name;
-    now_.throttle = throttle_;
-    now_.is_moving = now_.is_connected && arm().is_moving;
-    now_.needs_user_confirmation = reading.needs_user();
-    now_.session_age_s = static_cast<double>(now_ns() - opened_ns_) * 1e-9;
-    now_.q = reading.q;
-    now_.qd = reading.qd;
-    now_.qdd = reading.qdd;
-    now_.torque = reading.torque;
-    now_.tcp_pose = reading.tcp;
-    now_.q_target = motion_.target();
-    now_.safety_mode = reading.safety_mode;
-    now_.master_speed = reading.master_speed;
-    now_.queued_motion_s = reading.has_insight ? reading.insight.queued_motion_s : std::nan("");
-    now_.planner_backlog = reading.has_insight ? reading.insight.planner_backlog : -1;
-    now_.commands_dropped_by_throttle = counters.dropped;
-    now_.slewed_sends = counters.slewed;
-    now_.limit_refusals = counters.refused;
-    now_.sync_to_send_us = sync_to_send_.timing();
-    now_.period_us = period_.timing();
-    told_.write(now_);
-}
-
-void Bridge::remember(bool was_sent) {
-    TraceRow row;
-    row.tick = now_.tick;
-    std::memcpy(row.q, now_.q.data(), sizeof row.q);
-    std::memcpy(row.qd, now_.qd.data(), sizeof row.qd);
-    std::memcpy(row.q_target, now_.q_target.data(), sizeof row.q_target);
-    std::memcpy(row.q_sent, now_.q_sent.data(), sizeof row.q_sent);
-    row.queued_motion_s = now_.queued_motion_s;
-    row.planner_backlog = now_.planner_backlog;
-    row.sent = was_sent;
-    row.late = now_.late_commands > late_traced_;
-    late_traced_ = now_.late_commands;
-    row.moving = now_.is_moving;
-    row.fault = now_.is_faulted;
-    if (!trace_.push(row)) ++now_.trace_skipped;
-}
-
-// A speed is brought to zero before the session ends; what the controller has of a stream it finishes by itself.
+// A speed is brought to zero and a move is stopped before the session ends; what the controller has of a stream it
+// finishes by itself.
 bool Bridge::winds_down() {
-    const bool is_driven = now_.mode == Mode::velocity || now_.mode == Mode::direct;
+    const bool is_driven = now_.mode != Mode::idle && now_.mode != Mode::stream;
     return is_driven && now_.is_connected && !now_.is_faulted && ++wind_down_ticks_ < kWindDownTicks;
 }
 

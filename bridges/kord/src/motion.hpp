@@ -9,7 +9,7 @@ namespace station_kord {
 struct Wish {
     Mode kind = Mode::idle;  // idle: hold
     uint64_t epoch = 0;
-    int64_t number = 0;  // of the targets of this session, for counting those that were replaced
+    int64_t number = 0;  // of the targets of this engagement that differ from the one before
     Joints q{}, qd{}, qdd{};
     Pose pose{};
     double speed = 0;
@@ -20,6 +20,7 @@ struct Sending {
     Joints q{}, qd{}, qdd{};
     Pose pose{};
     double speed = 0;
+    double stop_s = 0;  // above 0: the move of that kind that runs is to end at `q`, at rest, in so long
 };
 
 // What the arm does, as far as it is known in this tick.
@@ -40,17 +41,36 @@ public:
     // Forget everything; the target is where the arm is.
     void reset(const Joints& q);
     void take(const Wish& wish, const Arm& arm);
+    void hold(const Arm& arm);
     Sending decide(const Arm& arm, const Profile& profile, int throttle);
+    // What was decided last has not left this machine: it is still to be sent.
+    void unsent();
 
     Mode mode() const { return mode_; }
     const Joints& target() const { return target_; }
-    const Counters& counters() const { return counters_; }
+    const Counters& counters() const { return now_.counters; }
     // Whether something is still to be sent though nothing new is asked for.
-    bool is_pending() const { return is_dirty_ || mode_ == Mode::velocity || mode_ == Mode::direct; }
+    bool is_pending() const { return now_.is_dirty || mode_ == Mode::velocity || mode_ == Mode::direct; }
 
 private:
-    bool may_begin(const Wish& wish, const Arm& arm);
-    Sending decide_stream(const Profile& profile, int throttle);
+    // What changes with each command that leaves.
+    struct Progress {
+        OffsetGuard guard;
+        Joints q{};               // the last joints that were sent
+        bool is_seeded = false;   // whether they are of this mode
+        bool is_dirty = false;    // whether there is something to send
+        bool is_waiting = false;  // whether that is a target which has not had its turn
+        bool is_slewing = false;  // whether the guard is still on its way
+        int64_t ticks_since_send = 1'000'000;
+        Counters counters;
+    };
+
+    bool may_begin(const Wish& wish, const Arm& arm) const;
+    bool is_allowed(const Wish& wish, const Arm& arm) const;
+    bool leaps(const Wish& wish, const Arm& arm) const;
+    Sending stop_of(const Arm& arm) const;
+    bool is_past_goal(const Joints& q, const Arm& arm) const;
+    Sending decide_stream(const Arm& arm, const Profile& profile, int throttle);
     Sending decide_velocity(const Arm& arm);
     Sending decide_direct(const Arm& arm);
     Sending decide_once(const Arm& arm);
@@ -60,11 +80,10 @@ private:
     const bool resend_targets_;
     Mode mode_ = Mode::idle;
     Wish wish_;
-    OffsetGuard guard_;
-    Joints target_{}, q_{}, qd_{};
-    bool is_dirty_ = false, is_seeded_ = false;
-    int64_t ticks_since_send_ = 1'000'000, ticks_since_wish_ = 0, sent_number_ = 0;
-    Counters counters_;
+    Sending once_;  // the move of the controller's own, or its stop
+    Progress now_, before_;
+    Joints target_{}, qd_{};
+    int64_t ticks_since_wish_ = 0, taken_number_ = 0;
 };
 
 }  // namespace station_kord

@@ -40,7 +40,7 @@ void Recovery::ask(ArmSession& session) {
         token_ = session.clear(Request::CLEAR_HALT);
     else if (reading.motion_flags & kSuspended)
         token_ = session.clear(Request::UNSUSPEND);
-    else
+    else if (reading.is_kords())
         token_ = session.clear(Request::CBUN_EVENT);
 }
 

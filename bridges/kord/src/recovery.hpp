@@ -17,6 +17,7 @@ public:
     void work(ArmSession& session, bool is_connected);
 
 private:
+    // Requests what the controller's words call for; where they call for nothing, it is waited until they change.
     void ask(ArmSession& session);
 
     Outcome outcome_ = Outcome::cleared;

@@ -137,12 +137,17 @@ class KordBridge:
 
         Raises:
             NotConnected: There is no session.
-            Refused: The arm is faulted (`clear_faults` first) or still moves.
+            Refused: The arm is faulted (`clear_faults` first) or still moves, or the controller is not ready.
         """
         return np.array(self._bridge.engage())
 
     def hold(self) -> None:
-        """Stop sending: the arm finishes what it has, a velocity ramps down, and it stays there. Stays engaged."""
+        """Come to rest and stay there; stays engaged.
+
+        Of a stream the arm finishes what it has; a velocity ramps down within 100 ms; a move of `move_j` or `move_l` is
+        replaced by one that ends within 100 ms, or as soon as `Limits.qdd_max` allows. Whether a real controller lets a
+        running move be replaced is not known: what stops it for certain is its own stop.
+        """
         self._bridge.hold()
 
     def disengage(self) -> None:
@@ -153,7 +158,7 @@ class KordBridge:
         """Hand over the newest target of a stream of joint positions.
 
         Sent on the profile's turns only, and once: a target that stays is not sent again. The newest target that was
-        handed over is always sent in the end.
+        handed over is always sent in the end, again where it could not leave this machine.
 
         Args:
             q: Shape (7,) [rad].
@@ -186,15 +191,16 @@ class KordBridge:
     ) -> None:  # fmt: skip
         """Hand over one direct joint command, sent in the next tick as it is.
 
-        The first one after another mode must be the arm's joints. Without a next one in 20 ms the last speed falls to
-        zero within 100 ms. The controller faults (1010) where a command is not where the one before led; those that
-        `velocity_j` makes always are.
+        The first one after another mode must be the arm's joints. One that is further from the last, or changes its
+        speed by more, than `Limits` allow in the time between is not sent (`State.limit_refusals`). Without a next one
+        in 20 ms the last speed falls to zero within 100 ms. The controller faults (1010) where a command is not where
+        the one before led; those that `velocity_j` makes always are.
 
         Args:
             q, qd, qdd: Shape (7,) [rad], [rad/s], [rad/s²]; None for zeros.
 
         Raises:
-            OutOfLimits: A position or speed is beyond its limit.
+            OutOfLimits: A position, speed or acceleration is beyond its limit.
             Refused, NotConnected: As for `stream_j`.
         """
         zeros = (0.0,) * 7
@@ -204,7 +210,7 @@ class KordBridge:
         )  # fmt: skip
 
     def move_j(self, q: Sequence[float] | Floats, *, speed_radps: float = 0.3) -> None:
-        """Move to joint positions once and stop there.
+        """Move to joint positions once and stop there; `hold` and `disengage` end it before.
 
         Args:
             q: Shape (7,) [rad].
@@ -217,14 +223,15 @@ class KordBridge:
         self._bridge.move_j(seven("move_j", q), speed_radps)
 
     def move_l(self, pose: Sequence[float] | Floats, *, speed_mps: float = 0.1) -> None:
-        """Move the tool along a straight line once and stop there.
+        """Move the tool along a straight line once and stop there; `hold` and `disengage` end it before.
 
         Args:
             pose: Position [m] and roll, pitch, yaw [rad] in the base frame, shape (6,).
-            speed_mps: Mean speed of the tool [m/s].
+            speed_mps: Mean speed of the tool [m/s], 2 at most.
 
         Raises:
-            BadOption: Not six finite numbers, or a speed that is not positive.
+            BadOption: Not six finite numbers.
+            OutOfLimits: The speed is not above 0, or beyond its limit.
             Refused, NotConnected: As for `stream_j`.
         """
         numbers = [float(value) for value in pose]
@@ -233,11 +240,11 @@ class KordBridge:
         self._bridge.move_l(numbers, speed_mps)
 
     def set_profile(self, profile: str | Profile) -> None:
-        """Track streams by another profile from the next tick on; its throttle holds with it.
+        """Track streams by another profile from the next tick on in which the arm stands; its throttle holds with it.
 
         Raises:
             Refused: The arm moves, or the profile is for the simulator only and the controller is real.
-            BadOption: No profile of that name, or a value out of its range.
+            BadOption: No profile of that name, or a value that is out of its range or not finite.
         """
         self._bridge.set_profile(native_profile(profile))
 
@@ -247,8 +254,6 @@ class KordBridge:
         Raises:
             BadOption: Not 1 to 250.
         """
-        if not 1 <= ticks <= 250:
-            raise BadOption(f"throttle: 1 to 250 ticks of 4 ms are expected, not {ticks}")
         self._bridge.set_throttle(ticks)
 
     def clear_faults(self, deadline_s: float = 5.0) -> State:

@@ -21,16 +21,12 @@ def native_profile(profile: str | Profile) -> _native.Profile:
     """Return a profile, or the one of that name, for C++.
 
     Raises:
-        BadOption: There is none of that name, or a value is out of its range.
+        BadOption: There is none of that name.
     """
     if isinstance(profile, str):
         if profile not in PROFILES:
             raise BadOption(f"profile {profile!r} is not known; there are {', '.join(PROFILES)}")
         profile = PROFILES[profile]
-    if profile.tracking_value <= 0.0 or profile.blend_s < 0.0 or not 1 <= profile.throttle <= 250:
-        raise BadOption(
-            f"profile {profile.name!r}: tracking_value must be positive, blend_s not negative, throttle 1 to 250"
-        )
     native = _native.Profile()
     native.name = profile.name
     native.tracks_time = profile.tracking == "time"

@@ -19,9 +19,7 @@ from station_kord.errors import NotConnected, Refused
 from station_kord.options import TICK_S, Limits, SimOptions
 from station_kord.profiles import PROFILES, Profile
 
-_SPEED_RAD_S, _STANDS_RAD_S = 0.3, 1e-4
-_START = (0.0, 0.35, 0.0, 1.6, 0.0, 1.19, 0.0)
-"""Joints at the start [rad]: anywhere within the limits of any model."""
+_SPEED_RAD_S, _STANDS_RAD_S, _WINDOW_S = 0.3, 1e-4, 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +30,7 @@ class Course:
         setting: What was set, as a user would write it.
         rows: One per tick, of `station_kord.state.TRACE`, all of the run.
         keys_s: From when to when the operator moved [s].
+        buffer_len: How many moves may wait to be planned.
         event: What the controller said, in a line, or "".
         event_s: When, since the start [s]; None without an event.
     """
@@ -39,6 +38,7 @@ class Course:
     setting: str
     rows: NDArray[Any]
     keys_s: tuple[float, float]
+    buffer_len: int
     event: str = ""
     event_s: float | None = None
 
@@ -51,6 +51,14 @@ class Course:
     def sends(self) -> int:
         """Targets that were sent."""
         return int(self.rows["sent"].sum())
+
+    @property
+    def sends_per_s(self) -> NDArray[np.float64]:
+        """Targets that were sent in the fifth of a second before each row, as a rate [1/s], shape (n,)."""
+        total = np.concatenate([[0.0], np.cumsum(self.rows["sent"], dtype=np.float64)])
+        ends = np.arange(1, len(total))
+        begins = np.maximum(ends - round(_WINDOW_S / TICK_S), 0)
+        return np.asarray((total[ends] - total[begins]) / _WINDOW_S, dtype=np.float64)
 
     @property
     def still_moves_s(self) -> float:
@@ -116,10 +124,10 @@ class Demonstration:
             events = bridge.get_state().events
         rows = rows[rows["tick"] >= first]
         if not events:
-            return Course(run.setting, rows, self.keys_s)
+            return Course(run.setting, rows, self.keys_s, run.sim.buffer_len)
         event = events[0]
         told = f"{event.id}, {event.group}: {event.text}"
-        return Course(run.setting, rows, self.keys_s, told, (event.tick - first) * TICK_S)
+        return Course(run.setting, rows, self.keys_s, run.sim.buffer_len, told, (event.tick - first) * TICK_S)
 
     def _drive(self, bridge: KordBridge, start: NDArray[np.float64]) -> None:
         """Hand over targets until the time is over, or the session is."""
@@ -150,7 +158,7 @@ def find(name: str) -> Demonstration:
 
 
 def _options(**changes: Any) -> SimOptions:
-    return SimOptions(clock="virtual", q_start=_START, **changes)
+    return SimOptions(clock="virtual", **changes)
 
 
 def _profile(name: str, **changes: Any) -> Profile:
@@ -187,9 +195,9 @@ def _stop_point() -> Demonstration:
     return Demonstration(
         name="stop-point",
         symptom="The arm hardly moves while keys are pressed, and goes on for more than a minute after they are not.",
-        cure="Let a new target replace the one before: overlay via-point (profile speed125).",
-        faulty=Run("profile: legacy-stop (overlay stop-point)", _profile("legacy-stop"), _options()),
-        cured=Run("profile: speed125 (overlay via-point)", _profile("speed125"), _options()),
+        cure="Let a new target replace the one before: overlay via-point. What is left are the 2 s of one target.",
+        faulty=Run("overlay: stop-point", _profile("legacy-stop"), _options()),
+        cured=Run("overlay: via-point", _profile("legacy-stop", overlay="via-point"), _options()),
         drive=_ramp(0.2, 0.6, every=2),
         keys_s=(0.2, 0.6),
         ticks=26_000,
@@ -236,9 +244,9 @@ def _short_time() -> Demonstration:
     return Demonstration(
         name="short-time",
         symptom="A first target that is 10 mrad away ends the connection: it cannot be reached in 8 ms.",
-        cure="Ask for a speed and not for a time: tracking joint-speed (profile speed125).",
-        faulty=Run("profile: time250 without its guard", _profile("time250", offset_guard=False), _options()),
-        cured=Run("profile: speed125 (tracking joint-speed)", _profile("speed125"), _options()),
+        cure="Go to a far target in steps that the time allows: the offset guard. Or ask for a speed (speed125).",
+        faulty=Run("offset_guard: false", _profile("time250", offset_guard=False), _options()),
+        cured=Run("offset_guard: true", _profile("time250"), _options()),
         drive=drive,
         keys_s=(0.2, 0.204),
         ticks=200,

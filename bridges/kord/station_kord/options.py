@@ -43,7 +43,8 @@ class Limits:
     Attributes:
         q_min, q_max: Joint positions, shape (7,) [rad].
         qd_max: Joint speeds, shape (7,) [rad/s], positive.
-        qdd_max: Joint accelerations, shape (7,) [rad/s²], positive; how fast `velocity_j` may change its speed.
+        qdd_max: Joint accelerations, shape (7,) [rad/s²], positive; how fast `velocity_j` and `direct_j` may change
+            their speed.
 
     Raises:
         BadOption: A value is not finite, a range is empty, or a speed or acceleration is not positive.
@@ -87,7 +88,8 @@ class SimOptions:
         late_fault_ticks: Late commands in a row, in motion, that are event 1010.
         ack_ticks: How long a cleared alarm takes to take effect [ticks].
         watchdog_ticks: Ticks without a waitSync, in motion, that are event 3001.
-        ceased_is_fault: Whether commands that cease in motion are event 3001.
+        ceased_is_fault: Whether commands that cease in motion are event 3001: direct ones; and via-points that no other
+            has followed for 16 ms while the arm still goes 1e-6 rad a tick (``on_movej_cmd_ceased_span`` of KORD.ini).
         order: ``fetch-first`` lets the bridge make the mistake of reading before it sends; for demonstrations.
         resend_targets: Let the bridge send its target at every turn though it is unchanged; for demonstrations.
     """

@@ -30,6 +30,14 @@ class Simulator:
         """Let the next commands count as come too late."""
         self.native.delay_commands(count)
 
+    def fail_sends(self, count: int = 1) -> None:
+        """Let the next commands fail to leave this machine, as with a full buffer; for a bridge of this process."""
+        self.native.fail_sends(count)
+
+    def pause(self, paused: bool) -> None:
+        """Pause the controller at its pendant, or let it go on: nothing is wrong, and no command is taken."""
+        self.native.pause(paused)
+
     def emergency_stop(self, pressed: bool) -> None:
         """Press or release the emergency stop; while pressed, and until `confirm`, no software can clear it."""
         self.native.emergency_stop(pressed)
@@ -39,7 +47,10 @@ class Simulator:
         self.native.confirm()
 
     def raise_event(self, condition: int) -> None:
-        """Let the controller fault by a condition: 1010, 2002, 2005, 3001 suspend it, 3002 ends the connection."""
+        """Let the controller fault by a condition: 1010, 2002, 2005, 3001 suspend it, 3002 ends the connection.
+
+        One below 1000 is a failure of the hardware, which no request clears.
+        """
         self.native.raise_event(condition)
 
     def silence(self, silent: bool) -> None:

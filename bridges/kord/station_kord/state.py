@@ -83,9 +83,12 @@ class State:
         mode: What the arm is being asked for.
         profile, throttle: Of the stream.
         is_connected: There is a session and heartbeats arrive.
-        is_engaged: Commands are taken; see `KordBridge.engage`.
+        is_engaged: Commands are taken; see `KordBridge.engage`. A fault, a lost session and a controller that is not
+            ready end it.
         is_faulted: The controller is in an alarm, suspended or halted, or the session was lost by a fault.
         is_moving: The controller's reference moves, or motion is queued.
+        not_ready: Why the controller takes no commands though nothing is wrong, such as ``paused`` or ``offline``; ""
+            where it does. It ends an engagement as a fault does.
         needs_user_confirmation: Only a person at the controller can clear what is wrong.
         mono_ns: CLOCK_MONOTONIC of the tick's heartbeat [ns]; with a virtual clock its own time.
         session_age_s: Since the session was opened [s].
@@ -100,8 +103,9 @@ class State:
         tick: Heartbeats that waitSync returned: 250 Hz.
         stream_j_sends: moveJ of the stream that were sent: 125 Hz in motion with a throttle of 2, 0 Hz at hold.
         direct_sends: Direct joint commands that were sent (`velocity_j`, `direct_j`).
-        move_sends: One-shot moves that were sent.
-        commands_dropped_by_throttle: Targets that a newer one replaced before their turn.
+        move_sends: One-shot moves that were sent, and their stops.
+        failed_sends: Commands that did not leave this machine; those of a stream and moves are sent again.
+        commands_dropped_by_throttle: Targets of the stream that a newer one replaced before their turn.
         slewed_sends: Targets of the stream that were approached in steps, see `Profile.offset_guard`.
         limit_refusals: Commands that the last check in C++ did not send or cut at a limit.
         sync_timeouts: waitSync calls without a heartbeat.
@@ -126,6 +130,7 @@ class State:
     is_engaged: bool
     is_faulted: bool
     is_moving: bool
+    not_ready: str
     needs_user_confirmation: bool
     mono_ns: int
     session_age_s: float
@@ -142,6 +147,7 @@ class State:
     stream_j_sends: int
     direct_sends: int
     move_sends: int
+    failed_sends: int
     commands_dropped_by_throttle: int
     slewed_sends: int
     limit_refusals: int

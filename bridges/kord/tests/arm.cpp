@@ -21,7 +21,7 @@ station_kord::BridgeConfig config_of(const Setup& setup, const std::string& host
     config.q_min = setup.options.q_min;
     config.q_max = setup.options.q_max;
     config.qd_max.fill(2.0);
-    config.qdd_max.fill(10.0);
+    config.qdd_max.fill(kQddMaxRadps2);
     config.profile = setup.profile;
     config.is_simulated = true;
     config.fetch_first = setup.fetch_first;
@@ -83,7 +83,7 @@ State Arm::stream(int ticks, double speed_radps, int every) {
 }
 
 void Arm::direct_step(double speed_radps) {
-    speed_radps_ = std::min(speed_radps, speed_radps_ + 0.1);
+    speed_radps_ = std::min(speed_radps, speed_radps_ + kQddMaxRadps2 * kTickS);
     q_[0] += speed_radps_ * kTickS;
     bridge_->direct_j(q_, joint_one(speed_radps_), {});
     step();

@@ -15,7 +15,7 @@ using station_kord::Joints;
 using station_kord::Profile;
 using station_kord::State;
 
-constexpr double kSpeedRadps = 0.3, kTickS = 0.004;
+constexpr double kSpeedRadps = 0.3, kTickS = 0.004, kQddMaxRadps2 = 10.0;
 
 Profile speed125();
 Profile time250();
@@ -43,7 +43,7 @@ public:
     // The target of joint 1 runs for so many ticks, written on every so-manieth, or until a fault.
     State stream(int ticks, double speed_radps = kSpeedRadps, int every = 1);
 
-    // Direct commands up to a speed, by 0.1 rad/s per tick at most, and on at that speed.
+    // Direct commands up to a speed, as fast as the limits allow, and on at that speed.
     State direct(int ticks, double speed_radps);
     void direct_step(double speed_radps);
 

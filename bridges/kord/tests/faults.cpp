@@ -61,6 +61,44 @@ TEST(k10_a_lost_connection_is_opened_anew) {
     CHECK(arm.state().is_connected && !arm.state().is_faulted);
 }
 
+TEST(a_paused_controller_ends_the_engagement_and_hears_nothing_more) {
+    Arm arm;
+    for (int tick = 0; tick < 100; ++tick) {
+        arm.bridge().velocity_j(joint_one(kSpeedRadps));
+        arm.step();
+    }
+    arm.plant().pause(true);
+    const int64_t sends = arm.step(2).direct_sends;
+    State state = arm.step(50);
+    CHECK(!state.is_engaged && !state.is_faulted && state.direct_sends == sends && state.event_count == 0);
+    CHECK(is_refused("Refused", [&] { arm.bridge().engage(); }));
+    arm.plant().pause(false);
+    arm.step(2);
+    CHECK(is_refused("Refused", [&] { arm.bridge().stream_j(state.q); }));
+    arm.bridge().engage();
+    CHECK(arm.stream(50).event_count == 0);
+}
+
+TEST(a_move_that_is_held_ends_before_its_goal) {
+    Arm arm;
+    arm.bridge().move_j(joint_one(1.0), 0.5);
+    const double q = arm.step(150).q[0];
+    arm.bridge().hold();
+    const State state = arm.step(60);
+    CHECK(!state.is_moving && state.event_count == 0 && state.move_sends == 2);
+    CHECK(state.q[0] > q && state.q[0] < 0.5);
+}
+
+TEST(a_target_that_could_not_leave_is_sent_in_the_next_tick) {
+    Arm arm;
+    arm.stream(50);
+    arm.plant().fail_sends(3);
+    const double target = arm.stream(3).q_target[0];
+    const State state = arm.step(30);
+    CHECK(state.failed_sends == 3 && state.event_count == 0);
+    CHECK_NEAR(state.q[0], target, 1e-9);
+}
+
 TEST(k11_a_velocity_that_nobody_renews_is_zero_after_100_ms) {
     Arm arm;
     for (int tick = 0; tick < 100; ++tick) {

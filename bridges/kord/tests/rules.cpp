@@ -99,6 +99,27 @@ TEST(r9_an_arm_whose_direct_commands_cease_comes_to_rest) {
     }
 }
 
+TEST(r9_targets_that_none_follows_are_a_fault_where_the_controller_minds_and_a_stop_point_is_not) {
+    for (const bool minds : {false, true})
+        for (const bool stops : {false, true}) {
+            Options options;
+            options.ceased_is_fault = minds;
+            Controller controller(options);
+            controller.open();
+            tick(controller);
+            for (int turn = 1; turn <= 20; ++turn) {  // a stream in the vendor's slowest rhythm
+                Command command = target(controller, 0.02 * turn);
+                command.tracking_value = 0.5;
+                if (turn == 20) command.stops_at_point = stops;
+                controller.receive(command);
+                tick(controller, 4);
+                CHECK(condition(controller) == 0);
+            }
+            tick(controller, 2);
+            CHECK(condition(controller) == (minds && !stops ? 3001u : 0u));
+        }
+}
+
 TEST(r10_a_stopped_controller_takes_commands_and_does_nothing) {
     Controller controller(Options{});
     controller.open();

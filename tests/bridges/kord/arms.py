@@ -49,17 +49,32 @@ def stream(
 
 
 def direct(bridge: KordBridge, ticks: int, speed_radps: float) -> State:
-    """Drive joint 1 by direct commands up to a speed, by 0.1 rad/s per tick at most, and on at that speed."""
+    """Drive joint 1 by direct commands up to a speed, as fast as the limits allow, and on at that speed."""
     q, speed = bridge.get_state().q.copy(), 0.0
     bridge.direct_j(q)
     bridge.step(1)
     for _ in range(ticks):
-        speed = min(speed_radps, speed + 0.1)
+        speed = min(speed_radps, speed + LIMITS.qdd_max[0] * TICK_S)
         q[0] += speed * TICK_S
         bridge.direct_j(q, speed * ONE_JOINT)
         state = bridge.step(1)
         if state.is_faulted:
             return state
+    return bridge.get_state()
+
+
+def drive(bridge: KordBridge, mode: str, ticks: int) -> State:
+    """Have joint 1 moved for so many ticks: by a stream, a velocity, direct commands, or a move of the controller's."""
+    if mode == "stream":
+        return stream(bridge, ticks)
+    if mode == "direct":
+        return direct(bridge, ticks, SPEED_RADPS)
+    if mode == "move":
+        bridge.move_j(ONE_JOINT, speed_radps=SPEED_RADPS)
+        return bridge.step(ticks)
+    for _ in range(ticks):
+        bridge.velocity_j(SPEED_RADPS * ONE_JOINT)
+        bridge.step(1)
     return bridge.get_state()
 
 

@@ -16,11 +16,12 @@ from station_kord import (
     OutOfLimits,
     Refused,
     SimOptions,
+    State,
 )
 
 from adapters.robots.kassow.kinematics import KR810
 from station.rotations import roll_pitch_yaw
-from tests.bridges.kord.arms import LIMITS, ONE_JOINT, arm, stream
+from tests.bridges.kord.arms import LIMITS, ONE_JOINT, arm, direct, stream
 
 
 def test_this_build_tells_that_it_is_the_simulator() -> None:
@@ -80,6 +81,11 @@ def test_a_joint_beyond_its_limit_is_named() -> None:
             bridge.velocity_j(2.1 * ONE_JOINT)
         with pytest.raises(OutOfLimits, match="speed"):
             bridge.move_j(np.zeros(7), speed_radps=9.0)
+        with pytest.raises(OutOfLimits, match=r"joint 1 at 11 rad/s² is outside -10 to 10 rad/s²"):
+            bridge.direct_j(np.zeros(7), None, 11.0 * ONE_JOINT)
+        for speed_mps in (0.0, -0.1, 2.5, np.inf, np.nan):
+            with pytest.raises(OutOfLimits, match="m/s is not above 0 and 2 m/s at most"):
+                bridge.move_l(np.zeros(6), speed_mps=speed_mps)
         assert bridge.step(5).stream_j_sends == 0
 
 
@@ -123,6 +129,29 @@ def test_a_direct_command_begins_where_the_arm_is() -> None:
         bridge.direct_j(0.01 * ONE_JOINT)
 
 
+@pytest.mark.parametrize(
+    ("step_rad", "change_radps"), [(0.02, 0.0), (-0.02, 0.0), (0.0, 0.2), (0.0, -0.5)],
+    ids=["too far", "too far back", "too sudden", "too sudden a stop"],
+)  # fmt: skip
+def test_a_direct_command_beyond_what_a_joint_may_do_in_a_tick_is_not_sent(
+    step_rad: float, change_radps: float
+) -> None:
+    with arm(torque_deviation_rad=1.0) as bridge:
+        before = direct(bridge, 50, 0.3)
+        leap = before.q_sent + (0.3 * 0.004 + step_rad) * ONE_JOINT
+        for _ in range(50):
+            bridge.direct_j(leap, (0.3 + change_radps) * ONE_JOINT)
+            state = bridge.step(1)
+            leap = state.q_sent + (0.3 * 0.004 + step_rad) * ONE_JOINT
+            if state.mode == "idle":
+                break
+        assert state.limit_refusals > before.limit_refusals
+        assert np.all(state.qd == 0.0), "refused commands renew nothing"
+        rows = bridge.trace(50)
+        assert np.abs(np.diff(rows["q_sent"][:, 0])).max() <= 0.3 * 0.004 + 1e-9
+        assert state.events == ()
+
+
 def test_profiles_change_at_standstill_and_are_told() -> None:
     with arm() as bridge:
         assert (bridge.get_state().profile, bridge.get_state().throttle) == ("speed125", 2)
@@ -131,8 +160,29 @@ def test_profiles_change_at_standstill_and_are_told() -> None:
         assert (state.profile, state.throttle) == ("time250", 1)
         with pytest.raises(BadOption, match="speed125, time125"):
             bridge.set_profile("fast")
-        with pytest.raises(BadOption, match="throttle"):
-            bridge.set_throttle(0)
+        for ticks in (0, -1, 251):
+            with pytest.raises(BadOption, match=f"throttle: 1 to 250 ticks of 4 ms are expected, not {ticks}"):
+                bridge.set_throttle(ticks)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"throttle": 0}, {"throttle": 251}, {"tracking_value": 0.0}, {"tracking_value": np.nan},
+        {"tracking_value": np.inf}, {"blend_s": -0.001}, {"blend_s": np.nan}, {"guard_qdd_radps2": np.nan},
+        {"guard_qdd_radps2": 0.0},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_profile_with_a_number_that_is_none_is_refused_by_the_bridge_itself(wrong: dict[str, float]) -> None:
+    profile = dataclasses.replace(PROFILES["time125"], name="mine", **wrong)
+    message = rf"profile 'mine': .*{next(iter(wrong))}"
+    with pytest.raises(BadOption, match=message):
+        KordBridge(limits=LIMITS, profile=profile, sim=SimOptions(clock="virtual"))
+    with arm() as bridge:
+        with pytest.raises(BadOption, match=message):
+            bridge.set_profile(profile)
+        assert bridge.step(2).profile == "speed125"
 
 
 def test_the_profiles_are_those_of_the_table() -> None:
@@ -175,8 +225,58 @@ def test_a_move_goes_to_its_joints_and_stops_there() -> None:
         assert (state.move_sends, state.is_moving, state.mode) == (1, False, "idle")
 
 
+LINE_FROM = (0.3, 0.5, 0.1, 1.0, 0.2, 0.8, 0.1)
+
+
+def _moving(bridge: KordBridge, kind: str, ticks: int) -> State:
+    if kind == "line":
+        goal = bridge.get_state().tcp_pose + np.array([0.1, -0.1, 0.1, 0, 0, 0])
+        bridge.move_l(goal, speed_mps=0.1)
+    else:
+        bridge.move_j(np.array(LINE_FROM) + 0.5 * ONE_JOINT, speed_radps=0.5)
+    return bridge.step(ticks)
+
+
+@pytest.mark.parametrize("kind", ["joints", "line"])
+@pytest.mark.parametrize("end", ["hold", "disengage"])
+def test_hold_and_disengaging_end_a_move_before_its_goal(kind: str, end: str) -> None:
+    with arm(q_start=LINE_FROM) as bridge:
+        before = _moving(bridge, kind, 120)
+        assert before.is_moving
+        getattr(bridge, end)()
+        getattr(bridge, end)()  # again does no more
+        state = bridge.step(60)
+        assert (state.is_moving, state.mode, state.move_sends, state.events) == (False, "idle", 2, ())
+        assert np.all(np.abs(state.q - before.q) <= np.abs(before.qd) * 0.1 + 1e-3)
+        assert state.q_target == pytest.approx(state.q, abs=1e-9)
+        speeds = bridge.trace(61)["qd"]
+        assert np.abs(np.diff(speeds, axis=0)).max() <= LIMITS.qdd_max[0] * 0.004 * 1.2
+        assert state.is_engaged == (end == "hold")
+        bridge.engage()
+        bridge.stream_j(state.q + 0.001 * ONE_JOINT)
+        assert bridge.step(25).q[0] == pytest.approx(state.q[0] + 0.001, abs=1e-9)
+
+
+@pytest.mark.parametrize("ticks", [1, 2, 3, 5, 10, 200, 235, 245, 248, 249, 250, 251])
+def test_a_move_that_has_just_begun_or_is_all_but_over_is_held_without_going_beyond_its_goal(ticks: int) -> None:
+    with arm(q_start=LINE_FROM, q_max=(LINE_FROM[0] + 0.5, *LIMITS.q_max[1:])) as bridge:
+        _moving(bridge, "joints", ticks)
+        bridge.hold()
+        state = bridge.step(100)
+        assert (state.is_moving, state.events) == (False, ())
+        assert LINE_FROM[0] - 1e-9 <= bridge.trace()["q"][:, 0].max() <= LINE_FROM[0] + 0.5 + 1e-9
+
+
+def test_a_move_that_no_tick_has_seen_is_held_by_not_being_sent() -> None:
+    with arm() as bridge:
+        bridge.move_j(0.5 * ONE_JOINT)
+        bridge.hold()
+        state = bridge.step(20)
+        assert (state.move_sends, state.mode, state.q[0]) == (0, "idle", 0.0)
+
+
 def test_a_line_moves_the_tool_straight_and_keeps_what_does_not_change() -> None:
-    with arm(q_start=(0.3, 0.5, 0.1, 1.0, 0.2, 0.8, 0.1)) as bridge:
+    with arm(q_start=LINE_FROM) as bridge:
         begin = bridge.get_state().tcp_pose
         goal = begin + np.array([0.05, -0.04, 0.06, 0, 0, 0])
         bridge.move_l(goal, speed_mps=0.1)

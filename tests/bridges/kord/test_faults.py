@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from station_kord import NotConnected, Refused
 
-from tests.bridges.kord.arms import LIMITS, ONE_JOINT, STEP_RAD, arm, direct, ids, stream
+from tests.bridges.kord.arms import LIMITS, ONE_JOINT, STEP_RAD, arm, direct, drive, ids, stream
 
 
 def test_k3_reading_before_sending_is_a_torque_deviation_as_soon_as_the_arm_moves() -> None:
@@ -133,6 +133,48 @@ def test_an_emergency_stop_needs_a_person() -> None:
         assert not bridge.clear_faults().is_faulted
 
 
+def test_a_failure_that_no_request_clears_is_asked_for_nothing_and_told_after_the_deadline() -> None:
+    with arm() as bridge:
+        stream(bridge, 50)
+        assert bridge.simulator is not None
+        bridge.simulator.raise_event(900)
+        state = bridge.step(5)
+        assert [(event.id, event.group) for event in state.events] == [(900, "hardware")]
+        with pytest.raises(Refused, match=r"not cleared within 0\.5 s; look at the controller's own display"):
+            bridge.clear_faults(0.5)
+        state = bridge.get_state()
+        assert (state.is_faulted, state.alarm_state & 0xF) == (True, 3)
+
+
+@pytest.mark.parametrize("mode", ["stream", "velocity", "direct", "move"])
+def test_a_controller_that_is_paused_ends_the_engagement_and_hears_nothing_more(mode: str) -> None:
+    with arm() as bridge:
+        drive(bridge, mode, 100)
+        assert bridge.simulator is not None
+        bridge.simulator.pause(True)
+        bridge.step(1)  # the heartbeat that tells of it
+        state = bridge.step(1)
+        assert (state.is_engaged, state.not_ready, state.is_faulted) == (False, "paused", False)
+        sent = (state.stream_j_sends, state.direct_sends, state.move_sends)
+        for command in (bridge.engage, lambda: bridge.stream_j(state.q), lambda: bridge.velocity_j(ONE_JOINT)):
+            with pytest.raises(Refused, match="paused"):
+                command()
+        state = bridge.step(50)
+        assert (state.stream_j_sends, state.direct_sends, state.move_sends) == sent
+        assert (state.mode, state.is_moving, state.events) == ("idle", False, ())
+        assert np.all(state.q_target == state.q)
+
+        bridge.simulator.pause(False)
+        state = bridge.step(5)
+        assert (state.is_engaged, state.not_ready) == (False, "")
+        with pytest.raises(Refused, match="not engaged"):
+            bridge.stream_j(state.q)
+        bridge.engage()
+        state = stream(bridge, 50)
+        assert (state.is_engaged, state.events) == (True, ())
+        assert not bridge.step(25).is_moving
+
+
 def test_heartbeats_that_cease_lose_the_session_and_disengage() -> None:
     with arm() as bridge:
         stream(bridge, 50)
@@ -183,23 +225,16 @@ def test_k11_a_direct_motion_that_nobody_renews_comes_to_rest() -> None:
         assert bridge.step(10).mode == "idle"
 
 
-@pytest.mark.parametrize("mode", ["stream", "velocity", "direct"])
+@pytest.mark.parametrize("mode", ["stream", "velocity", "direct", "move"])
 def test_closing_in_motion_leaves_the_arm_at_rest(mode: str) -> None:
     with arm() as bridge:
-        if mode == "stream":
-            stream(bridge, 100)
-        elif mode == "direct":
-            direct(bridge, 100, 0.3)
-        else:
-            for _ in range(100):
-                bridge.velocity_j(0.3 * ONE_JOINT)
-                bridge.step(1)
+        drive(bridge, mode, 100)
         assert bridge.get_state().is_moving
         before = bridge.simulator.tick if bridge.simulator else 0
         bridge.close()
         assert bridge.simulator is not None
         rows = bridge.simulator.trace(bridge.simulator.tick - before + 1)
-        assert len(rows) <= 51
+        assert len(rows) <= (51 if mode != "move" else 71)
         assert rows["fault"].sum() == 0
         if mode != "stream":
             assert np.all(rows[-1]["qd"] == 0.0)

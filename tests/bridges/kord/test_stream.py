@@ -138,6 +138,24 @@ def test_k7_the_guard_goes_to_a_far_target_in_steps_that_are_feasible(profile: s
         assert abs(state.q[0] - offset_rad) < 1e-6
 
 
+@pytest.mark.parametrize("before", ["move", "velocity"])
+@pytest.mark.parametrize("profile", ["time125", "time250"])
+def test_k7_the_guard_starts_where_another_mode_has_left_the_arm(profile: str, before: str) -> None:
+    with arm(profile) as bridge:
+        if before == "move":
+            bridge.move_j(0.5 * ONE_JOINT, speed_radps=1.0)
+        for _ in range(300):
+            if before == "velocity":
+                bridge.velocity_j(0.3 * ONE_JOINT)
+            bridge.step(1)
+        state = bridge.step(60)
+        assert not state.is_moving
+        bridge.stream_j(state.q + 0.002 * ONE_JOINT)
+        after = bridge.step(25)
+        assert after.events == ()
+        assert after.q[0] == pytest.approx(state.q[0] + 0.002, abs=1e-9)
+
+
 @pytest.mark.parametrize(("preset", "suspends"), [("narrative", True), ("final", False)])
 def test_k8_a_speed_at_125_hz_for_a_minute_depends_on_what_planning_costs(preset: str, suspends: bool) -> None:
     with arm(preset=preset) as bridge:
@@ -199,3 +217,41 @@ def test_the_guard_keeps_the_wildest_hand_feasible(profile: str) -> None:
                 state = bridge.step(1)
         assert state.events == ()
         assert np.allclose(bridge.step(1000).q, q, atol=1e-6)
+
+
+@pytest.mark.parametrize(("strict", "seen"), [(False, []), (True, [3001])])
+def test_r9_targets_that_cease_in_motion_halt_an_arm_whose_controller_minds(strict: bool, seen: list[int]) -> None:
+    with arm(ceased_is_fault=strict) as bridge:
+        bridge.stream_j(bridge.get_state().q + 0.5 * ONE_JOINT)  # 1.7 s of motion, and nothing follows
+        state = bridge.step(500)
+        assert ids(state) == seen
+        assert state.is_faulted == strict
+
+
+@pytest.mark.parametrize(("profile", "seen"), [("speed125", [3001]), ("time125", []), ("time250", [])])
+def test_r9_streams_by_time_are_at_rest_before_such_a_controller_minds(profile: str, seen: list[int]) -> None:
+    with arm(profile, ceased_is_fault=True) as bridge:
+        assert stream(bridge, 250).events == ()
+        assert ids(bridge.step(25)) == seen
+
+
+def test_r9_a_move_that_stops_by_itself_is_none_that_ceases() -> None:
+    with arm(ceased_is_fault=True) as bridge:
+        bridge.move_j(0.3 * ONE_JOINT, speed_radps=0.5)
+        state = bridge.step(250)
+        assert abs(state.q[0] - 0.3) < 1e-9
+        assert state.events == ()
+
+
+def test_a_profile_waits_for_the_arm_to_stand_also_where_the_motion_is_still_to_begin() -> None:
+    with arm() as bridge:
+        bridge.set_throttle(250)
+        bridge.stream_j(0.001 * ONE_JOINT)
+        assert not bridge.step(60).is_moving
+        bridge.stream_j(0.01 * ONE_JOINT)  # waits for its turn, and the arm stands
+        assert not bridge.step(1).is_moving
+        bridge.set_profile("time250")
+        state = bridge.step(1)
+        assert (state.profile, state.stream_j_sends) == ("speed125", 2)
+        assert bridge.step(60).profile == "time250"
+        assert bridge.get_state().throttle == 1

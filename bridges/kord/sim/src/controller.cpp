@@ -11,11 +11,14 @@ constexpr uint32_t kEstopCondition = 1001, kTorqueDeviation = 1010, kTooFast = 2
 constexpr uint32_t kBadConnection = 3001, kInfeasible = 3002;
 constexpr uint32_t kEstopContext = 1, kSstopContext = 4;
 constexpr int8_t kAccepted = 0, kRefused = 2;
+constexpr int64_t kFollowTicks = 4;    // 16 ms: the slowest of the vendor's patterns for streams
+constexpr double kCeasedSpanRad = 1e-6;  // a tick; on_movej_cmd_ceased_span in KORD.ini's example
 constexpr size_t kRoom = 64;  // commands in flight; a session sends one per tick
 
 uint32_t category_of(uint32_t condition) {
     if (condition >= 3000) return kCbunCategory;
-    return condition >= 2000 ? kSoftStopCategory : kSafetyCategory;
+    if (condition >= 2000) return kSoftStopCategory;
+    return condition >= 1000 ? kSafetyCategory : kHardwareCategory;
 }
 
 uint32_t group_of(uint32_t condition) { return condition >= 3000 ? 3u : condition / 1000; }
@@ -45,7 +48,7 @@ void Controller::waited() { ticks_since_wait_ = 0; }
 void Controller::receive(const Command& command) {
     if (status_.is_lost || pending_.size() == kRoom) return;
     ++received_;
-    if (is_stopped()) return;  // "sent" is all that its sender hears
+    if (!takes_commands()) return;  // "sent" is all that its sender hears
     const bool late = is_late(command);
     late_streak_ = late ? late_streak_ + 1 : 0;
     status_.late_commands += late;
@@ -70,6 +73,7 @@ bool Controller::is_late(const Command& command) {
 void Controller::tick(int64_t time_ns) {
     ++tick_;
     ++ticks_since_wait_;
+    ++ticks_since_move_;
     received_ = 0;
     late_this_tick_ = false;
     for (size_t i = 0; i < clearing_.size();) {
@@ -106,6 +110,8 @@ void Controller::take_due() {
             fault(kBadConnection);
         else if (!motion_.begin(command))
             fault(kInfeasible);
+        else
+            ticks_since_move_ = 0;
     }
     planner_.pass();
     take_direct(due_direct_);
@@ -136,8 +142,17 @@ void Controller::watch() {
         fault(kTooFast);
     else if (motion_.is_moving() && ticks_since_wait_ >= options_.watchdog_ticks)
         fault(kBadConnection);
-    else if (options_.ceased_is_fault && motion_.is_direct() && motion_.ceased_ticks() > 1 && is_moving(qd))
+    else if (options_.ceased_is_fault && have_commands_ceased())
         fault(kBadConnection);
+}
+
+// Direct ones, and targets that were to be followed by others, while the arm still moves.
+bool Controller::have_commands_ceased() const {
+    const Joints& qd = motion_.reference().qd;
+    if (motion_.is_direct()) return motion_.ceased_ticks() > 1 && is_moving(qd);
+    const bool moves_on =
+        std::any_of(qd.begin(), qd.end(), [](double v) { return std::abs(v) * kTickS > kCeasedSpanRad; });
+    return motion_.is_to_be_followed() && ticks_since_move_ > kFollowTicks && moves_on;
 }
 
 void Controller::fault(uint32_t condition) {
@@ -148,7 +163,7 @@ void Controller::fault(uint32_t condition) {
     status_.alarm = category_of(condition) | (is_estop ? kEstopContext : kSstopContext) << 4 | condition << 8;
     has_cbun_event_ = category_of(condition) == kCbunCategory;
     if (condition == kInfeasible) status_.is_lost = 1;
-    tell(condition, group_of(condition));
+    if (group_of(condition) > 0) tell(condition, group_of(condition));
     planner_.clear();
     pending_.clear();
     late_streak_ = 0;
@@ -168,6 +183,19 @@ void Controller::confirm() {
     if (!is_pressed_) status_.safety_flags &= ~(kUserConfirmation | kEstop);
 }
 
+// By a person at the pendant: nothing is wrong, and nothing is taken from afar.
+void Controller::pause(bool is_paused) {
+    if (is_paused) {
+        status_.motion_flags |= kPaused;
+        planner_.clear();
+        pending_.clear();
+        motion_.brake();
+    } else if (status_.motion_flags & kPaused) {
+        status_.motion_flags &= ~kPaused;
+        if (!is_stopped()) motion_.settle();
+    }
+}
+
 void Controller::acknowledge(const Clear& request) {
     auto& slot = status_.acknowledged[static_cast<size_t>(acknowledged_next_)];
     acknowledged_next_ = (acknowledged_next_ + 1) % kAcknowledged;
@@ -181,13 +209,17 @@ int8_t Controller::clear(int32_t what) {
         status_.motion_flags &= ~kSuspended;
         status_.safety_flags &= ~kSstop;
     }
-    if (what == 4) has_cbun_event_ = false;
+    if (what == 4) {
+        if (!has_cbun_event_) return kRefused;
+        has_cbun_event_ = false;
+    }
     resume_if_clear();
     return kAccepted;
 }
 
 void Controller::resume_if_clear() {
-    if ((status_.motion_flags & (kHalt | kSuspended)) != 0 || has_cbun_event_) return;
+    const bool is_broken = (status_.alarm & 0xf) == kHardwareCategory;  // no request mends that
+    if ((status_.motion_flags & (kHalt | kSuspended)) != 0 || has_cbun_event_ || is_broken) return;
     status_.alarm = 0;
     planner_.clear();
     pending_.clear();

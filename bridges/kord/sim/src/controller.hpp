@@ -26,6 +26,7 @@ public:
     const Status& status() const { return status_; }
     void told() { status_.event_count = 0; }  // the status has gone out; an event is told once
     const Joints& goal() const { return motion_.goal(); }
+    bool takes_commands() const { return !is_stopped() && (status_.motion_flags & kPaused) == 0; }
     bool is_stopped() const { return status_.alarm != 0 || (status_.motion_flags & (kHalt | kSuspended)) != 0; }
     int received_this_tick() const { return received_; }
     bool was_late_this_tick() const { return late_this_tick_; }
@@ -33,6 +34,7 @@ public:
     void delay_commands(int count) { delayed_ = count; }
     void press_emergency_stop(bool is_pressed);
     void confirm();
+    void pause(bool is_paused);
     void fault(uint32_t condition);
 
 private:
@@ -51,6 +53,7 @@ private:
     void take_direct(const std::vector<Command>& due);
     bool is_within_limits(const Joints& q) const;
     void watch();
+    bool have_commands_ceased() const;
     void acknowledge(const Clear& request);
     int8_t clear(int32_t what);
     void resume_if_clear();
@@ -64,7 +67,7 @@ private:
     std::vector<Pending> pending_;
     std::vector<Command> due_direct_;
     std::vector<Clearing> clearing_;
-    int64_t tick_ = 0;
+    int64_t tick_ = 0, ticks_since_move_ = 0;
     int delayed_ = 0, late_streak_ = 0, ticks_since_wait_ = 0, received_ = 0, acknowledged_next_ = 0;
     bool late_this_tick_ = false, is_pressed_ = false, has_cbun_event_ = false, has_session_ = false;
 };

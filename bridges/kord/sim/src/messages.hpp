@@ -9,9 +9,9 @@
 namespace kordsim {
 
 // Motion flags, safety flags and alarm categories as the controller's words have them.
-constexpr uint32_t kStandby = 1, kTracking = 2, kHalt = 8, kSuspended = 32;
+constexpr uint32_t kStandby = 1, kTracking = 2, kHalt = 8, kSuspended = 32, kPaused = 1024;
 constexpr uint32_t kEstop = 2, kSstop = 8, kUserConfirmation = 16;
-constexpr uint32_t kSafetyCategory = 1, kSoftStopCategory = 2, kCbunCategory = 4;
+constexpr uint32_t kSafetyCategory = 1, kSoftStopCategory = 2, kHardwareCategory = 3, kCbunCategory = 4;
 
 enum class CommandKind : int32_t { move_joints, move_line, direct };
 enum class Tracking : int32_t { time, joint_speed, tool_speed };

@@ -57,6 +57,7 @@ bool Motion::begin(const Command& move) {
 
 bool Motion::start(const Queued& queued) {
     const Command& move = queued.move;
+    stops_ = move.stops_at_point;
     if (move.kind == CommandKind::move_line) {
         start_line(move, queued.duration_s);
         return true;

@@ -33,6 +33,11 @@ public:
     void brake();
     void settle();
 
+    // Whether the last target is one that another is to replace, and not one to stop at.
+    bool is_to_be_followed() const {
+        return (kind_ == Kind::timed || kind_ == Kind::paced) && !stops_ && queue_.empty();
+    }
+
     // Ticks in direct motion without a command.
     int ceased_ticks() const { return ceased_ticks_; }
 
@@ -69,7 +74,7 @@ private:
     std::deque<Queued> queue_;
     double waiting_s_ = 0;
     int ceased_ticks_ = 0;
-    bool was_obeyed_ = false;
+    bool was_obeyed_ = false, stops_ = false;
 };
 
 }  // namespace kordsim

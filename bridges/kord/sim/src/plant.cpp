@@ -105,9 +105,14 @@ bool Plant::advance(int64_t time_ns, Status& told) {
     return true;
 }
 
-void Plant::receive(const Command& command) {
+bool Plant::receive(const Command& command) {
     const std::lock_guard lock(mutex_);
+    if (failing_ > 0) {
+        --failing_;
+        return false;
+    }
     controller_.receive(command);
+    return true;
 }
 
 void Plant::receive(const Clear& clear) {
@@ -151,6 +156,16 @@ int64_t Plant::now_ns() const { return options_.is_virtual ? virtual_ns_.load() 
 void Plant::delay_commands(int count) {
     const std::lock_guard lock(mutex_);
     controller_.delay_commands(count);
+}
+
+void Plant::fail_sends(int count) {
+    const std::lock_guard lock(mutex_);
+    failing_ = count;
+}
+
+void Plant::pause(bool is_paused) {
+    const std::lock_guard lock(mutex_);
+    controller_.pause(is_paused);
 }
 
 void Plant::emergency_stop(bool is_pressed) {

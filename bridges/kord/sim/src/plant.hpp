@@ -28,7 +28,7 @@ public:
     void open();
     void close();
     bool wait(std::chrono::microseconds timeout, Status& heard);
-    void receive(const Command& command);
+    bool receive(const Command& command);  // false where it did not leave the sender's machine
     void receive(const Clear& clear);
     Status look();
 
@@ -42,6 +42,8 @@ public:
     int64_t now_ns() const;
 
     void delay_commands(int count);
+    void fail_sends(int count);
+    void pause(bool is_paused);
     void emergency_stop(bool is_pressed);
     void confirm();
     void raise_event(uint32_t condition);
@@ -60,6 +62,7 @@ private:
     mutable std::mutex mutex_;
     Controller controller_;
     bool is_silent_ = false;
+    int failing_ = 0;
     std::vector<TraceRow> trace_;
     int64_t rows_ = 0;
 

@@ -24,8 +24,7 @@ public:
     bool send(const Command& command) override {
         Command sent = command;
         if (plant_->options().is_virtual) sent.offset_us = 0;  // no virtual time passes between a heartbeat and its answer
-        plant_->receive(sent);
-        return true;
+        return plant_->receive(sent);
     }
     bool send(const Clear& clear) override {
         plant_->receive(clear);
