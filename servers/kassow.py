@@ -8,8 +8,10 @@ only hands it targets that moved. Killed in motion, it leaves an arm that finish
 from __future__ import annotations
 
 import dataclasses
+import logging
 import queue
 import threading
+from collections import deque
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,23 +22,29 @@ from adapters.robots import arm_limits
 from adapters.robots.arm_limits import ArmLimits
 from adapters.robots.kassow import session as sessions
 from adapters.robots.kassow import wire
+from adapters.robots.kassow.native import kord
 from adapters.robots.kassow.session import KordSession
 from station.arms import ArmState, JointCommand
 from station.bus import codec, keys
 from station.config import to_plain
-from station.life.arm_control import ArmControl, ArmRecord
-from station.life.arm_request import ArmAnswer
-from station.life.commanded import told_of_gate
+from station.life.arm_control import ArmControl
+from station.life.arm_kind import ArmServerKind
+from station.life.arm_values import result_values
 from station.life.controller_request import ControllerAnswer, ControllerRequest, read
 from station.life.gate import GateConfig
 from station.life.loop import Rate, real_time
 from station.life.low_level import LowLevelLoop
-from station.life.server import Life, ServerKind
+from station.life.server import Life
+from station.printable import printable
 from station.software import software
 
 MAKER = "kassow"
 RATE_HZ = 250.0
 """Ticks of the gate: as many as the controller's, so that no turn of the throttle passes without a target."""
+_ANSWERS = 16  # that wait to be told, at most
+_TOLD_TICKS = 25  # 0.1 s each
+
+log = logging.getLogger(__name__)
 
 _STATE_EVERY, _CONTROLLER_EVERY = 2, 25  # ticks: 125 Hz and 10 Hz
 
@@ -131,7 +139,7 @@ def main(config: KassowConfig, life: Life) -> int:
             life,
             control,
             state_values=teller.state_values,
-            result_values=lambda record, answer: result_values(config.robot, record, control, answer, desk.look()),
+            result_values=lambda record, arm: result_values(config.robot, record, control.commanded, arm, desk.look()),
             period_s=1.0 / RATE_HZ,
             requests={keys.CONTROLLER: desk.hear},
         ) as loop:
@@ -145,12 +153,13 @@ def main(config: KassowConfig, life: Life) -> int:
     return 0
 
 
-KIND = ServerKind(
+KIND = ArmServerKind(
     name="kassow",
     role="low-level",
     summary="Kassow arm, real or simulated: commands through the gate to the controller's 250 Hz session",
     config=KassowConfig,
     main=main,
+    bridge=kord,
 )
 
 
@@ -197,7 +206,8 @@ class Desk:
         self._control, self._session, self._robot = control, session, robot
         self._cleared: queue.SimpleQueue[tuple[ControllerRequest, str]] = queue.SimpleQueue()
         self._is_clearing = False
-        self._answer: ControllerAnswer | None = None
+        self._answers: deque[ControllerAnswer] = deque(maxlen=_ANSWERS)  # the first one is being told
+        self._told_ticks = 0
 
     def hear(self, data: bytes) -> None:
         """Take up what came on the key of requests."""
@@ -212,40 +222,46 @@ class Desk:
             self._reply(request, "its faults are being cleared already")
         else:
             self._is_clearing = True
-            threading.Thread(target=self._clear, args=(request,), name="clear", daemon=True).start()
+            self._control.clearing()
+            self._begin_clearing(request)
 
     def look(self) -> ControllerAnswer | None:
-        """Take note of what is done by now; return the answer to the newest request that has one."""
+        """Take note of what is done by now; return this tick's answer, each long enough for who waits for it."""
         if self._is_clearing and not self._cleared.empty():
             request, refusal = self._cleared.get()
             self._is_clearing = False
             self._reply(request, refusal)
-            if not refusal:
+            if refusal:
+                self._control.commanded.note("clear-refused", "warning", who=request.who, reason=refusal)
+            else:
                 self._control.cleared(request.who)
-        return self._answer
+        self._told_ticks += 1
+        if self._told_ticks > _TOLD_TICKS and len(self._answers) > 1:
+            self._answers.popleft()
+            self._told_ticks = 1
+        return self._answers[0] if self._answers else None
+
+    def _begin_clearing(self, request: ControllerRequest) -> None:
+        try:
+            threading.Thread(target=self._clear, args=(request,), name="clear", daemon=True).start()
+        except RuntimeError as error:  # the system gives no more threads
+            self._cleared.put((request, f"it cannot be tried now ({error})"))
 
     def _clear(self, request: ControllerRequest) -> None:
-        self._cleared.put((request, self._session.clear()))
+        """Clear, and hand over how it ended in every case: who asked waits for it, and may ask again after it."""
+        refusal = "it ended without a result; see the server's log"
+        try:
+            refusal = self._session.clear()
+        except Exception as error:  # whatever it is, the operator hears of it, and the arm stays faulted
+            log.exception("clearing the controller's faults failed")
+            refusal = f"clearing failed: {type(error).__name__}: {printable(str(error))}"
+        finally:
+            self._cleared.put((request, refusal))
 
     def _reply(self, request: ControllerRequest, refusal: str) -> None:
-        self._answer = ControllerAnswer(id=request.id, action=request.action, refused=refusal)
-
-
-def result_values(
-    robot: str, record: ArmRecord, control: ArmControl, armed: ArmAnswer | None, asked: ControllerAnswer | None
-) -> dict[str, bytes]:
-    """Return what a tick publishes after its target was handed over, by key, with the answers to newest requests."""
-    gate = told_of_gate(record.decision, control.commanded)
-    if armed is not None:
-        gate["arm"] = msgspec.structs.asdict(armed)
-    if asked is not None:
-        gate["controller"] = msgspec.structs.asdict(asked)
-    return {
-        keys.target(robot): codec.f64(record.target),
-        keys.command_gate(robot): codec.json_object(gate),
-        keys.command_used(robot): codec.f64(record.decision.vector),
-        keys.policy_timing(robot): codec.json_vector((record.tick, record.command_seq, *record.timing_ns)),
-    }
+        if not self._answers:
+            self._told_ticks = 0
+        self._answers.append(ControllerAnswer(id=request.id, action=request.action, refused=refusal))
 
 
 def _open(config: KassowConfig, limits: ArmLimits) -> KordSession:

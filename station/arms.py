@@ -13,24 +13,13 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from station.bus import joints, keys
-from station.errors import ConfigError, StationError
+from station.errors import ConfigError
 from station.protocols import Floats, Reference
 
 
-def kord() -> Any:
-    """Import and return `station_kord`, the native bridge to Kassow controllers and their simulator.
-
-    Raises:
-        StationError: it is not installed, or was built for another Python.
-    """
-    try:
-        import station_kord
-    except ImportError as error:
-        raise StationError(
-            f"the bridge to Kassow controllers is not installed ({error}); build it in the station's folder with "
-            "`pip install ./bridges/kord` (needs a C++17 compiler and CMake)"
-        ) from None
-    return station_kord
+def remedy_of(fault: str) -> str:
+    """Return what a fault says to do about it (`ArmState.fault`), or ""."""
+    return fault.rpartition("; ")[2] if "; " in fault else ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,14 +30,19 @@ class ArmState:
         mono_ns: When it was read, on this machine's monotonic clock [ns].
         q: Joint positions, shape (n,) [rad].
         is_moving: Whether the controller still moves the arm.
-        fault: Why the controller takes no commands until somebody clears it, or "".
+        is_engaged: Whether targets are taken: `ArmSession.engage` was granted, and nothing has revoked it since.
+        fault: Why the controller takes no commands until somebody clears it, or ""; after its last semicolon what an
+            operator does about it.
+        obstacle: Why no target could be taken where the arm is, though nothing is at fault, or "".
         told: The session's own snapshot, for whoever publishes it.
     """
 
     mono_ns: int
     q: Floats
     is_moving: bool
+    is_engaged: bool
     fault: str
+    obstacle: str
     told: Any
 
 
@@ -109,8 +103,9 @@ class JointCommand:
 
     @classmethod
     def within(cls, name: str, robot: str, *, lower: Floats, upper: Floats, margin: Floats, rate: Floats) -> Self:
-        """Return the command of a robot, given by its keys' suffix, between limits of shape (7,)."""
+        """Return the command of a robot, given by its keys' suffix, between limits of shape (7,), which are copied."""
         default = np.clip(np.zeros(len(lower)), lower, upper)
+        lower, upper, margin, rate = (np.array(array) for array in (lower, upper, margin, rate))
         for array in (default, lower, upper, margin, rate):
             array.flags.writeable = False
         return cls(name, robot, default, lower, upper, margin, rate)

@@ -73,7 +73,7 @@ def arm_story(found: ArmAudit) -> str:
             f"  after gate    {commands.compared} ticks, {commands.different} different, "
             f"max |Δ| {commands.max_abs_difference:.3g} rad; its state differs in {found.states_different}",
             f"  targets       {targets.compared} ticks, {targets.different} different, "
-            f"max |Δ| {targets.max_abs_difference:.3g} rad",
+            f"max |Δ| {targets.max_abs_difference:.3g} rad; {found.refused} ticks refused by the controller's session",
             f"  {found.steps} ticks, {found.followed} of them followed a command, in {found.segments} segments; "
             f"{found.incomplete} incomplete",
         )

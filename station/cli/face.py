@@ -14,6 +14,7 @@ from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.markup import escape
 
+from station.arms import remedy_of
 from station.bus.client import Bus
 from station.cli import stop_key
 from station.cli.keyboard import Keyboard
@@ -22,6 +23,7 @@ from station.errors import BusError
 from station.life.events import Severity
 from station.life.server import Health
 from station.life.stop_button import StopButton
+from station.printable import printable
 from station.view import progress_panel
 from station.view.progress import ProgressReader
 from station.view.table import plain, render_servers
@@ -184,8 +186,8 @@ class TerminalFace:
         gates = {one.gate for one in (seen.robot, seen.arm) if one is not None}
         if "stopped" in gates:
             yield "[bold red]EMERGENCY STOP is latched; release it with: station estop --reset[/]"
-        if "faulted" in gates:
-            yield "[bold red]the arm's controller has a fault; when its cause is gone: station kassow clear[/]"
+        if seen.arm is not None and seen.arm.gate == "faulted":
+            yield f"[bold red]the arm's controller has a fault; {escape(printable(remedy_of(seen.arm.reason)))}[/]"
 
     def _key_line(self) -> RenderableType:
         if not self._keyboard.is_there:

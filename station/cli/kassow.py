@@ -5,16 +5,17 @@ from __future__ import annotations
 import signal
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from station.arms import kord
+from station import registry
 from station.bus import keys
 from station.bus.client import Bus
 from station.cli.options import Verbs, address_of, bus_option
 from station.errors import UsageError
 from station.life import controller_request
+from station.life.arm_kind import ArmServerKind
 from station.life.controller_request import Action
 
 if TYPE_CHECKING:
@@ -69,6 +70,12 @@ def throttle(ticks: int, robot: str, bus: str | None) -> None:
     click.echo(f"{robot}: {250 / ticks:g} targets a second at most")
 
 
+def _bridge() -> Any:
+    """Return the native package of the arm's server, which holds the simulated controller."""
+    kind: ArmServerKind = registry.find("server", "kassow")
+    return kind.bridge()
+
+
 def _ask(bus: str | None, robot: str, action: Action, *, profile: str = "", throttle: int = 0) -> None:
     with Bus(address_of(bus), name="kassow", timeout_s=1.0) as line:
         controller_request.ask(line, robot, action, profile=profile, throttle=throttle)
@@ -87,7 +94,7 @@ def controller(socket: Path, q_start: str, preset: str) -> None:
     Whatever happens to the arm's server, this arm goes on by its controller's rules; a server that is started again
     finds it where it stopped.
     """
-    native = kord()
+    native = _bridge()
     try:
         options = native.SimOptions(preset=preset, q_start=[float(word) for word in q_start.split()])
         server = native.ControllerServer(socket, options)
@@ -114,7 +121,7 @@ def demo_fault(name: str, output: Path | None) -> None:
     Runs twice in exact virtual time, once with the mistake and once with the one setting that cures it, and draws
     target, arm, queue and sends of both over time.
     """
-    kord()  # says what to do where it is not installed
+    _bridge()  # says what to do where it is not installed
     from station_kord import demonstrations
 
     from station.view import fault_plot

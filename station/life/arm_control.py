@@ -2,7 +2,9 @@
 
 A target is handed to the session only where it moved, and never farther ahead of the arm than it may still go when
 everything here is gone (`ArmSession.lead_rad`). Whatever ends following (silence, a stop, a fault, disarming) releases
-the session at once; it is engaged anew, from where the joints are then, with the next command that begins.
+the session at once; it is engaged anew, from where the joints are then, with the next command that begins. After all of
+these but silence, after an obstacle, and after a session that refused or took no more targets by itself, commands have
+to cease first: nothing begins to move because a reason went away.
 """
 
 from __future__ import annotations
@@ -16,11 +18,15 @@ import numpy as np
 from station.arms import ArmSession, ArmState
 from station.life.commanded import Commanded, Happening
 from station.life.gate import Decision, GateConfig
+from station.life.gate_state import FOLLOWING, MOVING
 from station.life.inlet import CommandSample
 from station.protocols import CommandFormat, Floats
 
-_FOLLOWING = ("entering", "tracking", "holding")
-_MOVING = ("entering", "tracking")
+
+def aim(wanted: Floats, q: Floats, lead_rad: float) -> Floats:
+    """Return the target of an arm whose joints are at `q`, shapes (n,) [rad]: no farther ahead than its lead."""
+    target: Floats = np.clip(wanted, q - lead_rad, q + lead_rad)
+    return target
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +39,7 @@ class ArmRecord:
         decision: What the gate let through.
         target: The newest target that the session took, shape (n,) [rad]; where nobody is followed, the joints.
         is_sent: Whether it was handed over in this tick.
+        refusal: Why the session was not engaged in this tick, or did not take the target that it was handed, or "".
         command_seq: Sequence number of the command that was used; 0 when foreign or none.
         timing_ns: The six instants of `station.bus.contracts.TIMING_STAGES`; 0 where unknown. Without a policy the
             third and fourth are the instant that the gate was given.
@@ -44,6 +51,7 @@ class ArmRecord:
     decision: Decision
     target: Floats
     is_sent: bool
+    refusal: str
     command_seq: int
     timing_ns: tuple[int, int, int, int, int, int]
     happenings: tuple[Happening, ...]
@@ -66,7 +74,8 @@ class ArmControl:
         self.session = session
         self.commanded = Commanded(form, gate, is_armed=is_armed, ramp_s=0.0)
         self._target: Floats | None = None  # newest target that was taken; None: not engaged
-        self._refusal = ""  # why the session refused what it was asked last
+        self._refusal = ""  # of this tick
+        self._was_refused = False  # whether it took none when it was last handed one
         self._tick = 0
 
     def sense(self) -> ArmState:
@@ -86,12 +95,13 @@ class ArmControl:
         gate = self.commanded.gate
         gate.rest(state.q)
         self._see_to_fault(state)
-        self._see_to_arming(now_s)
+        self._see_to_engagement(state)
+        self._see_to_readiness(state, now_s)
         decision = self.commanded.decide(sample, now_ns * 1e-9, obstacle=self._obstacle(state))
-        sent_ns = 0
-        if decision.state not in _FOLLOWING:
+        sent_ns, self._refusal = 0, ""
+        if decision.state not in FOLLOWING:
             self._release()
-        elif decision.state in _MOVING:
+        elif decision.state in MOVING:
             sent_ns = time.monotonic_ns() if self._send(decision.vector, state) else 0
         good = self.commanded.inlet.good
         stages = (good.written_ns if good else 0, good.arrived_ns if good else 0, state.mono_ns)
@@ -101,6 +111,7 @@ class ArmControl:
             decision=decision,
             target=state.q if self._target is None else self._target,
             is_sent=sent_ns > 0,
+            refusal=self._refusal,
             command_seq=good.seq if good else 0,
             timing_ns=(*stages, now_ns, now_ns, sent_ns),
             happenings=self.commanded.taken(),
@@ -121,6 +132,11 @@ class ArmControl:
             else:
                 self.commanded.arming.disarm()
 
+    def clearing(self) -> None:
+        """Let nobody drive on while faults are cleared, there being one or not: that ends the session's engagement."""
+        if self._target is not None:
+            self._end("the controller's faults are being cleared")
+
     def cleared(self, who: str) -> None:
         """Leave a fault that the controller has no more; commands have to begin anew."""
         if self.commanded.gate.state == "faulted":
@@ -134,7 +150,7 @@ class ArmControl:
         if gate.state == "stopped":
             refusal = f"the emergency stop is latched ({gate.reason}); release it first: station estop --reset"
         elif gate.state == "faulted":
-            refusal = f"the controller is faulted ({gate.reason}); clear it first: station kassow clear"
+            refusal = f"the controller is faulted: {gate.reason}"
         return self.commanded.arm(now_s, who, refusal)
 
     def disarm(self, who: str = "") -> None:
@@ -157,46 +173,62 @@ class ArmControl:
             gate.fault(state.fault)
             self.commanded.note("controller-fault", "error", reason=state.fault)
 
-    def _see_to_arming(self, now_s: float) -> None:
+    def _see_to_readiness(self, state: ArmState, now_s: float) -> None:
+        """Let arming go on; nobody who commands meanwhile is followed once the arm may move."""
         arming = self.commanded.arming
         if arming.state == "arming" and arming.stiffen(now_s) == 1.0:
             self.commanded.note("armed", "warning")
         if arming.state == "disarmed":
-            self.commanded.gate.insist_on_silence()
+            self.commanded.gate.insist_on_silence("the arm was disarmed")
+        elif state.obstacle:
+            self.commanded.gate.insist_on_silence(state.obstacle)
+
+    def _see_to_engagement(self, state: ArmState) -> None:
+        """Where the session takes no more targets by itself, nobody commands: who did has to engage anew."""
+        if self._target is None or state.is_engaged:
+            return
+        reason = "the controller's session takes no more targets"
+        self._end(reason)
+        self.commanded.note("engagement-lost", "error", reason=reason)
 
     def _obstacle(self, state: ArmState) -> str:
         if self.commanded.arming.state == "disarmed":
             return "the arm is disarmed"
         if self._target is None and state.is_moving:
-            return "the arm still moves"
-        return ""
+            return self.commanded.gate.demand or "the arm still moves"
+        return state.obstacle
 
     def _send(self, wanted: Floats, state: ArmState) -> bool:
         """Hand over a target if it moved; return whether the session took it."""
         if self._target is None and not self._engage(state):
             return False
-        lead = self.session.lead_rad
-        target: Floats = np.clip(wanted, state.q - lead, state.q + lead)
+        target = aim(wanted, state.q, self.session.lead_rad)
         if self._target is not None and np.array_equal(target, self._target):
             return False
-        if self._is_refused("target-refused", self.session.send(target)):
+        self._refusal = self.session.send(target)
+        if self._refusal and not self._was_refused:
+            self.commanded.note("target-refused", "error", reason=self._refusal)
+        self._was_refused = bool(self._refusal)
+        if self._refusal:
             return False
         self._target = target
         return True
 
     def _engage(self, state: ArmState) -> bool:
-        if self._is_refused("engage-refused", refusal := self.session.engage()):
-            self.commanded.gate.reset(refusal)  # and the next tick tries again
+        """Engage; return whether it was granted."""
+        if refusal := self.session.engage():
+            self._refusal = refusal
+            self.commanded.note("engage-refused", "error", reason=refusal)
+            self._end(refusal)
             return False
-        self._target = state.q
+        self._target, self._was_refused = state.q, False
         return True
 
-    def _is_refused(self, name: str, refusal: str) -> bool:
-        """Whether the session refused; told once for each reason."""
-        if refusal and refusal != self._refusal:
-            self.commanded.note(name, "error", reason=refusal)
-        self._refusal = refusal
-        return bool(refusal)
+    def _end(self, reason: str) -> None:
+        """Follow nobody any more, and nobody again before he has let go."""
+        self._release()
+        self.commanded.gate.reset(reason)
+        self.commanded.gate.insist_on_silence(reason)
 
     def _release(self) -> None:
         if self._target is not None:

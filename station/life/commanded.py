@@ -68,11 +68,12 @@ class Commanded:
         if before is not None and inlet.good is not None and before.source != inlet.good.source:
             self.gate.change_hands(f"{spoken(inlet.good.source)} commands in place of {spoken(before.source)}")
         refusal = self._rival if inlet.refusal is None else f"{inlet.refusal.kind}: {inlet.refusal.text}"
+        quiet_s = 0.0 if self._rival else inlet.quiet_s(now_s)
         self._rival = ""
         vector, age_s = inlet.vector, inlet.age_s(now_s)
         if obstacle:
             vector, refusal = None, obstacle
-        decision = self.gate.step(now_s, vector, age_s, refusal=refusal)
+        decision = self.gate.step(now_s, vector, age_s, refusal=refusal, quiet_s=quiet_s)
         for change in decision.transitions:
             severity: Severity = "warning" if change.after in _ALARMING else "info"
             self.note("gate", severity, **{"from": change.before, "to": change.after, "reason": change.reason})

@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 
 from station import registry
+from station.arms import remedy_of
 from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.sample import Sample
@@ -29,7 +30,6 @@ _GATE_REMEDIES = {
     "holding": "the command stopped coming a moment ago; see the command key above",
     "returning": "the command stopped coming; the robot goes back to its default pose",
     "stopped": "station estop --reset",
-    "faulted": "station kassow clear, when the cause is gone",
 }
 
 
@@ -228,8 +228,13 @@ def _gate(watch: Watch, key: str) -> Iterator[Finding]:
     except codec.BadValue as error:
         yield Finding("broken", "gate", f"its word cannot be read ({error})", "is a foreign writer on its key?")
         return
-    remedy = _GATE_REMEDIES.get(gate.state, "")
-    yield Finding("warning" if remedy else "ok", "gate", f"{gate.state}: {gate.reason}".rstrip(": "), remedy)
+    remedy = remedy_of(gate.reason) if gate.state == "faulted" else _GATE_REMEDIES.get(gate.state, "")
+    yield Finding(
+        "warning" if remedy or gate.state == "faulted" else "ok",
+        "gate",
+        f"{gate.state}: {gate.reason}".rstrip(": "),
+        remedy,
+    )
     if gate.arming == "disarmed":
         yield Finding("broken", "arming", "disarmed: the policy runs, and nothing is sent to the robot",
                       "when everybody is clear: station arm")  # fmt: skip

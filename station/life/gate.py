@@ -6,25 +6,28 @@
        │                  ▼  │                    ▼  │
        └──blend done── returning ◄──still stale── holding          stopped: from anywhere, left only by `reset`
 
-A robot that stays where it is without a command (an arm) has no way back: after holding it is `waiting`, is told there
-where it rests, and enters a command at once, as fast as the rates let it. What stops it, or its own controller's fault
-(`faulted`), is left only for commands that begin anew after a silence: nobody drives on through a stop.
+A robot that stays where it is without a command (an arm) has no way back: after holding it is `waiting`, is told in
+every tick where it rests, and enters a command at once, as fast as the rates let it. A stop, or its own controller's
+fault (`faulted`), is left by `reset` like any robot's, and then only commands are followed that begin anew, after a
+silence that was heard since the reset: nobody drives on through a stop, and a hole in a stream is not letting go.
 
 A command that comes back while holding is followed at once if it was followed before; from returning, when the blend
 had not ended, or when somebody else gives it, it is entered again. What is a good command is decided before, in
 `station.life.inlet`. Whatever the state, no element moves faster than its rate (`station.life.slew`): a command that
-jumps is caught up with. Only `reset` jumps, to standing: there a robot starts anew.
+jumps is caught up with. Two things jump: `reset`, to standing, where a robot starts anew; and the output for a robot
+that stays while nobody moves it, which is where it rests.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import msgspec
 import numpy as np
 
+from station.life.gate_state import FOLLOWING, LATCHED, State
+from station.life.silence import Silence
 from station.life.slew import Bounds
 from station.life.writers import Rule
 from station.protocols import Floats
@@ -32,21 +35,17 @@ from station.protocols import Floats
 _ROUNDING = 1e-9  # five ticks of 0.02 s are 100 ms
 _LONGEST_TICK_S = 0.1  # a clock that leaps takes a blend no further than this
 _LATEST_S = 1e12  # beyond, a clock's ticks are lost in rounding
-_GOING_ON = "commands went on through the stop; let go, then engage anew"
 _SLACK_S = 0.02  # a command may arrive between the reading of the clock and of the command
-
-State = Literal["waiting", "entering", "tracking", "holding", "returning", "stopped", "faulted"]
-
-_LATCHED = ("stopped", "faulted")
 
 
 class GateConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How the gate treats fresh, late and absent commands.
 
     Attributes:
-        blend_in_s: Time from the present output to the live command [s].
+        blend_in_s: Time from the present output to the live command [s]; none for a robot that stays.
         hold_after_s: Age of the newest good command beyond which it is held rather than followed [s].
-        return_after_s: Age beyond which the robot is taken back to standing [s].
+        return_after_s: Age beyond which the robot is taken back to standing [s]; one that stays is nobody's from then
+            on, and commands of which silence is asked have to cease for longer than this.
         blend_out_s: Time from the held command to standing [s].
         rate_factor: Times the greatest rates of the command format; less moves more gently.
         rivals: Whom to obey when two write the command: ``keep-first`` refuses the second until the first has been
@@ -91,11 +90,12 @@ class Decision:
 
     Attributes:
         state: State after this tick.
-        vector: Command for the policy, shape (m,); always finite and within its bounds.
+        vector: Command for the robot, shape (m,); always finite. Within its bounds, where the robot is within them: one
+            that stays, and was pushed out, comes back at its rate.
         reason: Why it is in this state.
         age_s: Age of the newest good command [s]; infinite when there is none.
         transitions: Changes since the last tick, in order.
-        limited: Indices of the elements that would have moved faster than their rate.
+        limited: Indices of the elements that are not where the command wants them: its way is beyond rate or range.
     """
 
     state: State
@@ -120,12 +120,7 @@ class Gate:
     """
 
     def __init__(
-        self,
-        default: Floats,
-        config: GateConfig | None = None,
-        bounds: Bounds | None = None,
-        *,
-        stays: bool = False,
+        self, default: Floats, config: GateConfig | None = None, bounds: Bounds | None = None, *, stays: bool = False
     ) -> None:
         self.config = config or GateConfig()
         self._default = np.array(default, dtype=np.float64)
@@ -139,7 +134,7 @@ class Gate:
         self._since_s = 0.0
         self._is_entered = False  # whether the blend into the command has ended
         self._new_hands = ""  # why the next command is entered again
-        self._must_be_silent = False  # whether commands have to end before one is followed
+        self._silence = Silence(self.config.return_after_s)
         self._transitions: list[Transition] = []
         self._now_s: float | None = None
         self._passed_s = 0.0  # since the last tick, as far as it counts
@@ -155,7 +150,14 @@ class Gate:
         """Why it is in this state."""
         return self._reason
 
-    def step(self, now_s: float, command: Floats | None, age_s: float, *, refusal: str = "") -> Decision:
+    @property
+    def demand(self) -> str:
+        """What whoever commands has to do before he is followed, and why, or ""."""
+        return self._silence.missing
+
+    def step(
+        self, now_s: float, command: Floats | None, age_s: float, *, refusal: str = "", quiet_s: float | None = None
+    ) -> Decision:
         """Advance to an instant and return what the policy gets.
 
         Args:
@@ -164,23 +166,23 @@ class Gate:
             command: The newest good command, shape (m,), or None.
             age_s: Its age [s]; infinite when unknown. Ignored without a command.
             refusal: Why something newer was refused, or "".
+            quiet_s: For how long nothing has come, be it only to be refused [s]; None: for as long as the age says.
         """
         now_s = self._pass_time(now_s)
         self._limited = ()
-        is_silent = not -_SLACK_S <= age_s <= self.config.return_after_s + _ROUNDING
-        self._must_be_silent &= not is_silent
-        if self._must_be_silent:
-            command, refusal = None, refusal or _GOING_ON
+        self._silence.hear(age_s if quiet_s is None else quiet_s, self._passed_s)
+        if self.demand:
+            command, refusal = None, refusal or self.demand
         if command is None or command.shape != self._default.shape or not np.isfinite(command).all():
             command, age_s = None, math.inf
         elif not age_s >= -_SLACK_S:  # from the future, or not a number: nothing is known of it
             age_s = math.inf
         why = refusal or _staleness(age_s)
-        if self._state in _LATCHED:
+        if self._state in LATCHED:
             pass
         elif command is not None and age_s <= self.config.hold_after_s + _ROUNDING:
             self._follow(now_s, command)
-        elif self._state in ("entering", "tracking", "holding") and age_s <= self.config.return_after_s + _ROUNDING:
+        elif self._state in FOLLOWING and age_s <= self.config.return_after_s + _ROUNDING:
             self._move("holding", now_s, why)
         else:
             self._go_home(now_s, why)
@@ -192,35 +194,36 @@ class Gate:
         """Enter the next good command again: somebody else gives it."""
         self._new_hands = reason
 
-    def insist_on_silence(self) -> None:
-        """Follow nobody until good commands have ceased for longer than `GateConfig.return_after_s`."""
-        self._must_be_silent = True
+    def insist_on_silence(self, why: str) -> None:
+        """Follow nobody until commands have ceased, from now on, for longer than `GateConfig.return_after_s`."""
+        self._silence.insist(why)
 
     def rest(self, where: Floats, bounds: Bounds | None = None) -> None:
         """Say where a robot that stays is, shape (m,), before each `step`; and new bounds, where they have changed."""
         self._default = np.array(where, dtype=np.float64)
         self._bounds = bounds or self._bounds
-        if self._state in ("waiting", *_LATCHED):
+        if self._state in ("waiting", *LATCHED):
             self._vector = self._default.copy()
 
     def stop(self, reason: str) -> None:
-        """Latch the stop; the output stays what it was."""
-        self._latch("stopped", reason)
+        """Latch the stop; the output stays what it was, or where a robot that stays is (`rest`)."""
+        self._move("stopped", self._now_s or 0.0, reason)
 
     def fault(self, reason: str) -> None:
         """Latch what the robot's own controller says has gone wrong; a stop is more, and stays."""
         if self._state != "stopped":
-            self._latch("faulted", reason)
+            self._move("faulted", self._now_s or 0.0, reason)
 
     def reset(self, reason: str = "reset by the operator") -> None:
-        """Leave the stop, a fault, and any other state: wait for a command, output standing."""
+        """Leave the stop, a fault, and any other state: wait for a command, output standing (or where it rests).
+
+        Who commanded a robot that stays through its stop or fault has to let go, and begin anew.
+        """
+        if self._stays and self._state in LATCHED:
+            self._silence.insist(f"there was a {'stop' if self._state == 'stopped' else 'fault'}")
         self._vector = self._default.copy()
         self._is_entered = False
         self._move("waiting", self._now_s or 0.0, reason)
-
-    def _latch(self, state: State, reason: str) -> None:
-        self._must_be_silent |= self._stays
-        self._move(state, self._now_s or 0.0, reason)
 
     def _follow(self, now_s: float, command: Floats) -> None:
         if self._state in ("waiting", "returning") or (self._state == "holding" and not self._is_entered):

@@ -132,6 +132,12 @@ class Inlet:
             return False
         return now_s - self.sample.arrived_s <= within_s
 
+    def quiet_s(self, now_s: float) -> float:
+        """Return for how long no command has come, good or bad [s]; infinite when none has."""
+        if self.sample is None or self.sample.arrived_s is None:
+            return math.inf
+        return now_s - self.sample.arrived_s
+
     def age_s(self, now_s: float) -> float:
         """Return the age of the newest good command [s]; infinite when there is none or it is unknown.
 

@@ -114,7 +114,7 @@ class Life:
 
     def __init__(self, kind: ServerKind, name: str, bus: Bus, config_sha256: str) -> None:
         self.name = name
-        self._bus_timeout_s = kind.bus_timeout_s
+        self._kind = kind
         self.bus = bus
         self.stop_event = threading.Event()
         self._leash = leash.from_environment(self.stop_event.set)
@@ -138,8 +138,8 @@ class Life:
         return self.stop_event.is_set()
 
     def configured(self, facts: dict[str, Any]) -> None:
-        """State on the bus what this server runs; recording does not start before every low-level server has."""
-        self._configuration = codec.json_object(facts)
+        """State on the bus what this server runs, and its kind; no recording begins before all low-level ones have."""
+        self._configuration = codec.json_object({"kind": self._kind.name, **facts})
         self.bus.publish({keys.server_config(self.name): self._configuration})
 
     def ready(self) -> bool:
@@ -154,7 +154,7 @@ class Life:
                 pass
         if self.stopping:
             return False
-        self.bus.set_timeout(self._bus_timeout_s)
+        self.bus.set_timeout(self._kind.bus_timeout_s)
         self._become("active")
         return True
 

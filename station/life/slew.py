@@ -1,4 +1,4 @@
-"""How far a command may move in a tick: within its range, and no faster than its rate. Pure."""
+"""How far a command may move in a tick: no faster than its rate, and into its range or within it. Pure."""
 
 from __future__ import annotations
 
@@ -34,9 +34,15 @@ class Bounds:
         return cls(form.lower, form.upper, np.minimum(form.rate * factor, _UNLIMITED))
 
     def step(self, before: Floats, wanted: Floats, passed_s: float) -> Floats:
-        """Return what comes nearest to a vector after some time; the very vector when it is within bounds.
+        """Return what comes nearest to a vector after some time; the very vector where range and rate allow it.
 
-        What is out of its range (an arm that was pushed by hand) comes back at its rate, and does not jump.
+        The rate goes before the range: what is out of its range (an arm that was pushed there by hand) comes back at
+        its rate, and is out of it until it is back. Without time nothing moves.
+
+        Args:
+            before: Where it was, shape (m,).
+            wanted: Where to, shape (m,).
+            passed_s: How much time has passed [s]; counts for `LONGEST_TICK_S` at most, and below 0 for none.
         """
         most = self.rate * min(max(passed_s, 0.0), LONGEST_TICK_S)
         moved: Floats = np.clip(np.clip(wanted, self.lower, self.upper), before - most, before + most)

@@ -8,6 +8,7 @@ from station.bus import codec, keys
 from station.bus.sample import Sample
 from station.bus.watch import Watch
 from station.life import estop
+from station.life.gate_state import FOLLOWING, LATCHED
 from station.protocols import Floats
 
 SILENT_S = 1.5
@@ -16,9 +17,7 @@ SILENT_S = 1.5
 FOLLOWS_WITHIN_S = 2.0
 """A gate that has not begun to follow us by then obeys somebody else, or refuses us [s]."""
 
-_FOLLOWING = ("entering", "tracking", "holding")
 _LEAVING = ("holding", "returning")
-_LATCHED = ("stopped", "faulted")
 
 
 class _Gate(msgspec.Struct, frozen=True):
@@ -100,9 +99,9 @@ class RobotSide:
             return "the robot's server is silent"
         if sample.arrived_ns is None or sample.arrived_ns < self._begun_ns:
             return ""
-        if gate.state in _FOLLOWING:
+        if gate.state in FOLLOWING:
             self._has_followed = True
-        elif self._has_followed or gate.state in _LATCHED:
+        elif self._has_followed or gate.state in LATCHED:
             return f"the robot follows no more ({gate.state}: {gate.reason})"
         elif (now_ns - self._begun_ns) * 1e-9 > FOLLOWS_WITHIN_S:
             return f"the robot does not follow ({gate.state}: {gate.reason})"

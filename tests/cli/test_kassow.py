@@ -138,8 +138,8 @@ def test_stop_points_go_on_for_more_than_a_minute_and_via_points_do_not(kord: An
     faulty, cured = courses("stop-point")
     assert 98.0 <= faulty.rows["queued_motion_s"].max() <= 102.0
     assert faulty.still_moves_s > 90.0
-    assert cured.rows["queued_motion_s"].max() <= 0.05
-    assert cured.still_moves_s <= 0.05
+    assert cured.rows["queued_motion_s"].max() <= 2.0, "one target's own time: nothing else differs"
+    assert cured.still_moves_s <= 2.0
 
 
 def test_targets_that_are_sent_again_and_again_fill_the_buffer_and_the_dirty_flag_sends_one(kord: Any) -> None:
@@ -159,7 +159,7 @@ def test_targets_at_250_hz_come_faster_than_they_are_planned_and_at_125_hz_they_
     assert cured.sends == pytest.approx(375, abs=2)
 
 
-def test_too_short_a_time_ends_the_connection_and_a_speed_does_not(kord: Any) -> None:
+def test_too_short_a_time_ends_the_connection_and_steps_that_it_allows_do_not(kord: Any) -> None:
     faulty, cured = courses("short-time")
     assert "3002" in faulty.event
     assert cured.event == ""

@@ -10,10 +10,10 @@ import numpy as np
 
 from adapters.commands.arm import arm_command
 from adapters.robots import arm_limits
-from servers.kassow import result_values
 from station.bus import arm_contracts, codec, keys
 from station.config import to_plain
 from station.life.arm_control import ArmControl
+from station.life.arm_values import result_values
 from station.life.gate import GateConfig
 from station.life.inlet import CommandSample
 from station.protocols import Floats
@@ -32,6 +32,8 @@ class ArmRun:
         builder: Where it goes.
         beats: Heartbeats per tick that the session hears: 1, or less for one that misses some.
         floods: Whether targets are sent though they stand.
+        writer: Name of its server.
+        latency_s: 99th percentile of the time from a heartbeat to the sending of a command [s].
     """
 
     builder: EpisodeBuilder
@@ -42,6 +44,8 @@ class ArmRun:
     ticks: int = 0
     sends: int = 0
     faults: int = 0
+    writer: str = "kassow"
+    latency_s: float = 3e-6
 
     def __post_init__(self) -> None:
         self.control = ArmControl(self.arm, FORM, gate=GateConfig(), is_armed=True)
@@ -66,8 +70,8 @@ class ArmRun:
         self._is_due |= record.is_sent or self.floods
         if self.ticks % 2 and self._is_due:  # a throttle of 2
             self.sends, self._is_due = self.sends + 1, False
-        values = result_values(ROBOT, record, self.control, None, None)
-        self.builder.write(values, at_s=self.at_s + 0.0002, writer="kassow")
+        values = result_values(ROBOT, record, self.control.commanded, None, None)
+        self.builder.write(values, at_s=self.at_s + 0.0002, writer=self.writer)
 
     def move(self, seconds: float) -> None:
         """Move joint 1 at 0.3 rad/s."""
@@ -110,7 +114,7 @@ class ArmRun:
         counted = dict.fromkeys(arm_contracts.COUNTERS, 0.0)
         counted |= {"tick": float(int(self.ticks * self.beats)), "stream_j_sends": float(self.sends),
                     "fault_count": float(self.faults)}  # fmt: skip
-        times = [2e-6, 2e-6, 3e-6, 9e-6, 0.004, 0.0041, 0.0045, np.nan]
+        times = [2e-6, 2e-6, self.latency_s, 9e-6, 0.004, 0.0041, 0.0045, np.nan]
         word = {"backend": "sim", "profile": "speed125", "lead_rad": self.arm.lead_rad}
         values = {
             keys.state_joints(ROBOT): codec.f64(np.concatenate([q, np.zeros(14)])),
@@ -118,4 +122,4 @@ class ArmRun:
         }
         if self.ticks % 24 == 1:
             values[keys.state_controller(ROBOT)] = codec.json_object(word)
-        self.builder.write(values, at_s=self.at_s, writer="kassow")
+        self.builder.write(values, at_s=self.at_s, writer=self.writer)

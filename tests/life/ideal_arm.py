@@ -21,7 +21,7 @@ class IdealArm:
         self.speed_rad_s, self.lead_rad = speed_rad_s, lead_rad
         self.q = np.array([0.0, 0.35, 0.0, 1.6, 0.0, 1.19, 0.0])
         self.goal: Floats = self.q.copy()
-        self.fault = self.refusal = ""
+        self.fault = self.obstacle = self.refusal = self.target_refusal = ""  # `refusal` refuses to be engaged, too
         self.is_engaged = False
         self.sent: list[Floats] = []
         self.engaged_at: list[Floats] = []
@@ -35,7 +35,7 @@ class IdealArm:
         self.q = self.q + np.clip(self.goal - self.q, -self.speed_rad_s * TICK_S, self.speed_rad_s * TICK_S)
 
     def read(self) -> ArmState:
-        return ArmState(1, self.q.copy(), self.is_moving, self.fault, None)
+        return ArmState(1, self.q.copy(), self.is_moving, self.is_engaged, self.fault, self.obstacle, None)
 
     def engage(self) -> str:
         if self.refusal:
@@ -46,8 +46,8 @@ class IdealArm:
 
     def send(self, q: Floats) -> str:
         assert self.is_engaged
-        if self.refusal:
-            return self.refusal
+        if refusal := self.refusal or self.target_refusal:
+            return refusal
         self.sent.append(q)
         self.goal = q
         return ""

@@ -7,63 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from adapters.commands.arm import arm_command
-from adapters.robots import arm_limits
-from station.bus import codec
-from station.life.arm_control import ArmControl, ArmRecord
-from station.life.commanded import Happening
-from station.life.gate import GateConfig
-from station.life.inlet import CommandSample
-from station.protocols import Floats
-from tests.life.ideal_arm import TICK_S, IdealArm
-
-FORM = arm_command("kassow", arm_limits.load("kassow", "kr810"), speed_rad_s=1.0)
-STEP = np.array([0.0012, 0, 0, 0, 0, 0, 0])
-"""What 0.3 rad/s is in a tick."""
-
-
-class Bench:
-    """A control step, an ideal arm, and a commander that writes in each tick or is silent."""
-
-    def __init__(self, *, is_armed: bool = True) -> None:
-        self.arm = IdealArm()
-        self.control = ArmControl(self.arm, FORM, gate=GateConfig(), is_armed=is_armed)
-        self.now_s = 100.0
-        self.sample: CommandSample | None = None
-        self.told: list[Happening] = []
-        self.seq = 0
-        self.step()  # the gate's first instant, from which time passes
-
-    @property
-    def state(self) -> str:
-        return self.control.commanded.gate.state
-
-    def step(self, command: Floats | bytes | None = None) -> ArmRecord:
-        self.now_s += TICK_S
-        self.arm.pass_tick()
-        if command is not None:
-            self.seq += 1
-            value = command if isinstance(command, bytes) else codec.json_vector(command)
-            self.sample = CommandSample(value, arrived_s=self.now_s, seq=self.seq, source="teleop.1.b.n")
-        record = self.control.step(self.control.sense(), self.sample, self.now_s)
-        self.told += record.happenings
-        return record
-
-    def steps(self, seconds: float, command: Floats | None = None) -> ArmRecord:
-        for _ in range(round(seconds / TICK_S)):
-            record = self.step(command)
-        return record
-
-    def drive(self, ticks: int, start: Floats | None = None) -> Floats:
-        """Move joint 1 at 0.3 rad/s; return the newest command."""
-        command = self.arm.q.copy() if start is None else start
-        for _ in range(ticks):
-            command = command + STEP
-            self.step(command)
-        return command
-
-    def names(self) -> list[str]:
-        return [happening.name for happening in self.told]
+from tests.life.arm_bench import FORM, Bench
+from tests.life.ideal_arm import TICK_S
 
 
 def test_while_nobody_commands_nothing_is_sent_and_what_is_used_is_where_the_arm_is() -> None:
@@ -277,30 +222,6 @@ def test_an_arm_that_still_moves_is_not_engaged() -> None:
     assert bench.arm.engaged_at == []
     record = bench.steps(0.1, bench.arm.goal)
     assert record.decision.state == "tracking"
-
-
-def test_a_session_that_refuses_is_told_once_and_nothing_is_taken_for_sent() -> None:
-    bench = Bench()
-    command = bench.drive(10)
-    bench.arm.refusal = "not now"
-    record = bench.step(command + STEP)
-    assert not record.is_sent
-    np.testing.assert_array_equal(record.target, command)
-    bench.drive(10, command)
-    assert bench.names().count("target-refused") == 1
-
-
-def test_a_session_that_cannot_be_engaged_is_asked_again_and_told_of_once() -> None:
-    bench = Bench()
-    bench.arm.refusal = "not now"
-    for _ in range(10):
-        bench.step(bench.arm.q.copy())
-    assert bench.names().count("engage-refused") == 1
-    assert bench.arm.engaged_at == []
-    bench.arm.refusal = ""
-    bench.step(bench.arm.q.copy())
-    assert bench.state == "tracking"
-    assert len(bench.arm.engaged_at) == 1
 
 
 def test_the_record_lets_the_gate_be_asked_again_with_the_very_same_instant() -> None:

@@ -82,13 +82,20 @@ class ArmStation:
         """What the controller last said of itself."""
         return dict(codec.parse_json(self.bus.get(keys.state_controller(ROBOT)) or b"{}"))
 
+    def wait_for_rest(self) -> None:
+        """Wait until the controller says that the arm stands, in a word of later than now (it has ten a second)."""
+        key = keys.state_controller(ROBOT)
+        said = len(self.log.values(key))
+        wait_until(lambda: len(self.log.values(key)) > said + 1 and not self.controller()["moving"], TIMEOUT_S)
+
     def settle(self) -> None:
         """Let the arm stand, armed, with nobody commanding it and nothing stopping it."""
         if self.gate()["state"] == "stopped":
             self.bus.publish({keys.ESTOP: b"0"})
         arm_request.ask(self.bus, "arm", server="kassow")
         self.wait_for_gate("waiting")
-        wait_until(lambda: not self.controller()["moving"] and "let go" not in self.gate()["reason"])
+        self.wait_for_rest()
+        wait_until(lambda: "let go" not in self.gate()["reason"])
 
     def close(self) -> None:
         self.log.close()

@@ -1,6 +1,6 @@
 """A session with a Kassow controller, or with the simulated one: `station_kord` as a `station.arms.ArmSession`.
 
-The native package is imported only here and only when a session is opened: nothing else needs a compiler.
+Its clock and its thread are the native package's (`adapters.robots.kassow.native`); here nothing waits but `clear`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ import numpy as np
 
 from adapters.robots.arm_limits import ArmLimits
 from adapters.robots.kassow import kinematics
-from station.arms import ArmState, kord
+from adapters.robots.kassow.native import kord
+from station.arms import ArmState
+from station.bus.joints import ARM_7
 from station.errors import ConfigError, NotReady
 from station.protocols import Floats
 
@@ -28,6 +30,8 @@ CLEAR_WITHIN_S = 5.0
 
 _OVER_S = 2.0  # rates are taken over so long
 
+_CLEAR = "station kassow clear"
+
 
 class KordSession:
     """Implements `station.arms.ArmSession`.
@@ -35,12 +39,15 @@ class KordSession:
     Args:
         bridge: Connected.
         profile: Its profile.
+        limits: Of the joints.
         speed_rad_s: Greatest speed of a target [rad/s].
         lead_s: How long the arm may go on when nothing more is sent [s].
     """
 
-    def __init__(self, bridge: KordBridge, profile: Profile, *, speed_rad_s: float, lead_s: float) -> None:
-        self._bridge, self._profile = bridge, profile
+    def __init__(
+        self, bridge: KordBridge, profile: Profile, limits: ArmLimits, *, speed_rad_s: float, lead_s: float
+    ) -> None:
+        self._bridge, self._profile, self._limits = bridge, profile, limits
         self._speed_rad_s, self._lead_s = speed_rad_s, lead_s
         self._kord = kord()
         self._seen: deque[tuple[float, int, int]] = deque()  # time, ticks, sends
@@ -75,7 +82,10 @@ class KordSession:
     def read(self) -> ArmState:
         """Return the newest state of the session's thread."""
         state = self._newest = self._bridge.get_state()
-        return ArmState(time.monotonic_ns(), state.q, state.is_moving, fault_of(state), state)
+        obstacle = beyond_reach(state.q, self._limits, self.lead_rad)
+        return ArmState(
+            time.monotonic_ns(), state.q, state.is_moving, state.is_engaged, fault_of(state), obstacle, state
+        )
 
     def engage(self) -> str:
         """Take targets from now on."""
@@ -90,8 +100,8 @@ class KordSession:
         self._bridge.disengage()
 
     def clear(self) -> str:
-        """Clear the controller's faults, opening a lost session anew."""
-        return self._try(self._bridge.clear_faults, CLEAR_WITHIN_S)
+        """Clear the controller's faults, opening a lost session anew; what no alarm is, software cannot clear."""
+        return self._try(self._bridge.clear_faults, CLEAR_WITHIN_S) or not_ready(self._bridge.get_state())
 
     def choose(self, profile: str) -> str:
         """Track by another named profile, at standstill; return why not, or ""."""
@@ -131,14 +141,39 @@ class KordSession:
 
 
 def fault_of(state: State) -> str:
-    """Return why a controller takes no commands, in a line, or ""."""
+    """Return why a controller takes no commands, and what to do about it, in a line, or ""."""
     if state.is_connected and not state.is_faulted:
-        return ""
+        reason = not_ready(state)
+        return f"{reason}; when it is ready: {_CLEAR}" if reason else ""
     event = state.last_event
     why = f"{event.group} {event.id}: {event.text}" if event is not None else f"alarm {state.alarm_state:#x}"
     if not state.is_connected:
         why = f"the session with the controller is lost ({why})"
-    return why + ("; confirm it at the controller first" if state.needs_user_confirmation else "")
+    first = "confirm it at the controller, then" if state.needs_user_confirmation else "when its cause is gone"
+    return f"{why}; {first}: {_CLEAR}"
+
+
+def not_ready(state: State) -> str:
+    """Return why a controller without an alarm takes no commands all the same, or ""."""
+    return f"the controller is not ready: {state.not_ready}" if state.not_ready else ""
+
+
+def beyond_reach(q: Floats, limits: ArmLimits, lead_rad: float) -> str:
+    """Return which joint is so far outside its range that a target inside is farther ahead than it may be, or "".
+
+    Args:
+        q: Joints, shape (n,) [rad].
+        limits: Of the joints.
+        lead_rad: How far ahead of the arm a target may be [rad].
+    """
+    beyond = np.maximum(limits.q_min - q, q - limits.q_max)
+    joint = int(np.argmax(beyond))
+    if not beyond[joint] > lead_rad:
+        return ""
+    return (
+        f"{ARM_7[joint]} is {beyond[joint]:.3g} rad outside its range of {limits.q_min[joint]:.4g} to "
+        f"{limits.q_max[joint]:.4g} rad; move it back at the controller"
+    )
 
 
 def simulated(limits: ArmLimits, *, preset: Preset = "final", q_start: Sequence[float] | None = None) -> SimOptions:
@@ -217,4 +252,4 @@ def open_session(
         raise NotReady(str(error)) from None
     except native.BadOption as error:
         raise ConfigError(str(error)) from None
-    return KordSession(bridge, native.PROFILES[profile], speed_rad_s=speed_rad_s, lead_s=lead_s)
+    return KordSession(bridge, native.PROFILES[profile], limits, speed_rad_s=speed_rad_s, lead_s=lead_s)

@@ -78,6 +78,7 @@ def controller(state: State, lead_rad: float) -> dict[str, Any]:
         "engaged": state.is_engaged,
         "faulted": state.is_faulted,
         "moving": state.is_moving,
+        "not_ready": state.not_ready,
         "needs_confirmation": state.needs_user_confirmation,
         "motion_flags": state.motion_flags,
         "safety_flags": state.safety_flags,

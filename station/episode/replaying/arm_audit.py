@@ -4,7 +4,8 @@ An arm has no policy; what decides its motion is the gate. Two questions. Do the
 instants, give the recorded commands after the gate, and its states? And do those, with the recorded joints, give the
 recorded targets? With two times yes, the file holds everything that decided what was asked of the controller.
 
-Where nobody was followed nothing is derived: the recorded place of the arm is where the next derivation begins.
+Where nobody was followed nothing is derived: the recorded place of the arm is where the next derivation begins. Where
+the controller's session refused a target, its refusal stands in the file, and the target before holds on.
 """
 
 from __future__ import annotations
@@ -24,12 +25,13 @@ from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step, StepJoiner
 from station.episode.replaying.audit import Comparison
 from station.errors import ConfigError, EpisodeError
+from station.life.arm_control import aim
 from station.life.gate import Gate, GateConfig
+from station.life.gate_state import FOLLOWING, MOVING
 from station.life.inlet import Checked, check_command
 from station.life.slew import Bounds
 from station.protocols import Floats
 
-_FOLLOWING = ("entering", "tracking", "holding")
 _REMEMBERED = 4096  # commands, of all writers: some seconds
 _ARRIVED, _OBSERVED = 2 + TIMING_STAGES.index("command_arrived"), 2 + TIMING_STAGES.index("observed")
 
@@ -44,6 +46,7 @@ class ArmAudit(msgspec.Struct, kw_only=True):
         commands: Commands after the gate, derived and recorded.
         states_different: Followed ticks whose derived state of the gate is another.
         targets: Targets, derived and recorded, in the ticks whose joints are in the file.
+        refused: Ticks in which the controller's session refused to be engaged, or a target.
         segments: Runs of followed ticks without a missing one; derivation starts anew at each.
         incomplete: Followed ticks that cannot be derived: their command is not in the file, or had no number.
     """
@@ -55,6 +58,7 @@ class ArmAudit(msgspec.Struct, kw_only=True):
     commands: Comparison = msgspec.field(default_factory=Comparison)
     states_different: int = 0
     targets: Comparison = msgspec.field(default_factory=Comparison)
+    refused: int = 0
     segments: int = 0
     incomplete: int = 0
 
@@ -120,6 +124,7 @@ class _Run:
     config: GateConfig
     _commands: OrderedDict[int, list[Message]] = field(default_factory=OrderedDict)
     _before: Step | None = None
+    _held: Floats | None = None  # the target of the tick before, where somebody was followed in it
     _source: str = ""
 
     def __post_init__(self) -> None:
@@ -139,23 +144,25 @@ class _Run:
         number = found.steps - 1
         row, gate = _json(step, keys.policy_timing(robot)), _json(step, keys.command_gate(robot))
         used, target = _vector(step, keys.command_used(robot)), _vector(step, keys.target(robot))
-        state = gate.get("state") if isinstance(gate, dict) else None
+        state, refusal = (gate.get("state"), gate.get("target_refused")) if isinstance(gate, dict) else (None, None)
         is_row = isinstance(row, list) and len(row) == 2 + len(TIMING_STAGES) and all(type(n) is int for n in row)
         if used is None or target is None or not is_row:
-            self._before, found.incomplete = None, found.incomplete + 1
+            self._before, self._held, found.incomplete = None, None, found.incomplete + 1
             return
         now_s = row[_OBSERVED] * 1e-9
         follows_on = self._before is not None and step.number == self._before.number + 1
         is_new_state = self._before is not None and step.state_number != self._before.state_number
         self._before = step
-        if state not in _FOLLOWING or not follows_on:
+        held, self._held = self._held, target if state in FOLLOWING else None
+        found.refused += bool(refusal)
+        if state not in FOLLOWING or not follows_on:
             self._rest(used, now_s)
             return
         found.followed += 1
-        found.segments += self._gate.state not in _FOLLOWING
+        found.segments += self._gate.state not in FOLLOWING
         self._derive(number, row, used, str(state))
-        if is_new_state and state != "holding":
-            self._compare_target(number, step, used, target)
+        if is_new_state and state in MOVING:
+            self._compare_target(number, step, used, target, str(refusal or ""), held)
 
     def _rest(self, where: Floats, now_s: float) -> None:
         """Begin anew from where the arm is."""
@@ -187,14 +194,18 @@ class _Run:
                 return checked.vector
         return None
 
-    def _compare_target(self, number: int, step: Step, used: Floats, target: Floats) -> None:
+    def _compare_target(
+        self, number: int, step: Step, used: Floats, target: Floats, refusal: str, held: Floats | None
+    ) -> None:
         robot = self.found.robot
         joints = _vector(step, keys.state_joints(robot), size=21)
         word = _parsed(step.before.get(keys.state_controller(robot)))
         lead = word.get("lead_rad") if isinstance(word, dict) else None
         if joints is None or not isinstance(lead, float):
             return
-        self.found.targets.add(number, target, np.clip(used, joints[:7] - lead, joints[:7] + lead))
+        q = joints[:7]
+        kept = q if held is None else held  # what holds where a target was refused: the joints, where it is the first
+        self.found.targets.add(number, target, kept if refusal else aim(used, q, lead))
 
 
 def _vector(step: Step, key: str, size: int = 7) -> Floats | None:

@@ -51,6 +51,46 @@ def test_an_untouched_episode_is_equal_to_the_last_bit(tmp_path: Path) -> None:
     assert (found.segments, found.incomplete) == (2, 0)
 
 
+def test_a_target_that_the_session_refused_is_no_difference_and_the_one_before_holds(tmp_path: Path) -> None:
+    made = run(tmp_path)
+    made.be_silent(0.1)
+    made.arm.refusal = "not now"  # to be engaged
+    made.move(0.1)
+    made.be_silent(0.4)
+    made.arm.refusal = ""
+    made.arm.target_refusal = "joint 1 is out of its limits"  # from the first one on
+    made.move(0.1)
+    made.be_silent(0.4)
+    made.arm.target_refusal = ""
+    made.move(0.5)
+    made.arm.target_refusal = "joint 1 is out of its limits"
+    made.move(0.2)
+    made.arm.target_refusal = ""
+    made.move(0.5)
+    found = audited(made)
+    assert found.is_equal, found
+    assert found.refused == 1 + (25 + 24) + 50  # 24: until the last command is too old to be followed
+    assert found.targets.compared > 120
+
+
+@pytest.mark.parametrize("refused", [True, False])
+def test_a_target_that_changed_though_it_was_refused_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: bool
+) -> None:
+    made = run(tmp_path)
+    write: Callable[..., None] = made.builder.write
+
+    def forge(values: dict[str, bytes], **where: object) -> None:
+        if keys.target(ROBOT) in values and made.ticks == 121:
+            gate = codec.parse_json(values[keys.command_gate(ROBOT)])
+            values = {**values, keys.command_gate(ROBOT): codec.json_object(gate | {"target_refused": "no" * refused})}
+        write(values, **where)
+
+    monkeypatch.setattr(made.builder, "write", forge)
+    made.move(1.0)
+    assert audited(made).targets.different == refused
+
+
 @pytest.mark.parametrize("what", ["command", "target", "used"])
 def test_any_bit_that_was_changed_is_found(tmp_path: Path, what: str, monkeypatch: pytest.MonkeyPatch) -> None:
     made = run(tmp_path)

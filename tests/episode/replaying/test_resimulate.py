@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from station.episode.reading.reader import open_episode
+from station.episode.reading.reader import EpisodeReader, open_episode
 from station.episode.replaying.resimulate import to_sim
+from station.episode.storage.manifest import load_manifest, save_manifest
 from station.errors import EpisodeError
 from tests.episode import lock_step
 from tests.episode.synthetic import EpisodeBuilder, walk
@@ -41,3 +44,45 @@ def test_episode_without_a_stated_configuration_is_refused(tmp_path: Path) -> No
     walk(builder, seconds=0.2)
     with pytest.raises(EpisodeError, match="no low-level server has stated its configuration"):
         to_sim(open_episode(builder.finish()))
+
+
+def restated(folder: Path, **facts: object) -> EpisodeReader:
+    """Change what the low-level server of an episode has stated."""
+    manifest = load_manifest(folder)
+    manifest.servers["g1"] |= facts
+    save_manifest(manifest, folder)
+    return open_episode(folder)
+
+
+def test_a_server_of_another_name_is_known_by_its_kind_and_no_other_server_is_loaded(tmp_path: Path) -> None:
+    folder = lock_step.record(EpisodeBuilder(tmp_path), seconds=0.2)
+    restated(folder, server="left", kind="g1")
+    done = subprocess.run([sys.executable, "-c", REPLAY, str(folder)], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["10", "0", "servers.g1"]
+
+
+REPLAY = """
+import sys
+from station.episode.reading.reader import open_episode
+from station.episode.replaying.resimulate import to_sim
+found = to_sim(open_episode(sys.argv[1]))
+print(found.steps, found.different, *sorted(name for name in sys.modules if name.startswith("servers.")))
+"""
+
+
+@pytest.mark.parametrize(
+    ("facts", "words"),
+    [
+        ({"kind": "h1"}, "of a kind that is not installed here: unknown server 'h1'"),
+        ({"server": "left"}, "of a kind that is not installed here: unknown server 'left'"),
+        ({"config": {"rate_hz": "fast"}}, "the configuration of its g1 server is none of this version"),
+        ({"kind": "kassow", "config": {"host": "sim"}}, "an arm's controller keeps its own time"),
+    ],
+)
+def test_a_configuration_that_cannot_be_read_is_refused_in_one_line(
+    tmp_path: Path, facts: dict[str, object], words: str
+) -> None:
+    folder = lock_step.record(EpisodeBuilder(tmp_path), seconds=0.1)
+    with pytest.raises(EpisodeError, match=words) as caught:
+        to_sim(restated(folder, **facts))
+    assert "\n" not in str(caught.value)

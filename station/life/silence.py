@@ -1,0 +1,48 @@
+"""The silence that commands must begin with before a robot that was stopped follows them again. Pure."""
+
+from __future__ import annotations
+
+import math
+
+_ROUNDING = 1e-9  # 75 ticks of 4 ms are 0.3 s
+
+
+class Silence:
+    """Counts for how long nothing has come since silence was insisted on.
+
+    Only time that was waited through counts. What came before does not, and neither does what a stalled process or a
+    clock that leaps has not heard: a hole in a stream around the instant of a reset is not somebody who let go.
+
+    Args:
+        needed_s: Longer than this has nothing to come [s].
+    """
+
+    def __init__(self, needed_s: float) -> None:
+        self._needed_s = needed_s
+        self._heard_s: float | None = None  # None: from the next tick on
+        self._why = ""
+
+    @property
+    def missing(self) -> str:
+        """Why no command may be followed yet, or ""."""
+        return f"{self._why}; let go, then engage anew" if self._why else ""
+
+    def insist(self, why: str) -> None:
+        """Let nobody be followed before there was a silence from now on, for a reason."""
+        self._why, self._heard_s = why, None
+
+    def hear(self, age_s: float, passed_s: float) -> None:
+        """Take note of a tick.
+
+        Args:
+            age_s: Age of the newest that came [s]; infinite or no number where nothing did.
+            passed_s: How much time the tick counts for [s].
+        """
+        if not self._why:
+            return
+        if self._heard_s is None:
+            self._heard_s = 0.0
+            return
+        self._heard_s = min(self._heard_s + passed_s, math.inf if math.isnan(age_s) else max(age_s, 0.0))
+        if self._heard_s > self._needed_s + _ROUNDING:
+            self._why = ""

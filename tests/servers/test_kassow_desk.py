@@ -1,0 +1,120 @@
+"""What is asked of an arm's controller is answered, however it ends."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from servers.kassow import Desk
+from station.bus import codec
+from station.life.controller_request import Action, ControllerAnswer, ControllerRequest
+from tests.adapters.robots.kassow.driven_arm import DrivenArm
+from tests.waiting import wait_until
+
+ROBOT = "kassow_kr810"
+
+
+@pytest.fixture
+def arm(kord: Any) -> Iterator[DrivenArm]:
+    made = DrivenArm(kord)
+    yield made
+    made.session.close()
+
+
+@pytest.fixture
+def desk(arm: DrivenArm) -> Desk:
+    return Desk(arm.control, arm.session, ROBOT)
+
+
+def request(action: Action, number: str, **asked: Any) -> bytes:
+    return codec.json_object(ControllerRequest(action=action, id=number, robot=ROBOT, who="ada", **asked))
+
+
+def answer_to(desk: Desk, number: str) -> ControllerAnswer:
+    """Look as the server does, tick by tick, until a request is answered."""
+    found: list[ControllerAnswer] = []
+
+    def look() -> bool:
+        answer = desk.look()
+        if answer is not None and answer.id == number:
+            found.append(answer)
+        return bool(found)
+
+    wait_until(look)
+    return found[0]
+
+
+@pytest.mark.parametrize("kind", [MemoryError, RuntimeError, OSError])
+def test_a_clear_that_fails_in_a_way_that_nobody_foresaw_is_told_and_another_may_be_tried(
+    arm: DrivenArm, desk: Desk, monkeypatch: pytest.MonkeyPatch, kind: type[Exception]
+) -> None:
+    def fail(_: float) -> None:
+        raise kind("of the library,\nin two lines")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(arm.bridge, "clear_faults", fail)
+        desk.hear(request("clear", "a"))
+        refused = answer_to(desk, "a").refused
+    assert refused.startswith(f"clearing failed: {kind.__name__}: ")
+    assert "\n" not in refused
+    assert "clear-refused" in [happening.name for happening in arm.step(None).happenings]
+    desk.hear(request("clear", "b"))
+    assert answer_to(desk, "b").refused == ""
+
+
+def test_a_clear_for_which_the_system_has_no_thread_is_told(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    def none_left(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", none_left)
+    desk.hear(request("clear", "a"))
+    assert "can't start new thread" in answer_to(desk, "a").refused
+
+
+def test_a_second_clear_is_refused_while_the_first_goes_on_and_both_are_answered(
+    arm: DrivenArm, desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on = threading.Event()
+    clear = arm.bridge.clear_faults
+
+    def wait_and_clear(deadline_s: float) -> Any:
+        go_on.wait(60.0)
+        return clear(deadline_s)
+
+    monkeypatch.setattr(arm.bridge, "clear_faults", wait_and_clear)
+    desk.hear(request("clear", "a"))
+    desk.hear(request("clear", "b"))
+    assert answer_to(desk, "b").refused == "its faults are being cleared already"
+    go_on.set()
+    assert answer_to(desk, "a").refused == ""
+
+
+def test_answers_that_come_at_once_are_told_one_after_the_other(desk: Desk) -> None:
+    for number in range(5):
+        desk.hear(request("throttle", str(number), throttle=number + 1))
+    told = [answer.id for answer in (desk.look() for _ in range(200)) if answer is not None]
+    assert len(told) == 200
+    assert list(dict.fromkeys(told)) == ["0", "1", "2", "3", "4"]
+    assert all(told.count(str(number)) >= 25 for number in range(5))
+
+
+def test_a_clear_ends_driving_and_who_drove_has_to_let_go(arm: DrivenArm, desk: Desk) -> None:
+    arm.drive(20)
+    desk.hear(request("clear", "a"))
+    record = arm.drive(1)
+    assert record.decision.state == "waiting"
+    assert record.decision.reason == "the controller's faults are being cleared; let go, then engage anew"
+    assert answer_to(desk, "a").refused == ""
+    sends = arm.bridge.get_state().stream_j_sends
+    events = [happening.name for _ in range(100) for happening in arm.drive(1).happenings]
+    assert events == ["controller-cleared"]
+    assert arm.bridge.get_state().stream_j_sends == sends
+
+
+def test_requests_to_another_arm_and_what_is_none_are_not_answered(desk: Desk) -> None:
+    for data in (b"hello", codec.json_object(ControllerRequest(action="clear", id="a", robot="kassow_other"))):
+        desk.hear(data)
+    assert desk.look() is None
