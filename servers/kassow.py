@@ -22,6 +22,7 @@ from adapters.robots import arm_limits
 from adapters.robots.arm_limits import ArmLimits
 from adapters.robots.kassow import session as sessions
 from adapters.robots.kassow import wire
+from adapters.robots.kassow.names import MAKER, suffix
 from adapters.robots.kassow.native import kord
 from adapters.robots.kassow.session import KordSession
 from station.arms import ArmState, JointCommand
@@ -38,7 +39,6 @@ from station.life.server import Life
 from station.printable import printable
 from station.software import software
 
-MAKER = "kassow"
 RATE_HZ = 250.0
 """Ticks of the gate: as many as the controller's, so that no turn of the throttle passes without a target."""
 _ANSWERS = 16  # that wait to be told, at most
@@ -121,7 +121,7 @@ class KassowConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     @property
     def robot(self) -> str:
         """Suffix of the arm's keys."""
-        return "_".join(filter(None, (MAKER, self.model, self.name)))
+        return suffix(self.model, self.name)
 
 
 def main(config: KassowConfig, life: Life) -> int:

@@ -21,6 +21,7 @@ from adapters.drivers.arm_options import ArmOptions
 from adapters.drivers.arm_tool import ArmTool
 from adapters.robots import arm_limits
 from adapters.robots.kassow import kinematics
+from adapters.robots.kassow.names import MAKER, suffix
 from station import rotations
 from station.bus.joints import ARM_7
 from station.errors import ConfigError
@@ -29,8 +30,6 @@ from station.operator.deadman import Snapshot
 from station.operator.driver import Look
 from station.operator.reading import Pose, Reading
 from station.protocols import CommandFormat, Floats
-
-MAKER = "kassow"
 
 BASE, WRIST, TOOL = "joints 1-4", "joints 5-7", "tool"
 MODES = (BASE, WRIST, TOOL)
@@ -84,7 +83,7 @@ class ArmDriver:
         slowest = float(self._limits.qd_max.min())
         if options.speed_rad_s > slowest:
             raise ConfigError(f"speed_rad_s is {options.speed_rad_s:g}; the slowest joint does {slowest:.3g} rad/s")
-        robot = "_".join(filter(None, (MAKER, options.model, options.name)))
+        robot = suffix(options.model, options.name)
         self._form = arm_command(MAKER, self._limits, speed_rad_s=options.speed_rad_s, robot=robot)
         self._tool = _tool(options) if begins == "tool" or options.model in kinematics.MODELS else None
         self._modes = MODES if self._tool is not None else MODES[:-1]

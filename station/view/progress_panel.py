@@ -13,13 +13,13 @@ from rich.table import Table
 from rich.text import Text
 
 from station.episode.quality.falls import UPRIGHT_RAD
+from station.life.gate_state import LATCHED
 from station.life.server import Health
 from station.printable import printable
 from station.protocols import FALL_TILT_RAD
 from station.view.progress import ArmProgress, MotionProgress, PolicyProgress, Progress, RobotProgress
 
 _TURNING, _TURNS_PER_S = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏", 8.0
-_LATCHED = ("stopped", "faulted")
 _NAMES, _BAR = 8, 30  # characters
 _WORDS = {"unconfigured": "loading", "inactive": "ready", "active": "running", "finalized": "ended"}
 _COLOURS = {"loading": "yellow", "ready": "cyan", "running": "green", "ended": "dim", "starting": "dim", "died": "red"}
@@ -125,8 +125,8 @@ def _robot(robot: RobotProgress) -> str:
 def _arm(arm: ArmProgress) -> Text:
     """Gate and rates; why nothing is followed, where something is wrong."""
     rates = "" if arm.sync_hz is None else f"   {arm.sync_hz:.0f} heartbeats/s   {arm.send_hz or 0.0:.0f} targets/s"
-    why = f": {printable(arm.reason)}" if arm.gate in _LATCHED else ""
-    colour = "red" if arm.gate in _LATCHED else "green" if arm.gate == "tracking" else "yellow"
+    why = f": {printable(arm.reason)}" if arm.gate in LATCHED else ""
+    colour = "red" if arm.gate in LATCHED else "green" if arm.gate == "tracking" else "yellow"
     text = Text(f"● {printable(arm.gate)}{why}", style=colour)
     return text.append(f"   {printable(arm.backend)}, {printable(arm.profile)}{rates}", style="default")
 
