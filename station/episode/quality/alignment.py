@@ -5,8 +5,9 @@ By the clock: the instant at which the state of a step was read, less the instan
 By the joints: for each shift of k steps, the sum over steps and joints of (change of q in a step) times (change of the
 command k steps before), divided by the roots of both sums of squares; the lag is where that is greatest, a parabola
 through its neighbours giving parts of a step. Changes and not positions, so that an offset that stays says nothing.
-Only runs of steps without a gap count, while the gate tracks. Where the squared changes of either side sum up to less
-than 0.05 rad^2, or the two agree by less than a half, nothing is told.
+Of several steps that saw the same recorded state, as those of an arm do whose states are written less often than it is
+controlled, the first counts. Only runs without a gap count, while the gate tracks. Where the squared speeds of either
+side, summed over time, are less than 0.086 rad^2/s per joint, or the two agree by less than a half, nothing is told.
 """
 
 from __future__ import annotations
@@ -18,17 +19,17 @@ import numpy as np
 from station.bus import codec, contracts, keys
 from station.episode.quality.finding_parts import Alignment
 from station.episode.reading.steps import Step
+from station.life.gate_state import MOVING
 from station.protocols import Floats
 
 _STAGES = contracts.TIMING_STAGES
 _FIRST_STAGE, _SEQ = 2, 1  # of a row of `keys.policy_timing`
 _LARGEST = 1 << 62
-_FOLLOWED = ("entering", "tracking")
 _TRACKING = "tracking"
-_BEFORE, _AFTER = 10, 25
-"""Shifts that are tried: the state this many steps before its command, and after it."""
-_BLOCK = 512
-_LEAST_SUM = 0.05  # [rad^2]; a robot that stands sways by a hundredth of that in a minute
+_BEFORE_S, _AFTER_S = 0.2, 0.5
+"""Shifts that are tried: the state so long before its command, and after it."""
+_BLOCK, _MOST, _LEAST_RUN = 512, 128, 9  # samples: of a block; that are shifted by; of a run that tells the interval
+_LEAST_MOTION = 2.5 / 29  # [rad^2/s], of a joint; a G1 that stands sways by a hundredth of that in a minute
 _LEAST_CORRELATION = 0.5
 
 
@@ -38,34 +39,32 @@ class AlignmentMeter:
     def __init__(self, robot: str) -> None:
         self.robot = robot
         self._leads = array("q")
-        self._times = array("q")
         self._sequence = 0
         self._repeated = self._skipped = 0
         self._names = {
             key: contract.names if (contract := contracts.contract(key)) is not None else ()
-            for key in (keys.robot_state(robot), keys.command_used(robot))
+            for key in (keys.state_of_step(robot), keys.command_used(robot))
         }
         self._pairs = _pairs(*self._names.values())
         self._shifts = _Shifts()
-        self._last_number = 0
+        self._last = (0, 0)  # numbers of the step before, and of the state that it saw
 
     def feed(self, step: Step, gate: str) -> None:
         """Take a step, and the state that the gate was in."""
-        if gate in _FOLLOWED:
+        if gate in MOVING:
             self._take_timing(step)
-        if step.number != self._last_number + 1 or gate != _TRACKING:
+        (number, seen), self._last = self._last, (step.number, step.state_number)
+        is_next = step.number == number + 1
+        if gate != _TRACKING or not is_next or not 0 <= step.state_number - seen <= 1:
             self._shifts.cut()
-        self._last_number = step.number
-        if gate == _TRACKING:
+        if gate == _TRACKING and not (is_next and step.state_number == seen):
             self._take_joints(step)
 
     def result(self) -> Alignment:
         """Return how commands lay beside states."""
         leads = np.frombuffer(self._leads, np.int64) * 1e-9
         p50, p99 = np.percentile(leads, (50, 99)).tolist() if len(leads) else (None, None)
-        shift, correlation = self._shifts.result()
-        intervals = np.diff(np.frombuffer(self._times, np.int64)) * 1e-9
-        has_lag = shift is not None and len(intervals) > 0
+        lag_s, correlation = self._shifts.result(joints=len(self._pairs[0]))
         return Alignment(
             robot=self.robot,
             steps=len(leads),
@@ -75,8 +74,8 @@ class AlignmentMeter:
             lead_max_s=float(leads.max()) if len(leads) else None,
             repeated=self._repeated,
             skipped=self._skipped,
-            lag_s=shift * float(np.median(intervals)) if shift is not None and has_lag else None,
-            lag_correlation=correlation if has_lag else None,
+            lag_s=lag_s,
+            lag_correlation=correlation,
         )
 
     def _take_timing(self, step: Step) -> None:
@@ -101,20 +100,24 @@ class AlignmentMeter:
                 self._shifts.cut()
                 return
             vectors.append(codec.parse_f64(data)[columns])
-        self._times.append(step.at_ns)
-        self._shifts.feed(*vectors)
+        self._shifts.feed(step.at_ns, *vectors)
 
 
 class _Shifts:
-    """Sums over runs of consecutive steps, for each shift."""
+    """Sums over runs of consecutive samples, for each shift; how many shifts, their interval decides."""
 
     def __init__(self) -> None:
+        self._times = array("q")
+        self._begins = 0  # of the present run, in `_times`
         self._q: list[Floats] = []
         self._asked: list[Floats] = []
-        self._sums = np.zeros(_BEFORE + _AFTER + 1)
-        self._squares = np.zeros((2, len(self._sums)))
+        self._before = self._after = 0
+        self._sums = np.empty(0)
+        self._squares = np.empty((2, 0))
 
-    def feed(self, q: Floats, asked: Floats) -> None:
+    def feed(self, at_ns: int, q: Floats, asked: Floats) -> None:
+        """Take a sample: positions measured and commanded, shape (n,) [rad]."""
+        self._times.append(at_ns)
         self._q.append(q)
         self._asked.append(asked)
         if len(self._q) >= _BLOCK:
@@ -122,31 +125,47 @@ class _Shifts:
 
     def cut(self) -> None:
         """End the run; a block's end costs the few pairs that reach across it."""
-        if len(self._q) > _BEFORE + _AFTER + 2:
+        if len(self._q) >= _LEAST_RUN and not len(self._sums):
+            self._choose_shifts()
+        if len(self._sums) and len(self._q) > len(self._sums) + 1:
             with np.errstate(all="ignore"):
                 self._sum(np.diff(np.array(self._q), axis=0), np.diff(np.array(self._asked), axis=0))
-        self._q, self._asked = [], []
+        self._q, self._asked, self._begins = [], [], len(self._times)
+
+    def _choose_shifts(self) -> None:
+        """Choose how many are tried by the interval of the first run that has one."""
+        interval_s = float(np.median(np.diff(np.array(self._times[self._begins :], np.int64)))) * 1e-9
+        if interval_s > 0:
+            self._before, self._after = (
+                min(max(2, round(span_s / interval_s)), _MOST) for span_s in (_BEFORE_S, _AFTER_S)
+            )
+            self._sums = np.zeros(self._before + self._after + 1)
+            self._squares = np.zeros((2, len(self._sums)))
 
     def _sum(self, moved: Floats, asked: Floats) -> None:
         whole = np.isfinite(moved).all() and np.isfinite(asked).all()
-        middle = moved[_AFTER : len(moved) - _BEFORE]  # with a partner at every shift
+        middle = moved[self._after : len(moved) - self._before]  # with a partner at every shift
         if not whole or not len(middle):
             return
-        for place, shift in enumerate(range(-_BEFORE, _AFTER + 1)):
-            partner = asked[_AFTER - shift : _AFTER - shift + len(middle)]
+        for place in range(len(self._sums)):
+            first = self._after + self._before - place
+            partner = asked[first : first + len(middle)]
             self._sums[place] += float((middle * partner).sum())
             self._squares[:, place] += float((middle**2).sum()), float((partner**2).sum())
 
-    def result(self) -> tuple[float | None, float | None]:
-        """Return the shift at which both sides agree best [steps], and how well; None where nothing can be told."""
+    def result(self, joints: int) -> tuple[float | None, float | None]:
+        """Return the lag at which both sides agree best [s], and how well; None where nothing can be told."""
         self.cut()
-        if not np.isfinite(self._squares).all() or self._squares.min() < _LEAST_SUM:
+        if not len(self._sums) or not np.isfinite(self._squares).all():
+            return None, None
+        interval_s = float(np.median(np.diff(np.frombuffer(self._times, np.int64)))) * 1e-9
+        if not (interval_s > 0 and self._squares.min() > _LEAST_MOTION * joints * interval_s):
             return None, None
         agreement = self._sums / np.sqrt(self._squares[0] * self._squares[1])
         best = int(agreement.argmax())
         if agreement[best] < _LEAST_CORRELATION:
             return None, None
-        return best - _BEFORE + _part(agreement, best), float(agreement[best])
+        return (best - self._before + _part(agreement, best)) * interval_s, float(agreement[best])
 
 
 def _part(values: Floats, best: int) -> float:

@@ -1,5 +1,9 @@
 """What an arm's session with its controller counted: heartbeats, targets sent in motion and at hold, lateness, faults.
 
+Counters are those of a session and begin at 0 with it. What the session counted that the episode begins in is told by
+differences; of sessions that began later, because the server was started again, by all that they counted, and the sum
+is what counts. Of their latencies the greatest is told.
+
 Rates are differences of counters over the writer's time. A span of a fifth of a second counts as motion where nine of
 ten targets in it differ from the one before (now and then a tick meets no new command), as hold where none does. It
 counts as neither where some do, and right after motion, where its last target may still be on its way.
@@ -11,6 +15,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from station.bus import arm_contracts, codec, keys
 from station.episode.quality.finding_parts import ArmQuality
 from station.episode.reading.messages import Message
@@ -20,6 +26,8 @@ _SPAN_NS = 200_000_000
 _MOVING = 0.9
 _SETTLED_S = 0.4  # from the end of a motion until a hold is one
 _NAMES = (*arm_contracts.COUNTERS, *arm_contracts.SESSION_TIMES)
+_COUNTERS = len(arm_contracts.COUNTERS)
+_LARGEST = float(1 << 53)  # what counts to more than that in a double counts nothing
 
 
 def robots(topics: Iterable[str]) -> list[str]:
@@ -41,12 +49,43 @@ class _Rate:
 
 
 @dataclass
+class _Sessions:
+    """What the sessions of one process counted, one after the other.
+
+    Attributes:
+        since: Counters of the present one when the episode, or it, began, shape (11,).
+        newest: Newest counters and latencies of the present one, shape (19,).
+        counted, times: Of those that are over: what they counted within the episode, shape (11,), and their greatest
+            latencies, shape (8,) [s]; NaN where none was told.
+    """
+
+    since: Floats
+    newest: Floats
+    counted: Floats = field(default_factory=lambda: np.zeros(_COUNTERS))
+    times: Floats = field(default_factory=lambda: np.full(len(_NAMES) - _COUNTERS, np.nan))
+
+    def take(self, values: Floats) -> bool:
+        """Take the newest counters and latencies; return whether another session has begun."""
+        is_another = bool((values < self.newest)[:_COUNTERS].any())
+        if is_another:
+            self.counted, self.times = self.total()
+            self.since = np.zeros(_COUNTERS)
+        self.newest = values
+        return is_another
+
+    def total(self) -> tuple[Floats, Floats]:
+        """Return what all of them counted, and the greatest of their latencies."""
+        counters, times = self.newest[:_COUNTERS], self.newest[_COUNTERS:]
+        return self.counted + (counters - self.since), np.fmax(self.times, times)
+
+
+@dataclass
 class ArmMeter:
-    """Takes the messages of one arm and tells at the end what its session was like."""
+    """Takes the messages of one arm and tells at the end what its sessions were like."""
 
     robot: str
-    _first: tuple[int, Floats] | None = None
-    _last: tuple[int, Floats] | None = None
+    _sessions: dict[str, _Sessions] = field(default_factory=dict)  # by the process that has them
+    _source: str = ""  # the newest of them
     _span: tuple[int, Floats] | None = None  # where the present span began
     _targets: int = 0
     _moved: int = 0
@@ -69,14 +108,17 @@ class ArmMeter:
         elif message.topic == keys.state_controller(self.robot):
             self._take_word(message.data)
         elif message.topic == keys.state_counters(self.robot) and len(message.data) == 8 * len(_NAMES):
-            self._take_counters(message.publish_ns, codec.parse_f64(message.data))
+            values = codec.parse_f64(message.data)
+            if ((values >= 0) & (values <= _LARGEST))[:_COUNTERS].all():
+                self._take_counters(message.channel.source, message.publish_ns, values)
 
     def result(self) -> ArmQuality | None:
-        """Return what the session was like; None where nothing was counted."""
-        if self._first is None or self._last is None:
+        """Return what the sessions were like; None where nothing was counted."""
+        if not self._sessions:
             return None
-        last = dict(zip(_NAMES, self._last[1].tolist(), strict=True))
-        grown = dict(zip(_NAMES, (self._last[1] - self._first[1]).tolist(), strict=True))
+        counts, times = zip(*(sessions.total() for sessions in self._sessions.values()), strict=True)
+        grown = dict(zip(arm_contracts.COUNTERS, np.sum(counts, axis=0).tolist(), strict=True))
+        last = dict(zip(arm_contracts.SESSION_TIMES, np.fmax.reduce(times).tolist(), strict=True))
         counted = ("late_commands", "sync_timeouts", "missed_ticks", "limit_refusals", "commands_dropped_by_throttle")
         return ArmQuality(
             robot=self.robot,
@@ -97,13 +139,15 @@ class ArmMeter:
             period_max_s=_known(last["period_max"]),
         )
 
-    def _take_counters(self, at_ns: int, values: Floats) -> None:
-        if self._last is not None and (values < self._last[1])[: len(arm_contracts.COUNTERS)].any():
-            self._first = self._span = None  # another session: its server was started again
-        self._last = (at_ns, values)
-        self._first = self._first or self._last
-        if self._span is None:
-            self._span, self._targets, self._moved = self._last, 0, 0
+    def _take_counters(self, source: str, at_ns: int, values: Floats) -> None:
+        sessions = self._sessions.get(source)
+        if sessions is None:  # the first may have counted before the episode began
+            since = np.zeros(_COUNTERS) if self._sessions else values[:_COUNTERS]
+            sessions = self._sessions[source] = _Sessions(since, values)
+        is_another = sessions.take(values) or source != self._source
+        self._source = source
+        if is_another or self._span is None:
+            self._span, self._targets, self._moved = (at_ns, values), 0, 0
         elif at_ns - self._span[0] >= _SPAN_NS:
             self._close_span(at_ns, values)
 

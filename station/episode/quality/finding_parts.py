@@ -100,7 +100,7 @@ class ArmQuality(msgspec.Struct, frozen=True, kw_only=True):
         faults: Faults of the controller.
         late_commands, sync_timeouts, missed_ticks, limit_refusals, commands_dropped_by_throttle: As counted.
         sync_to_send_p50_s, sync_to_send_p99_s, sync_to_send_max_s: From a heartbeat to the sending of a command, since
-            the session began [s]; None where nothing was measured.
+            the session began [s], the greatest of several sessions; None where nothing was measured.
         period_p99_s, period_max_s: Likewise between two heartbeats.
     """
 

@@ -19,6 +19,7 @@ from station.episode.quality import falls
 from station.episode.quality.findings import FallSeen, Spread, StepQuality
 from station.episode.quality.pauses import Span
 from station.episode.reading.steps import Step
+from station.life.gate_state import MOVING
 from station.life.tracking import TrackingError
 from station.protocols import Floats
 
@@ -180,7 +181,7 @@ def _paused(times: NDArray[np.int64], gates: NDArray[np.str_], spans: Sequence[S
 def _followed(gates: NDArray[np.str_]) -> NDArray[np.bool_]:
     """Return which steps lie between the first and the last that followed a command; a robot left alone uses none."""
     found = np.zeros(len(gates), dtype=np.bool_)
-    used = np.flatnonzero(np.isin(gates, ("entering", _TRACKING)))
+    used = np.flatnonzero(np.isin(gates, MOVING))
     if len(used):
         found[used[0] : used[-1] + 1] = True
     return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from station.bus import contracts, keys
 from station.episode.quality.findings import Quality, Verdict
 from station.episode.quality.rule_file import Limits
 
@@ -12,7 +13,6 @@ Finder = Callable[[Quality, Limits], Iterator[tuple[Verdict, str]]]
 
 _GAP_PERIODS = 3  # a camera that is set to few pictures a second gives none for long
 _ANY_HZ = 1e9
-_ARM_HZ = 250.0  # of a Kassow controller
 
 
 def _camera_drops(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -86,8 +86,10 @@ def _arm_fault(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
 
 def _arm_sync(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for arm in quality.arms:
-        if arm.sync_hz is not None and arm.sync_hz < limits.arm_sync.below_share * _ARM_HZ:
-            yield "usable", f"{arm.robot}: {arm.sync_hz:.1f} heartbeats a second were heard, {_ARM_HZ:g} expected"
+        contract = contracts.contract(keys.target(arm.robot))  # a target per heartbeat
+        nominal_hz = (contract.rate_hz if contract is not None else None) or 0.0
+        if arm.sync_hz is not None and arm.sync_hz < limits.arm_sync.below_share * nominal_hz:
+            yield "usable", f"{arm.robot}: {arm.sync_hz:.1f} heartbeats a second were heard, {nominal_hz:g} expected"
 
 
 def _arm_flood(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from station.bus import contracts
@@ -15,6 +16,8 @@ from station.bus.tap import Write
 
 if TYPE_CHECKING:
     from station.bus.client import Bus
+
+_MOST = 1000  # a station has a dozen; a client may invent names
 
 
 def latched(bus: Bus, span_s: float) -> list[Write]:
@@ -30,7 +33,7 @@ def latched(bus: Bus, span_s: float) -> list[Write]:
     Raises:
         BusError: the bus cannot be read.
     """
-    held = bus.read([name for name in bus.names() if _is_state(name)])
+    held = bus.read(list(islice(filter(_is_state, bus.names()), _MOST)))
     now_ns = time.monotonic_ns()
     oldest_ns = now_ns - int(span_s * 1e9)
     found = [

@@ -19,7 +19,7 @@ from station.bus import codec, keys
 from station.episode.reading.reader import EpisodeReader, Message
 from station.episode.reading.steps import Step, StepJoiner
 from station.episode.replaying.recorded_policy import recorded_policy
-from station.errors import EpisodeError
+from station.errors import EpisodeError, UnknownName
 from station.life.control import ControlStep, StepRecord
 from station.life.gate import GateConfig
 from station.life.inlet import CommandSample
@@ -125,23 +125,26 @@ def _facts(reader: EpisodeReader, robot: str) -> dict[str, Any]:
 
 def _config(reader: EpisodeReader, facts: Mapping[str, Any]) -> _LowLevelConfig:
     """Read the recorded configuration as the type of the server that ran."""
-    kinds: list[ServerKind] = [registry.find("server", name) for name in registry.names("server")]
-    low_level = sorted((k for k in kinds if k.role == "low-level"), key=lambda kind: kind.name != facts.get("server"))
-    problem = "no low-level server is registered"
-    for kind in low_level:
-        try:
-            config: Any = msgspec.convert(facts.get("config"), kind.config)
-        except msgspec.ValidationError as error:
-            problem = f"{kind.name}: {error}"
-            continue
-        if not hasattr(config, "rig"):
-            raise EpisodeError(
-                f"episode {reader.episode_id}: an arm's controller keeps its own time, so its motion is not computed "
-                f"again; `station audit` derives its targets, and `station serve {kind.name}` with `station replay "
-                "--to bus --allow-live` moves a simulated one"
-            )
-        return _LowLevelConfig(config.rig, config.gate, config.is_armed)
-    raise EpisodeError(f"episode {reader.episode_id}: its server's configuration is not one of ours ({problem})")
+    name = facts.get("kind", facts.get("server"))  # older episodes tell its name alone, which is that of its kind
+    try:
+        kind: ServerKind = registry.find("server", str(name))
+        config: Any = msgspec.convert(facts.get("config"), kind.config)
+    except UnknownName as error:
+        raise EpisodeError(
+            f"episode {reader.episode_id}: its low-level server is of a kind that is not installed here: {error}; "
+            "install the package that has it"
+        ) from error
+    except msgspec.ValidationError as error:
+        raise EpisodeError(
+            f"episode {reader.episode_id}: the configuration of its {kind.name} server is none of this version: {error}"
+        ) from error
+    if not hasattr(config, "rig"):
+        raise EpisodeError(
+            f"episode {reader.episode_id}: an arm's controller keeps its own time, so its motion is not computed "
+            f"again; `station audit` derives its targets, and `station serve {kind.name}` with `station replay "
+            "--to bus --allow-live` moves a simulated one"
+        )
+    return _LowLevelConfig(config.rig, config.gate, config.is_armed)
 
 
 def _same_checkpoint(reader: EpisodeReader, recorded: str, rig: Rig) -> None:
