@@ -12,6 +12,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from station.bus.address import BusAddress
+from tests.lateness import EXCUSED
 
 
 def pytest_configure() -> None:
@@ -27,6 +28,14 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     """See that there is upstream data for a test that is marked with `assets`, before any of its fixtures."""
     if item.get_closest_marker("assets"):
         _upstream_data()
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say where a round was repeated because the machine was proven late, see tests/lateness.py."""
+    for report in terminalreporter.getreports("passed"):
+        for line in report.caplog.splitlines():
+            if EXCUSED in line:
+                terminalreporter.write_line(f"{report.nodeid}: {line}")
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,53 @@
-"""Which reasons against an episode tell of the machine that made it, and not of what is under test."""
+"""An episode that is not as it should be, and whether a machine that was late can be the reason."""
 
 from __future__ import annotations
 
-OF_A_BUSY_MACHINE = frozenset({"gap", "slow", "old-command", "interrupted", "commands-ended", "jerky", "misaligned"})
-"""Rules that find a station late. Nobody may expect a machine to be idle that runs the tests; what else is found in an
-episode (a loss, a fall, a hole, a rival, a joint that does not follow) is never the machine's."""
+from collections.abc import Callable
+
+from station.episode.quality.findings import Quality, Verdict
+from tests.lateness import STALE_S, TooLate, Waits
+
+_PERIOD_S = 0.02
+_SLOW_SHARE = 0.05  # of the writes are missing in a stream that is slow
+
+
+def _gap(quality: Quality, waits: Waits) -> tuple[float, float]:
+    return max(stream.longest_gap_s or 0.0 for stream in quality.streams) / 2, waits.longest_s  # two may wait in turn
+
+
+def _interrupted(_: Quality, waits: Waits) -> tuple[float, float]:
+    return STALE_S / 2, waits.longest_s
+
+
+def _old_command(quality: Quality, waits: Waits) -> tuple[float, float]:
+    return max(robot.command_age.p99_s or 0.0 for robot in quality.steps) - 2 * _PERIOD_S, waits.longest_s
+
+
+def _slow(quality: Quality, waits: Waits) -> tuple[float, float]:
+    return _SLOW_SHARE * quality.duration_s, waits.seconds()
+
+
+_OF_LATENESS: dict[str, Callable[[Quality, Waits], tuple[float, float]]] = {
+    "gap": _gap,
+    "interrupted": _interrupted,
+    "old-command": _old_command,
+    "slow": _slow,
+}
+"""By how much somebody was late at least for what a rule finds, and how long somebody was kept waiting, at a stretch or
+in all [s]; nothing that another rule finds is excused. The last two never reject an episode."""
+
+
+def expect_no_worse(than: Verdict, quality: Quality, waits: Waits) -> None:
+    """Fail where an episode has a worse verdict.
+
+    Raises:
+        TooLate: It has, and for nothing but what comes of being late.
+    """
+    waits.seconds()
+    worse = ("reject",) if than == "usable" else ("reject", "usable")
+    against = [reason for reason in quality.reasons if reason.verdict in worse]
+    assert {reason.rule for reason in against} <= set(_OF_LATENESS), quality.reasons
+    if against:
+        proofs = [_OF_LATENESS[reason.rule](quality, waits) for reason in against]
+        late_s, waited_s = min(proofs, key=lambda proof: proof[1] - proof[0])  # the one that is proven least
+        raise TooLate("; ".join(reason.text for reason in against), late_s, waited_s)

@@ -10,13 +10,14 @@ import pytest
 
 from station.bus import keys
 from station.bus.address import BusAddress
-from tests.cli.conftest import Wave
+from tests.cli.conftest import SLOWEST_HZ, Wave
 from tests.cli.running import Home, new_home
+from tests.lateness import TooLate, Waits, in_time
+from tests.main_job.station_runs import LOCK_STEP
 from tests.servers.g1_station import LIGHT
 
 SETTINGS = (*(f"g1.{setting}" for setting in LIGHT), "motion.motion=builtin:wave", "motion.enter_s=0.1",
-            "motion.leave_s=0.1")  # fmt: skip
-SLOW_HZ = 5.0  # a machine that is busy may run 50 Hz at much less; its clock is not the subject
+            "motion.leave_s=0.1", *LOCK_STEP)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +25,7 @@ def walked() -> Iterator[tuple[Home, str]]:
     """A home with a short episode of a simulated robot, and the name of its folder."""
     sets = [word for setting in SETTINGS for word in ("--set", setting)]
     with new_home() as home:
-        done = home.run("up", "g1-sim-motion", "--yes", "--record", "--task", "t", "--for", "2s", *sets)
+        done = home.run("up", "g1-sim-motion", "--yes", "--record", "--task", "t", *sets)
         assert done.returncode == 0, done.stderr
         yield home, done.stdout.strip()
 
@@ -36,16 +37,23 @@ def of(rows: list[dict[str, Any]], **wanted: str) -> dict[str, Any]:
 
 
 def test_status(live: Home) -> None:
+    in_time(lambda: look_at(live))
+
+
+def look_at(live: Home) -> None:
+    waits = Waits()
     found = live.json("status")
     motion = of(found["servers"], name="motion")
     assert motion["state"] == "active"
     assert motion["pid"] == live.pids()["motion"]
-    assert SLOW_HZ < motion["rate_hz"] < 60
     assert of(found["servers"], name="recorder")["state"] == "active"
     body = of(found["keys"], key=keys.action_body())
-    assert SLOW_HZ < body["rate_hz"] < 60
     assert 0 <= body["age_s"] < 1
     assert body["writer"] == "motion"
+    slow_hz, fast_hz = sorted((motion["rate_hz"], body["rate_hz"]))
+    assert 0 < fast_hz < 60
+    if slow_hz <= 40:
+        raise TooLate(f"50 Hz are {slow_hz:.1f} Hz", 1 - slow_hz / 40, waits.seconds())  # of a look of a second
 
 
 def test_status_that_watches_prints_a_line_per_look(live: Home) -> None:
@@ -71,7 +79,7 @@ def test_check(wave: Wave, verb: tuple[str, ...]) -> None:
     body = of(found["streams"], key=keys.action_body())
     assert body["lost"] == 0
     assert body["count"] > 250
-    assert SLOW_HZ < body["rate_hz"] < 55
+    assert SLOWEST_HZ < body["rate_hz"] < 55
     assert 0 < body["longest_gap_s"] < 5
 
 
@@ -105,7 +113,7 @@ def test_an_error_leaves_stdout_empty(home: Home) -> None:
 def test_audit(walked: tuple[Home, str]) -> None:
     home, episode = walked
     found = home.json("audit", episode)
-    assert found["steps"] > 20
+    assert found["steps"] > 50
     assert (found["different"], found["max_abs_difference"]) == (0, 0.0)
 
 
@@ -118,7 +126,7 @@ def test_check_of_a_robot(walked: tuple[Home, str]) -> None:
 
 def test_replay_to_a_simulation(walked: tuple[Home, str]) -> None:
     home, episode = walked
-    assert home.json("replay", episode, "--to", "sim")["steps"] > 20
+    assert home.json("replay", episode, "--to", "sim")["steps"] > 50
 
 
 def test_replay_to_a_bus(walked: tuple[Home, str], bus_home: Home) -> None:

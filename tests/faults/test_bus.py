@@ -35,8 +35,11 @@ from tests.faults.bus_station import (
     soon,
 )
 from tests.faults.recorded_station import recorded_station
+from tests.lateness import TooLate, Waits, excuse
 from tests.servers.g1_station import LIGHT, G1Process, Log, StockCommander, logged
 from tests.waiting import wait_until
+
+TOGETHER_S = 0.5  # what servers tell within it is one interruption
 
 
 def test_frozen_for_two_seconds_it_costs_no_write_and_the_robot_holds_stands_and_comes_back(
@@ -80,11 +83,13 @@ def test_killed_again_and_again_it_is_back_at_once_and_a_stop_stays_latched_thou
         os.kill(kept.pid, signal.SIGKILL)
         soon(lambda: kept.restarts == 2 and station.gate() == "stopped")
         wait_until(lambda: len(station.told(folder, "bus-back")) == 2 * len(SERVERS))
-        soon(lambda: station.gate() == "stopped" and estop.read(station.bus.get(keys.ESTOP) or b"").stop)
+        soon(lambda: estop.read(station.bus.get(keys.ESTOP) or b"").stop)
+        assert station.gate() == "stopped"
         station.bus.publish({keys.ESTOP: b'{"stop": false}'})
         wait_until(lambda: station.gate() == "tracking")
         ended = station.ask("stop")
     assert ended.path == str(folder)
+    assert gate_states(open_episode(folder)).count("stopped") == 1, "it stays so until it is released"
     quality = checked(folder)
     assert quality.verdict == "reject"
     assert {"holes", "bus-lost", "lost"} <= rules(quality)
@@ -99,7 +104,7 @@ def test_killed_again_and_again_it_is_back_at_once_and_a_stop_stays_latched_thou
 def test_connections_that_are_cut_come_back_at_once_and_each_cut_is_told_of(
     bus_server: BusAddress, tmp_path: Path
 ) -> None:
-    with robot_station(bus_server, tmp_path) as station:
+    with Waits.watched() as waits, robot_station(bus_server, tmp_path) as station:
         folder = Path(station.ask("start", task="walk").path or "")
         for kind, event, told_by in (
             ("replica", "tap-resumed", ["recorder"]),
@@ -111,12 +116,16 @@ def test_connections_that_are_cut_come_back_at_once_and_each_cut_is_told_of(
         soon(lambda: station.gate() == "tracking")
         soon(lambda: station.bus.publish({"hello": b"1"}))
         station.ask("stop", success=True)
+        waits.seconds()
     quality = checked(folder)
-    (cut,), losses = of_kind(quality, "tap-cut"), of_kind(quality, "bus-lost")
-    assert cut.told_by == ["recorder"]
-    assert [found.told_by for found in of_kind(quality, "watch-cut")] == [["g1", "motion"]]
-    assert sorted(name for found in losses for name in found.told_by) == SERVERS  # who is late tells of one of its own
-    assert cut.lost == 0
+    told = [(found.kind, found.told_by) for found in quality.interruptions if found.kind != "bus-silent"]
+    assert told[:2] == [("tap-cut", ["recorder"]), ("watch-cut", ["g1", "motion"])]
+    losses = of_kind(quality, "bus-lost")
+    assert len(told) == 2 + len(losses)
+    assert sorted(name for found in losses for name in found.told_by) == SERVERS
+    if len(losses) > 1:  # who notices half a second after the others tells of one of its own
+        excuse(TooLate(f"one cut was told as {len(losses)}", TOGETHER_S / 2, waits.longest_s))
+    assert of_kind(quality, "tap-cut")[0].lost == 0
     known = sum(found.lost or 0 for found in losses)
     assert 0 < lost(quality) <= known, "nothing is missing but what cut writers know to be lost"
     assert quality.holes == 0

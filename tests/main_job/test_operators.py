@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import pytest
 
 from station import assets
 from station.bus import keys
+from station.episode.quality.findings import Quality
 from tests.cli.running import Home
+from tests.lateness import Waits, in_time
 from tests.main_job.station_runs import ROOT as HOUSE
 from tests.servers.g1_station import LIGHT, ROBOT, Log, logged
-from tests.verdicts import OF_A_BUSY_MACHINE
+from tests.verdicts import expect_no_worse
 from tests.waiting import DEADLINE_S, wait_until
 
 PAD = {"gamepad": "builtin:gamepad/example.json"}
@@ -24,6 +26,7 @@ SCRIPTS: dict[str, dict[str, str]] = {
     "keyboard": {"keyboard": "builtin:keyboard/example.json"},
 }
 TRACKED = 100  # steps: two seconds
+SHARE = 0.3  # of all steps, those in which the operator was followed
 PATIENT = (*LIGHT, "gate.hold_after_s=0.5", "gate.return_after_s=2.0")
 """A robot that does not leave its operator because a busy machine is late with a command."""
 
@@ -37,22 +40,29 @@ def sets(scripts: dict[str, str]) -> list[str]:
 
 @pytest.mark.parametrize("device", SCRIPTS)
 def test_fake_operator_drives_the_robot_and_leaves_a_sound_episode(device: str, tmp_path: Path) -> None:
-    home = Home(tmp_path)
+    in_time(lambda: drive(device, Home(tmp_path)), rounds=3)
+
+
+def drive(device: str, home: Home) -> None:
     arguments = ("--yes", "--record", "--task", device, *sets(SCRIPTS[device]))
-    with home.running("up", f"runbooks/g1-sim-{device}.yaml", *arguments) as station:
+    with Waits.watched() as waits, home.running("up", f"runbooks/g1-sim-{device}.yaml", *arguments) as station:
         station.wait_for("✓ start g1")
         with logged(home.bus) as log:
-            wait_until(lambda: tracked(log) >= TRACKED, 2 * DEADLINE_S)
+            wait_until(lambda: tracked(log) >= max(TRACKED, 1.2 * SHARE * steps(log)), 2 * DEADLINE_S)
         station.interrupt()
         code, out = station.finish()
     assert code == 0, station.text
-    check: dict[str, Any] = home.json("check", out.strip())
-    assert check["events"]["operator-engaged"] >= 1, station.text
-    assert (check["falls"], check["resets"], check["estops"]) == (0, 0, 0)
-    rejected = {reason["rule"] for reason in check["reasons"] if reason["verdict"] == "reject"}
-    assert rejected <= OF_A_BUSY_MACHINE, check["reasons"]
-    (robot,) = check["steps"]
-    assert robot["gate_shares"]["tracking"] * robot["steps"] >= TRACKED
+    check = msgspec.convert(home.json("check", out.strip()), Quality)
+    assert check.events["operator-engaged"] >= 1, station.text
+    assert (check.falls, check.resets, check.estops) == (0, 0, 0)
+    (robot,) = check.steps
+    assert robot.gate_shares["tracking"] > SHARE
+    expect_no_worse("usable", check, waits)
+
+
+def steps(log: Log) -> int:
+    """Return how many steps the robot has made."""
+    return len(log.of(keys.command_gate(ROBOT)))
 
 
 def tracked(log: Log) -> int:

@@ -6,7 +6,7 @@ import contextlib
 import json
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from station.bus.tap import Write
 from station.life.events import Event
 from station.operator import reading as readings
 from station.operator.reading import Reading, Status
+from tests.lateness import STALE_S, TooLate, Waits, excuse
 from tests.servers.one_server import OneServer
 
 RUN = """
@@ -61,9 +62,22 @@ class Station(OneServer):
             self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=stderr)
 
     def states(self) -> list[str]:
-        """Return the states that were told, in order; without ``stale``, which a busy machine brings about as well."""
+        """Return the states that were told, in order."""
         told = [event.name.removeprefix("operator-") for event in self.events if event.name.startswith("operator-")]
-        return [state for state, _ in groupby(state for state in told if state != "stale")]
+        return [state for state, _ in groupby(told)]
+
+    def until_told(self, *states: str, beside: Callable[[], object]) -> None:
+        """Wait until states were told, in order, and something is so; ``stale`` is told only where somebody waited."""
+
+        def is_so() -> bool:
+            told = [state for state, _ in groupby(state for state in self.states() if state != "stale")]
+            return told == list(states) and bool(beside())
+
+        with Waits.watched() as waits:
+            self.until(is_so)
+            waits.seconds()
+        if "stale" in self.states():
+            excuse(TooLate(str(self.states()), STALE_S / 2, waits.longest_s))
 
     def told(self, name: str) -> Event:
         """Return the newest event of a name."""

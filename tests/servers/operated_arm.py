@@ -30,10 +30,11 @@ from station.life.supervisor import Supervisor
 from station.protocols import Floats
 from tests.life.ideal_arm import TICK_S, IdealArm
 from tests.servers.g1_station import Log
+from tests.waiting import wait_until
 
 ROBOT = keys.KASSOW_KR810
 TIMEOUT_S = 60.0
-_LATER_S = 2.5  # than the script says: by then the teleoperation server hears the arm, on a busy machine too
+_NOT_HEARD = "has not said where it is"  # how the teleoperation server speaks of an arm
 
 
 class ArmAtWork:
@@ -87,8 +88,8 @@ class OperatedArm:
 
     def __init__(self, folder: Path, steps: Sequence[Mapping[str, Any]], **teleop: Any) -> None:
         script = folder / "script.json"
-        later = [{**step, "at_s": step["at_s"] + _LATER_S} for step in steps]
-        script.write_text(json.dumps({"device": "spacemouse", "steps": later}))
+        script.write_text(json.dumps({"device": "spacemouse", "steps": list(steps)}))
+        self._spacemouse = SpacemouseConfig(fake=script)
         self.server = RedisServer.start(ServerOptions(folder=folder, socket=folder / "bus.sock"))
         self.bus = Bus(self.server.address, name="supervisor", timeout_s=5.0)
         self.log = Log(self.server.address)
@@ -96,15 +97,24 @@ class OperatedArm:
         self.arm: ArmAtWork | None = None
         try:
             self._start("teleop", TeleopConfig(device="spacemouse", **({"driver": "arm-tcp"} | teleop)))
-            self._start("spacemouse", SpacemouseConfig(fake=script))
         except BaseException:
             self.close()
             raise
 
     def start_arm(self) -> ArmAtWork:
-        """Let there be an arm."""
+        """Let there be an arm, and wait until the teleoperation server knows where it is."""
         self.arm = ArmAtWork(self.server.address)
+        wait_until(lambda: (why := self._why_not()) and _NOT_HEARD not in why, TIMEOUT_S)
         return self.arm
+
+    def start_script(self) -> None:
+        """Let the operator begin."""
+        self._start("spacemouse", self._spacemouse)
+
+    def _why_not(self) -> str:
+        """Return what the status line says of why nobody drives; "" where nothing is known."""
+        health = self.supervisor.health("teleop")
+        return str(health.detail.get("why_not", "")) if health is not None else ""
 
     def told(self, *names: str) -> list[Event]:
         """Return the events of some names, in order."""

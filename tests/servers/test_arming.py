@@ -14,6 +14,7 @@ from station.bus.client import Bus
 from station.errors import NotReady, Refused
 from station.life import arm_request
 from station.life.arming import RAMP_S
+from tests.lateness import TooLate, Waits, excuse
 from tests.servers.g1_station import FORM, LIGHT, ROBOT, G1Process, Log, StockCommander, logged, publish
 from tests.waiting import wait_until
 
@@ -44,8 +45,10 @@ def test_a_disarmed_robot_gets_nothing_though_its_policy_follows_the_commands(bu
 def test_arming_ramps_the_stiffness_up_is_told_and_the_robot_stays_on_its_feet(bus_server: BusAddress) -> None:
     with logged(bus_server) as log, G1Process(bus_server, *DISARMED), Bus(bus_server, name="ada", timeout_s=5.0) as bus:
         wait_until(lambda: ticks(log) > 5)
+        waits = Waits()
         assert arm_request.ask(bus, "arm", reason="a test") == {"g1": ["arming", "armed"]}
         wait_until(lambda: log.events("armed"))
+        waited_s = waits.seconds()
         before = ticks(log)
         wait_until(lambda: ticks(log) > before + 100)
         assert log.gate()["state"] == "waiting", "no command: it is armed while it stands"
@@ -55,12 +58,15 @@ def test_arming_ramps_the_stiffness_up_is_told_and_the_robot_stays_on_its_feet(b
         ramp = [value for value in stiffness(log) if value > 0]
         assert ramp[0] <= 0.06 * max(ramp)
         assert np.diff(ramp).max() <= 0.06 * max(ramp), "a tick late at most"
-        assert 20 <= np.count_nonzero(np.array(ramp) < max(ramp)) <= 100, "two seconds of 50 Hz, or of fewer late ticks"
+        rising = np.count_nonzero(np.array(ramp) < max(ramp))
+        assert 20 <= rising <= 100, "two seconds of 50 Hz, and of ticks that count for 0.1 s at most"
         assert log.events("armed")[0].wall_ns - arming.wall_ns > 0.9e9 * RAMP_S
         assert arm_request.ask(bus, "arm") == {"g1": ["armed"]}
         assert arm_request.ask(bus, "disarm") == {"g1": ["disarmed"]}
         wait_until(lambda: log.events("disarmed"))
         assert stiffness(log)[-1] == 0.0
+    if rising < 80:
+        excuse(TooLate(f"{rising} ticks in two seconds", (80 - rising) * 0.02, waited_s))
 
 
 def test_arming_is_refused_while_commands_come_that_are_not_valid(bus_server: BusAddress) -> None:
@@ -125,8 +131,10 @@ def test_the_key_of_the_emergency_stop_arms_under_the_same_rules(bus_server: Bus
             bus.publish({keys.ESTOP: release})
             wait_until(lambda: log.events("arm-refused"))
         silent_since = ticks(log)
+        wait_until(lambda: ticks(log) > silent_since + 5)
+        refused = log.gate()["refused"]
         wait_until(lambda: ticks(log) > silent_since + 100)
-        assert log.gate()["arming"] == "disarmed"
+        assert (log.gate()["refused"], log.gate()["arming"]) == (refused, "disarmed")
         bus.publish({keys.ESTOP: release})
         wait_until(lambda: log.gate()["arming"] == "armed")
 

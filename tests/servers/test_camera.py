@@ -143,26 +143,24 @@ def test_a_camera_that_is_torn_out_is_lost_and_comes_back_by_itself(
         assert station.stop() == 0
 
 
-def test_a_camera_that_gives_nothing_is_lost_until_it_does(
-    station: CameraStation, library: Path, devices: Path
+@pytest.mark.parametrize(
+    ("fails", "told"),
+    [
+        (False, "gives no pictures; is it covered by a switch"),
+        (True, "the line to it fails; try another cable"),
+    ],
+    ids=["gives nothing", "its line fails"],
+)
+def test_a_camera_without_pictures_is_lost_until_it_has_some(
+    station: CameraStation, library: Path, devices: Path, fails: bool, told: str
 ) -> None:
     with fake.camera(library, devices) as camera:
         begin(station, camera)
+        if fails:
+            pass_on(station, camera, 1)
+            camera.fail(errno.EIO)
         station.until(lambda: station.told("camera-lost"))
-        assert "gives no pictures; is it covered by a switch" in station.told("camera-lost")[0].detail["reason"]
-        pass_on(station, camera, 1)
-        station.until(lambda: station.told("camera-back"))
-
-
-def test_a_camera_whose_line_fails_is_lost_and_opened_anew(
-    station: CameraStation, library: Path, devices: Path
-) -> None:
-    with fake.camera(library, devices) as camera:
-        begin(station, camera)
-        pass_on(station, camera, 1)
-        camera.fail(errno.EIO)
-        station.until(lambda: station.told("camera-lost"))
-        assert "the line to it fails; try another cable" in station.told("camera-lost")[0].detail["reason"]
+        assert told in station.told("camera-lost")[0].detail["reason"]
         pass_on(station, camera, 2)
         station.until(lambda: station.told("camera-back"))
 

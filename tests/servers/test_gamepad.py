@@ -24,7 +24,7 @@ def test_a_script_stands_on_the_bus_and_a_torn_out_pad_is_rest_then_lost_then_ba
     walk = {"left_stick_y": 1.0, "left_bumper": 1.0}
     pad.start([{"at_s": 0.5, "set": walk}, {"at_s": 1.0, "plugged": False}, {"at_s": 1.5, "plugged": True},
                {"at_s": 4.0, "set": {"left_stick_y": 0.5}}])  # fmt: skip
-    pad.until(lambda: pad.states() == ["live", "lost", "live"] and pad.samples[-1].controls["left_stick_y"])
+    pad.until_told("live", "lost", "live", beside=lambda: pad.samples[-1].controls["left_stick_y"])
     controls = [sample.controls for sample in pad.samples]
     held = [index for index, each in enumerate(controls) if each["left_bumper"]]
     assert controls[held[0]]["left_stick_y"] == 1.0

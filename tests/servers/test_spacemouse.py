@@ -24,11 +24,16 @@ def mouse(bus_server: BusAddress, tmp_path: Path) -> Iterator[Station]:
         yield made
 
 
+def is_pushed(mouse: Station) -> bool:
+    twist = mouse.samples[-1].twist
+    return twist is not None and bool(twist[1] > 0.4)
+
+
 def test_a_script_stands_on_the_bus_and_a_torn_out_mouse_is_zero_then_lost_then_back(mouse: Station) -> None:
     push, rest = [0.0, 0.5, 0.0, 0.0, 0.0, -1.0], [0.0] * 6
     mouse.start([{"at_s": 0.5, "twist": push, "buttons": [1]}, {"at_s": 1.0, "plugged": False},
                  {"at_s": 1.5, "plugged": True}, {"at_s": 4.0, "twist": push}], dead_band=0.0)  # fmt: skip
-    mouse.until(lambda: mouse.states() == ["live", "lost", "live"] and mouse.samples[-1].twist[1] > 0.4)
+    mouse.until_told("live", "lost", "live", beside=lambda: is_pushed(mouse))
     twists = [sample.twist for sample in mouse.samples if sample.twist is not None]
     deflected = [index for index, twist in enumerate(twists) if twist.any()]
     np.testing.assert_allclose(twists[deflected[0]], push, atol=0.002)

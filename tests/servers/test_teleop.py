@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
@@ -23,21 +24,28 @@ from station.life.stop_button import StopButton
 from station.operator.buttons import HOLD_S
 from station.operator.requests import ArmButtons
 from station.protocols import Floats
+from tests.lateness import STALE_S, TooLate, Waits, in_time
 from tests.servers.g1_station import ROBOT, logged
 from tests.servers.operated_station import START_PAUSE, TIMEOUT_S, OperatedStation
-from tests.verdicts import OF_A_BUSY_MACHINE
+from tests.verdicts import expect_no_worse
 from tests.waiting import wait_until
 
 FORM = registry.find("command", "twist2")
 A, X, Y, B = START_PAUSE, "left_primary", "left_secondary", "right_secondary"
 EVERYTHING = [f"{side}_{what}" for side in ("left", "right") for what in ("trigger", "grip")]
+TOLD_OF_DRIVING = [f"operator-{what}" for what in ("engaged", "disengaged", "mode", "exit", "refused")]
 SAME = 1e-6
+ROUNDS = 3
 
 pytestmark = pytest.mark.timeout(240)
 
 
 def test_operator_waves_walks_lets_go_and_leaves(tmp_path: Path) -> None:
-    with OperatedStation(tmp_path) as station:
+    in_time(lambda: wave_walk_and_leave(Path(mkdtemp(dir=tmp_path))), ROUNDS)
+
+
+def wave_walk_and_leave(folder: Path) -> None:
+    with Waits.watched() as waits, OperatedStation(folder) as station:
         assert station.log.gate()["state"] == "waiting"
         station.engage()
         station.wait_for_gate("tracking")
@@ -50,21 +58,28 @@ def test_operator_waves_walks_lets_go_and_leaves(tmp_path: Path) -> None:
         station.let_go()
         station.press(X, until=lambda: station.told("operator-exit"))
         assert station.wait_for_end() == 0
-        assert len(station.told("operator-mode")) == len(station.told("operator-exit")) == 1
-        others = [reason for reason in station.reasons() if not is_of_the_device(reason)]
-        assert set(others) == {"released"}
-        assert others.count("released") >= 2
         jumps = station.restarts_at_engaging()
-        assert len(jumps) == len(station.told("operator-engaged")) >= 2
+        assert len(jumps) == len(station.told("operator-engaged"))
         assert max(jumps) <= SAME
         wait_until(lambda: np.abs(vectors(station)[-1] - FORM.default).max() <= SAME)  # the log may be a moment behind
         change = np.abs(np.diff(vectors(station), axis=0)) / (FORM.rate * 0.02)
         assert change.max() <= 1.0 + SAME
+        assert station.is_upright()
+        expect_told(station, waits, "engaged", "disengaged", "engaged", "mode", "disengaged", "exit")
         states = station.log.states()
         followed = states[states.index("tracking") :]
-        assert set(followed) <= {"entering", "tracking", "holding", "returning", "waiting"}
-        assert followed.count("tracking") > 0.5 * len(followed)
-        assert station.is_upright()
+        assert set(followed) <= {"tracking", "holding", "returning", "waiting"}
+        assert followed.count("tracking") > 0.8 * len(followed)
+
+
+def expect_told(station: OperatedStation, waits: Waits, *names: str) -> None:
+    """This was told of driving and nothing else; or the device fell silent because somebody had to wait."""
+    found = [event.name.removeprefix("operator-") for event in station.told(*TOLD_OF_DRIVING)]
+    silent = [reason for reason in station.reasons() if is_of_the_device(reason)]
+    if found != list(names) and silent:
+        waits.seconds()
+        raise TooLate(f"{silent[0]}: {found}", STALE_S / 2, waits.longest_s)
+    assert found == list(names)
 
 
 def is_of_the_device(reason: str) -> bool:
@@ -78,7 +93,11 @@ def vectors(station: OperatedStation) -> Floats:
 
 
 def test_silence_and_a_crash_let_go_until_a_new_press_and_a_long_absence_ends_the_commands(tmp_path: Path) -> None:
-    with OperatedStation(tmp_path, patience_s=2.0) as station:
+    in_time(lambda: be_silent_and_crash(Path(mkdtemp(dir=tmp_path))), ROUNDS)
+
+
+def be_silent_and_crash(folder: Path) -> None:
+    with Waits.watched() as waits, OperatedStation(folder, patience_s=2.0) as station:
         station.engage()
         station.wait_for_gate("tracking")
         station.worn.be_silent(1.0)
@@ -97,12 +116,12 @@ def test_silence_and_a_crash_let_go_until_a_new_press_and_a_long_absence_ends_th
         expect_nobody_drives(station)
         station.engage()
         station.wait_for_gate("tracking")
-        assert len(station.reasons()) >= 3
         assert all("pico is" in reason for reason in station.reasons())
         jumps = station.restarts_at_engaging()
-        assert len(jumps) == len(station.told("operator-engaged")) >= 4
         assert max(jumps) <= SAME
         assert station.is_upright()
+        expect_told(station, waits, *["engaged", "disengaged"] * 3, "engaged")
+        assert len(jumps) == 4
 
 
 def expect_nobody_drives(station: OperatedStation) -> None:
@@ -174,7 +193,11 @@ def test_an_arm_button_that_nobody_answers_is_told(bus_server: BusAddress) -> No
 
 
 def test_buttons_record_mark_and_begin_anew(tmp_path: Path) -> None:
-    with OperatedStation(tmp_path, record=True, task="wave", operator="ada") as station:
+    in_time(lambda: record_and_begin_anew(Path(mkdtemp(dir=tmp_path))), ROUNDS)
+
+
+def record_and_begin_anew(folder: Path) -> None:
+    with Waits.watched() as waits, OperatedStation(folder, record=True, task="wave", operator="ada") as station:
         station.press(Y, until=lambda: station.told("record-start"))
         station.engage()
         station.press(B, until=lambda: station.told("mark"))
@@ -186,11 +209,10 @@ def test_buttons_record_mark_and_begin_anew(tmp_path: Path) -> None:
         station.press(Y, until=lambda: len(station.told("record-stop")) == 2)
         assert not station.told("operator-record-refused")
         first, second = sorted((station.data / "wave").iterdir())
-        assert check(open_episode(first)).discarded
-        quality = check(open_episode(second))
-        assert not quality.discarded
-        rejected = {reason.rule for reason in quality.reasons if reason.verdict == "reject"}
-        assert rejected <= OF_A_BUSY_MACHINE, quality.reasons
+    assert check(open_episode(first)).discarded
+    quality = check(open_episode(second))
+    assert not quality.discarded
+    expect_no_worse("usable", quality, waits)
 
 
 def test_request_that_nobody_answers_is_told(tmp_path: Path) -> None:

@@ -34,6 +34,7 @@ def test_the_tool_is_moved_and_then_a_joint_and_let_go_the_arm_stays_where_it_is
     ]  # fmt: skip
     with OperatedArm(tmp_path, steps) as station:
         arm = station.start_arm()
+        station.start_script()
         started = arm.session.q.copy()
         released = station.wait_for("operator-disengaged")
         wait_until(lambda: bool((np.abs(station.commands()[-1] - arm.session.q) < 1e-9).all()))
@@ -56,7 +57,9 @@ def test_the_tool_is_moved_and_then_a_joint_and_let_go_the_arm_stays_where_it_is
 
 
 def test_nobody_drives_an_arm_that_has_not_said_where_it_is(tmp_path: Path) -> None:
-    with OperatedArm(tmp_path, [*press(0.5), *press(4.0)]) as station:
+    again = [step for number in range(1, 15) for step in press(4.0 * number)]  # until there is an arm
+    with OperatedArm(tmp_path, [*press(0.5), *again]) as station:
+        station.start_script()
         refused = station.wait_for("operator-refused")
         assert refused.detail["reason"] == "the robot has not said where it is; is its server started?"
         assert not len(station.commands())
@@ -67,9 +70,10 @@ def test_nobody_drives_an_arm_that_has_not_said_where_it_is(tmp_path: Path) -> N
 
 
 def test_after_a_fault_the_arm_is_driven_from_where_it_stands_and_only_after_a_new_press(tmp_path: Path) -> None:
-    steps = [*press(0.5), *push(1.0, [0, 0, 1, 0, 0, 0], 3.0), *press(5.0)]
+    steps = [*press(0.5), *push(1.0, [0, 0, 1, 0, 0, 0], 3.0), *press(5.0), *press(9.0), *press(13.0)]
     with OperatedArm(tmp_path, steps, driver="arm-joints") as station:
         arm = station.start_arm()
+        station.start_script()
         wait_until(lambda: len(arm.session.sent) > 50)
         arm.session.fault = "HALT: event 1010"
         ended = station.wait_for("teleop-commands-end")
@@ -89,6 +93,7 @@ def test_after_a_fault_the_arm_is_driven_from_where_it_stands_and_only_after_a_n
 def test_asked_to_stop_it_leaves_the_arm_where_it_is_at_once(tmp_path: Path) -> None:
     with OperatedArm(tmp_path, [*press(0.5), *push(1.0, [1, 0, 0, 0, 0, 0], 60.0)], leave_s=30.0) as station:
         arm = station.start_arm()
+        station.start_script()
         wait_until(lambda: len(arm.session.sent) > 50)
         station.supervisor.stop("teleop")
         last = station.commands()[-1]

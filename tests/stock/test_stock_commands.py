@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +13,15 @@ from station.bus import keys
 from station.bus.client import Bus
 from station.episode.reading.reader import open_episode
 from station.protocols import CommandFormat, Motion
+from tests.lateness import TooLate, Waits, excuse
 from tests.stock.conftest import OpenBus, Serve, finish, health
 from tests.stock.stock_twist2 import ACTIONS, BODY, STANDING, STATE_BODY, MotionServer, waving
-from tests.waiting import DEADLINE_S, wait_until
+from tests.waiting import wait_until
 
 AS_STOCK = ("policy=twist2", "robot_model=twist2:g1/g1_sim2sim_29dof.xml")
-FOLLOWED = ("tracking", "holding")  # the second a moment after the last command
+PATIENT = ("gate.hold_after_s=1.0", "gate.return_after_s=2.0")
+"""A robot that still follows when a busy machine looks at it a moment after the last command."""
+PERIOD_S = 0.02
 MOST_JOINT_ERROR_RAD = 0.11
 SETTLED = 150  # commands: stock steps into the clip at once, our gate blends for 1 s
 
@@ -36,11 +37,6 @@ def clip(name: str, seconds: float) -> list[list[float]]:
     motion: Motion = registry.find("loader", "motion")(name)
     times = 0.02 * (1 + np.arange(int(seconds / 0.02)))
     return [form.encode(motion.at(float(time_s)), motion.joint_names).tolist() for time_s in times]
-
-
-def until_followed(bus: Bus) -> Iterator[list[float]]:
-    """Commands of a robot that waves, until it follows them: on a machine that is busy that takes longer."""
-    return itertools.takewhile(lambda _: gate(bus) != "tracking", waving(DEADLINE_S))
 
 
 @pytest.fixture
@@ -72,10 +68,13 @@ class Follower:
 def test_robot_walks_to_stock_commands_and_all_of_it_is_recorded(
     open_bus: OpenBus, bus: Bus, serve: Serve, stock: MotionServer, motion: str, settings: tuple[str, ...]
 ) -> None:
-    g1, recorder = serve("g1", *settings), serve("recorder")
+    g1, recorder = serve("g1", *settings, *PATIENT), serve("recorder")
     started = open_bus.terminal.json("record", "start", "--task", "stock-walk")
     commands, follower = clip(motion, 8.0), Follower(stock)
-    stock.play(commands, follower.look)
+    with Waits.watched() as waits:
+        stock.play(commands, follower.look)
+        waited_s = waits.seconds()
+    assert gate(bus) == "tracking"
     assert np.mean(follower.errors[SETTLED:]) <= MOST_JOINT_ERROR_RAD
     stock.close()
     open_bus.terminal.json("record", "stop")
@@ -91,7 +90,8 @@ def test_robot_walks_to_stock_commands_and_all_of_it_is_recorded(
     check = open_bus.terminal.json("check", started["path"])
     (robot,) = check["steps"]
     assert (check["falls"], check["dropped"]) == (0, 0)
-    assert robot["gate_shares"]["tracking"] > 0.3
+    if (steps := robot["steps"]) <= 350:
+        excuse(TooLate(f"{steps} steps in 8 s", (351 - steps) * PERIOD_S, waited_s))
     assert open_bus.terminal.json("audit", started["path"])["different"] == 0
 
 
@@ -99,11 +99,11 @@ def test_robot_walks_to_stock_commands_and_all_of_it_is_recorded(
 def test_order_of_starting_does_not_matter(bus: Bus, serve: Serve, stock: MotionServer, is_first: bool) -> None:
     if is_first:
         stock.play(waving(0.1))
-    g1 = serve("g1")
+    g1 = serve("g1", *PATIENT)
     wait_until(lambda: gate(bus))
     assert gate(bus) == "waiting"  # an empty bus, or the last words of somebody who has gone, move nothing
-    stock.play(until_followed(bus))
-    assert gate(bus) in FOLLOWED
+    stock.play(waving(2.0))
+    assert gate(bus) == "tracking"
     stock.close()
     wait_until(lambda: gate(bus) == "waiting")  # stock would repeat the last command for ever
     assert g1.poll() is None
@@ -112,22 +112,21 @@ def test_order_of_starting_does_not_matter(bus: Bus, serve: Serve, stock: Motion
 def test_what_stock_may_write_wrongly_is_refused_and_the_robot_stands(
     bus: Bus, serve: Serve, stock: MotionServer
 ) -> None:
-    g1 = serve("g1")
+    g1 = serve("g1", *PATIENT)
     nan = [float("nan"), *STANDING[1:]]
     for body in ([*STANDING, 1.0, 0.0], [*STANDING, 0.0, 0.0, 0.0], nan, STANDING[:33]):
         stock.play([list(map(float, body))] * 5)
     stock.redis.set(BODY, "not a list")
     wait_until(lambda: sum(health(bus, "g1").detail.get("refused", {}).values()) >= 4)
     assert (g1.poll(), gate(bus)) == (None, "waiting")
-    stock.play(until_followed(bus))
-    assert gate(bus) in FOLLOWED
+    stock.play(waving(2.0))
+    assert gate(bus) == "tracking"
     stock.close()
 
 
 def test_robot_needs_none_of_the_companion_keys(bus: Bus, serve: Serve, stock: MotionServer) -> None:
-    g1 = serve("g1")
+    g1 = serve("g1", *PATIENT)
     others = [key for key in ACTIONS if key != BODY]
-    stock.play(until_followed(bus), each=lambda _: stock.redis.delete(*others))
-    assert g1.poll() is None
-    assert gate(bus) in FOLLOWED
+    stock.play(waving(2.0), each=lambda _: stock.redis.delete(*others))
+    assert (g1.poll(), gate(bus)) == (None, "tracking")
     stock.close()

@@ -14,6 +14,7 @@ import pytest
 from station.bus import keys
 from station.bus.client import Bus
 from station.episode.reading.reader import open_episode
+from tests.lateness import TooLate, Waits, excuse
 from tests.stock.conftest import OpenBus, Serve, finish
 from tests.stock.stock_twist2 import ACTIONS, LOOP_S, STANDING, STATE_BODY, LowLevelServer
 from tests.waiting import wait_until
@@ -42,15 +43,18 @@ def test_our_commands_are_what_a_stock_robot_reads(bus: Bus, serve: Serve, stock
     serve("motion", MOTION)
     wait_until(lambda: bus.get(keys.action_body()))
     stock.say_hello()
-    read = run(stock, 100)
+    with Waits.watched() as waits:
+        read, now_ms = run(stock, 100), time.time() * 1000
+        t_action, waited_s = stock.redis.get("t_action"), waits.seconds()
     for commands in read:
         assert [len(command) for command in commands] == list(ACTIONS.values())
         assert all(type(value) is float and math.isfinite(value) for command in commands for value in command)
-    t_action = stock.redis.get("t_action")
     assert t_action is not None
     assert t_action.isdigit()
-    assert abs(int(t_action) - time.time() * 1000) < 10_000
-    assert len({tuple(commands[0]) for commands in read}) > 10  # it moves
+    if (apart_s := abs(int(t_action) - now_ms) * 1e-3) >= 1.0:
+        excuse(TooLate("the last command", apart_s - 1.0, waits.longest_s))
+    if (different := len({tuple(commands[0]) for commands in read})) <= 50:  # it moves
+        excuse(TooLate(f"{different} different commands of 100", (51 - different) * LOOP_S, waited_s))
     assert read[-1][1:] == [[0.0] * 7, [0.0] * 7, [0.0] * 2]
 
 
@@ -59,13 +63,17 @@ def test_first_command_is_near_the_default_pose_and_no_step_is_a_jump(
 ) -> None:
     serve("motion", MOTION)
     wait_until(lambda: bus.get(keys.action_body()))
-    looks = [(time.monotonic(), STANDING[6:])]
+    looks, waits = [(time.monotonic(), STANDING[6:])], Waits()
     for _ in range(100):
         (body, *_others), *_ = run(stock, 1)
         looks.append((time.monotonic(), body[6:]))
+    waited_s = waits.seconds()
     for (before_s, one), (now_s, two) in itertools.pairwise(looks):
         step = max(abs(a - b) for a, b in zip(one, two, strict=True))
-        assert step < 0.3 + FASTEST_RAD_S * (now_s - before_s)  # [rad]; a late look sees several periods at once
+        between_s = now_s - before_s
+        assert step < 0.3 + FASTEST_RAD_S * between_s  # [rad]
+        if step >= 0.3:  # a late look sees several periods at once
+            excuse(TooLate(f"{step:.2f} rad in a look", between_s - LOOP_S, waited_s))
 
 
 def test_all_four_keys_outlive_our_motion_server(bus: Bus, serve: Serve, stock: LowLevelServer) -> None:
