@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.harness import Benchmark, Row, Settings, Target, alternate, compare, p50, p99
 from station import assets, registry
-from station.life.rig import DEFAULT_CHECKPOINTS
+from station.control.rig import DEFAULT_CHECKPOINTS
 from station.protocols import Policy, RobotState
 
 METHOD = """\

@@ -13,7 +13,7 @@ from adapters.retarget.human import of_height
 from adapters.retarget.pipeline import BodyRetarget
 from adapters.retarget.played import Played, noisy, person_of
 from benchmarks.harness import Benchmark, Row, Settings, Target, compare, mean, p50, p99
-from station.life.rig import Rig, RigConfig, build
+from station.control.rig import Rig, RigConfig, build
 from station.protocols import Motion
 from station.rehearse import Rehearsal, rehearse
 

@@ -14,10 +14,10 @@ from benchmarks import processes, stock, upstream
 from benchmarks.harness import Benchmark, Row, Settings, Target, alternate, compare
 from station import assets, registry
 from station.bus import codec
-from station.life.control import Resettable
-from station.life.inlet import CommandSample
-from station.life.playback import Playback
-from station.life.rig import build
+from station.control.control import Resettable
+from station.control.inlet import CommandSample
+from station.control.rig import build
+from station.motion.playback import Playback
 from station.protocols import Motion
 from station.rehearse import rehearse
 

@@ -7,8 +7,8 @@ be compared with earlier ones: what the station runs by itself is lighter.
 from __future__ import annotations
 
 from station import assets
+from station.control.rig import RigConfig
 from station.errors import StationError
-from station.life.rig import RigConfig
 
 CHECKPOINT = "twist2:ckpts/twist2_1017_20k.onnx"
 ROBOT_MODEL = "twist2:g1/g1_sim2sim_29dof.xml"

@@ -13,9 +13,9 @@ from benchmarks.harness import Benchmark, Row, Settings, Target, compare, mean, 
 from station import rotations
 from station.bus import codec
 from station.bus.joints import G1_29
-from station.life.control import ControlStep, StepRecord
-from station.life.inlet import CommandSample
-from station.life.rig import Rig, RigConfig, build
+from station.control.control import ControlStep, StepRecord
+from station.control.inlet import CommandSample
+from station.control.rig import Rig, RigConfig, build
 from station.operator.buttons import Buttons, button_map
 from station.operator.driving import Driving
 from station.operator.reading import Pose, Reading

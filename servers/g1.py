@@ -13,10 +13,10 @@ import msgspec
 from adapters.robots.g1 import wire
 from station import registry
 from station.config import to_plain
-from station.life.gate import GateConfig
+from station.control.gate import GateConfig
+from station.control.low_level import LowLevelLoop, result_values
+from station.control.rig import DEFAULT_POLICY, DEFAULT_ROBOT_MODEL, Rig, RigConfig, build
 from station.life.loop import Rate, real_time
-from station.life.low_level import LowLevelLoop, result_values
-from station.life.rig import DEFAULT_POLICY, DEFAULT_ROBOT_MODEL, Rig, RigConfig, build
 from station.life.server import Life, ServerKind
 from station.software import software
 

@@ -28,13 +28,13 @@ from adapters.robots.kassow.session import KordSession
 from station.arms import ArmState, JointCommand
 from station.bus import codec, keys
 from station.config import to_plain
-from station.life.arm_control import ArmControl
-from station.life.arm_kind import ArmServerKind
-from station.life.arm_values import result_values
+from station.control.arm_control import ArmControl
+from station.control.arm_kind import ArmServerKind
+from station.control.arm_values import result_values
+from station.control.gate import GateConfig
+from station.control.low_level import LowLevelLoop
 from station.life.controller_request import ControllerAnswer, ControllerRequest, read
-from station.life.gate import GateConfig
 from station.life.loop import Rate, real_time
-from station.life.low_level import LowLevelLoop
 from station.life.server import Life
 from station.printable import printable
 from station.software import software

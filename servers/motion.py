@@ -19,13 +19,13 @@ import msgspec
 from station import assets, registry
 from station.bus import codec, keys
 from station.bus.watch import Watch
+from station.control.rig import DEFAULT_ROBOT_MODEL
 from station.life.loop import real_time
 from station.life.own_key import OwnKey
 from station.life.pace import Pace, StatePace, WallPace
-from station.life.playback import AtEnd, Frame, Playback
-from station.life.playback_requests import Requests
-from station.life.rig import DEFAULT_ROBOT_MODEL
 from station.life.server import Life, ServerKind
+from station.motion.playback import AtEnd, Frame, Playback
+from station.motion.playback_requests import Requests
 from station.protocols import CommandFormat, Motion
 
 if TYPE_CHECKING:

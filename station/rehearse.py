@@ -14,12 +14,12 @@ import msgspec
 
 from station import registry, side_by_side
 from station.bus import codec
-from station.life.control import ControlStep, Resettable, StepRecord
-from station.life.gate import GateConfig
-from station.life.inlet import CommandSample
-from station.life.playback import Frame, Playback
-from station.life.rig import Rig, RigConfig, build
-from station.life.tracking import TrackingError
+from station.control.control import ControlStep, Resettable, StepRecord
+from station.control.gate import GateConfig
+from station.control.inlet import CommandSample
+from station.control.rig import Rig, RigConfig, build
+from station.control.tracking import TrackingError
+from station.motion.playback import Frame, Playback
 from station.protocols import CommandFormat, Motion, Policy, Robot
 
 
@@ -30,7 +30,7 @@ class Rehearsal(msgspec.Struct, frozen=True, kw_only=True):
         motion: What was rehearsed, as the user named it.
         fell: Whether the robot fell; the run ends there.
         fell_at_s: Motion time of the fall [s], or None.
-        mean_joint_error_rad: As in `station.life.tracking`; None when it fell before the motion played.
+        mean_joint_error_rad: As in `station.control.tracking`; None when it fell before the motion played.
         mean_root_height_error_m: Likewise [m].
         seconds: Simulated time, blends included [s].
         speed_x_realtime: Simulated time over wall time, loading left out.

@@ -17,6 +17,7 @@ from station.bus import keys
 from station.cli.main import VERBS, module_of
 
 ROOT = Path(__file__).parents[1]
+ARCHITECTURE = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
 OUTER = ("servers", "adapters", "bridges")
 HEAVY = (
     "av", "dynamixel_sdk", "grpc", "hid", "hidraw", "matplotlib", "mink", "mujoco", "onnxruntime", "pooch",
@@ -41,6 +42,26 @@ WHAT_EXPORTS_NEED = {
     "station.software",
 }  # fmt: skip
 """What reads an episode, and what every export shares; for `adapters/exports` alone."""
+
+MAY_IMPORT = {
+    "assets": set[str](),
+    "bus": set[str](),
+    "life": {"bus"},
+    "control": {"assets", "bus", "life"},
+    "motion": {"bus", "life"},
+    "protobuf": {"life"},
+    "camera": {"bus", "life"},
+    "episode": {"assets", "bus", "control", "life", "protobuf"},
+    "operator": {"bus", "control", "episode", "life"},
+    "supervision": {"assets", "bus", "episode", "life"},
+    "suite": {"assets", "bus", "control", "motion", "rehearse"},
+    "enrich": {"bus", "episode", "life", "protobuf"},
+    "export": {"bus", "episode"},
+    "foreign": {"bus", "episode"},
+    "view": {"assets", "bus", "control", "episode", "life"},
+    "report": {"bus", "episode", "view"},
+}
+"""What each room of `station` may use of the others, each only of those above it here; `cli` uses them all."""
 
 ROOMS_OF_AN_EPISODE = {
     "storage": set[str](),
@@ -106,6 +127,24 @@ def told(path: Path) -> str:
 @pytest.mark.parametrize("path", sources("station"), ids=told)
 def test_the_station_imports_no_server_adapter_or_bridge(path: Path) -> None:
     assert not within(ours(path), *OUTER)
+
+
+@pytest.mark.parametrize("room", MAY_IMPORT)
+def test_a_room_of_the_station_uses_only_what_architecture_says(room: str) -> None:
+    used = {name.split(".")[1] for path in sources(f"station/{room}") for name in within(ours(path), "station")}
+    assert used & (MAY_IMPORT.keys() | {"cli", "rehearse"}) <= MAY_IMPORT[room] | {room}
+    row = re.search(rf"^\| `station/{room}/` \|.*\|([^|]*)\|$", ARCHITECTURE, re.MULTILINE)
+    assert row, "docs/architecture.md tells of every room"
+    assert set(re.findall(r"`(\w+)`", row[1])) == MAY_IMPORT[room], "and what it may import"
+
+
+def test_rooms_of_the_station_have_an_order() -> None:
+    rooms = {path.name for path in (ROOT / "station").iterdir() if (path / "__init__.py").is_file()}
+    assert rooms == MAY_IMPORT.keys() | {"cli"}
+    above: set[str] = {"rehearse"}
+    for room, below in MAY_IMPORT.items():
+        assert below <= above
+        above.add(room)
 
 
 @pytest.mark.parametrize("room", ROOMS_OF_AN_EPISODE)
@@ -186,7 +225,7 @@ def test_every_server_registers_a_kind_of_its_own_name() -> None:
         "from station import registry; [registry.find('server', name) for name in registry.names('server')]",
         "from station import registry; [registry.find('device', name) for name in registry.names('device')]",
         "from station import registry; [registry.find('camera', name) for name in registry.names('camera')]",
-        "from station.life import runbook; runbook.load(runbook.find('g1-sim-motion'))",
+        "from station.supervision import runbook; runbook.load(runbook.find('g1-sim-motion'))",
         "from station.cli import main; [main.cli.get_command(None, verb) for verb in main.VERBS]",
     ],
     ids=["listing servers", "listing devices", "listing cameras", "reading a runbook", "listing verbs"],

@@ -10,10 +10,10 @@ import pytest
 
 from station import registry
 from station.bus import codec
+from station.control.control import StepRecord
+from station.control.rig import RigConfig, build
 from station.errors import StationError, UsageError
-from station.life.control import StepRecord
-from station.life.playback import Frame
-from station.life.rig import RigConfig, build
+from station.motion.playback import Frame
 from station.rehearse import Rehearsal, rehearse, rehearse_all
 
 BUILT_IN = ["builtin:walk-forward", "builtin:wave"]

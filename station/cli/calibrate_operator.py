@@ -110,7 +110,7 @@ def _device(
 def _started(device: str, server: str, sets: tuple[str, ...], line: Bus) -> Iterator[Callable[[], None]]:
     from station import config, registry
     from station.life.server import ServerKind
-    from station.life.supervisor import Supervisor, log_folder
+    from station.supervision.supervisor import Supervisor, log_folder
 
     kind: ServerKind = registry.find("server", device)
     given = config.overrides(sets, servers=None).get("", {})

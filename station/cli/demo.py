@@ -40,8 +40,8 @@ def command(for_: str | None, sets: tuple[str, ...], data: Path | None) -> None:
     from station import config
     from station.cli import up
     from station.episode.storage.folder import data_folder
-    from station.life import runbook as runbooks
-    from station.life.session import Recording
+    from station.supervision import runbook as runbooks
+    from station.supervision.session import Recording
 
     book = runbooks.load(runbooks.find("g1-demo"), sets)
     seconds = None if for_ is None else config.seconds(for_, where="--for")

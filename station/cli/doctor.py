@@ -21,7 +21,7 @@ def command(bus: str | None, as_json: bool) -> None:
 
     from station.bus.client import Bus
     from station.cli.tables import plain
-    from station.life import doctor
+    from station.supervision import doctor
 
     address = address_of(bus)
     findings = doctor.run(lambda: Bus(address, name="doctor", timeout_s=1.0))

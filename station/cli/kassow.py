@@ -13,9 +13,9 @@ from station import registry
 from station.bus import keys
 from station.bus.client import Bus
 from station.cli.options import Verbs, address_of, bus_option
+from station.control.arm_kind import ArmServerKind
 from station.errors import UsageError
 from station.life import controller_request
-from station.life.arm_kind import ArmServerKind
 from station.life.controller_request import Action
 
 if TYPE_CHECKING:

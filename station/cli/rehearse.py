@@ -18,7 +18,7 @@ from station.errors import UnknownName, UsageError
 from station.suite.cases import Group
 
 if TYPE_CHECKING:
-    from station.life.rig import RigConfig
+    from station.control.rig import RigConfig
     from station.rehearse import Rehearsal
     from station.suite.outcome import Outcome
     from station.suite.run import Evaluation
@@ -54,7 +54,7 @@ def command(
     With --suite: stand, track every clip, be pushed, move the arms at random, hear late, lose the commands and get
     them back. Exit code 1 when the policy did not keep a limit; station/suite/promise.py has them all.
     """
-    from station.life.rig import DEFAULT_POLICY, DEFAULT_ROBOT_MODEL, RigConfig
+    from station.control.rig import DEFAULT_POLICY, DEFAULT_ROBOT_MODEL, RigConfig
     from station.view.offscreen import VARIABLE
 
     os.environ[VARIABLE] = "disable"  # nothing is drawn: no process need look for OpenGL as it imports MuJoCo

@@ -16,10 +16,10 @@ from station.bus.client import Bus
 from station.cli.options import bus_option, data_option, set_option
 from station.episode.storage.folder import data_folder
 from station.episode.storage.request import RecordAnswer
-from station.life import runbook as runbooks
-from station.life.runbook import Runbook, StartStep
-from station.life.session import Recording, Session
-from station.life.supervisor import Supervisor, how_it_ended, log_folder
+from station.supervision import runbook as runbooks
+from station.supervision.runbook import Runbook, StartStep
+from station.supervision.session import Recording, Session
+from station.supervision.supervisor import Supervisor, how_it_ended, log_folder
 
 
 @click.command("up")

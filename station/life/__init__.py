@@ -1,1 +1,1 @@
-"""How a process lives, and how a station starts."""
+"""A server's life, and what every one of them shares: its loop, events, requests, the emergency stop."""

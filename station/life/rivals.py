@@ -1,7 +1,7 @@
 """Notices two writers of one key: a robot that obeys two operators in turn. Pure; its time is given.
 
 A writer is the source in its stamps, or `FOREIGN`: two that write without stamps cannot be told apart.
-(`station.life.writers` decides which of them is obeyed.)
+(`station.control.writers` decides which of them is obeyed.)
 """
 
 from __future__ import annotations

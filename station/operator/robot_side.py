@@ -7,8 +7,8 @@ import msgspec
 from station.bus import codec, keys
 from station.bus.sample import Sample
 from station.bus.watch import Watch
+from station.control.gate_state import FOLLOWING, LATCHED
 from station.life import estop
-from station.life.gate_state import FOLLOWING, LATCHED
 from station.protocols import Floats
 
 SILENT_S = 1.5

@@ -8,7 +8,7 @@ import numpy as np
 
 from station.bus import contracts
 from station.errors import ConfigError
-from station.life.playback import Playback
+from station.motion.playback import Playback
 from station.protocols import CommandFormat, Floats, Motion
 from station.suite.cases import Silence
 

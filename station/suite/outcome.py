@@ -49,7 +49,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
         case: Its name.
         group: Its group.
         falls: In order; the first ends most cases.
-        joint_error_rad: Mean joint error of the ticks that count (`station.life.tracking`); None when none did.
+        joint_error_rad: Mean joint error of the ticks that count (`station.control.tracking`); None when none did.
         lean_rad: How far the root leaned at most [rad].
         drift: Of a robot that was asked to stand and did not fall, else None.
         simulated_s: Simulated time [s].

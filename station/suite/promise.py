@@ -8,7 +8,7 @@ from itertools import product
 
 import msgspec
 
-from station.life.gate import GateConfig
+from station.control.gate import GateConfig
 from station.suite.cases import Arms, Case, Cut, Group, Push, Silence, Stand, Track
 
 LIMITS: dict[Group, str] = {
@@ -23,7 +23,7 @@ LIMITS: dict[Group, str] = {
 """The groups, in the order of the table, and what is asked in each."""
 
 JOINT_ERROR_RAD = 0.10
-"""Greatest mean joint error of each run of the groups `track` and `unseen`, as in `station.life.tracking`."""
+"""Greatest mean joint error of each run of the groups `track` and `unseen`, as in `station.control.tracking`."""
 
 SETTLED_S = 5.0
 """Drift is measured from here: from the start pose every policy first takes its own stance, some centimetres away."""

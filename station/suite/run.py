@@ -9,7 +9,7 @@ from pathlib import PurePath
 import msgspec
 
 from station import side_by_side
-from station.life.rig import RigConfig
+from station.control.rig import RigConfig
 from station.suite import clips, promise
 from station.suite.cases import Case, Group
 from station.suite.judge import Summary, judge

@@ -11,11 +11,11 @@ import numpy as np
 
 from station import registry
 from station.bus import codec
+from station.control.control import ControlStep, StepRecord
+from station.control.inlet import CommandSample
+from station.control.rig import Rig, RigConfig, build
+from station.control.tracking import TrackingError
 from station.errors import ConfigError
-from station.life.control import ControlStep, StepRecord
-from station.life.inlet import CommandSample
-from station.life.rig import Rig, RigConfig, build
-from station.life.tracking import TrackingError
 from station.protocols import Floats, Motion, RobotState, SimulatedRobot
 from station.rehearse import rehearse
 from station.rotations import roll_pitch_yaw, tilt

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from station import assets
 from station.bus import keys
+from station.control.rig import DEFAULT_ROBOT_MODEL
 from station.errors import StationError
-from station.life.rig import DEFAULT_ROBOT_MODEL
 
 if TYPE_CHECKING:
     from station.view.model import RobotModel

@@ -12,8 +12,8 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from station.control.gate_state import LATCHED
 from station.episode.quality.falls import UPRIGHT_RAD
-from station.life.gate_state import LATCHED
 from station.life.server import Health
 from station.printable import printable
 from station.protocols import FALL_TILT_RAD

@@ -1,4 +1,4 @@
-"""How far each joint was from where it was asked to be, by the definition of `station.life.tracking`."""
+"""How far each joint was from where it was asked to be, by the definition of `station.control.tracking`."""
 
 from __future__ import annotations
 

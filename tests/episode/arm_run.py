@@ -12,13 +12,13 @@ from adapters.commands.arm import arm_command
 from adapters.robots import arm_limits
 from station.bus import arm_contracts, codec, keys
 from station.config import to_plain
-from station.life.arm_control import ArmControl
-from station.life.arm_values import result_values
-from station.life.gate import GateConfig
-from station.life.inlet import CommandSample
+from station.control.arm_control import ArmControl
+from station.control.arm_values import result_values
+from station.control.gate import GateConfig
+from station.control.inlet import CommandSample
 from station.protocols import Floats
+from tests.control.ideal_arm import TICK_S, IdealArm
 from tests.episode.synthetic import MONO_START_NS, EpisodeBuilder
-from tests.life.ideal_arm import TICK_S, IdealArm
 
 ROBOT = keys.KASSOW_KR810
 FORM = arm_command("kassow", arm_limits.load("kassow", "kr810"), speed_rad_s=1.0)

@@ -13,11 +13,11 @@ from adapters.robots.g1 import wire
 from servers.g1 import G1Config
 from station import registry
 from station.bus import codec, keys
-from station.life.control import ControlStep
-from station.life.inlet import CommandSample
-from station.life.low_level import result_values
-from station.life.playback import Playback
-from station.life.rig import Rig, build
+from station.control.control import ControlStep
+from station.control.inlet import CommandSample
+from station.control.low_level import result_values
+from station.control.rig import Rig, build
+from station.motion.playback import Playback
 from tests.episode.synthetic import EpisodeBuilder
 
 MOTION = "builtin:walk-forward"

@@ -21,8 +21,8 @@ from station.episode.storage.request import RecordAnswer
 from station.errors import BusError
 from station.life.restarts import Restarts
 from station.life.server import Health, read_health
-from station.life.supervisor import Supervisor
 from station.protocols import FALL_TILT_RAD
+from station.supervision.supervisor import Supervisor
 from tests.faults.cuttable_line import CuttableLine
 from tests.faults.onlooker import Onlooker
 from tests.waiting import wait_until

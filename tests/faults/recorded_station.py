@@ -24,7 +24,7 @@ from station.episode.recorder import remote
 from station.episode.storage.manifest import load_manifest
 from station.episode.storage.request import RecordAnswer, RecorderState
 from station.life.restarts import Restarts
-from station.life.supervisor import Supervisor
+from station.supervision.supervisor import Supervisor
 from tests.episode.filming import jpeg
 from tests.waiting import wait_until
 

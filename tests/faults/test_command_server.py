@@ -8,7 +8,7 @@ from random import Random, SystemRandom
 
 import pytest
 
-from station.life.gate import GateConfig
+from station.control.gate import GateConfig
 from tests.faults.control_trials import Kind, random_trial
 from tests.faults.moving_station import MovingStation
 from tests.waiting import wait_until

@@ -19,7 +19,7 @@ import pytest
 
 from servers.spacemouse import SpacemouseConfig
 from servers.teleop import TeleopConfig
-from station.life.supervisor import Supervisor
+from station.supervision.supervisor import Supervisor
 from tests.servers.kassow_station import TIMEOUT_S, ArmStation
 from tests.waiting import wait_until
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from station.life.runbook import load
+from station.supervision.runbook import load
 from tests.faults.operator_scripts import SESSIONS, Plan
 from tests.faults.soak_operator import is_safe, soak
 from tests.main_job.station_runs import ROOT

@@ -15,8 +15,8 @@ import numpy as np
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.tap import Write
+from station.control.slew import LONGEST_TICK_S
 from station.life.events import Event, decode
-from station.life.slew import LONGEST_TICK_S
 from station.protocols import Floats
 from tests.lateness import TooLate, Waits, in_time
 from tests.servers.g1_station import FORM, LIGHT, ROBOT, G1Process, Log, StockCommander, logged

@@ -14,7 +14,7 @@ from station.bus.client import Bus
 from station.bus.keeper import KeptServer
 from station.bus.server_options import ServerOptions
 from station.life.estop import read, restate
-from station.life.stop_memory import StopMemory
+from station.supervision.stop_memory import StopMemory
 from tests.faults.bus_station import soon
 
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from station.assets import ENVIRONMENT_VARIABLE
-from station.life.rig import DEFAULT_POLICY
+from station.control.rig import DEFAULT_POLICY
 from tests.main_job.station_runs import LOCK_STEP, Terminal, up
 
 SIDE_BY_SIDE = 2

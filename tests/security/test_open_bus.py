@@ -20,8 +20,8 @@ from station.bus.connection import Connection
 from station.bus.protection import look
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.errors import BusError, ConfigError, NotReady
-from station.life.checks import BusCheck
-from station.life.findings import bus_access
+from station.supervision.checks import BusCheck
+from station.supervision.findings import bus_access
 from tests.waiting import wait_until
 
 SECRET = "a-password-that-nobody-guesses"

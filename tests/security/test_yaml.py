@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from station import config, safe_yaml
 from station.episode.storage.manifest import Manifest, dump_manifest, parse_manifest
 from station.errors import BadFile, ConfigError, EpisodeError, UsageError
-from station.life import runbook
+from station.supervision import runbook
 
 _LAUGHS = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 12)

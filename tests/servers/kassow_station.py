@@ -15,8 +15,8 @@ from station.bus import arm_contracts, codec, keys
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.life import arm_request
-from station.life.supervisor import Supervisor
 from station.protocols import Floats
+from station.supervision.supervisor import Supervisor
 from tests.servers.g1_station import Log
 from tests.waiting import wait_until
 

@@ -20,15 +20,15 @@ from servers.teleop import TeleopConfig
 from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
-from station.life.arm_control import ArmControl
-from station.life.commanded import told_of_gate
+from station.control.arm_control import ArmControl
+from station.control.commanded import told_of_gate
+from station.control.gate import GateConfig
+from station.control.inlet import CommandSample
 from station.life.events import Event
-from station.life.gate import GateConfig
-from station.life.inlet import CommandSample
 from station.life.loop import Rate
-from station.life.supervisor import Supervisor
 from station.protocols import Floats
-from tests.life.ideal_arm import TICK_S, IdealArm
+from station.supervision.supervisor import Supervisor
+from tests.control.ideal_arm import TICK_S, IdealArm
 from tests.servers.g1_station import Log
 from tests.waiting import wait_until
 

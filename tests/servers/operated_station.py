@@ -22,12 +22,12 @@ from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.bus.tap import Write
+from station.control.gate import GateConfig
 from station.life.events import Event
-from station.life.gate import GateConfig
 from station.life.restarts import Restarts
-from station.life.supervisor import Supervisor
 from station.protocols import FALL_TILT_RAD, Floats
 from station.rotations import tilt
+from station.supervision.supervisor import Supervisor
 from tests.servers.engagements import jumps_at_engaging
 from tests.servers.g1_station import ROBOT, Log
 from tests.servers.worn_headset import PRESS_S, WornHeadset

@@ -11,9 +11,9 @@ import pytest
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
+from station.control.arming import RAMP_S
 from station.errors import NotReady, Refused
 from station.life import arm_request
-from station.life.arming import RAMP_S
 from tests.lateness import TooLate, Waits, excuse
 from tests.servers.g1_station import FORM, LIGHT, ROBOT, G1Process, Log, StockCommander, logged, publish
 from tests.waiting import wait_until

@@ -225,7 +225,7 @@ def test_a_wrong_configuration_is_refused_by_name(config: dict[str, Any], compla
 
 
 def test_cues_are_off_until_somebody_starts_them() -> None:
-    from station.life import runbook
+    from station.supervision import runbook
 
     for path in sorted(Path("runbooks").glob("*.yaml")):
         assert "cues" not in [step.start for step in runbook.load(path).servers]

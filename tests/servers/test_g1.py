@@ -14,8 +14,8 @@ from station.bus import codec, contracts, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
-from station.life.rig import DEFAULT_CHECKPOINTS, RigConfig
-from station.life.tracking import TrackingError
+from station.control.rig import DEFAULT_CHECKPOINTS, RigConfig
+from station.control.tracking import TrackingError
 from station.rehearse import rehearse_all
 from tests.lateness import TooLate, Waits, in_time
 from tests.servers.g1_station import (

@@ -23,7 +23,7 @@ from station.bus.tap import open_tap
 from station.config import build
 from station.errors import ConfigError
 from station.life.restarts import Restarts
-from station.life.supervisor import Supervisor
+from station.supervision.supervisor import Supervisor
 from tests.adapters.devices.pico.frames import frame
 from tests.lateness import STALE_S, TooLate, Waits, excuse
 from tests.operator.account import Account

@@ -14,10 +14,10 @@ from station import config, registry
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
+from station.control.arming import RAMP_S
 from station.episode.quality.check import check
 from station.episode.reading.reader import open_episode
 from station.errors import ConfigError
-from station.life.arming import RAMP_S
 from station.life.events import Event
 from station.life.server import Life
 from station.life.stop_button import StopButton

@@ -9,7 +9,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from adapters.policies.tracker.policy import ACTIONS, OBSERVATION
-from station.life.rig import RigConfig
+from station.control.rig import RigConfig
 
 TRACKER = RigConfig(
     policy="tracker", checkpoint="builtin:tracker.onnx", robot_model="builtin:g1.xml", physics_dt_s=0.002

@@ -10,8 +10,8 @@ import pytest
 from adapters.robots.g1.joints import select
 from station import registry
 from station.bus.joints import G1_29
+from station.control.gate import Gate
 from station.errors import ConfigError
-from station.life.gate import Gate
 from station.protocols import CommandFormat, Floats, Motion
 from station.suite import commands
 from station.suite.cases import Silence

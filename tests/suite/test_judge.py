@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from station.life.rig import RigConfig
+from station.control.rig import RigConfig
 from station.suite import table
 from station.suite.judge import failure, judge
 from station.suite.outcome import Drift, Fell, Outcome

@@ -9,7 +9,7 @@ from collections import Counter
 import pytest
 
 from adapters.motions import builtin
-from station.life.gate import GateConfig
+from station.control.gate import GateConfig
 from station.suite import clips, promise
 from station.suite.cases import Arms, Case, Cut, Push, Stand, Track
 from station.suite.promise import FULL, HELD_BACK, LIMITS, QUICK, SILENCES, Clips, cases

@@ -12,8 +12,8 @@ import pytest
 
 from adapters.policies.twist2 import DEFAULT_Q, gains
 from station import registry
+from station.control.rig import Rig, RigConfig, build
 from station.errors import ConfigError
-from station.life.rig import Rig, RigConfig, build
 from station.protocols import Fall, JointTargets, Robot, RobotState, SimulatedRobot
 from station.rehearse import rehearse
 from station.suite import late, trial

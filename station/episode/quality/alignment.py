@@ -17,9 +17,9 @@ from array import array
 import numpy as np
 
 from station.bus import codec, contracts, keys
+from station.control.gate_state import MOVING
 from station.episode.quality.finding_parts import Alignment
 from station.episode.reading.steps import Step
-from station.life.gate_state import MOVING
 from station.protocols import Floats
 
 _STAGES = contracts.TIMING_STAGES

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from station import rotations
 from station.bus import codec, contracts, keys
+from station.control.gate_state import MOVING
+from station.control.tracking import TrackingError
 from station.episode.quality import falls
 from station.episode.quality.findings import FallSeen, Spread, StepQuality
 from station.episode.quality.pauses import Span
 from station.episode.reading.steps import Step
-from station.life.gate_state import MOVING
-from station.life.tracking import TrackingError
 from station.protocols import Floats
 
 _STAGES = contracts.TIMING_STAGES

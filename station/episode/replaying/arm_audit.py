@@ -20,16 +20,16 @@ import numpy as np
 from station.arms import JointCommand
 from station.bus import codec, keys
 from station.bus.contracts import TIMING_STAGES
+from station.control.arm_control import aim
+from station.control.gate import Gate, GateConfig
+from station.control.gate_state import FOLLOWING, MOVING
+from station.control.inlet import Checked, check_command
+from station.control.slew import Bounds
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step, StepJoiner
 from station.episode.replaying.audit import Comparison
 from station.errors import ConfigError, EpisodeError
-from station.life.arm_control import aim
-from station.life.gate import Gate, GateConfig
-from station.life.gate_state import FOLLOWING, MOVING
-from station.life.inlet import Checked, check_command
-from station.life.slew import Bounds
 from station.protocols import Floats
 
 _REMEMBERED = 4096  # commands, of all writers: some seconds

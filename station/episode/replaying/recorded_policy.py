@@ -10,10 +10,10 @@ import msgspec
 
 from station import assets, registry
 from station.bus import keys
+from station.control.rig import DEFAULT_CHECKPOINTS
 from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
 from station.errors import BadFile, EpisodeError
-from station.life.rig import DEFAULT_CHECKPOINTS
 from station.protocols import Policy
 
 

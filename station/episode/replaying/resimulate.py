@@ -16,14 +16,14 @@ import numpy as np
 
 from station import registry
 from station.bus import codec, keys
+from station.control.control import ControlStep, StepRecord
+from station.control.gate import GateConfig
+from station.control.inlet import CommandSample
+from station.control.rig import Rig, RigConfig, build
 from station.episode.reading.reader import EpisodeReader, Message
 from station.episode.reading.steps import Step, StepJoiner
 from station.episode.replaying.recorded_policy import recorded_policy
 from station.errors import EpisodeError, UnknownName
-from station.life.control import ControlStep, StepRecord
-from station.life.gate import GateConfig
-from station.life.inlet import CommandSample
-from station.life.rig import Rig, RigConfig, build
 from station.life.server import ServerKind
 
 _REMEMBERED = 1000  # commands; a step uses the newest or, after refusals, one not much older
@@ -76,7 +76,7 @@ def to_sim(
 
     Args:
         reader: The episode.
-        changes: Fields of `station.life.rig.RigConfig` that shall not be as recorded, for a what-if.
+        changes: Fields of `station.control.rig.RigConfig` that shall not be as recorded, for a what-if.
         robot: Suffix of the robot; needed only when the episode has several.
 
     Raises:

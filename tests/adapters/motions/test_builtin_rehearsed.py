@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from adapters.motions import builtin
-from station.life.rig import RigConfig
+from station.control.rig import RigConfig
 from station.rehearse import rehearse_all
 
 

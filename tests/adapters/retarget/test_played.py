@@ -16,8 +16,8 @@ from adapters.retarget.human import standing
 from adapters.retarget.played import Played, noisy, person_of
 from adapters.retarget.skeleton_file import Skeletons
 from station import rotations
+from station.control.rig import RigConfig, build
 from station.errors import BadFile, UsageError
-from station.life.rig import RigConfig, build
 from station.operator.reading import Body
 from station.rehearse import rehearse
 from tests.adapters.retarget.people import ADULT, doing

@@ -24,8 +24,8 @@ from adapters.robots.g1 import kinematics
 from station import rotations
 from station.bus import codec
 from station.bus.joints import G1_29
-from station.life.inlet import CommandSample
-from station.life.rig import RigConfig, build
+from station.control.inlet import CommandSample
+from station.control.rig import RigConfig, build
 from station.protocols import Floats, Reference
 
 TICK_S = 0.02

@@ -11,7 +11,7 @@ import pytest
 from adapters.policies.twist2 import DEFAULT_Q
 from adapters.robots.g1.mujoco_g1 import START_Q, MujocoG1
 from station import registry, rotations
-from station.life.rig import RigConfig
+from station.control.rig import RigConfig
 from station.protocols import Floats
 from station.rehearse import rehearse_all
 from tests.adapters.robots.g1_models import DEX3, G1, SEEN, TOUCHES, both, compiled, held, posed, touching

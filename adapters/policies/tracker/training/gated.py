@@ -1,6 +1,6 @@
 """What the gate and its operator make of streams: entering, cuts, holding, returning, and coming back elsewhere.
 
-The arithmetic of `station.life.gate` with its default times, drawn as whole rows instead of stepped.
+The arithmetic of `station.control.gate` with its default times, drawn as whole rows instead of stepped.
 """
 
 from __future__ import annotations

@@ -11,9 +11,9 @@ from adapters.robots import arm_limits
 from adapters.robots.kassow import kinematics
 from adapters.robots.kassow.session import KordSession
 from station.bus import codec
-from station.life.arm_control import ArmControl, ArmRecord
-from station.life.gate import GateConfig
-from station.life.inlet import CommandSample
+from station.control.arm_control import ArmControl, ArmRecord
+from station.control.gate import GateConfig
+from station.control.inlet import CommandSample
 from station.protocols import Floats
 
 LIMITS = arm_limits.load("kassow", "kr810")

@@ -1,0 +1,1 @@
+"""From command to robot: what is refused, the gate, arming, the control step, the loop of a low-level server."""

@@ -1,0 +1,236 @@
+"""One tick of an arm: state, command, gate, target, session. Protocols only: no bus, and no clock that decides.
+
+A target is handed to the session only where it moved, and never farther ahead of the arm than it may still go when
+everything here is gone (`ArmSession.lead_rad`). Whatever ends following (silence, a stop, a fault, disarming) releases
+the session at once; it is engaged anew, from where the joints are then, with the next command that begins. After all of
+these but silence, after an obstacle, and after a session that refused or took no more targets by itself, commands have
+to cease first: nothing begins to move because a reason went away.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from station.arms import ArmSession, ArmState
+from station.control.commanded import Commanded, Happening
+from station.control.gate import Decision, GateConfig
+from station.control.gate_state import FOLLOWING, MOVING
+from station.control.inlet import CommandSample
+from station.protocols import CommandFormat, Floats
+
+
+def aim(wanted: Floats, q: Floats, lead_rad: float) -> Floats:
+    """Return the target of an arm whose joints are at `q`, shapes (n,) [rad]: no farther ahead than its lead."""
+    target: Floats = np.clip(wanted, q - lead_rad, q + lead_rad)
+    return target
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmRecord:
+    """Everything that a tick did.
+
+    Attributes:
+        tick: Number of the tick, from 1.
+        state: What the session told.
+        decision: What the gate let through.
+        target: The newest target that the session took, shape (n,) [rad]; where nobody is followed, the joints.
+        is_sent: Whether it was handed over in this tick.
+        refusal: Why the session was not engaged in this tick, or did not take the target that it was handed, or "".
+        command_seq: Sequence number of the command that was used; 0 when foreign or none.
+        timing_ns: The six instants of `station.bus.contracts.TIMING_STAGES`; 0 where unknown. Without a policy the
+            third and fourth are the instant that the gate was given.
+        happenings: What happened, in order.
+    """
+
+    tick: int
+    state: ArmState
+    decision: Decision
+    target: Floats
+    is_sent: bool
+    refusal: str
+    command_seq: int
+    timing_ns: tuple[int, int, int, int, int, int]
+    happenings: tuple[Happening, ...]
+
+
+class ArmControl:
+    """An arm's session and the gate between it and the command (`station.control.commanded.Control`).
+
+    Args:
+        session: With the arm's controller.
+        form: Format of the command.
+        gate: Times of the gate.
+        is_armed: Whether targets are handed over from the start; False for real arms.
+
+    Attributes:
+        commanded: Inlet, gate and arming.
+    """
+
+    def __init__(self, session: ArmSession, form: CommandFormat, *, gate: GateConfig, is_armed: bool) -> None:
+        self.session = session
+        self.commanded = Commanded(form, gate, is_armed=is_armed, ramp_s=0.0)
+        self._target: Floats | None = None  # newest target that was taken; None: not engaged
+        self._refusal = ""  # of this tick
+        self._was_refused = False  # whether it took none when it was last handed one
+        self._tick = 0
+
+    def sense(self) -> ArmState:
+        """Return the state that the next `step` acts on."""
+        return self.session.read()
+
+    def step(self, state: ArmState, sample: CommandSample | None, now_s: float) -> ArmRecord:
+        """Act on a state and the newest command sample.
+
+        Args:
+            state: From `sense`.
+            sample: The newest write of the command key, good or bad; the same object as long as nothing new came.
+            now_s: The instant, on the clock of `CommandSample.arrived_s` [s].
+        """
+        self._tick += 1
+        now_ns = round(now_s * 1e9)  # so that who has the record can give the gate the very same instant
+        gate = self.commanded.gate
+        gate.rest(state.q)
+        self._see_to_fault(state)
+        self._see_to_engagement(state)
+        self._see_to_readiness(state, now_s)
+        decision = self.commanded.decide(sample, now_ns * 1e-9, obstacle=self._obstacle(state))
+        sent_ns, self._refusal = 0, ""
+        if decision.state not in FOLLOWING:
+            self._release()
+        elif decision.state in MOVING:
+            sent_ns = time.monotonic_ns() if self._send(decision.vector, state) else 0
+        good = self.commanded.inlet.good
+        stages = (good.written_ns if good else 0, good.arrived_ns if good else 0, state.mono_ns)
+        return ArmRecord(
+            tick=self._tick,
+            state=state,
+            decision=decision,
+            target=state.q if self._target is None else self._target,
+            is_sent=sent_ns > 0,
+            refusal=self._refusal,
+            command_seq=good.seq if good else 0,
+            timing_ns=(*stages, now_ns, now_ns, sent_ns),
+            happenings=self.commanded.taken(),
+        )
+
+    def stop(self, reason: str) -> None:
+        """Latch the emergency stop: the session takes no more targets, at once."""
+        self.commanded.stop(reason)
+        self._release()
+
+    def reset(self, reason: str) -> None:
+        """Leave the emergency stop; a simulated arm may be moved again, a real one needs arming."""
+        if self.commanded.gate.state == "stopped":
+            self.commanded.gate.reset(reason)
+            self.commanded.note("operator-reset", "warning", reason=reason)
+            if self.session.is_simulated:
+                self.commanded.arming.restart()
+            else:
+                self.commanded.arming.disarm()
+
+    def clearing(self) -> None:
+        """Let nobody drive on while faults are cleared, there being one or not: that ends the session's engagement."""
+        if self._target is not None:
+            self._end("the controller's faults are being cleared")
+
+    def cleared(self, who: str) -> None:
+        """Leave a fault that the controller has no more; commands have to begin anew."""
+        if self.commanded.gate.state == "faulted":
+            self.commanded.gate.reset("the controller's faults are cleared")
+        self.commanded.note("controller-cleared", "warning", who=who)
+
+    def arm(self, now_s: float, who: str = "") -> str:
+        """Let targets go to the session; return why not, or ""."""
+        gate = self.commanded.gate
+        refusal = ""
+        if gate.state == "stopped":
+            refusal = f"the emergency stop is latched ({gate.reason}); release it first: station estop --reset"
+        elif gate.state == "faulted":
+            refusal = f"the controller is faulted: {gate.reason}"
+        return self.commanded.arm(now_s, who, refusal)
+
+    def disarm(self, who: str = "") -> None:
+        """Let no targets go to the session, at once."""
+        self.commanded.disarm(who)
+        self._release()
+
+    def refuse_rivals(self, count: int, reason: str) -> None:
+        """Count commands that came from others than who is obeyed, before the step that they came for."""
+        self.commanded.refuse_rivals(count, reason)
+
+    def health(self) -> dict[str, Any]:
+        """Return what a server's heartbeat tells of this arm."""
+        return self.session.health()
+
+    def _see_to_fault(self, state: ArmState) -> None:
+        gate = self.commanded.gate
+        if state.fault and gate.state not in ("faulted", "stopped"):
+            self._release()
+            gate.fault(state.fault)
+            self.commanded.note("controller-fault", "error", reason=state.fault)
+
+    def _see_to_readiness(self, state: ArmState, now_s: float) -> None:
+        """Let arming go on; nobody who commands meanwhile is followed once the arm may move."""
+        arming = self.commanded.arming
+        if arming.state == "arming" and arming.stiffen(now_s) == 1.0:
+            self.commanded.note("armed", "warning")
+        if arming.state == "disarmed":
+            self.commanded.gate.insist_on_silence("the arm was disarmed")
+        elif state.obstacle:
+            self.commanded.gate.insist_on_silence(state.obstacle)
+
+    def _see_to_engagement(self, state: ArmState) -> None:
+        """Where the session takes no more targets by itself, nobody commands: who did has to engage anew."""
+        if self._target is None or state.is_engaged:
+            return
+        reason = "the controller's session takes no more targets"
+        self._end(reason)
+        self.commanded.note("engagement-lost", "error", reason=reason)
+
+    def _obstacle(self, state: ArmState) -> str:
+        if self.commanded.arming.state == "disarmed":
+            return "the arm is disarmed"
+        if self._target is None and state.is_moving:
+            return self.commanded.gate.demand or "the arm still moves"
+        return state.obstacle
+
+    def _send(self, wanted: Floats, state: ArmState) -> bool:
+        """Hand over a target if it moved; return whether the session took it."""
+        if self._target is None and not self._engage(state):
+            return False
+        target = aim(wanted, state.q, self.session.lead_rad)
+        if self._target is not None and np.array_equal(target, self._target):
+            return False
+        self._refusal = self.session.send(target)
+        if self._refusal and not self._was_refused:
+            self.commanded.note("target-refused", "error", reason=self._refusal)
+        self._was_refused = bool(self._refusal)
+        if self._refusal:
+            return False
+        self._target = target
+        return True
+
+    def _engage(self, state: ArmState) -> bool:
+        """Engage; return whether it was granted."""
+        if refusal := self.session.engage():
+            self._refusal = refusal
+            self.commanded.note("engage-refused", "error", reason=refusal)
+            self._end(refusal)
+            return False
+        self._target, self._was_refused = state.q, False
+        return True
+
+    def _end(self, reason: str) -> None:
+        """Follow nobody any more, and nobody again before he has let go."""
+        self._release()
+        self.commanded.gate.reset(reason)
+        self.commanded.gate.insist_on_silence(reason)
+
+    def _release(self) -> None:
+        if self._target is not None:
+            self._target = None
+            self.session.release()

@@ -1,0 +1,243 @@
+"""One tick of a low-level loop: state, command, gate, policy, targets, robot. Protocols only: no bus, no clock.
+
+The same step drives the station's servers and the offline rehearsal, so both give the same motion.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from station.control.arming import why_not_arm
+from station.control.commanded import Commanded, Happening
+from station.control.gate import Decision, GateConfig
+from station.control.inlet import CommandSample
+from station.errors import ConfigError
+from station.protocols import CommandFormat, Fall, Floats, Floats32, JointTargets, Policy, Robot, RobotState
+
+_UPRIGHT_AGAIN_S = 1.0  # a fallen robot bounces; a fall is over when it has stood this long
+
+
+@runtime_checkable
+class Resettable(Protocol):
+    """A robot that can be put back on its feet by software: a simulation."""
+
+    def reset(self) -> None:
+        """Return to the start pose, at rest."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class StepRecord:
+    """Everything that a step did.
+
+    Attributes:
+        tick: Number of the step, from 1.
+        state: What the robot measured.
+        decision: What the gate let through; `decision.vector` is the command that the policy got.
+        observation, action: Input and raw output of the network, shapes (observation_size,), (action_size,).
+        sent: Targets as really sent, after arming, stop and the robot's own limits; zero gains when disarmed.
+        fall: Why the robot counts as fallen after this step, or None.
+        command_seq: Sequence number of the command that was used; 0 when foreign or none.
+        timing_ns: The six instants of `station.bus.contracts.TIMING_STAGES`; 0 where unknown.
+        happenings: What happened, in order.
+    """
+
+    tick: int
+    state: RobotState
+    decision: Decision
+    observation: Floats32
+    action: Floats32
+    sent: JointTargets
+    fall: Fall | None
+    command_seq: int
+    timing_ns: tuple[int, int, int, int, int, int]
+    happenings: tuple[Happening, ...]
+
+
+class ControlStep:
+    """A robot, a policy and the gate between them and the command.
+
+    Args:
+        robot: With the joints of the policy.
+        policy: Follows commands of the format.
+        form: Format of the command.
+        gate: Times of the gate.
+        is_armed: Whether targets are sent from the start; False for real robots.
+        reset_after_s: A simulated robot is put back on its feet this long after a fall [s]; None: never.
+
+    Attributes:
+        commanded: Inlet, gate and arming.
+
+    Raises:
+        ConfigError: the policy's joints are not the robot's, or it follows another format.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        policy: Policy,
+        form: CommandFormat,
+        *,
+        gate: GateConfig | None = None,
+        is_armed: bool = True,
+        reset_after_s: float | None = None,
+    ) -> None:
+        _check_fit(robot, policy, form)
+        self.robot, self.policy = robot, policy
+        self.commanded = Commanded(form, gate or GateConfig(), is_armed=is_armed)
+        self.gate, self.inlet, self.arming = self.commanded.gate, self.commanded.inlet, self.commanded.arming
+        self._note = self.commanded.note
+        self._reset_after_s, self._fell_at_s = reset_after_s, math.inf
+        self._tick = self._falls = 0
+        self._is_down = False
+        self._stood_since_s = 0.0
+        self._action_is_bad = False
+
+    def sense(self) -> RobotState:
+        """Return the state that the next `step` acts on."""
+        return self.robot.read()
+
+    def step(self, state: RobotState, sample: CommandSample | None, now_s: float) -> StepRecord:
+        """Act on a state and the newest command sample.
+
+        Args:
+            state: From `sense`.
+            sample: The newest write of the command key, good or bad; the same object as long as nothing new came.
+            now_s: The instant, on the clock of `CommandSample.arrived_s` [s].
+        """
+        self._tick += 1
+        decision = self.commanded.decide(sample, now_s)
+        observation = self.policy.observe(state, decision.vector)
+        observed_ns = time.monotonic_ns()
+        action = self.policy.act(observation)
+        inferred_ns = time.monotonic_ns()
+        targets = self._targets(action, state, decision)
+        allowed = self._allowed(targets, now_s)
+        sent_ns = time.monotonic_ns()  # before `write`, which in a simulation also runs the physics
+        sent = _nothing(targets) if allowed is None else self.robot.write(allowed)
+        good = self.inlet.good
+        stages = (good.written_ns if good else 0, good.arrived_ns if good else 0)
+        record = StepRecord(
+            tick=self._tick,
+            state=state,
+            decision=decision,
+            observation=observation,
+            action=action,
+            sent=sent,
+            fall=self._note_fall(now_s),
+            command_seq=good.seq if good else 0,
+            timing_ns=(*stages, state.mono_ns, observed_ns, inferred_ns, sent_ns),
+            happenings=self.commanded.taken(),
+        )
+        if self._reset_after_s is not None and now_s - self._fell_at_s >= self._reset_after_s:
+            self._fell_at_s = math.inf
+            self.restart("fell")  # told with the next step, which sees the robot on its feet
+        return record
+
+    def stop(self, reason: str) -> None:
+        """Latch the emergency stop: from the next step on the joints are only damped."""
+        self.commanded.stop(reason)
+
+    def reset(self, reason: str) -> None:
+        """Leave the emergency stop; a simulated robot is put back on its feet, a real one needs arming again."""
+        if self.gate.state == "stopped":
+            self.gate.reset(reason)
+            self._note("operator-reset", "warning", reason=reason)
+            self._start_over()
+
+    def restart(self, reason: str) -> None:
+        """Put a simulated robot back on its feet and wait for commands anew."""
+        if self.gate.state != "stopped":
+            self.gate.reset(reason)
+        self._note("robot-reset", "warning", reason=reason)
+        self._start_over()
+
+    def arm(self, now_s: float, who: str = "") -> str:
+        """Begin to arm the robot; return why not, or ""."""
+        return self.commanded.arm(now_s, who, self._why_not_arm(now_s))
+
+    def disarm(self, who: str = "") -> None:
+        """Send nothing to the robot from the next step on."""
+        self.commanded.disarm(who)
+
+    def refuse_rivals(self, count: int, reason: str) -> None:
+        """Count commands that came from others than who is obeyed, before the step that they came for."""
+        self.commanded.refuse_rivals(count, reason)
+
+    def health(self) -> dict[str, Any]:
+        """Return what a server's heartbeat tells of this robot."""
+        return {"falls": self._falls}
+
+    def _why_not_arm(self, now_s: float) -> str:
+        if self.arming.state != "disarmed" and self.gate.state != "stopped":
+            return ""
+        if refusal := why_not_arm(self.gate, self.inlet, now_s):
+            return refusal
+        if self._action_is_bad:
+            return "the policy's output is not finite"
+        return "the robot has fallen; put it on its feet" if self._is_down else ""
+
+    def _start_over(self) -> None:
+        self.policy.reset()
+        self._is_down = False
+        if isinstance(self.robot, Resettable):
+            self.robot.reset()
+            self.arming.restart()
+        else:
+            self.arming.disarm()  # however it started: stiffness must not come back at once
+
+    def _allowed(self, targets: JointTargets, now_s: float) -> JointTargets | None:
+        was_arming = self.arming.state == "arming"
+        allowed = self.arming.apply(targets, now_s)
+        if was_arming and self.arming.state == "armed":
+            self._note("armed", "warning")
+        return allowed
+
+    def _targets(self, action: Floats32, state: RobotState, decision: Decision) -> JointTargets:
+        """Return the policy's targets, or damping alone when stopped or when the network gave no number."""
+        targets = self.policy.targets(action, decision.vector)
+        is_bad = not (np.isfinite(action).all() and np.isfinite(targets.q).all())
+        if is_bad:
+            self.policy.reset()  # what is not a number would stay in the history for ever
+        if is_bad and not self._action_is_bad:
+            self._note("bad-action", "error", reason="the policy's output is not finite; joints are damped")
+        self._action_is_bad = is_bad
+        if is_bad or decision.state == "stopped":
+            q = np.where(np.isfinite(state.q), state.q, self.policy.spec.default_q)
+            return JointTargets(q, np.zeros_like(targets.kp), targets.kd)
+        return targets
+
+    def _note_fall(self, now_s: float) -> Fall | None:
+        fall = self.robot.fallen()
+        if fall is not None:
+            if not self._is_down:
+                self._note("fall", "error", tilt_rad=fall.tilt_rad, contacts=list(fall.contacts))
+                self._falls += 1
+                self._fell_at_s = now_s
+            self._is_down, self._stood_since_s = True, math.inf
+        elif self._is_down:
+            self._stood_since_s = min(self._stood_since_s, now_s)
+            self._is_down = now_s - self._stood_since_s < _UPRIGHT_AGAIN_S
+        return fall
+
+
+def _nothing(targets: JointTargets) -> JointTargets:
+    zeros: Floats = np.zeros_like(targets.kp)
+    return JointTargets(targets.q, zeros, zeros)
+
+
+def _check_fit(robot: Robot, policy: Policy, form: CommandFormat) -> None:
+    spec = policy.spec
+    if spec.command != form.name:
+        raise ConfigError(f"policy {spec.name!r} follows {spec.command!r} commands, not {form.name!r}")
+    if spec.joint_names != robot.joint_names:
+        odd = sorted(set(spec.joint_names) ^ set(robot.joint_names))
+        raise ConfigError(
+            f"policy {spec.name!r} drives {len(spec.joint_names)} joints, the robot has {len(robot.joint_names)}; "
+            + (f"not in both: {', '.join(odd[:4])}" if odd else "their order differs")
+        )

@@ -1,0 +1,299 @@
+"""The gate between a command and the robot: blends in, holds, returns to standing, stops. Pure; its time is given.
+
+    waiting ──fresh──► entering ──blend done──► tracking
+       ▲                  │  ▲                    │  ▲
+       │                stale│fresh             stale│fresh
+       │                  ▼  │                    ▼  │
+       └──blend done── returning ◄──still stale── holding          stopped: from anywhere, left only by `reset`
+
+A robot that stays where it is without a command (an arm) has no way back: after holding it is `waiting`, is told in
+every tick where it rests, and enters a command at once, as fast as the rates let it. A stop, or its own controller's
+fault (`faulted`), is left by `reset` like any robot's, and then only commands are followed that begin anew, after a
+silence that was heard since the reset: nobody drives on through a stop, and a hole in a stream is not letting go.
+
+A command that comes back while holding is followed at once if it was followed before; from returning, when the blend
+had not ended, or when somebody else gives it, it is entered again. What is a good command is decided before, in
+`station.control.inlet`. Whatever the state, no element moves faster than its rate (`station.control.slew`): a command
+that jumps is caught up with. Two things jump: `reset`, to standing, where a robot starts anew; and the output for a
+robot that stays while nobody moves it, which is where it rests.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from station.control.gate_state import FOLLOWING, LATCHED, State
+from station.control.silence import Silence
+from station.control.slew import Bounds
+from station.control.writers import Rule
+from station.protocols import Floats
+
+_ROUNDING = 1e-9  # five ticks of 0.02 s are 100 ms
+_LONGEST_TICK_S = 0.1  # a clock that leaps takes a blend no further than this
+_LATEST_S = 1e12  # beyond, a clock's ticks are lost in rounding
+_SLACK_S = 0.02  # a command may arrive between the reading of the clock and of the command
+
+
+class GateConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How the gate treats fresh, late and absent commands.
+
+    Attributes:
+        blend_in_s: Time from the present output to the live command [s]; none for a robot that stays.
+        hold_after_s: Age of the newest good command beyond which it is held rather than followed [s].
+        return_after_s: Age beyond which the robot is taken back to standing [s]; one that stays is nobody's from then
+            on, and commands of which silence is asked have to cease for longer than this.
+        blend_out_s: Time from the held command to standing [s].
+        rate_factor: Times the greatest rates of the command format; less moves more gently.
+        rivals: Whom to obey when two write the command: ``keep-first`` refuses the second until the first has been
+            silent for longer than `return_after_s`; ``newest`` gives way to whoever begins to write.
+
+    Raises:
+        ValueError: a number that is not positive and finite, or returning before holding.
+    """
+
+    blend_in_s: float = 1.0
+    hold_after_s: float = 0.1
+    return_after_s: float = 0.3
+    blend_out_s: float = 2.0
+    rate_factor: float = 1.0
+    rivals: Rule = "keep-first"
+
+    def __post_init__(self) -> None:
+        for name in ("blend_in_s", "hold_after_s", "return_after_s", "blend_out_s"):
+            value = getattr(self, name)
+            if not (0.0 < value < math.inf):
+                raise ValueError(f"{name} must be a positive time in seconds, got {value}")
+        if not (0.0 < self.rate_factor < math.inf):
+            raise ValueError(f"rate_factor must be a positive number, got {self.rate_factor}")
+        if self.return_after_s < self.hold_after_s:
+            raise ValueError(
+                f"return_after_s ({self.return_after_s}) must not be less than hold_after_s ({self.hold_after_s})"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """A change of state and why it came."""
+
+    before: State
+    after: State
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What the gate lets through in one tick.
+
+    Attributes:
+        state: State after this tick.
+        vector: Command for the robot, shape (m,); always finite. Within its bounds, where the robot is within them: one
+            that stays, and was pushed out, comes back at its rate.
+        reason: Why it is in this state.
+        age_s: Age of the newest good command [s]; infinite when there is none.
+        transitions: Changes since the last tick, in order.
+        limited: Indices of the elements that are not where the command wants them: its way is beyond rate or range.
+    """
+
+    state: State
+    vector: Floats
+    reason: str
+    age_s: float
+    transitions: tuple[Transition, ...]
+    limited: tuple[int, ...] = ()
+
+
+class Gate:
+    """The state machine; one `step` per control tick.
+
+    Args:
+        default: The command that asks the robot to stand, shape (m,).
+        config: Its times.
+        bounds: Range and rate of each element; None bounds nothing.
+        stays: Whether the robot stays where it is without a command, instead of going back to `default`.
+
+    Raises:
+        ConfigError: an element cannot be back at its default within `GateConfig.blend_out_s`.
+    """
+
+    def __init__(
+        self, default: Floats, config: GateConfig | None = None, bounds: Bounds | None = None, *, stays: bool = False
+    ) -> None:
+        self.config = config or GateConfig()
+        self._default = np.array(default, dtype=np.float64)
+        self._bounds, self._stays = bounds, stays
+        if bounds is not None and not stays:
+            bounds.expect_back_within(self._default, self.config.blend_out_s)
+        self._state: State = "waiting"
+        self._reason = "no command yet"
+        self._vector = self._default.copy()
+        self._start = self._vector  # where a blend began
+        self._since_s = 0.0
+        self._is_entered = False  # whether the blend into the command has ended
+        self._new_hands = ""  # why the next command is entered again
+        self._silence = Silence(self.config.return_after_s)
+        self._transitions: list[Transition] = []
+        self._now_s: float | None = None
+        self._passed_s = 0.0  # since the last tick, as far as it counts
+        self._limited: tuple[int, ...] = ()
+
+    @property
+    def state(self) -> State:
+        """The present state."""
+        return self._state
+
+    @property
+    def reason(self) -> str:
+        """Why it is in this state."""
+        return self._reason
+
+    @property
+    def demand(self) -> str:
+        """What whoever commands has to do before he is followed, and why, or ""."""
+        return self._silence.missing
+
+    def step(
+        self, now_s: float, command: Floats | None, age_s: float, *, refusal: str = "", quiet_s: float | None = None
+    ) -> Decision:
+        """Advance to an instant and return what the policy gets.
+
+        Args:
+            now_s: The instant [s]. Where the clock runs backwards or is no number, no time passes; where it leaps, a
+                tick's worth.
+            command: The newest good command, shape (m,), or None.
+            age_s: Its age [s]; infinite when unknown. Ignored without a command.
+            refusal: Why something newer was refused, or "".
+            quiet_s: For how long nothing has come, be it only to be refused [s]; None: for as long as the age says.
+        """
+        now_s = self._pass_time(now_s)
+        self._limited = ()
+        self._silence.hear(age_s if quiet_s is None else quiet_s, self._passed_s)
+        if self.demand:
+            command, refusal = None, refusal or self.demand
+        if command is None or command.shape != self._default.shape or not np.isfinite(command).all():
+            command, age_s = None, math.inf
+        elif not age_s >= -_SLACK_S:  # from the future, or not a number: nothing is known of it
+            age_s = math.inf
+        why = refusal or _staleness(age_s)
+        if self._state in LATCHED:
+            pass
+        elif command is not None and age_s <= self.config.hold_after_s + _ROUNDING:
+            self._follow(now_s, command)
+        elif self._state in FOLLOWING and age_s <= self.config.return_after_s + _ROUNDING:
+            self._move("holding", now_s, why)
+        else:
+            self._go_home(now_s, why)
+        transitions, self._transitions = tuple(self._transitions), []
+        reason = refusal if refusal and self._state == "waiting" else self._reason
+        return Decision(self._state, self._vector.copy(), reason, age_s, transitions, self._limited)
+
+    def change_hands(self, reason: str) -> None:
+        """Enter the next good command again: somebody else gives it."""
+        self._new_hands = reason
+
+    def insist_on_silence(self, why: str) -> None:
+        """Follow nobody until commands have ceased, from now on, for longer than `GateConfig.return_after_s`."""
+        self._silence.insist(why)
+
+    def rest(self, where: Floats, bounds: Bounds | None = None) -> None:
+        """Say where a robot that stays is, shape (m,), before each `step`; and new bounds, where they have changed."""
+        self._default = np.array(where, dtype=np.float64)
+        self._bounds = bounds or self._bounds
+        if self._state in ("waiting", *LATCHED):
+            self._vector = self._default.copy()
+
+    def stop(self, reason: str) -> None:
+        """Latch the stop; the output stays what it was, or where a robot that stays is (`rest`)."""
+        self._move("stopped", self._now_s or 0.0, reason)
+
+    def fault(self, reason: str) -> None:
+        """Latch what the robot's own controller says has gone wrong; a stop is more, and stays."""
+        if self._state != "stopped":
+            self._move("faulted", self._now_s or 0.0, reason)
+
+    def reset(self, reason: str = "reset by the operator") -> None:
+        """Leave the stop, a fault, and any other state: wait for a command, output standing (or where it rests).
+
+        Who commanded a robot that stays through its stop or fault has to let go, and begin anew.
+        """
+        if self._stays and self._state in LATCHED:
+            self._silence.insist(f"there was a {'stop' if self._state == 'stopped' else 'fault'}")
+        self._vector = self._default.copy()
+        self._is_entered = False
+        self._move("waiting", self._now_s or 0.0, reason)
+
+    def _follow(self, now_s: float, command: Floats) -> None:
+        if self._state in ("waiting", "returning") or (self._state == "holding" and not self._is_entered):
+            self._move("entering", now_s, "a good command came")
+        elif self._new_hands:
+            self._enter_again(now_s)
+        elif self._state == "holding":
+            self._move("tracking", now_s, "a good command came")
+        self._new_hands = ""
+        is_blending = self._state == "entering" and not self._stays
+        fraction = self._fraction(now_s, self.config.blend_in_s) if is_blending else 1.0
+        self._approach(self._start + fraction * (command - self._start) if fraction < 1.0 else command)
+        if fraction >= 1.0 and self._state == "entering" and not (self._stays and self._limited):
+            self._is_entered = True
+            self._move("tracking", now_s, "caught up" if self._stays else "blend done")
+
+    def _enter_again(self, now_s: float) -> None:
+        self._move("entering", now_s, self._new_hands)
+        self._since_s, self._start = now_s, self._vector  # also when it was entering: `_move` does nothing then
+
+    def _go_home(self, now_s: float, why: str) -> None:
+        if self._stays:
+            self._move("waiting", now_s, why)
+            self._reason = why
+        if self._state == "waiting":
+            return
+        self._move("returning", now_s, why)
+        fraction = self._fraction(now_s, self.config.blend_out_s)
+        self._approach(self._start + fraction * (self._default - self._start) if fraction < 1.0 else self._default)
+        if fraction >= 1.0 and not self._limited:
+            self._move("waiting", now_s, "standing again")
+
+    def _approach(self, wanted: Floats) -> None:
+        """Go to a vector, as far as its bounds let it."""
+        if self._bounds is None:
+            self._vector = np.array(wanted)
+            return
+        self._vector = self._bounds.step(self._vector, wanted, self._passed_s)
+        self._limited = tuple(np.flatnonzero(self._vector != wanted).tolist())
+
+    def _pass_time(self, now_s: float) -> float:
+        """Take note of how much time a tick counts for; return the instant, or the last one when it is none."""
+        if not abs(now_s) < _LATEST_S:
+            self._passed_s = 0.0
+            return self._now_s or 0.0
+        before = now_s if self._now_s is None else self._now_s
+        passed_s = now_s - before
+        self._passed_s = min(max(passed_s, 0.0), _LONGEST_TICK_S)
+        self._since_s += passed_s - self._passed_s  # what does not count is no part of a blend
+        if self._now_s is None:
+            self._since_s += now_s
+        self._now_s = now_s
+        return now_s
+
+    def _move(self, state: State, now_s: float, reason: str) -> None:
+        """Change state; a blend starts from the present output."""
+        if state == self._state:
+            return
+        self._transitions.append(Transition(self._state, state, reason))
+        self._state, self._reason = state, reason
+        self._since_s, self._start = now_s, self._vector
+        if state in ("entering", "returning"):
+            self._is_entered = False
+
+    def _fraction(self, now_s: float, duration_s: float) -> float:
+        fraction = max(0.0, (now_s - self._since_s) / duration_s)
+        return 1.0 if fraction >= 1.0 - _ROUNDING else fraction
+
+
+def _staleness(age_s: float) -> str:
+    if age_s == math.inf:
+        return "no command yet"
+    return f"the newest good command is {age_s * 1e3:.0f} ms old"

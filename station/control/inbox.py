@@ -1,0 +1,169 @@
+"""The newest command on the bus for a control step: of the writer that is obeyed, whoever else writes the key."""
+
+from __future__ import annotations
+
+import select
+import threading
+import time
+from collections import Counter
+from collections.abc import Sequence
+
+from station.bus import keys, stamp
+from station.bus.address import BusAddress
+from station.bus.connection import Connection
+from station.bus.outage import Outages
+from station.bus.sample import Sample
+from station.bus.watch import Watch
+from station.control.inlet import CommandSample
+from station.control.writers import Writers
+from station.life import estop
+from station.life.rivals import FOREIGN
+
+_SOON_S = 0.25  # a message that has begun to come is whole within this
+_MOST = 16  # writers between two looks; a stranger may invent names
+
+
+class CommandWatch(Watch):
+    """A watch that keeps, for one key, the newest value of each of its writers: a slot holds only the last one's.
+
+    A foreign write between a native one and our reading of it shows the foreign value beside the native stamp. So it
+    looks again for word of writes once it has read, and a value that both kinds of writers may have written is
+    nobody's; who wrote it writes again.
+
+    Args:
+        address: Where the bus is.
+        wanted: Keys to watch.
+        key: The one of them whose writers are told apart.
+        outages: As of any watch.
+
+    Attributes:
+        urgent: Set when a write asks for the emergency stop: a loop that sleeps acts at once. Who obeys it clears it.
+        doubtful: Values of `key` that may be of either kind of writer, and were left out.
+    """
+
+    def __init__(self, address: BusAddress, wanted: Sequence[str], *, key: str, outages: Outages | None = None) -> None:
+        self._shared_key = key
+        self._by_writer: dict[str, Sample] = {}
+        self._is_doubtful = False
+        self.urgent = threading.Event()
+        self.doubtful = 0
+        super().__init__(address, wanted, outages=outages)
+
+    def take(self) -> list[Sample]:
+        """Return the newest value of each writer since the last call, in the order of arrival."""
+        with self._changed:
+            found, self._by_writer = self._by_writer, {}
+        return list(found.values())
+
+    def _take(self, reader: Connection, touched: Counter[str]) -> None:
+        while touched and not self._closed.is_set():
+            wanted = [key for key in self._keys if touched[key] or touched[keys.stamp(key)]]
+            values = self._fetch(reader, wanted)
+            later = self._told_meanwhile()
+            told = touched + later
+            native, every = told[keys.stamp(self._shared_key)], told[self._shared_key]
+            self._is_doubtful = 0 < native < every
+            now_ns = time.monotonic_ns()
+            with self._changed:
+                for key, (value, mark) in values.items():
+                    self._put(key, value, mark, now_ns, is_foreign=touched[key] > touched[keys.stamp(key)])
+                self._changed.notify_all()
+            touched = later
+
+    def _told_meanwhile(self) -> Counter[str]:
+        """Count the writes that we are told of by now."""
+        told: Counter[str] = Counter()
+        events, prefix = self._events, f"__keyspace@{self._address.db}__:"
+        while events is not None and select.select([events], [], [], 0.0)[0]:
+            try:
+                message = events.receive(_SOON_S)
+            except TimeoutError:
+                break  # the beginning of a message, and no more of it: the next round has it
+            while message is not False:
+                told[message[1].decode("utf-8", "surrogateescape")[len(prefix) :]] += 1
+                message = events.buffered()
+        return told
+
+    def _put(self, key: str, value: bytes | None, mark: stamp.Stamp | None, now_ns: int, *, is_foreign: bool) -> None:
+        before = self._slots.get(key)
+        super()._put(key, value, mark, now_ns, is_foreign=is_foreign)
+        sample = self._slots.get(key)
+        if sample is None or sample is before:
+            return
+        if key == keys.ESTOP and estop.read(sample.value).stop:
+            self.urgent.set()
+        if key != self._shared_key:
+            return
+        if self._is_doubtful:
+            self.doubtful += 1
+            return
+        writer = writer_of(sample)
+        self._by_writer.pop(writer, None)
+        if len(self._by_writer) < _MOST:
+            self._by_writer[writer] = sample
+
+
+class Inbox:
+    """The newest command of a watch, as the control step wants it, and who writes it.
+
+    Args:
+        watch: Watches the key.
+        key: The command's key.
+        writers: Decides whose command it is.
+    """
+
+    def __init__(self, watch: CommandWatch, key: str, writers: Writers) -> None:
+        self._watch, self._key, self.writers = watch, key, writers
+        self.seen: Sample | None = None
+        self._command: CommandSample | None = None
+        self._refused = 0
+
+    def newest(self, now_s: float | None = None) -> CommandSample | None:
+        """Return the newest command, the same object as long as nothing new came from who is obeyed.
+
+        Args:
+            now_s: When a command that is new counts as arrived, on the gate's clock [s]; None for its real arrival
+                on the monotonic clock.
+        """
+        self.has_come(now_s)
+        return self._command
+
+    def has_come(self, now_s: float | None = None) -> bool:
+        """Take up what came since the last call; return whether something did from who is obeyed."""
+        before, newest = self._command, self._watch.latest(self._key)
+        for sample in self._watch.take():
+            at_s = now_s if now_s is not None else (sample.arrived_ns or 0) * 1e-9
+            if self.writers.hear(writer_of(sample), at_s):
+                self._command = _command(sample, now_s)
+            else:
+                self._refused += 1
+        if newest is not None and newest is not self.seen:
+            is_left = newest.arrived_ns is None and self._command is before  # from before we looked
+            if is_left and self.writers.obeyed in ("", writer_of(newest)):
+                self._command = _command(newest, now_s)
+            self.seen = newest
+        return self._command is not before
+
+    def take_refused(self) -> int:
+        """Return how many commands of others came since the last call."""
+        refused, self._refused = self._refused, 0
+        return refused
+
+
+def writer_of(sample: Sample) -> str:
+    """Return who wrote a value."""
+    return sample.stamp.source if sample.stamp is not None else FOREIGN
+
+
+def _command(sample: Sample, now_s: float | None) -> CommandSample:
+    arrived_ns, mark = sample.arrived_ns, sample.stamp
+    at_s = None if arrived_ns is None else arrived_ns * 1e-9 if now_s is None else now_s
+    is_ours = mark is not None and mark.is_from_this_boot
+    return CommandSample(
+        value=sample.value,
+        arrived_s=at_s,
+        written_ns=mark.mono_ns if mark is not None and is_ours else 0,
+        arrived_ns=arrived_ns or 0,
+        seq=mark.seq if mark is not None else 0,
+        source=writer_of(sample),
+    )

@@ -1,0 +1,274 @@
+"""The loop of a low-level server: a control step between the bus's commands and the bus's recordings.
+
+Knows no robot, and no policy. Two paces: the wall clock at a fixed rate, or lock-step, where a tick waits for a command
+that is newer than the last and the gate's clock is that of the ticks.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, Generic, Self, TypeVar
+
+import msgspec
+import numpy as np
+
+from station.bus import codec, keys
+from station.bus.sample import Sample
+from station.control.commanded import Commanded, Control, Happening, Record, told_of_gate
+from station.control.control import StepRecord
+from station.control.inbox import CommandWatch, Inbox
+from station.control.inlet import CommandSample
+from station.control.writers import News, Writers, spoken
+from station.life import arm_request, estop
+from station.life.arm_request import ArmAnswer
+from station.life.loop import Rate
+from station.life.server import Life
+
+log = logging.getLogger(__name__)
+
+_REPORT_S = 0.5
+
+
+StateT = TypeVar("StateT")
+RecordT = TypeVar("RecordT", bound=Record)
+
+
+class LowLevelLoop(Generic[StateT, RecordT]):
+    """Ticks of a low-level server; a context manager, since it watches the bus.
+
+    Args:
+        life: The server's.
+        control: The step.
+        state_values: Makes the values that are published at the start of a tick; there may be none.
+        result_values: Makes those that are published after a step, with the answer to the last request to arm.
+        period_s: Control period [s].
+        requests: Keys on which more is asked of this robot, and who does it; called in the loop, between ticks.
+    """
+
+    def __init__(
+        self,
+        life: Life,
+        control: Control[StateT, RecordT],
+        *,
+        state_values: Callable[[StateT], Mapping[str, bytes]],
+        result_values: Callable[[RecordT, ArmAnswer | None], Mapping[str, bytes]],
+        period_s: float,
+        requests: Mapping[str, Callable[[bytes], None]] | None = None,
+    ) -> None:
+        self._life, self._control = life, control
+        self._state_values, self._result_values = state_values, result_values
+        self._period_s, self._requests = period_s, dict(requests or {})
+        self._key = control.commanded.inlet.form.key
+        watched = [self._key, keys.ESTOP, keys.ARM, *self._requests]
+        self._watch = CommandWatch(life.bus.address, watched, key=self._key, outages=life.bus.outages)
+        config = control.commanded.gate.config
+        self._inbox = Inbox(self._watch, self._key, Writers(config.rivals, config.return_after_s))
+        self._estop_seen: Sample | None = None
+        self._is_stopped_past_bus = False  # asked to, and not obeyed yet
+        self._arm_seen = self._watch.latest(keys.ARM)  # a request from before our time is none
+        self._arm_answer: ArmAnswer | None = None
+        self._requests_seen = {key: self._watch.latest(key) for key in self._requests}
+        self._said_s = -math.inf
+        self._bus_is_lost = False
+        life.on_estop(self._hear_supervisor)
+        life.on_bus_back(self._restate_stop)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._watch.close()
+
+    def run_at(self, rate: Rate) -> None:
+        """Tick at a fixed rate until the server is asked to stop; an emergency stop does not wait for its tick."""
+        while not self._life.stopping:
+            rate.wait(self._watch.urgent)
+            self._watch.urgent.clear()
+            state = self._sense()
+            now_s = time.monotonic()
+            self._obey(now_s)
+            self._act(state, self._inbox.newest(), now_s)
+            if self._is_time_to_report():
+                stats = rate.stats()
+                self._report(
+                    rate_hz=stats.rate_hz, jitter_p50_ms=stats.jitter_p50_ms, jitter_p99_ms=stats.jitter_p99_ms,
+                    overruns=stats.overruns,
+                )  # fmt: skip
+
+    def run_in_lock_step(self, timeout_s: float) -> None:
+        """Tick with the commander until the server is asked to stop.
+
+        Nothing moves before the first command. When none comes in time, ticks go on at the control period (so that
+        the gate holds and returns) until the next one.
+        """
+        tick, patience_s, started = 0, timeout_s, False
+        began_s = time.monotonic()
+        while not self._life.stopping:
+            now_s = tick * self._period_s
+            state = self._sense()
+            has_come = self._await_command(patience_s, now_s)
+            started = started or has_come
+            patience_s = timeout_s if has_come or not started else self._period_s
+            was_told = self._obey(now_s)
+            if started or was_told:
+                self._act(state, self._inbox.newest(now_s) if started else None, now_s)
+                tick += 1
+            if self._is_time_to_report():
+                elapsed_s = time.monotonic() - began_s
+                self._report(rate_hz=tick / elapsed_s)
+
+    def _await_command(self, patience_s: float, now_s: float) -> bool:
+        """Wait for a command newer than the last; return early, False, when asked for something else."""
+        end_s = time.monotonic() + patience_s
+        while not self._life.stopping and not self._is_asked():
+            left_s = end_s - time.monotonic()
+            wait_s = max(0.0, min(left_s, self._period_s))
+            if self._watch.wait(self._key, after=self._inbox.seen, timeout_s=wait_s) and self._inbox.has_come(now_s):
+                return True
+            if left_s <= 0:
+                return False
+        return False
+
+    def _sense(self) -> StateT:
+        state = self._control.sense()
+        self._publish(self._state_values(state))
+        return state
+
+    def _is_asked(self) -> bool:
+        stop, arm = self._watch.latest(keys.ESTOP), self._watch.latest(keys.ARM)
+        return self._is_stopped_past_bus or stop is not self._estop_seen or arm is not self._arm_seen
+
+    def _obey(self, now_s: float) -> bool:
+        """Do what an operator asks for; return whether something was newly asked."""
+        is_told = self._obey_stop(now_s)
+        for key, act in self._requests.items():
+            sample = self._watch.latest(key)
+            is_new, self._requests_seen[key] = sample is not self._requests_seen[key], sample
+            if is_new and sample is not None and sample.arrived_ns is not None:
+                act(sample.value)
+        return self._obey_arm(now_s) or is_told
+
+    def _obey_arm(self, now_s: float) -> bool:
+        sample = self._watch.latest(keys.ARM)
+        if sample is self._arm_seen:
+            return False
+        self._arm_seen = sample
+        request = arm_request.read(sample.value) if sample is not None and sample.arrived_ns is not None else None
+        if request is None or request.server not in ("", self._life.name):
+            return False
+        who = ", ".join(word for word in (request.who, request.reason) if word)
+        refused = ""
+        if request.action == "arm":
+            refused = self._control.arm(now_s, who)
+        else:
+            self._control.disarm(who)
+        self._arm_answer = ArmAnswer(id=request.id, action=request.action, refused=refused)
+        return True
+
+    def _hear_supervisor(self) -> None:
+        self._is_stopped_past_bus = True
+        self._watch.urgent.set()
+
+    def _restate_stop(self) -> None:
+        """Tell a bus that has forgotten it that we are stopped, for servers that start only now."""
+        gate = self._control.commanded.gate
+        if gate.state == "stopped" and estop.restate(self._life.bus, gate.reason, self._life.name):
+            self._life.event("estop-restated", severity="warning", reason=gate.reason)
+
+    def _obey_stop(self, now_s: float) -> bool:
+        if self._is_stopped_past_bus:
+            self._is_stopped_past_bus = False
+            self._control.stop("key in `station up`")
+            return True
+        sample = self._watch.latest(keys.ESTOP)
+        if sample is self._estop_seen:
+            return False
+        self._estop_seen = sample
+        if sample is None:  # the key was deleted: a stop stays latched
+            return False
+        request = estop.read(sample.value)
+        if request.stop:
+            self._control.stop(request.reason)
+            return True
+        if sample.arrived_ns is not None:  # a reset from before our time is none
+            self._control.reset(request.reason)
+            if request.arm:
+                self._control.arm(now_s, request.reason)
+        return True
+
+    def _act(self, state: StateT, command: CommandSample | None, now_s: float) -> None:
+        writers = self._inbox.writers
+        if refused := self._inbox.take_refused():
+            self._control.refuse_rivals(refused, writers.refusal)
+        record = self._control.step(state, command, now_s)
+        self._publish(self._result_values(record, self._arm_answer))
+        for happening in record.happenings:
+            self._say(happening)
+        for news in writers.take_news(now_s):
+            self._tell_of_writers(news)
+
+    def _tell_of_writers(self, news: News) -> None:
+        detail: dict[str, Any] = {"key": self._key, "writers": list(news.writers), "obeyed": spoken(news.obeyed)}
+        if news.kind == "handover":
+            self._life.event("command-handover", **detail, reason=news.reason)
+        elif news.kind == "alone":
+            self._life.event("second-writer", **detail, ended=True, writes_refused=news.refused)
+        else:
+            others = [spoken(writer) for writer in news.writers if writer != news.obeyed]
+            self._life.event("second-writer", severity="warning", **detail, refused=others)
+
+    def _publish(self, values: Mapping[str, bytes]) -> None:
+        if not values:
+            return
+        is_lost = not self._life.bus.publish(values)
+        if is_lost and not self._bus_is_lost:
+            # Only the log can hear this one; `bus-back` follows on the bus with the count.
+            log.warning("bus lost: the loop goes on, commands are held and then left")
+        self._bus_is_lost = is_lost
+
+    def _say(self, happening: Happening) -> None:
+        self._life.event(happening.name, severity=happening.severity, **happening.detail)
+
+    def _is_time_to_report(self) -> bool:
+        now_s = time.monotonic()
+        if now_s - self._said_s < _REPORT_S:
+            return False
+        self._said_s = now_s
+        return True
+
+    def _report(self, **loop: float) -> None:
+        commanded = self._control.commanded
+        gate, inlet = commanded.gate, commanded.inlet
+        self._life.report(
+            gate=gate.state, gate_reason=gate.reason, arming=commanded.arming.state,
+            command_writer=self._inbox.writers.obeyed and spoken(self._inbox.writers.obeyed),
+            refused=dict(inlet.refused), clamped=inlet.clamped_samples, **self._control.health(), **loop,
+        )  # fmt: skip
+
+
+def result_values(
+    suffix: str, record: StepRecord, commanded: Commanded, answer: ArmAnswer | None = None
+) -> dict[str, bytes]:
+    """Return what a step of a policy publishes after its targets were sent, by key.
+
+    Args:
+        suffix: Of the robot's keys.
+        record: The step.
+        commanded: Its command's way.
+        answer: To the last request to arm.
+    """
+    decision, sent = record.decision, record.sent
+    gate = told_of_gate(decision, commanded)
+    if answer is not None:
+        gate["arm"] = msgspec.structs.asdict(answer)
+    return {
+        keys.policy_obs(suffix): codec.f32(record.observation),
+        keys.policy_action(suffix): codec.f32(record.action),
+        keys.target(suffix): codec.f64(np.concatenate([sent.q, sent.kp, sent.kd])),
+        keys.command_gate(suffix): codec.json_object(gate),
+        keys.command_used(suffix): codec.f64(decision.vector),
+        keys.policy_timing(suffix): codec.json_vector((record.tick, record.command_seq, *record.timing_ns)),
+    }

@@ -1,0 +1,268 @@
+"""Why "it runs and the robot does nothing": looks at every link of the chain and names the remedy of what is broken."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+
+from station import registry
+from station.arms import remedy_of
+from station.bus import codec, keys
+from station.bus.client import Bus
+from station.bus.sample import Sample
+from station.bus.server_options import LARGEST_VALUE
+from station.bus.watch import Watch
+from station.episode.storage.request import RecorderState
+from station.errors import BusError, StationError, UnknownName
+from station.life import estop
+from station.life.server import Health, read_health
+from station.protocols import CommandFormat
+from station.supervision.findings import Finding, bus_access, machine
+from station.supervision.supervisor import log_folder
+
+_LOOK_S = 1.0
+_SETTINGS = ("notify-keyspace-events", "maxmemory-policy", "proto-max-bulk-len")
+_GATE_REMEDIES = {
+    "waiting": "the robot stands until a fresh, valid command comes; see the command key above",
+    "holding": "the command stopped coming a moment ago; see the command key above",
+    "returning": "the command stopped coming; the robot goes back to its default pose",
+    "stopped": "station estop --reset",
+}
+
+
+class _StatedPolicy(msgspec.Struct):
+    command: str
+
+
+class _StatedCommand(msgspec.Struct):
+    key: str
+    companions: list[str] = []
+
+
+class _Stated(msgspec.Struct):
+    """What we need of the facts that a low-level server states: what it obeys, or the policy that says so."""
+
+    robot: str
+    policy: _StatedPolicy | None = None
+    command: _StatedCommand | None = None
+
+    def obeys(self) -> _StatedCommand:
+        """Return the keys of its command.
+
+        Raises:
+            UnknownName: its policy follows a format that is not registered.
+        """
+        if self.policy is None:
+            return self.command or _StatedCommand("")
+        form: CommandFormat = registry.find("command", self.policy.command)
+        return _StatedCommand(form.key, list(form.companions))
+
+
+class _Gate(msgspec.Struct):
+    """What we need of the gate's word."""
+
+    state: str
+    reason: str = ""
+    arming: str = ""
+
+
+def examine(bus: Bus) -> Iterator[Finding]:
+    """Look at a station through its bus; yields findings from the bus outwards."""
+    yield from _server_settings(bus)
+    servers = read_health(bus)
+    yield from _servers(servers, log_folder(bus.address))
+    yield _estop(bus)
+    low_level = [health for health in servers if health.role == "low-level" and health.is_alive]
+    for health in low_level:
+        yield from _low_level(bus, health)
+    if not low_level:
+        yield from _commands_without_a_robot(bus)
+    yield from _recorder(bus, servers)
+    yield from machine()
+
+
+def _server_settings(bus: Bus) -> Iterator[Finding]:
+    info = bus.call("INFO", "server").decode()
+    fields = dict(line.split(":", 1) for line in info.splitlines() if ":" in line)
+    version = fields.get("valkey_version") or fields.get("redis_version", "?")
+    yield Finding("ok", "bus", f"{bus.address}, server {version}, up {fields.get('uptime_in_seconds', '?')} s")
+    yield bus_access(bus)
+    try:
+        settings = {name: _setting(bus, name) for name in _SETTINGS}
+    except BusError as error:
+        yield Finding(
+            "warning", "bus settings", str(error), "allow CONFIG GET, or look at the server's settings yourself"
+        )
+        return
+    if "K" not in settings["notify-keyspace-events"]:
+        yield Finding(
+            "warning", "bus notifications", "off; readers poll", "a low-level server switches them on by itself"
+        )
+    if int(settings["proto-max-bulk-len"] or 0) > LARGEST_VALUE:
+        yield Finding("warning", "bus values", f"of up to {int(settings['proto-max-bulk-len']) >> 20} MiB are taken, "
+                      "which every reader must then hold", "CONFIG SET proto-max-bulk-len 64mb")  # fmt: skip
+    if settings["maxmemory-policy"] != "noeviction":
+        yield Finding("warning", "bus memory", f"policy {settings['maxmemory-policy']} may drop a command key",
+                      "CONFIG SET maxmemory-policy noeviction")  # fmt: skip
+
+
+def _setting(bus: Bus, name: str) -> str:
+    answer = bus.call("CONFIG", "GET", name)
+    return answer[1].decode() if len(answer) > 1 else ""
+
+
+def _servers(servers: list[Health], logs: Path) -> Iterator[Finding]:
+    alive = [health for health in servers if health.is_alive]
+    if not alive:
+        yield Finding("broken", "servers", "none runs on this bus", "start a station: station up g1-sim-motion")
+    for health in servers:
+        if health.is_alive:
+            remedy = "" if health.state == "active" else "it waits for its supervisor; is a confirmation open there?"
+            yield Finding("ok" if health.state == "active" else "warning", f"server {health.name}",
+                          f"{health.state} (pid {health.pid})", remedy)  # fmt: skip
+        elif health.state != "finalized":
+            log = logs / f"{health.name}.log"
+            yield Finding("broken", f"server {health.name}", f"fell silent without a farewell (pid {health.pid})",
+                          (f"see {log}; " if log.exists() else "") + "start it, or its station, again")  # fmt: skip
+    if alive and not any(health.role == "low-level" for health in alive):
+        yield Finding("broken", "low-level server", "none of ours runs: nothing turns commands into motion",
+                      "station serve g1 (or start your stock low-level script)")  # fmt: skip
+
+
+def _estop(bus: Bus) -> Finding:
+    data = bus.get(keys.ESTOP)
+    request = estop.read(data) if data is not None else None
+    if request is None or not request.stop:
+        return Finding("ok", "e-stop", "released")
+    return Finding("broken", "e-stop", f"latched by {request.reason}", "station estop --reset")
+
+
+def _low_level(bus: Bus, health: Health) -> Iterator[Finding]:
+    subject = f"server {health.name}"
+    try:
+        facts = codec.parse_struct(bus.get(keys.server_config(health.name)) or b"", _Stated)
+        command = facts.obeys()
+    except (codec.BadValue, UnknownName) as error:
+        yield Finding("broken", subject, f"has not stated what it runs ({error})", "restart it; recording refuses it")
+        return
+    gate = keys.command_gate(facts.robot)
+    with bus.watch([command.key, *command.companions, gate]) as watch:
+        yield _command(watch, command.key, _sources(watch, command.key))
+        for key in command.companions:
+            if watch.latest(key) is None:
+                yield Finding("warning", key, "absent; stock low-level servers crash without it, ours does not",
+                              "nothing, unless you swap in a stock server")  # fmt: skip
+        yield from _gate(watch, gate)
+    now = next((other for other in read_health(bus) if other.name == health.name), health)
+    yield from _troubles(now, command.key)
+
+
+def _troubles(health: Health, key: str) -> Iterator[Finding]:
+    """Tell what a low-level server has counted since it started."""
+    refused = health.detail.get("refused")
+    if isinstance(refused, dict) and refused:
+        listed = ", ".join(f"{reason} ({count} times)" for reason, count in refused.items())
+        yield Finding("warning", key, f"commands refused since the start: {listed}",
+                      f"mend its writer: station keys {key}")  # fmt: skip
+    if falls := health.detail.get("falls"):
+        yield Finding("warning", f"server {health.name}", f"the robot has fallen ({falls} times since the start)",
+                      "a simulated one is put back on its feet by: station estop --reset")  # fmt: skip
+
+
+def _commands_without_a_robot(bus: Bus) -> Iterator[Finding]:
+    """Tell who writes commands when no low-level server of ours tells which ones it wants."""
+    for name in registry.names("command"):
+        key = registry.find("command", name).key
+        if bus.get(key) is not None:
+            with bus.watch([key]) as watch:
+                yield _command(watch, key, _sources(watch, key))
+
+
+def _sources(watch: Watch, key: str) -> dict[str, int]:
+    """Count the writes of each source to a key for a moment."""
+    counts: dict[str, int] = {}
+    newest, deadline = None, time.monotonic() + _LOOK_S
+    while (remaining := deadline - time.monotonic()) > 0:
+        sample = watch.wait(key, after=newest, timeout_s=remaining)
+        if sample is not None:
+            source = _who(sample)
+            counts[source] = counts.get(source, 0) + 1
+            newest = sample
+    return counts
+
+
+def _command(watch: Watch, key: str, sources: dict[str, int]) -> Finding:
+    if len(sources) > 1:
+        found = ", ".join(f"{source} {count / _LOOK_S:.0f} Hz" for source, count in sources.items())
+        return Finding("broken", key, f"rival writers: {found}", "stop all but one of them")
+    if sources:
+        source, count = next(iter(sources.items()))
+        return Finding("ok", key, f"written by {source} at {count / _LOOK_S:.0f} Hz")
+    sample = watch.latest(key)
+    if sample is None:
+        return Finding(
+            "broken", key, "nobody has ever written it", "start a command server: station serve motion --set …"
+        )
+    when = f", {(time.time_ns() - sample.stamp.wall_ns) * 1e-9:.1f} s ago" if sample.stamp else ""
+    return Finding("broken", key, f"stale: nobody writes it now (last: {_who(sample)}{when})",
+                   "start its command server again, or resume it")  # fmt: skip
+
+
+def _who(sample: Sample) -> str:
+    """Say who wrote a value: name and process, or that it was somebody without stamps."""
+    if sample.stamp is None:
+        return "a foreign writer"
+    return f"{sample.stamp.writer} (pid {sample.stamp.source.split('.')[1]})"
+
+
+def _gate(watch: Watch, key: str) -> Iterator[Finding]:
+    sample = watch.latest(key)
+    if sample is None or sample.age_s() > _LOOK_S:
+        yield Finding("broken", "gate", "no word from it: the low-level loop does not run", "see the server's log")
+        return
+    try:
+        gate = codec.parse_struct(sample.value, _Gate)
+    except codec.BadValue as error:
+        yield Finding("broken", "gate", f"its word cannot be read ({error})", "is a foreign writer on its key?")
+        return
+    remedy = remedy_of(gate.reason) if gate.state == "faulted" else _GATE_REMEDIES.get(gate.state, "")
+    yield Finding(
+        "warning" if remedy or gate.state == "faulted" else "ok",
+        "gate",
+        f"{gate.state}: {gate.reason}".rstrip(": "),
+        remedy,
+    )
+    if gate.arming == "disarmed":
+        yield Finding("broken", "arming", "disarmed: the policy runs, and nothing is sent to the robot",
+                      "when everybody is clear: station arm")  # fmt: skip
+
+
+def _recorder(bus: Bus, servers: list[Health]) -> Iterator[Finding]:
+    if not any(health.role == "recorder" and health.is_alive for health in servers):
+        yield Finding("warning", "recorder", "none runs; nothing is kept", "station serve recorder")
+        return
+    try:
+        state = codec.parse_struct(bus.get(keys.RECORDER) or b"", RecorderState)
+    except codec.BadValue:
+        yield Finding("warning", "recorder", "runs and has not said what it does", "see its log")
+        return
+    found = f"recording {state.episode_id}" if state.episode_id else "idle; `station record start` begins an episode"
+    if state.dropped or state.error:
+        found += f"; {state.dropped} writes dropped" * bool(state.dropped) + f"; {state.error}" * bool(state.error)
+        yield Finding("broken", "recorder", found, "is the disk full or too slow?")
+    else:
+        yield Finding("ok", "recorder", found)
+
+
+def run(open_bus: Callable[[], Bus]) -> list[Finding]:
+    """Examine a station; a bus that cannot be reached is the first finding."""
+    try:
+        bus = open_bus()
+    except StationError as error:
+        found, _, remedy = str(error).removeprefix("bus ").partition("; ")
+        return [Finding("broken", "bus", found, remedy or "station bus start, or station up RUNBOOK"), *machine()]
+    with bus:
+        return list(examine(bus))

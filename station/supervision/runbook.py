@@ -1,0 +1,294 @@
+"""Runbooks: what a person and the station do, in order, before a robot moves.
+
+A runbook is YAML; see `runbooks/` and `docs/runbooks.md`. Reading one validates every step and every server's
+configuration, so that a typing mistake is found before anything starts.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import msgspec
+
+from station import config, registry
+from station.bus.client import Bus
+from station.errors import ConfigError, did_you_mean
+from station.life import arm_request
+from station.life.server import ServerKind
+from station.supervision.checks import KINDS, Check
+
+IfItDies = Literal["ask", "end", "restart"]
+
+_ONLY_TELL = ("recorder", "sensor")  # roles that move nothing by themselves
+_SERVER_NAME = re.compile(r"[A-Za-z0-9_-]+")
+_STEP_KINDS = ("check", "confirm", "start", "note", "arm", "disarm")
+
+
+class CheckStep(msgspec.Struct, frozen=True, kw_only=True):
+    """An automatic check, by name, with what it needs (a host, an interface, a key and a rate)."""
+
+    check: str
+    what: Check
+
+    def __str__(self) -> str:
+        return f"check {self.check} {_chosen(self.what)}".rstrip()  # type: ignore[arg-type]  # every one is a Struct
+
+
+class Arming(msgspec.Struct, frozen=True, kw_only=True):
+    """What a step asks for that arms or disarms the robot of a server; "" for every low-level server."""
+
+    action: arm_request.Action
+    server: str = ""
+    within_s: float = arm_request.WITHIN_S
+
+    def run(self, bus: Bus, _data: Path) -> str:
+        """Ask for it and wait until it is done.
+
+        Raises:
+            NotReady: nobody answered in time.
+            Refused: the server said no.
+        """
+        done = arm_request.ask(bus, self.action, server=self.server, reason="runbook", within_s=self.within_s)
+        return "; ".join(f"{name} {arm_request.story(self.action, states)}" for name, states in done.items())
+
+
+class ArmStep(CheckStep, frozen=True, kw_only=True):
+    """The robot is armed or disarmed; a check, in that it may fail and is answered by the station."""
+
+    def __str__(self) -> str:
+        return f"{self.check} {self.what.server}".rstrip() if isinstance(self.what, Arming) else self.check
+
+
+class ConfirmStep(msgspec.Struct, frozen=True, kw_only=True):
+    """A sentence that a person says yes to."""
+
+    confirm: str
+
+    def __str__(self) -> str:
+        return f"confirm: {self.confirm}"
+
+
+class NoteStep(msgspec.Struct, frozen=True, kw_only=True):
+    """A sentence that is shown and recorded."""
+
+    note: str
+
+    def __str__(self) -> str:
+        return f"note: {self.note}"
+
+
+class StartStep(msgspec.Struct, frozen=True, kw_only=True):
+    """A server to start, with its validated configuration.
+
+    Attributes:
+        start: Its name on the bus; that of its kind, unless the step says with `server` which kind it is.
+        kind: What it is.
+        config: Its configuration.
+        ready_within_s: Longest time for loading, and for becoming active [s].
+        if_it_dies: ``ask`` the person who attends and stay up meanwhile, where nobody attends as ``end``; ``end``
+            takes the station down; ``restart`` starts it again at once, however often it dies after a while.
+    """
+
+    start: str
+    kind: ServerKind
+    config: msgspec.Struct
+    ready_within_s: float = 20.0
+    if_it_dies: IfItDies = "ask"
+
+    def __str__(self) -> str:
+        kind = "" if self.start == self.kind.name else f"({self.kind.name}) "
+        return f"start {self.start} {kind}{_chosen(self.config)}".rstrip()
+
+
+Step = CheckStep | ConfirmStep | NoteStep | StartStep
+
+
+class Runbook(msgspec.Struct, frozen=True, kw_only=True):
+    """A validated runbook.
+
+    Attributes:
+        name, description, robot: What it is called, is for, and which robot it drives.
+        robot_is_real: Whether people stand beside the robot: confirmations then need a person.
+        steps: What happens, in order.
+        stop_order: Names of servers in the order they are stopped after a failure.
+        text: The file as it was read, for the manifest.
+    """
+
+    name: str
+    robot: str
+    steps: tuple[Step, ...]
+    stop_order: tuple[str, ...]
+    description: str = ""
+    robot_is_real: bool = False
+    text: str = ""
+
+    @property
+    def servers(self) -> tuple[StartStep, ...]:
+        """The servers that it starts, in order."""
+        return tuple(step for step in self.steps if isinstance(step, StartStep))
+
+
+class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    runbook: str
+    robot: str
+    steps: list[dict[str, Any]]
+    description: str = ""
+    robot_is_real: bool = False
+    on_failure: list[dict[str, str]] = []
+
+
+def find(reference: str) -> Path:
+    """Return the file of a runbook: a path, or the name of one that ships with the station."""
+    path = Path(reference)
+    if path.exists() or path.suffix:
+        return path
+    import runbooks  # a data folder beside this package
+
+    return Path(next(iter(runbooks.__path__))) / f"{reference}.yaml"
+
+
+def load(path: Path, sets: Sequence[str] = ()) -> Runbook:
+    """Read and validate a runbook.
+
+    Args:
+        path: The YAML file.
+        sets: ``server.key=value`` options laid over the file.
+
+    Raises:
+        BadFile, ConfigError, UnknownName: naming the file, step and key.
+    """
+    data = config.read_yaml(path)
+    file = config.build(_File, data, where=str(path))
+    names = [str(step["start"]) for step in file.steps if "start" in step]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f"{path}: starts server {name!r} {names.count(name)} times; expected once")
+    changes = config.overrides(sets, servers=names)
+    steps = tuple(_step(raw, changes, f"{path} step {n}") for n, raw in enumerate(file.steps, 1))
+    _expect_started_before_armed(steps, str(path))
+    return Runbook(
+        name=file.runbook,
+        robot=file.robot,
+        description=file.description,
+        robot_is_real=file.robot_is_real,
+        steps=steps,
+        stop_order=_stop_order(file, names, str(path)),
+        text=path.read_text(encoding="utf-8"),
+    )
+
+
+def _step(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], where: str) -> Step:
+    kind = next((name for name in _STEP_KINDS if name in raw), None)
+    if kind is None:
+        first = next(iter(raw), "")
+        raise ConfigError(
+            f"{where}: unknown step {first!r}{did_you_mean(str(first), _STEP_KINDS)}; known: {', '.join(_STEP_KINDS)}"
+        )
+    if kind == "start":
+        return _start(raw, changes, where)
+    if kind == "check":
+        return _check(raw, where)
+    if kind in ("arm", "disarm"):
+        return _arm(raw, kind, where)
+    if kind == "confirm":
+        return config.build(ConfirmStep, raw, where=where)
+    return config.build(NoteStep, raw, where=where)
+
+
+def _start(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], where: str) -> StartStep:
+    known = ("start", "server", "with", "ready_within", "if_it_dies")
+    for key in raw:
+        if key not in known:
+            raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(key, known)}; known: {', '.join(known)}")
+    name = str(raw["start"])
+    kind: ServerKind = registry.find("server", str(raw.get("server", name)))
+    if not _SERVER_NAME.fullmatch(name):
+        raise ConfigError(f"{where}: start: expected a name of letters, digits, - and _, got {name!r}")
+    given = raw.get("with") or {}
+    if not isinstance(given, dict):
+        raise ConfigError(f"{where} ({name}): with: expected a mapping of settings, got {given!r}")
+    values = config.merged(given, changes.get(name, {}))
+    return StartStep(
+        start=name,
+        kind=kind,
+        config=config.build(kind.config, values, where=f"{where} ({name})"),
+        ready_within_s=config.seconds(raw.get("ready_within", 20), where=f"{where}: ready_within"),
+        if_it_dies=_if_it_dies(raw, kind, where),
+    )
+
+
+def _if_it_dies(raw: Mapping[str, Any], kind: ServerKind, where: str) -> IfItDies:
+    """Return what a runbook wants; or else what only tells is started again, and what moves a robot is asked about."""
+    value = raw.get("if_it_dies", "restart" if kind.role in _ONLY_TELL else "ask")
+    for known in get_args(IfItDies):
+        if value == known:
+            return known  # type: ignore[no-any-return]  # one of the literal's own
+    raise ConfigError(f"{where}: if_it_dies: expected {', '.join(get_args(IfItDies))}, got {value!r}")
+
+
+def _check(raw: Mapping[str, Any], where: str) -> CheckStep:
+    name = str(raw["check"])
+    if name not in KINDS:
+        raise ConfigError(f"{where}: unknown check {name!r}{did_you_mean(name, KINDS)}; known: {', '.join(KINDS)}")
+    arguments = {key: value for key, value in raw.items() if key != "check"}
+    what: Any = config.build(KINDS[name], arguments, where=f"{where} (check {name})")
+    return CheckStep(check=name, what=what)
+
+
+def _arm(raw: Mapping[str, Any], action: str, where: str) -> ArmStep:
+    known = (action, "within")
+    for key in raw:
+        if key not in known:
+            raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(key, known)}; known: {', '.join(known)}")
+    within_s = config.seconds(raw.get("within", arm_request.WITHIN_S), where=f"{where}: within")
+    values = {"action": action, "server": raw[action] or "", "within_s": within_s}
+    return ArmStep(check=action, what=config.build(Arming, values, where=f"{where} ({action})"))
+
+
+def _expect_started_before_armed(steps: Sequence[Step], where: str) -> None:
+    started: list[str] = []
+    for number, step in enumerate(steps, 1):
+        if isinstance(step, StartStep):
+            started.append(step.start)
+        name = step.what.server if isinstance(step, ArmStep) and isinstance(step.what, Arming) else ""
+        if name and name not in started:
+            raise ConfigError(
+                f"{where} step {number}: {step}{did_you_mean(name, started)}: no step before it starts that server; "
+                f"started by then: {', '.join(started) or 'none'}"
+            )
+
+
+def _stop_order(file: _File, names: Sequence[str], where: str) -> tuple[str, ...]:
+    order = []
+    for step in file.on_failure:
+        name = step.get("stop", "")
+        if list(step) != ["stop"]:
+            raise ConfigError(f"{where}: on_failure: expected steps such as `stop: motion`, got {step!r}")
+        order.append(name)
+        if name not in names:
+            raise ConfigError(
+                f"{where}: on_failure stops {name!r}{did_you_mean(name, names)}; it starts {', '.join(names) or 'none'}"
+            )
+    return (*order, *(name for name in reversed(names) if name not in order))
+
+
+def _chosen(values: msgspec.Struct) -> str:
+    """Return the settings that differ from their defaults, as ``key=value``."""
+    plain = config.to_plain(values)
+    chosen = {field.encode_name: plain[field.encode_name] for field in msgspec.structs.fields(values)
+              if field.required or plain[field.encode_name] != _default(field)}  # fmt: skip
+    return " ".join(f"{key}={_short(value)}" for key, value in chosen.items())
+
+
+def _default(field: msgspec.structs.FieldInfo) -> Any:
+    if field.default_factory is not msgspec.NODEFAULT:
+        return msgspec.to_builtins(field.default_factory(), enc_hook=str)
+    return msgspec.to_builtins(field.default, enc_hook=str)
+
+
+def _short(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= 60 else text[:57] + "…"

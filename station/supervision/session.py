@@ -1,0 +1,277 @@
+"""One station from the first check to the last farewell: runs a runbook, watches over it, takes it down in reverse."""
+
+from __future__ import annotations
+
+import contextlib
+import getpass
+import signal
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from station.bus.client import Bus
+from station.episode.recorder import remote
+from station.episode.storage import left_open
+from station.episode.storage.request import RecordAnswer
+from station.errors import BusError, ConfigError, NotReady, Refused, StationError
+from station.life.event_feed import EventFeed
+from station.life.restarts import Restarts
+from station.life.server import Health, read_health
+from station.supervision.deaths import Deaths
+from station.supervision.face import Face
+from station.supervision.runbook import CheckStep, ConfirmStep, NoteStep, Runbook, StartStep, Step
+from station.supervision.stop_memory import StopMemory
+from station.supervision.supervisor import NAME, Supervisor, how_it_ended
+
+_LOOK_S = 0.1
+_BUS_GONE_S = 10.0  # a restarted server is back within a second; without one nobody can be watched over
+_RECORDER = "recorder"
+_UNATTENDED = "--yes"
+_TOLD_OTHERWISE = (  # with more, by the session itself
+    "record-start", "server-failed", "server-crashed", "server-died", "server-silent",
+)  # fmt: skip
+_INTERRUPTED = 130  # what a shell calls a command that Ctrl-C ended
+
+
+class Answer(msgspec.Struct, frozen=True, kw_only=True):
+    """What was found or said at a step, for the manifest."""
+
+    step: str
+    answer: str
+    who: str
+    wall_ns: int
+    is_unattended: bool = False
+
+
+class Recording(msgspec.Struct, frozen=True, kw_only=True):
+    """What is to be recorded, as the operator named it; `planned_s` must fit on the disk [s]."""
+
+    task: str
+    instruction: str = ""
+    operator: dict[str, str] = {}
+    planned_s: float | None = None
+
+
+class Session:
+    """A running station.
+
+    Args:
+        runbook: What to do.
+        bus: The bus it runs on.
+        supervisor: Starts the processes.
+        face: Shows and asks.
+        data: Folder of episodes.
+        recording: What to record; None records nothing until somebody asks the recorder.
+        is_unattended: Answer confirmations with yes, recorded as such; refused for a real robot.
+    """
+
+    def __init__(
+        self,
+        runbook: Runbook,
+        bus: Bus,
+        supervisor: Supervisor,
+        face: Face,
+        *,
+        data: Path,
+        recording: Recording | None = None,
+        is_unattended: bool = False,
+    ) -> None:
+        if is_unattended and runbook.robot_is_real:
+            raise ConfigError(
+                f"runbook {runbook.name}: --yes is refused, because people stand beside a real robot; "
+                "run it without, and answer each confirmation"
+            )
+        if recording is not None and not any(step.start == _RECORDER for step in runbook.servers):
+            raise ConfigError(
+                f"runbook {runbook.name} starts no recorder; add the step `- start: recorder`, or leave out --record"
+            )
+        self._runbook, self._bus, self._supervisor, self._face = runbook, bus, supervisor, face
+        self._data, self._recording, self._is_unattended = data, recording, is_unattended
+        self._is_recording = False
+        self._bus_lost_s: float | None = None
+        self._deaths = Deaths(runbook, supervisor, face, is_unattended=is_unattended)
+        self.answers: list[Answer] = []
+        self.episode: RecordAnswer | None = None
+
+    def run(self, stop: threading.Event, *, for_s: float | None = None) -> int:
+        """Run until a command server finishes, `for_s` has passed or `stop` is set; return an exit code.
+
+        Raises:
+            Refused: a server of this runbook already runs on the bus.
+        """
+        self._refuse_a_second_station()
+        if (line := left_open.offer(self._data)) is not None:
+            self._face.say(line, "warning")
+        with EventFeed(self._bus) as feed, StopMemory(self._bus, NAME) as memory:
+            try:
+                self._start_all(feed, stop)
+                reason, code = self._watch_over(feed, memory, stop, for_s)
+            except StationError as error:
+                is_asked = stop.is_set()
+                reason, code = (f"stopped: {error}", _INTERRUPTED) if is_asked else (f"failed: {error}", 1)
+            self._tell(feed)
+            self._face.say(reason, "error" if code == 1 else "info")
+            return self._take_down(code)
+
+    def _refuse_a_second_station(self) -> None:
+        wanted = {step.start for step in self._runbook.servers}
+        for health in read_health(self._bus):
+            if health.name in wanted and health.is_alive:
+                raise Refused(
+                    f"server {health.name!r} already runs on {self._bus.address} (pid {health.pid} on {health.host}); "
+                    "stop that station first, or use another bus with --bus"
+                )
+
+    def _start_all(self, feed: EventFeed, stop: threading.Event) -> None:
+        if not self._runbook.robot_is_real:
+            for server in self._runbook.servers:
+                self._spawn(server)
+        for step in self._runbook.steps:
+            if stop.is_set():
+                raise NotReady("asked to stop before everything had started")
+            self._take(step, stop)
+            self._tell(feed)
+
+    def _take(self, step: Step, stop: threading.Event) -> None:
+        self._face.begin(str(step))
+        try:
+            result = self._result(step, stop)
+        except StationError:
+            self._face.failed(str(step), "stopped" if stop.is_set() else "failed")
+            raise
+        self._face.done(str(step), result)
+        if isinstance(step, StartStep) and step.start == _RECORDER and self._recording is not None:
+            self._record(self._recording, stop)
+
+    def _result(self, step: Step, stop: threading.Event) -> str:
+        if isinstance(step, StartStep):
+            return self._start(step, stop)
+        if isinstance(step, CheckStep):
+            return self._note(step, step.what.run(self._bus, self._data), who="station")
+        if isinstance(step, ConfirmStep):
+            return self._confirm(step)
+        return self._note(step, "shown", who="station")
+
+    def _start(self, step: StartStep, stop: threading.Event) -> str:
+        if step.start not in self._supervisor.children:
+            self._spawn(step)
+        self._supervisor.wait_for(step.start, "inactive", step.ready_within_s, stop=stop)
+        self._supervisor.activate(step.start)
+        health = self._supervisor.wait_for(step.start, "active", step.ready_within_s, stop=stop)
+        took_s = time.monotonic() - self._supervisor.children[step.start].started_s
+        return f"active after {took_s:.1f} s, pid {health.pid}"
+
+    def _spawn(self, step: StartStep) -> None:
+        restarts = Restarts() if step.if_it_dies == "restart" else None
+        self._supervisor.spawn(step.start, step.config, server=step.kind.name, restarts=restarts)
+
+    def _confirm(self, step: ConfirmStep) -> str:
+        if self._is_unattended:
+            return self._note(step, "yes (unattended)", who=_UNATTENDED)
+        if not self._face.confirm(step.confirm):
+            raise NotReady(f"not confirmed: {step.confirm}")
+        return self._note(step, "yes", who=getpass.getuser())
+
+    def _note(self, step: CheckStep | ConfirmStep | NoteStep, answer: str, *, who: str) -> str:
+        self.answers.append(
+            Answer(step=str(step), answer=answer, who=who, wall_ns=time.time_ns(), is_unattended=who == _UNATTENDED)
+        )
+        return answer
+
+    def _record(self, recording: Recording, stop: threading.Event) -> None:
+        """Begin the episode, once everything is loaded that loads already: what cannot start leaves no episode."""
+        for step in self._runbook.servers:
+            if step.start in self._supervisor.children:
+                self._supervisor.wait_for(step.start, "inactive", step.ready_within_s, stop=stop)
+        runbook: dict[str, Any] = {
+            "name": self._runbook.name,
+            "answers": msgspec.to_builtins(self.answers),
+            "text": self._runbook.text,
+        }
+        self.episode = remote.ask(self._bus, "start", runbook=runbook, **msgspec.to_builtins(recording))
+        self._is_recording = True
+        self._face.say(f"recording {self.episode.path}")
+
+    def _watch_over(
+        self, feed: EventFeed, memory: StopMemory, stop: threading.Event, for_s: float | None
+    ) -> tuple[str, int]:
+        """Show how the station is doing until it should end; return why, and an exit code."""
+        deadline = None if for_s is None else time.monotonic() + for_s
+        while not stop.wait(_LOOK_S):
+            self._tell(feed)
+            health = self._look()
+            self._restate_stop(memory)
+            if (end := self._deaths.look(health)) is not None:
+                return end
+            if deadline is not None and time.monotonic() > deadline:
+                return f"{for_s:g} s are over", int(self._deaths.are_open)
+            if self._bus_lost_s is not None and time.monotonic() - self._bus_lost_s > _BUS_GONE_S:
+                return f"the bus {self._bus.address} has been gone for {_BUS_GONE_S:.0f} s", 1
+        return "stopped", int(self._deaths.are_open)
+
+    def _tell(self, feed: EventFeed) -> None:
+        for event in self._supervisor.teller.recent:
+            feed.add(event)
+        for event in feed.take():
+            if event.name not in _TOLD_OTHERWISE:
+                self._face.say(f"{event.source}: {event}", event.severity)
+
+    def _restate_stop(self, memory: StopMemory) -> None:
+        with contextlib.suppress(BusError):  # it is gone again; the next look tries again
+            if reason := memory.look():
+                self._supervisor.tell("estop-restated", "warning", reason=reason)
+
+    def _look(self) -> list[Health] | None:
+        """Show the servers' health and return it; None while the bus is gone."""
+        try:
+            health = read_health(self._bus)
+        except BusError as error:
+            if self._bus_lost_s is None:
+                self._bus_lost_s = time.monotonic()
+                self._face.say(f"{error}; the servers hold their robots; waiting for it to come back", "error")
+            return None
+        self._face.show(health)
+        if self._bus_lost_s is not None:
+            self._face.say(f"the bus is back after {time.monotonic() - self._bus_lost_s:.1f} s", "warning")
+            self._bus_lost_s = None
+        return health
+
+    def _take_down(self, code: int) -> int:
+        """Stop the servers, newest first or as the runbook has it; the episode is closed before its recorder."""
+        newest_first = tuple(step.start for step in reversed(self._runbook.servers))
+        order: Sequence[str] = self._runbook.stop_order if code == 1 else newest_first
+        for name in [n for n in order if n in self._supervisor.children]:
+            if name == _RECORDER and self._is_recording:
+                self._finish_episode()
+            if not self._stop(name):
+                code = code or 1
+        return code
+
+    def _stop(self, name: str) -> bool:
+        """Stop a server; return whether it ended cleanly."""
+        step, began_s = f"stop {name}", time.monotonic()
+        has_ended = name in self._supervisor.ended()
+        self._face.begin(step)
+        code = self._supervisor.stop(name)
+        is_clean = code in (0, -signal.SIGTERM)  # one that is stopped while it loads dies of our signal, and may
+        if not is_clean:
+            self._face.failed(step, f"{'already ' * has_ended}{how_it_ended(code)}")
+        else:
+            self._face.done(step, "already ended" if has_ended else f"after {time.monotonic() - began_s:.1f} s")
+        return is_clean
+
+    def _finish_episode(self) -> None:
+        self._is_recording = False
+        if _RECORDER in self._supervisor.ended() or not self._bus.is_connected:
+            gone = "bus" if not self._bus.is_connected else "recorder"
+            self._face.say(f"the {gone} is gone: the episode ends where it was last written to disk", "error")
+            return
+        self._face.begin("close the episode")
+        try:
+            self.episode = remote.ask(self._bus, "stop")
+        except StationError as error:
+            self._face.say(f"the episode was not closed here: {error}", "warning")

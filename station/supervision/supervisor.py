@@ -1,0 +1,298 @@
+"""Starts servers as child processes, activates them in order, and never leaves one behind.
+
+A child loads everything and then waits, inactive, for its leash to say "go" (`station.life.leash`); so the slow part
+of a start runs in parallel and the order of a runbook still holds. A child that dies takes nothing silently with it:
+its last words are kept. A recorder that dies is started again (`station.life.restarts`), since its episode waits for
+it; whatever moves a robot is not, unless a runbook or a person says so (`station.supervision.deaths`). When the
+supervisor itself is killed, every leash breaks and the children finish by themselves.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from station import config as configuration
+from station.bus import address as addresses
+from station.bus import codec, keys
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.errors import BusError, NotReady
+from station.life import leash
+from station.life.events import Severity
+from station.life.restarts import RESTARTS_VARIABLE, Restarts
+from station.life.server import Health, State, decode_health
+from station.life.teller import Teller
+
+NAME = "supervisor"
+
+_STOP_S = 15.0  # a command server blends for 2 s, a recorder closes its episode; then the child is killed
+_HURRY_S = 5.0  # a blend and a flush to the disk still fit
+_LOOK_S = 0.01
+_NURSE_S = 0.05
+_PROGRESS: dict[State, int] = {"unconfigured": 0, "inactive": 1, "active": 2}
+
+
+class Child(msgspec.Struct):
+    """One server process and our end of its leash."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    go: int
+    log: Path
+    started_s: float
+    arguments: list[str]
+    restarts: Restarts | None = None
+    is_wanted: bool = True
+
+
+class Supervisor:
+    """The children of one station.
+
+    Args:
+        bus: Where their health is read.
+        folder: Where their logs go.
+        environment: Variables that every child gets beside our own.
+    """
+
+    def __init__(self, bus: Bus, folder: Path, environment: Mapping[str, str] | None = None) -> None:
+        self._bus = bus
+        self._folder = folder
+        self._environment = dict(environment or {})
+        self.children: dict[str, Child] = {}
+        self.teller = Teller(bus, NAME)
+        self._lock = threading.RLock()  # around what is done to a child
+        self._nurse: threading.Thread | None = None
+        self._closed = threading.Event()
+
+    def spawn(self, name: str, config: msgspec.Struct, *, server: str = "", restarts: Restarts | None = None) -> None:
+        """Start the process of a server; it loads and then waits to be activated.
+
+        With `restarts`, a process that dies after it was active is started again, as often as those allow.
+        """
+        self._folder.mkdir(parents=True, exist_ok=True)
+        log = self._folder / f"{name}.log"
+        log.unlink(missing_ok=True)
+        arguments = ["serve", server or name, "--name", name, "--config-json", _json(config)]
+        process, go = self._launch(arguments, log, 0)
+        with self._lock:
+            self.children[name] = Child(name, process, go, log, time.monotonic(), arguments, restarts)
+        if restarts is not None and self._nurse is None:
+            self._nurse = threading.Thread(target=self._look_after, name="supervisor", daemon=True)
+            self._nurse.start()
+
+    def _launch(self, arguments: list[str], log: Path, restarts: int) -> tuple[subprocess.Popen[bytes], int]:
+        reading, writing = os.pipe()
+        os.set_inheritable(reading, True)
+        with log.open("ab") as output:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "station", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                pass_fds=(reading,),
+                env=self._child_environment(reading) | {RESTARTS_VARIABLE: str(restarts)},
+                start_new_session=True,  # Ctrl-C in the terminal is ours to hear; the children stop in our order
+            )
+        os.close(reading)
+        os.set_blocking(writing, False)  # a frozen child, which reads nothing, must not hold us
+        return process, writing
+
+    def wait_for(self, name: str, state: State, timeout_s: float, *, stop: threading.Event | None = None) -> Health:
+        """Wait until a child says that it is in a state, or beyond.
+
+        Raises:
+            NotReady: it did not get there in time, or it or another child died, with its last words; or `stop` was
+                set meanwhile.
+        """
+        deadline = time.monotonic() + timeout_s
+        child = self.children[name]
+        while True:
+            health = self.health(name)
+            if health is not None and _PROGRESS.get(health.state, -1) >= _PROGRESS[state]:
+                return health
+            for dead, code in self.ended().items():
+                who = "it" if dead == name else repr(name)
+                words = self.last_words(dead)
+                raise NotReady(f"server {dead!r} {how_it_ended(code)} before {who} was {state}: {words}")
+            if stop is not None and stop.is_set():
+                raise NotReady(f"asked to stop before server {name!r} was {state}")
+            if time.monotonic() > deadline:
+                seen = health.state if health else "unconfigured"
+                raise NotReady(
+                    f"server {name!r} is {seen}, not {state}, after {timeout_s:g} s: {self.last_words(name)}; "
+                    "give it longer with ready_within, or see its log " + str(child.log)
+                )
+            time.sleep(_LOOK_S)
+
+    def activate(self, name: str) -> None:
+        """Let a loaded child begin its work."""
+        child = self.children[name]
+        if child.restarts is not None:
+            child.restarts.is_armed = True
+        with contextlib.suppress(BrokenPipeError):  # it has just died; whoever looks next will say so
+            os.write(child.go, b"go\n")
+
+    def health(self, name: str) -> Health | None:
+        """Return what a child last said of itself; None before its first word, and while the bus is away."""
+        try:
+            data = self._bus.get(keys.server(name))
+        except BusError:  # its line is mended in the background; who waits has a deadline
+            return None
+        health = decode_health(data) if data is not None else None
+        return health if health is not None and health.pid == self.children[name].process.pid else None
+
+    def ended(self) -> dict[str, int]:
+        """Return the exit codes of the children that have ended, and are not to be started again."""
+        with self._lock:
+            codes = {name: child.process.poll() for name, child in self.children.items() if not self._may_return(child)}
+        return {name: code for name, code in codes.items() if code is not None}
+
+    @staticmethod
+    def _may_return(child: Child) -> bool:
+        code = child.process.poll()
+        return child.restarts is not None and child.is_wanted and code is not None and child.restarts.allow(code)
+
+    def _look_after(self) -> None:
+        """Start again what died and may."""
+        while not self._closed.wait(_NURSE_S):
+            with self._lock:
+                for child in list(self.children.values()):
+                    if child.restarts is not None and child.is_wanted:
+                        self._look_at(child, child.restarts)
+
+    def _look_at(self, child: Child, restarts: Restarts) -> None:
+        code, now_s = child.process.poll(), time.monotonic()
+        if code is None:
+            return
+        if not restarts.has_noted(child.process.pid):
+            restarts.note(child.process.pid, now_s - child.started_s)
+            self._tell(child, restarts, code)
+            child.started_s = now_s
+        if restarts.allow(code) and now_s - child.started_s >= restarts.delay_s:
+            os.close(child.go)
+            child.process, child.go = self._launch(child.arguments, child.log, restarts.count)
+            child.started_s = now_s
+            with contextlib.suppress(BrokenPipeError):
+                os.write(child.go, b"go\n")
+
+    def _tell(self, child: Child, restarts: Restarts, code: int) -> None:
+        """Say as an event what happened to a child, and what becomes of it."""
+        how = how_it_ended(code)
+        if restarts.allow(code):
+            self.tell("server-restarted", "warning", server=child.name, reason=how, restarts=restarts.count,
+                      delay_s=restarts.delay_s)  # fmt: skip
+        else:
+            self.tell("server-given-up", "error", server=child.name, reason=restarts.why(how))
+
+    def tell(self, name: str, severity: Severity, **detail: Any) -> None:
+        """Say as an event, so that it stands in the episode, what happened to the servers."""
+        self.teller.say_on_bus(name, severity, **detail)
+
+    def start_again(self, name: str) -> None:
+        """Start a child once more, as it was configured, in place of one that died or is frozen.
+
+        It becomes active as soon as it has loaded.
+        """
+        with self._lock:
+            child = self.children[name]
+            child.process.kill()
+            child.process.wait()
+            count = 1
+            if child.restarts is not None:
+                child.restarts.pardon()
+                count = max(1, child.restarts.count)
+            os.close(child.go)
+            child.process, child.go = self._launch(child.arguments, child.log, count)
+            child.started_s = time.monotonic()
+            with contextlib.suppress(BrokenPipeError):
+                os.write(child.go, b"go\n")
+
+    def estop(self) -> None:
+        """Ask every child that drives a robot for the emergency stop, whatever the bus does."""
+        with self._lock:
+            for child in self.children.values():
+                with contextlib.suppress(BrokenPipeError, BlockingIOError):  # dead, or frozen and told often enough
+                    os.write(child.go, b"estop\n")
+
+    def stop(self, name: str, timeout_s: float = _STOP_S) -> int:
+        """Ask a child to finish, wait, kill it if it does not; return its exit code.
+
+        Interrupted in its wait, it leaves the child to the next call.
+        """
+        child = self.children[name]
+        with self._lock:
+            child.is_wanted = False
+        if child.process.poll() is None:
+            child.process.terminate()
+        try:
+            code = child.process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            child.process.kill()
+            code = child.process.wait()
+        with self._lock:
+            del self.children[name]
+            os.close(child.go)
+        return code
+
+    def stop_all(self) -> None:
+        """Stop whatever still runs: all at once and soon, since whoever comes here has no time for an order."""
+        deadline = time.monotonic() + _HURRY_S
+        self._closed.set()
+        if self._nurse is not None:
+            self._nurse.join()
+        try:
+            for child in self.children.values():
+                child.process.terminate()
+            for name in reversed(list(self.children)):
+                self.stop(name, max(0.0, deadline - time.monotonic()))
+        except KeyboardInterrupt:
+            for child in self.children.values():
+                child.process.kill()
+            raise
+
+    def last_words(self, name: str) -> str:
+        """Return the last line that a child printed: its reason, when it ended by itself."""
+        log = self.children[name].log
+        lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
+        return lines[-1].removeprefix("station: ") if lines else f"it printed nothing to {log}"
+
+    def _child_environment(self, descriptor: int) -> dict[str, str]:
+        return {
+            **os.environ,
+            **self._environment,
+            # In the environment, not among the arguments: a password must not show in the process list.
+            addresses.ENVIRONMENT_VARIABLE: self._bus.address.url,
+            leash.ENVIRONMENT_VARIABLE: str(descriptor),
+            "PYTHONUNBUFFERED": "1",
+        }
+
+
+def how_it_ended(code: int) -> str:
+    """Say in words how a process ended whose exit code, or negative signal, is given."""
+    if code >= 0:
+        return f"ended with code {code}"
+    try:
+        return f"was killed by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"was killed by signal {-code}"
+
+
+def _json(config: msgspec.Struct) -> str:
+    return codec.json_object(configuration.to_plain(config)).decode()
+
+
+def log_folder(address: BusAddress) -> Path:
+    """Return the folder for the logs of the servers on a bus."""
+    label = "".join(c if c.isalnum() else "-" for c in str(address)).strip("-")
+    return addresses.runtime_folder() / "logs" / label[-60:]

@@ -1,0 +1,104 @@
+"""Whom of several writers a robot obeys."""
+
+from __future__ import annotations
+
+import os
+import socket
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from station.bus import stamp
+from station.control.writers import News, Writers, spoken
+from station.life.rivals import FOREIGN
+
+DT = 0.02
+
+
+def hear(writers: Writers, story: list[tuple[str, float]]) -> tuple[list[bool], list[News]]:
+    obeyed: list[bool] = []
+    told: list[News] = []
+    for writer, at_s in story:
+        obeyed.append(writers.hear(writer, at_s))
+        told += writers.take_news(at_s)
+    return obeyed, told
+
+
+def test_the_only_writer_is_obeyed_whoever_it_is_and_nothing_is_told() -> None:
+    for name in ("a", FOREIGN):
+        obeyed, told = hear(Writers(), [(name, tick * DT) for tick in range(100)])
+        assert all(obeyed)
+        assert not told
+
+
+def test_the_second_is_refused_and_told_by_the_first_write_after_its_own() -> None:
+    obeyed, told = hear(Writers(), [("ab"[tick % 2], tick * DT) for tick in range(100)])
+    assert obeyed == [True, False] * 50
+    assert told == [News("rivals", ("a", "b"), "a", 1)]
+
+
+def test_slow_writers_are_told_within_200_ms() -> None:
+    story = [("a", tick * 0.1) for tick in range(20)] + [("b", 1.05 + tick * 0.1) for tick in range(10)]
+    writers = Writers()
+    for writer, at_s in sorted(story, key=lambda item: item[1]):
+        writers.hear(writer, at_s)
+        if writers.take_news(at_s):
+            assert at_s - 1.05 <= 0.2
+            return
+    raise AssertionError("never told")
+
+
+def test_once_the_first_has_been_silent_the_second_is_obeyed_and_that_is_a_handover() -> None:
+    first = [("a", tick * DT) for tick in range(50)]
+    second = [("b", 0.99 + tick * DT) for tick in range(50)]
+    obeyed, told = hear(Writers(), [*first, *second])
+    assert obeyed[50:] == [False] * 15 + [True] * 35, "300 ms and no earlier"
+    assert [news.kind for news in told] == ["handover"], "one after the other are no rivals"
+    assert told[0].writers == ("a", "b")
+
+
+def test_the_end_of_the_contest_is_told_with_the_number_of_refused_writes() -> None:
+    both = [("ab"[tick % 2], tick * 0.01) for tick in range(100)]
+    _, told = hear(Writers(), [*both, *(("a", 1.0 + tick * DT) for tick in range(100))])
+    assert [news.kind for news in told] == ["rivals", "alone"]
+    assert told[1].refused == 50
+
+
+def test_the_newest_is_obeyed_from_its_first_write_where_that_is_the_rule() -> None:
+    writers = Writers("newest")
+    hear(writers, [("a", tick * DT) for tick in range(50)])
+    obeyed, told = hear(writers, [("ba"[tick % 2], 1.0 + tick * 0.01) for tick in range(100)])
+    assert obeyed == [True, False] * 50
+    assert [news.kind for news in told] == ["handover", "rivals"]
+    assert told[1].obeyed == "b"
+
+
+def test_invented_names_fill_no_memory_and_are_told_once_a_second() -> None:
+    writers = Writers()
+    story = [(name, tick * 0.001) for tick in range(5000) for name in ("a", f"x{tick}")]
+    obeyed, told = hear(writers, story)
+    assert obeyed == [True, False] * 5000
+    assert len(told) <= 6
+    assert len(writers._heard) <= 16
+
+
+@given(st.lists(st.tuples(st.sampled_from(["a", "b", "c", FOREIGN]), st.floats(0.0, 0.3)), max_size=60))
+def test_at_most_one_is_obeyed_and_hands_change_only_after_silence(steps: list[tuple[str, float]]) -> None:
+    writers, now_s, last_s = Writers(), 0.0, dict[str, float]()
+    for writer, wait_s in steps:
+        now_s += wait_s
+        before = writers.obeyed
+        is_obeyed = writers.hear(writer, now_s)
+        assert is_obeyed == (writer == writers.obeyed)
+        if before and writers.obeyed != before:
+            assert now_s - last_s[before] > 0.3
+        last_s[writer] = now_s
+
+
+def test_a_source_is_named_with_process_and_machine() -> None:
+    host = socket.gethostname()
+    assert spoken(stamp.new_source("motion")) == f"motion (pid {os.getpid()} on {host})"
+    assert spoken("quest.7.0a1b2c3d.ff") == "quest (pid 7 on another machine, boot 0a1b2c3d)"
+    assert spoken(FOREIGN) == "a foreign writer"
+    assert spoken("x").startswith("x (pid ")
+    assert len(spoken("x" * 500)) == 80

@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import cast
+
+import pytest
+
+from station import config
+from station.bus.client import Bus
+from station.errors import ConfigError, NotReady
+from station.supervision.checks import DiskCheck
+
+NO_BUS = cast(Bus, None)
+
+
+@pytest.fixture
+def half_a_gb(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk with so much left."""
+    blocks = os.statvfs_result((1000, 1000, 10**6, 500_000, 500_000, 0, 0, 0, 0, 255))
+    monkeypatch.setattr(os, "statvfs", lambda _path: blocks)
+
+
+@pytest.mark.usefixtures("half_a_gb")
+def test_a_disk_is_told_in_minutes(tmp_path: Path) -> None:
+    data = tmp_path / "not" / "there"
+    found = DiskCheck(min_free_gb=0.1, mb_per_minute=100).run(NO_BUS, data)
+    assert found.endswith(f"GB free at {tmp_path}, 5 min at 100 MB/min")
+
+
+@pytest.mark.usefixtures("half_a_gb")
+def test_a_disk_that_is_too_small_fails_with_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(NotReady, match=r"0.5 GB free, 2 needed; make room"):
+        DiskCheck().run(NO_BUS, tmp_path)
+    with pytest.raises(NotReady, match=r"0.5 GB free are 5 min at 100 MB/min, 6 needed; make room"):
+        DiskCheck(min_free_gb=0, min_minutes=6, mb_per_minute=100).run(NO_BUS, tmp_path)
+
+
+def test_a_rate_that_fills_no_disk_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"mb_per_minute is 0.0, expected more than 0"):
+        config.build(DiskCheck, {"mb_per_minute": 0}, where="step 1")

@@ -1,0 +1,131 @@
+"""Runbooks are validated before anything starts; every mistake names file, step and key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from servers.motion import MotionConfig
+from station.errors import BadFile, StationError
+from station.supervision import runbook
+from station.supervision.checks import DiskCheck
+from station.supervision.runbook import Arming, CheckStep, ConfirmStep, StartStep
+
+GOOD = """
+runbook: test
+robot: unitree_g1_with_hands
+steps:
+  - check: disk
+    min_free_gb: 1
+  - confirm: "Nobody stands there."
+  - start: motion
+    with: {motion: "a.pkl", rate_hz: 25}
+    ready_within: 90s
+  - note: "Look at it."
+on_failure: [stop: motion]
+"""
+
+
+def load(tmp_path: Path, text: str, *sets: str) -> runbook.Runbook:
+    path = tmp_path / "book.yaml"
+    path.write_text(text)
+    return runbook.load(path, sets)
+
+
+def test_steps_come_out_typed_and_in_order(tmp_path: Path) -> None:
+    book = load(tmp_path, GOOD)
+    assert [type(step).__name__ for step in book.steps] == ["CheckStep", "ConfirmStep", "StartStep", "NoteStep"]
+    check, confirm, start, _ = book.steps
+    assert isinstance(check, CheckStep)
+    assert check.what == DiskCheck(min_free_gb=1.0)
+    assert isinstance(confirm, ConfirmStep)
+    assert confirm.confirm == "Nobody stands there."
+    assert isinstance(start, StartStep)
+    assert start.config == MotionConfig(motion="a.pkl", rate_hz=25.0)
+    assert start.ready_within_s == 90.0
+    assert book.stop_order == ("motion",)
+
+
+def test_a_robot_is_armed_and_disarmed_by_steps_that_follow_the_start_of_its_server(tmp_path: Path) -> None:
+    steps = GOOD.replace("  - note", "  - arm: motion\n    within: 4s\n  - disarm: motion\n  - arm:\n  - note")
+    *_, arm, disarm, every, _ = load(tmp_path, steps).steps
+    assert [str(step) for step in (arm, disarm, every)] == ["arm motion", "disarm motion", "arm"]
+    assert isinstance(arm, CheckStep)
+    assert arm.what == Arming(action="arm", server="motion", within_s=4.0)
+    assert isinstance(every, CheckStep)
+    assert every.what == Arming(action="arm", server="")
+
+
+def test_what_moves_a_robot_asks_before_it_starts_again_and_a_recorder_does_not_unless_told_otherwise(
+    tmp_path: Path,
+) -> None:
+    more = "    if_it_dies: restart\n    ready_within: 90s\n  - start: recorder\n  - start: g1\n    if_it_dies: end\n"
+    book = load(tmp_path, GOOD.replace("    ready_within: 90s\n", more))
+    assert [step.if_it_dies for step in book.servers] == ["restart", "restart", "end"]
+    assert load(tmp_path, GOOD).servers[0].if_it_dies == "ask"
+
+
+def test_several_servers_of_a_kind_have_names_of_their_own(tmp_path: Path) -> None:
+    head_and_wrist = (
+        "- start: head\n    server: camera\n    with: {source: mujoco}\n  - start: wrist\n    server: camera"
+    )
+    book = load(tmp_path, GOOD.replace("- note", f"{head_and_wrist}\n  - note"), "wrist.fps=15")
+    _, head, wrist = book.servers
+    assert [(step.start, step.kind.name) for step in (head, wrist)] == [("head", "camera"), ("wrist", "camera")]
+    assert [str(step) for step in (head, wrist)] == [
+        "start head (camera) source=mujoco",
+        "start wrist (camera) fps=15.0",
+    ]
+    assert book.stop_order == ("motion", "wrist", "head")
+
+
+def test_set_options_change_a_servers_configuration(tmp_path: Path) -> None:
+    book = load(tmp_path, GOOD, "motion.motion=b.pkl", "motion.loop=true")
+    assert book.servers[0].config == MotionConfig(motion="b.pkl", rate_hz=25.0, loop=True)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("- start: motion", "- start: moton", "unknown server 'moton' (did you mean 'motion'?)"),
+        ("- start: motion", "- start: moves\n    server: moton", "unknown server 'moton' (did you mean 'motion'?)"),
+        ("- start: motion", "- start: a/b\n    server: motion", "start: expected a name of letters, digits, - and _"),
+        ("- confirm:", "- arm: motion\n  - confirm:", "step 2: arm motion: no step before it starts that server"),
+        ("- note:", "- arm: moton\n  - note:", "step 4: arm moton (did you mean 'motion'?): no step before it starts"),
+        ("- note:", "- arm: motion\n    wihin: 1s\n  - note:", "unknown key 'wihin' (did you mean 'within'?)"),
+        ("- note:", "- arm: [1]\n  - note:", "step 4 (arm): "),
+        ("min_free_gb", "min_fre_gb", "step 1 (check disk): unknown key 'min_fre_gb' (did you mean 'min_free_gb'?)"),
+        ("check: disk\n    min_free_gb: 1", "check: ping", "step 1 (check ping): missing key host"),
+        ("- confirm:", "- confrim:", "step 2: unknown step 'confrim' (did you mean 'confirm'?)"),
+        ("check: disk", "check: dsk", "step 1: unknown check 'dsk' (did you mean 'disk'?)"),
+        ("rate_hz: 25", "rate_hs: 25", "step 3 (motion): unknown key 'rate_hs' (did you mean 'rate_hz'?)"),
+        ("rate_hz: 25", "rate_hz: fast", "step 3 (motion): rate_hz: expected float, got 'fast'"),
+        ('motion: "a.pkl", ', "", "step 3 (motion): missing key motion"),
+        ("ready_within: 90s", "ready_within: soon", "step 3: ready_within: expected a duration"),
+        ("ready_within: 90s", "ready_witin: 90s", "step 3: unknown key 'ready_witin' (did you mean 'ready_within'?)"),
+        ("ready_within: 90s", "if_it_dies: restrt", "step 3: if_it_dies: expected ask, end, restart, got 'restrt'"),
+        ("robot: unitree_g1_with_hands\n", "", "missing key robot"),
+        ("robot:", "robto:", "unknown key 'robto' (did you mean 'robot'?)"),
+        ("stop: motion", "stop: g1", "on_failure stops 'g1'"),
+    ],
+)
+def test_a_mistake_is_one_line_that_names_the_place(tmp_path: Path, old: str, new: str, message: str) -> None:
+    with pytest.raises(StationError) as caught:
+        load(tmp_path, GOOD.replace(old, new))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert caught.value.exit_code == 2
+
+
+def test_every_runbook_that_ships_is_valid() -> None:
+    shipped = sorted(Path("runbooks").glob("*.yaml"))
+    assert shipped
+    for path in shipped:
+        assert runbook.load(path).name == path.stem
+    assert runbook.find("g1-sim-motion").exists()
+
+
+def test_a_missing_runbook_says_what_is_near() -> None:
+    with pytest.raises(BadFile, match=r"did you mean 'g1-sim-motion\.yaml'"):
+        runbook.load(runbook.find("runbooks/g1-sim-moton.yaml"))
