@@ -21,7 +21,7 @@ from adapters.devices.keyboard.device import Keyboard
 from station.errors import BadFile
 from station.operator.device import Device, DeviceError
 from tests.adapters.devices.by_hand import HandClock
-from tests.waiting import wait_until
+from tests.waiting import DEADLINE_S, wait_until
 
 Open = Callable[..., Keyboard]
 
@@ -122,6 +122,7 @@ def test_an_arrow_in_two_pieces_is_an_arrow(opened: Open, terminal: tuple[int, i
 
 def test_what_was_typed_before_is_nobodys_command(terminal: tuple[int, int], opened: Open) -> None:
     os.write(terminal[0], b"estop\n")
+    assert select.select([terminal[1]], [], [], DEADLINE_S)[0], "it has come: the kernel hands it over a little later"
     assert held(opened()) == set()
 
 
