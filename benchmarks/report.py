@@ -39,8 +39,8 @@ def write(page: Path, sections: dict[str, str], order: Sequence[str]) -> None:
     page.parent.mkdir(parents=True, exist_ok=True)
     kept = _sections(page.read_text()) if page.exists() else {}
     kept |= sections
-    body = "\n".join(kept[name] for name in order if name in kept)
-    page.write_text(f"{_HEAD}\n{body}")
+    body = "\n\n".join(kept[name].strip() for name in order if name in kept)
+    page.write_text(f"{_HEAD}\n{body}\n")
 
 
 def section(benchmark: Benchmark, rows: Sequence[Row], command: str) -> str:

@@ -32,6 +32,8 @@ def test_a_quick_run_of_bus_and_loop_prints_a_table_of_each_and_writes_the_page(
     assert "## Loop jitter" in text
     assert "| read 4 keys, hot, p50 |" in text
     assert "`python -m benchmarks bus loop --quick`" in text
+    report.write(page, {}, ("bus", "loop"))
+    assert page.read_text() == text, "what did not run stays as it is"
 
 
 def test_a_quick_run_of_export_gives_figures_of_many_episodes_and_of_both_speeds(tmp_path: Path) -> None:
