@@ -46,20 +46,22 @@ class Waits:
         self._newest: dict[str, int] = {}
         self._one_at_a_time = threading.Lock()
         self.longest_s = 0.0
+        self._is_over = False
         self._look()
-        self._before, self._stolen, self.longest_s = dict(self._newest), _stolen_s(), 0.0
+        self._before, self._stolen_before_s, self.longest_s = dict(self._newest), self._stolen_s, 0.0
 
     def seconds(self) -> float:
         """Return how long a whole chain of threads may have waited: those that did so longest, and what the host of a
         virtual machine took from it [s]."""
         self._look()
         waited_ns = sorted(now - self._before.get(thread, 0) for thread, now in self._newest.items())
-        return sum(waited_ns[-_CHAIN:]) * 1e-9 + _stolen_s() - self._stolen
+        return sum(waited_ns[-_CHAIN:]) * 1e-9 + self._stolen_s - self._stolen_before_s
 
     @classmethod
     @contextmanager
     def watched(cls) -> Iterator[Waits]:
-        """Look again and again for the length of a block, in which processes may come and go."""
+        """Look again and again for the length of a block, in which processes may come and go; what is waited after it
+        counts no more."""
         waits, ended = cls(), threading.Event()
 
         def watch() -> None:
@@ -73,8 +75,13 @@ class Waits:
         finally:
             ended.set()
             thread.join()
+            waits._look()
+            waits._is_over = True
 
     def _look(self) -> None:
+        if self._is_over:
+            return
+        self._stolen_s = _stolen_s()
         self._pids |= _descendants(os.getpid())
         found = _waited_ns(self._pids)
         with self._one_at_a_time:
@@ -140,7 +147,11 @@ def _descendants(pid: int) -> set[int]:
 
 
 def _stolen_s() -> float:
-    """Return the time that the host of a virtual machine gave to others so far [s]."""
+    """Return the time that the host of a virtual machine gave to others so far, of each processor [s]."""
     with suppress(*_NOT_THERE):
-        return int(Path("/proc/stat").read_text().split(maxsplit=_STEAL + 1)[_STEAL]) / os.sysconf("SC_CLK_TCK")
+        return (
+            int(Path("/proc/stat").read_text().split(maxsplit=_STEAL + 1)[_STEAL])
+            / os.sysconf("SC_CLK_TCK")
+            / (os.cpu_count() or 1)
+        )
     return 0.0

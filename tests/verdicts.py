@@ -8,15 +8,18 @@ from station.episode.quality.findings import Quality, Verdict
 from tests.lateness import STALE_S, TooLate, Waits
 
 _PERIOD_S = 0.02
+_LASTING = (0.3 + 1.0) / 0.3  # of an interruption to its cause: a silence of 0.3 s, and a second of entering after it
 _SLOW_SHARE = 0.05  # of the writes are missing in a stream that is slow
 
 
 def _gap(quality: Quality, waits: Waits) -> tuple[float, float]:
-    return max(stream.longest_gap_s or 0.0 for stream in quality.streams) / 2, waits.longest_s  # two may wait in turn
+    timed = [stream.longest_gap_s or 0.0 for stream in quality.streams if stream.nominal_hz is not None]
+    return max(timed) / 2, waits.longest_s  # two may wait in turn
 
 
-def _interrupted(_: Quality, waits: Waits) -> tuple[float, float]:
-    return STALE_S / 2, waits.longest_s
+def _interrupted(quality: Quality, waits: Waits) -> tuple[float, float]:
+    interrupted_s = max(robot.interrupted_share for robot in quality.steps) * quality.duration_s
+    return max(STALE_S / 2, interrupted_s / _LASTING), waits.seconds() if waits.longest_s >= STALE_S / 2 else 0.0
 
 
 def _old_command(quality: Quality, waits: Waits) -> tuple[float, float]:

@@ -24,6 +24,7 @@ from tests.cli.running import Home, Running, new_home
 from tests.faults.operator_scripts import LOSSES, SESSIONS, Plan, Session
 from tests.servers.engagements import jumps_at_engaging
 from tests.servers.g1_station import ROBOT, Log, logged
+from tests.servers.operated_station import UPRIGHT_M
 from tests.waiting import wait_until
 
 SAME = 1e-6
@@ -69,6 +70,7 @@ def _attend(home: Home, up: Running, log: Log, device: str, plan: Plan) -> None:
 
     wait_until(lambda: is_in(plan.fatal), _PATIENCE_S + plan.end_s)
     os.kill(home.pids()[device], signal.SIGKILL)
+    log.wait_for("server-restarted")
     wait_until(lambda: is_in(plan.cycles - 1), _PATIENCE_S + plan.end_s)
     wait_until(lambda: log.events("operator-engaged", "operator-disengaged")[-1].name == "operator-disengaged")
 
@@ -109,6 +111,7 @@ def is_safe(found: dict[str, Any]) -> bool:
         and len(found["not_by_the_operator"]) > LOSSES
         and found["device_server_restarts"] >= 1
         and found["falls"] == 0
+        and found["lowest_pelvis_m"] > UPRIGHT_M
         and found["largest_jump_at_engaging"] <= SAME
     )
 

@@ -11,7 +11,7 @@ from tests.faults.operator_scripts import SESSIONS, Plan
 from tests.faults.soak_operator import is_safe, soak
 from tests.main_job.station_runs import ROOT
 
-SHORT_MIN = 0.5
+SHORT_MIN = 0.6
 
 
 @pytest.mark.timeout(240)
@@ -29,5 +29,11 @@ def test_device_server_that_dies_is_started_again(runbook: Path) -> None:
 def test_plan_of_five_minutes_has_fifty_engagements_three_losses_and_a_death_in_cycles_of_their_own() -> None:
     plan = Plan.lasting(5.0)
     assert plan.cycles >= 50
+    assert len({*plan.lossy, plan.fatal}) == 4
+    assert plan.fatal < plan.cycles - 1
+
+
+def test_in_the_short_session_too_somebody_drives_again_after_the_death() -> None:
+    plan = Plan.lasting(SHORT_MIN)
     assert len({*plan.lossy, plan.fatal}) == 4
     assert plan.fatal < plan.cycles - 1

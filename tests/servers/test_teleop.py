@@ -72,13 +72,14 @@ def wave_walk_and_leave(folder: Path) -> None:
         assert followed.count("tracking") > 0.8 * len(followed)
 
 
-def expect_told(station: OperatedStation, waits: Waits, *names: str) -> None:
-    """This was told of driving and nothing else; or the device fell silent because somebody had to wait."""
+def expect_told(station: OperatedStation, waits: Waits, *names: str, losses: int = 0) -> None:
+    """This was told of driving and nothing else; or the device fell silent more often than the test let it, because
+    somebody had to wait."""
     found = [event.name.removeprefix("operator-") for event in station.told(*TOLD_OF_DRIVING)]
     silent = [reason for reason in station.reasons() if is_of_the_device(reason)]
-    if found != list(names) and silent:
+    if found != list(names) and len(silent) > losses:
         waits.seconds()
-        raise TooLate(f"{silent[0]}: {found}", STALE_S / 2, waits.longest_s)
+        raise TooLate(f"{silent[-1]}: {found}", STALE_S / 2, waits.longest_s)
     assert found == list(names)
 
 
@@ -120,7 +121,7 @@ def be_silent_and_crash(folder: Path) -> None:
         jumps = station.restarts_at_engaging()
         assert max(jumps) <= SAME
         assert station.is_upright()
-        expect_told(station, waits, *["engaged", "disengaged"] * 3, "engaged")
+        expect_told(station, waits, *["engaged", "disengaged"] * 3, "engaged", losses=3)
         assert len(jumps) == 4
 
 

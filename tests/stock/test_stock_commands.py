@@ -90,6 +90,7 @@ def test_robot_walks_to_stock_commands_and_all_of_it_is_recorded(
     check = open_bus.terminal.json("check", started["path"])
     (robot,) = check["steps"]
     assert (check["falls"], check["dropped"]) == (0, 0)
+    assert robot["gate_shares"]["tracking"] > 0.3
     if (steps := robot["steps"]) <= 350:
         excuse(TooLate(f"{steps} steps in 8 s", (351 - steps) * PERIOD_S, waited_s))
     assert open_bus.terminal.json("audit", started["path"])["different"] == 0
