@@ -89,7 +89,7 @@ class Intake:
             reason = f"the tap was lost while the recorder stopped: {_bare(error, self._life.bus)}"
             self.recording.hole(self._known_ns, time.monotonic_ns(), reason)
             return
-        if not is_whole and self._catching_up.is_late:
+        if not is_whole:
             self.recording.hole(self._known_ns, time.monotonic_ns(), _NOT_READ)
 
     def close(self) -> None:
@@ -110,8 +110,6 @@ class Intake:
         writes = early or self.tap.read(_READ_S)
         self._heard_ns = now_ns = time.monotonic_ns()
         newest_ns = next((told for write in reversed(writes) if (told := written_ns(write)) is not None), 0)
-        if not writes and not self._catching_up.is_late:
-            newest_ns = now_ns
         self._known_ns = max(self._known_ns, min(newest_ns, now_ns))
         return writes
 
