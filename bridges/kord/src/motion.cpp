@@ -116,13 +116,15 @@ Sending Motion::stop_of(const Arm& arm) const {
     return stop;
 }
 
+// By the longest ways of all joints: one that stands at its goal has a measured speed too, and would tell nothing.
 bool Motion::is_past_goal(const Joints& q, const Arm& arm) const {
     if (mode_ != Mode::move_joints) return false;
+    double way = 0, left = 0;
     for (size_t joint = 0; joint < kJoints; ++joint) {
-        const double goal = wish_.q[joint];
-        if (std::abs(q[joint] - arm.q[joint]) > std::abs(goal - arm.q[joint])) return true;
+        way = std::max(way, std::abs(q[joint] - arm.q[joint]));
+        left = std::max(left, std::abs(wish_.q[joint] - arm.q[joint]));
     }
-    return false;
+    return way > left;
 }
 
 Sending Motion::decide(const Arm& arm, const Profile& profile, int throttle) {

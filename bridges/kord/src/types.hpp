@@ -87,7 +87,8 @@ struct State {
     double queued_motion_s = 0;
     int planner_backlog = -1;
     int64_t tick = 0, stream_j_sends = 0, direct_sends = 0, move_sends = 0, commands_dropped_by_throttle = 0;
-    int64_t failed_sends = 0, slewed_sends = 0, limit_refusals = 0, sync_timeouts = 0, missed_ticks = 0, late_commands = 0;
+    int64_t failed_sends = 0, slewed_sends = 0, limit_refusals = 0, sync_timeouts = 0, missed_ticks = 0;
+    int64_t late_commands = 0;
     int64_t fault_count = 0, trace_skipped = 0;
     Timing sync_to_send_us, period_us;
     uint32_t motion_flags = 0, safety_flags = 0, alarm_state = 0;
