@@ -59,6 +59,7 @@ _OMEGA = math.sqrt(9.81 / STANDING_COM[2])
 _LOOKS = np.exp(-_OMEGA * _AHEAD_S) / np.exp(-_OMEGA * _AHEAD_S).sum()
 _UPPER = G1_29[len(LEGS) :]
 _LOWEST_Q, _HIGHEST_Q = g1.lower(G1_29), g1.upper(G1_29)
+_SLIPS_S = 0.35  # in a curve policies are carried outward, by so much of speed times turning; TWIST2's and ours alike
 _FOLLOWS, _LEANS_S, _FARTHEST_M = 0.87, 0.3, 0.1  # part of a shift of the pelvis that the weight makes; how it leans
 _CENTRED_M, _STEADY_MPS = 1e-3, 1e-3  # a body that stands
 _SPARE_M = 0.08  # the body is not exactly where it wishes to be when a foot lands below it
@@ -209,9 +210,11 @@ class Walker:
 
 
 def _possible(wish: Wish) -> Floats:
-    """The velocity of a wish, within what the legs can."""
-    velocity = np.array([wish.velocity_x, wish.velocity_y, wish.yaw_rate])
-    velocity = np.clip(velocity, (-FASTEST_BACK, *-FASTEST[1:]), FASTEST)
+    """The velocity of a wish, within what the legs can; in a curve so far inward that the robot does not leave it."""
+    lowest = np.array((-FASTEST_BACK, *-FASTEST[1:]))
+    velocity = np.clip((wish.velocity_x, wish.velocity_y, wish.yaw_rate), lowest, FASTEST)
+    velocity[1] += _SLIPS_S * velocity[0] * velocity[2]
+    velocity = np.clip(velocity, lowest, FASTEST)
     return velocity if is_moving(velocity) else np.zeros(3)
 
 

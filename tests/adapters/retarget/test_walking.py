@@ -21,6 +21,7 @@ from adapters.retarget.walking import (
 )
 from adapters.robots.g1 import joints as g1
 from adapters.robots.g1 import kinematics
+from benchmarks.walking import velocity_reached
 from station import rotations
 from station.bus import codec
 from station.bus.joints import G1_29
@@ -81,10 +82,20 @@ def test_it_goes_as_fast_as_it_is_told_and_comes_to_a_stand(velocity: tuple[floa
 
 
 def test_more_than_the_legs_can_is_cut_off() -> None:
-    walker, _ = walked([(4.0, Wish(5.0, -5.0, 5.0))])
-    assert walker.velocity == pytest.approx(FASTEST * (1.0, -1.0, 1.0))
+    walker, _ = walked([(4.0, Wish(5.0, 5.0, 5.0))])
+    assert walker.velocity == pytest.approx(FASTEST)
+    walker, _ = walked([(4.0, Wish(0.0, -5.0, -5.0))])
+    assert walker.velocity == pytest.approx(FASTEST * (0.0, -1.0, -1.0))
     walker, _ = walked([(4.0, Wish(-5.0))])
     assert walker.velocity[0] == pytest.approx(-FASTEST_BACK)
+
+
+@pytest.mark.parametrize("turn", [1.0, -1.0])
+def test_the_tracker_stays_in_a_fast_curve(turn: float) -> None:
+    asked = (FASTEST[0], 0.0, turn * FASTEST[2])
+    reached = velocity_reached(build(RigConfig()), asked)
+    assert np.hypot(*(reached - asked)[:2]) < 0.2, "without the way inward it is 0.26 m/s"
+    assert abs(reached[1]) < 0.08
 
 
 @pytest.mark.parametrize("seed", range(3))
