@@ -53,11 +53,19 @@ class Heritage:
     @property
     def position(self) -> Position | None:
         """Where the tap is to go on; None for anywhere."""
-        point = self._unborn or (self._found.point if self._found else None)
-        return point.position if point else None
+        return self._point.position if self._point else None
+
+    @property
+    def start_ns(self) -> int:
+        """When the episode was begun that goes on, or that is yet to begin [ns, monotonic]; 0 for none."""
+        return self._point.anchor.mono_ns if self._point else 0
+
+    @property
+    def _point(self) -> ResumePoint | None:
+        return self._unborn or (self._found.point if self._found else None)
 
     def enter(self, recording: Recording, tap: Tap) -> int:
-        """Hand an episode over that can go on, see to an unanswered request, and tell of episodes that cannot.
+        """Hand an episode over that can go on, and tell of episodes that cannot.
 
         Returns:
             When the last write arrived that the episode holds [ns, monotonic]; 0 without one.
@@ -75,10 +83,32 @@ class Heritage:
                 recording.ignore_until(self._unborn.start_id)
         elif self._found is not None and (is_exact or self._found.age_s <= self._take_up_s):
             written_ns = self._take_up(self._found, recording, tap, is_exact=is_exact)
-        self._see_to_request(recording, is_in_stream=is_exact)
         if (line := offer(self._options.data)) is not None:
             self._life.event("episodes-left-open", severity="warning", reason=line)
         return written_ns
+
+    def see_to_request(self, recording: Recording, *, is_in_stream: bool) -> None:
+        """Do the newest request unless it was done, or is old, or comes with the stream; answer where that is due."""
+        bus = self._life.bus
+        request = bus.read([keys.RECORD]).get(keys.RECORD)
+        if request is None:
+            return
+        asker, answer = request_id(request.value), bus.get(keys.RECORD_ACK)
+        is_answered = answer is not None and request_id(answer) == asker
+        if recording.answers.knows(asker):
+            if not is_answered:
+                recording.answers.is_new(asker)  # which gives the answer once more
+            return
+        if is_in_stream:
+            return
+        mark = request.stamp
+        is_fresh = (
+            mark is not None and mark.is_from_this_boot and time.monotonic_ns() - mark.mono_ns < _PATIENCE_S * 1e9
+        )
+        if self._was_killed and is_fresh and not is_answered:
+            recording.missed(Write(keys.RECORD, request.value, None, time.monotonic_ns()))
+        else:
+            recording.seed(keys.RECORD, request.value, None)
 
     def _look(self) -> None:
         for folder in left_open(self._options.data):
@@ -111,29 +141,6 @@ class Heritage:
             away_s=note["away_s"], restarts=taken.take.manifest.recorder.restarts, messages=note["kept_messages"],
         )  # fmt: skip
         return taken.written_ns
-
-    def _see_to_request(self, recording: Recording, *, is_in_stream: bool) -> None:
-        """Do the newest request unless it was done, or is old, or comes with the stream; answer where that is due."""
-        bus = self._life.bus
-        request = bus.read([keys.RECORD]).get(keys.RECORD)
-        if request is None:
-            return
-        asker, answer = request_id(request.value), bus.get(keys.RECORD_ACK)
-        is_answered = answer is not None and request_id(answer) == asker
-        if recording.answers.knows(asker):
-            if not is_answered:
-                recording.answers.is_new(asker)  # which gives the answer once more
-            return
-        if is_in_stream:
-            return
-        mark = request.stamp
-        is_fresh = (
-            mark is not None and mark.is_from_this_boot and time.monotonic_ns() - mark.mono_ns < _PATIENCE_S * 1e9
-        )
-        if self._was_killed and is_fresh and not is_answered:
-            recording.missed(Write(keys.RECORD, request.value, None, time.monotonic_ns()))
-        else:
-            recording.seed(keys.RECORD, request.value, None)
 
 
 def _ended_before(recording: Recording, folder: Path, requests: list[str]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from station.episode.recorder.catching_up import CatchingUp
 from station.episode.recorder.heritage import Heritage
 from station.episode.recorder.latched import latched, not_among
 from station.episode.recorder.recording import Recording
-from station.episode.recorder.resume import as_written, written_ns
+from station.episode.recorder.resume import as_written, newest_written_ns
 from station.errors import BusError
 
 if TYPE_CHECKING:
@@ -59,11 +59,13 @@ class Intake:
         self.recording.placed(tap.position())
         self._seed()
         self._written_ns = heritage.enter(self.recording, tap)  # the newest write, on our monotonic clock
-        if tap.resumed and self._written_ns:
-            self._known_ns = self._written_ns
+        if tap.resumed:
+            self._known_ns = self._written_ns or heritage.start_ns
         self._early: list[Write] = []  # came while we looked back
-        if options.preroll_s and not tap.resumed:
-            self._look_back(options.preroll_s)
+        self._preroll_s = options.preroll_s
+        if not tap.resumed:
+            self._look_back()
+        heritage.see_to_request(self.recording, is_in_stream=bool(tap.resumed) or self._is_request_early)
 
     def step(self) -> None:
         """Take in what arrived, unless it had better wait at the bus; see to a tap that is lost."""
@@ -109,8 +111,7 @@ class Intake:
         early, self._early = self._early, []
         writes = early or self.tap.read(_READ_S)
         self._heard_ns = now_ns = time.monotonic_ns()
-        newest_ns = next((told for write in reversed(writes) if (told := written_ns(write)) is not None), 0)
-        self._known_ns = max(self._known_ns, min(newest_ns, now_ns))
+        self._known_ns = max(self._known_ns, min(newest_written_ns(writes), now_ns))
         return writes
 
     def _read_up_to_now(self, take: Callable[[list[Write]], None]) -> bool:
@@ -130,17 +131,23 @@ class Intake:
                 return True
         return False
 
-    def _look_back(self, span_s: float) -> None:
+    def _look_back(self) -> None:
         """Have states that were written before the tap was open in the pre-roll, unless the tap brings them as well."""
-        states = latched(self._life.bus, span_s)
+        states = latched(self._life.bus, self._preroll_s) if self._preroll_s else []
         if not states:
             return
         early: list[Write] = []
-        if self._read_up_to_now(early.extend):
-            self.recording.latched(not_among(states, early))
-        else:
-            log.warning("the bus is slow: states from before the recorder's start are not in its pre-roll")
-        self._early = early
+        try:
+            if self._read_up_to_now(early.extend):
+                self.recording.latched(not_among(states, early))
+            else:
+                log.warning("the bus is slow: states from before the recorder's tap are not in its pre-roll")
+        finally:
+            self._early = early
+
+    @property
+    def _is_request_early(self) -> bool:
+        return any(write.key == keys.RECORD for write in self._early)
 
     def _is_own(self, write: Write, since_ns: int) -> bool:
         mark = stamps.decode(write.stamp) if write.stamp is not None and write.key == keys.RECORDER else None
@@ -157,8 +164,9 @@ class Intake:
         """Learn after a hole what was said in it: servers that came up, and a request that waits for its answer."""
         with contextlib.suppress(BusError):  # gone again; the next hole brings us back here
             self._seed()
+            self._look_back()
             value = self._life.bus.get(keys.RECORD)
-            if value is not None:
+            if value is not None and not self._is_request_early:
                 self.recording.missed(Write(keys.RECORD, value, None, time.monotonic_ns()))
 
     def _tap_again(self, error: BusError) -> None:

@@ -194,3 +194,13 @@ def written_ns(write: Write) -> int | None:
     """Return when a write was made [ns, monotonic]; None for a writer without stamps, or with another clock."""
     mark = stamps.decode(write.stamp) if write.stamp is not None else None
     return mark.mono_ns if mark is not None and mark.is_from_this_boot else None
+
+
+def newest_written_ns(writes: Sequence[Write]) -> int:
+    """Return when the newest of some writes was made that tells it [ns, monotonic]; 0 when none does.
+
+    On the bus of another machine hardly one does: a stamp is read only where the name of this boot stands in it.
+    """
+    ours = f".{stamps.boot_id()}.".encode()
+    told = (written_ns(write) for write in reversed(writes) if write.stamp is not None and ours in write.stamp)
+    return next((time_ns for time_ns in told if time_ns is not None), 0)

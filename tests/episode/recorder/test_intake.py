@@ -19,15 +19,18 @@ from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import Connection
-from station.bus.tap import open_tap
+from station.bus.tap import Tap, open_tap
 from station.episode.reading import steps
 from station.episode.reading.reader import open_episode
+from station.episode.recorder import intake as intake_module
 from station.episode.recorder import remote
 from station.episode.recorder.intake import Intake
 from station.episode.recorder.latched import latched, not_among
+from station.episode.recorder.ledger import Ledger
 from station.episode.recorder.options import RecordingOptions
+from station.episode.storage.anchor import Anchor, take_anchor
 from station.episode.storage.left_open import left_open
-from station.episode.storage.manifest import Hole, Manifest, load_manifest
+from station.episode.storage.manifest import Hole, Manifest, Timing, load_manifest, save_manifest
 from station.episode.storage.progress import load_resume_point
 from station.life.server import Life
 from tests.episode.writes import Native
@@ -36,6 +39,7 @@ from tests.waiting import wait_until
 ROBOT = keys.TWIST2_ROBOT
 STATE = keys.robot_state(ROBOT)
 LONG_S = 600.0
+STARTED_S = 5.0  # ago
 BLOCK = b"x" * 100_000
 BLOCKS = 60  # more than a read takes and a socket holds
 Make = Callable[..., Intake]
@@ -66,15 +70,15 @@ def make(bus_server: BusAddress, tmp_path: Path) -> Iterator[Make]:
             life.end("test")
 
 
-def ask(intake: Intake, g1: Bus, action: str) -> str:
-    """Have a request done; return the path of its episode."""
+def ask(intake: Intake, g1: Bus, action: str, *, but: str = "") -> str:
+    """Have a request done; return the path of its episode. An answer to another one may come before."""
     g1.publish({keys.RECORD: codec.json_object({"id": action, "action": action, "task": "walk"})})
     found: list[Any] = []
 
     def answered() -> bool:
         intake.step()
         intake.recording.poll()
-        found.extend(intake.recording.answers.take())
+        found.extend(answer for answer in intake.recording.answers.take() if answer.id != but)
         return bool(found)
 
     wait_until(answered)
@@ -166,6 +170,51 @@ def test_without_a_preroll_nobody_looks_back(make: Make, g1: Bus) -> None:
     assert STATE not in open_episode(folder).topics()
 
 
+def test_an_episode_that_begins_with_the_recorder_has_the_state_that_stood_on_the_bus(make: Make, g1: Bus) -> None:
+    state = codec.f64([1.0] * 65)
+    g1.publish({keys.RECORDER: b"of a recorder that was killed"})
+    g1.publish({STATE: state, keys.T_STATE: b"1"})  # and now it waits for a command
+    g1.publish({keys.RECORD: codec.json_object({"id": "start", "action": "start", "task": "walk"})})
+    intake = make()
+    assert intake.recording.is_recording, "nobody need ask again"
+    stepped(g1, 1)
+    folder = ask(intake, g1, "stop", but="start")
+    (step,) = steps.iterate(open_episode(folder), ROBOT)
+    assert (step.values[STATE], step.state_number) == (state, 1)
+
+
+def test_an_episode_that_was_asked_for_in_a_hole_has_the_state_that_stands_on_the_bus(
+    make: Make, g1: Bus, bus_server: BusAddress
+) -> None:
+    state = codec.f64([1.0] * 65)
+    intake = make()
+    step_until(intake, lambda: True)
+    overrun(bus_server, lambda: g1.publish({STATE: state}))
+    g1.publish({keys.RECORD: codec.json_object({"id": "start", "action": "start", "task": "walk"})})
+    step_until(intake, lambda: intake.recording.is_recording)
+    stepped(g1, 1)
+    folder = ask(intake, g1, "stop", but="start")
+    (step,) = steps.iterate(open_episode(folder), ROBOT)
+    assert step.values[STATE] == state
+
+
+def test_a_request_that_comes_as_soon_as_the_tap_is_open_is_done_once(
+    make: Make, g1: Bus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def open_and_ask(*where: Any, **how: Any) -> Tap:
+        tap = open_tap(*where, **how)
+        g1.publish({keys.RECORD: codec.json_object({"id": "start", "action": "start", "task": "walk"})})
+        return tap
+
+    monkeypatch.setattr(intake_module, "open_tap", open_and_ask)
+    g1.publish({STATE: b""})
+    intake = make()
+    assert not intake.recording.is_recording, "the tap brings it"
+    step_until(intake, lambda: intake.recording.is_recording)
+    folder = ask(intake, g1, "stop", but="start")
+    assert [message.sequence for message in open_episode(folder).messages([keys.RECORD])] == [1, 2]
+
+
 def test_a_hole_that_cuts_off_what_was_waiting_reaches_back_to_the_newest_write_in_the_file(
     make: Make, g1: Bus, bus_server: BusAddress, tmp_path: Path
 ) -> None:
@@ -184,6 +233,24 @@ def test_a_hole_that_cuts_off_what_was_waiting_reaches_back_to_the_newest_write_
     assert anchor is not None
     assert hole.from_s < (opened_ns - anchor.mono_ns) * 1e-9, "all that waited was written before"
     assert "backlog is too small" in hole.reason
+
+
+def test_a_hole_before_the_start_has_come_once_more_reaches_back_to_the_start(
+    make: Make, g1: Bus, bus_server: BusAddress, tmp_path: Path
+) -> None:
+    folder = begun_recording(bus_server, tmp_path)
+    for _ in range(BLOCKS):  # by one who does not say when
+        g1.call("SET", "own", BLOCK)
+    g1.publish({keys.RECORD: codec.json_object({"id": "start", "action": "start"})})
+    intake = make()
+    assert intake.tap.is_catching_up
+    overrun(bus_server)
+    step_until(intake, lambda: manifest_of(intake).holes)
+    ask(intake, g1, "stop", but="start")
+    (hole,) = load_manifest(folder).holes
+    assert hole.from_s == 0.0
+    assert hole.to_s is not None
+    assert hole.to_s >= STARTED_S
 
 
 def test_a_tap_that_is_lost_at_the_end_leaves_a_hole_from_the_newest_write_that_came(
@@ -219,16 +286,32 @@ def killed_recorder(g1: Bus, address: BusAddress, data: Path) -> Path:
     return folder
 
 
+def begun_recording(address: BusAddress, data: Path) -> Path:
+    """Leave what a recorder leaves that was killed when the first manifest was written, and not one message."""
+    folder = data / "walk" / "2026-11-21-g1-walk-0001"
+    folder.mkdir(parents=True)
+    tap, clock = open_tap(address), take_anchor()
+    start_ns = clock.mono_ns - int(STARTED_S * 1e9)
+    anchor = Anchor(wall_ns=clock.at(start_ns), mono_ns=start_ns, boot=clock.boot)
+    Ledger(folder, folder.name, anchor, "start").note(tap.position(), None)
+    tap.close()
+    manifest = Manifest(episode_id=folder.name, timing=Timing(anchor=anchor))
+    manifest.recorder.bus = str(address)
+    save_manifest(manifest, folder)
+    return folder
+
+
 def publish_blocks(g1: Bus) -> None:
     for _ in range(BLOCKS):
         assert g1.publish({"own": BLOCK})
 
 
-def overrun(address: BusAddress) -> None:
-    """Cut the recorder off and have the bus forget what it has not read."""
+def overrun(address: BusAddress, meanwhile: Callable[[], object] = lambda: None) -> None:
+    """Cut the recorder off and have the bus forget what it has not read, nor what is written meanwhile."""
     admin = Connection(address, timeout_s=5.0)
     admin.call("CONFIG", "SET", "repl-backlog-size", 16384)
     assert admin.call("CLIENT", "KILL", "TYPE", "replica") == 1
+    meanwhile()
     admin.call("SET", "bulk", BLOCK)
     admin.close()
 

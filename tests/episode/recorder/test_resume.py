@@ -13,10 +13,11 @@ import msgspec
 import pytest
 
 from station.bus import keys
+from station.bus import stamp as stamps
 from station.bus.tap import Position, Write
 from station.episode.reading.reader import open_episode
 from station.episode.recorder.options import RecordingOptions
-from station.episode.recorder.resume import as_written, newest, take_up
+from station.episode.recorder.resume import as_written, newest, newest_written_ns, take_up
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, take_anchor
@@ -211,3 +212,13 @@ def test_writes_that_waited_get_the_time_at_which_they_were_written() -> None:
     assert as_written([writes[0]], 0) == [writes[0]], "nothing tells its time"
     ahead = g1.write(BODY, b"1", written_ns=late + 10**12)._replace(mono_ns=late)
     assert as_written([ahead], now)[0].mono_ns == late, "a clock that runs ahead is not followed"
+
+
+def test_the_newest_of_our_own_writes_tells_up_to_when_all_is_known() -> None:
+    g1, other = Native(), Native()
+    other.source = "g1.1.00000000.ab"
+    theirs = [other.write(BODY, b"", written_ns=n) for n in (10**15, 10**15 + 1)]
+    writes = [g1.write(BODY, b"", written_ns=5), g1.write(BODY, b"", written_ns=7), *theirs, foreign("stock", b"1")]
+    odd = Write("odd", b"", f"no number .{stamps.boot_id()}. at all".encode(), 9)
+    assert newest_written_ns([*writes, odd]) == 7
+    assert newest_written_ns(theirs) == newest_written_ns([]) == 0
