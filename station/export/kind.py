@@ -8,7 +8,8 @@ An export goes through four steps, whatever the format. Only the second is heavy
    `Made`. It runs in a process of its own, possibly on another machine, one episode at a time. An episode that cannot
    be converted raises `StationError` with one line that names the key; it is left out and told of, nothing else stops.
 3. `station.export.shards` gives a whole shard its name by one rename. A shard is known by its episode, the plan and the
-   version of the format, so an export that was killed goes on with what is missing.
+   version of the format, so an export that was killed goes on with what is missing. The verdict that a check wrote of
+   an episode stands, so other rules change nothing; where the export itself judged, a shard is kept for those rules.
 4. ``join(shards, plan, folder)`` makes the result of all shards in an empty folder, which then gets its final name by
    one rename: nothing half is ever visible. A format without a join has the files of all shards as its result, so
    their names must differ: begin them with the episode's id.
@@ -34,7 +35,8 @@ class ExportOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     ``__post_init__`` refuses raises `ValueError`, which `station.config.build` turns into one line.
 
     Attributes:
-        min_quality: Least verdict of `station check` that an episode needs; one that was never measured is measured.
+        min_quality: Least verdict of `station check` that an episode needs: the one in its manifest; one that was never
+            measured is measured, by the rules of the user who exports.
     """
 
     min_quality: Annotated[MinQuality, msgspec.Meta(description="Least verdict of `station check`.")] = "usable"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from station.episode.quality.rule_file import RuleBook
 from station.errors import StationError
 from station.export import shards, verdict
 from station.export.jobs import Attempt, DiskRefuses, map_episodes
@@ -89,12 +90,14 @@ def export(
         if on_done is not None:
             on_done(outcomes[-1])
 
-    plan = kind.prepare(sources, options)
+    plan, book = kind.prepare(sources, options), verdict.rule_book(options.min_quality)
     with shards.open_work(out) as work:
         tasks = [
-            shards.Task(format=kind.name, source=source, plan=plan, min_quality=options.min_quality, work=str(work))
+            shards.Task(
+                format=kind.name, source=source, plan=plan, min_quality=options.min_quality, work=str(work), book=book
+            )
             for source in sources
-        ]
+        ]  # fmt: skip
         try:
             done = map_episodes(shards.make_shard, tasks, jobs=where.jobs, ray_address=where.ray_address, on_done=note)
             facts = shards.finish(kind, plan, [_outcome(attempt) for attempt in done], work, out)
@@ -123,8 +126,9 @@ def preview(
     Raises:
         StationError: nothing can be exported so; one line.
     """
+    look = _Look(options.min_quality, verdict.rule_book(options.min_quality))
     attempts = map_episodes(
-        _Look(options.min_quality), sources, jobs=where.jobs, ray_address=where.ray_address,
+        look, sources, jobs=where.jobs, ray_address=where.ray_address,
         on_done=None if on_done is None else lambda _: on_done(),
     )  # fmt: skip
     left_out = [LeftOut(source=each.item, reason=each.error) for each in attempts if each.error]
@@ -135,11 +139,11 @@ def preview(
 class _Look:
     """Looks whether an episode is good enough; an object of a class, since it travels to other processes."""
 
-    def __init__(self, least: MinQuality) -> None:
-        self._least = least
+    def __init__(self, least: MinQuality, book: RuleBook | None) -> None:
+        self._least, self._book = least, book
 
     def __call__(self, source: Source) -> None:
-        verdict.expect(source, self._least)
+        verdict.expect(source, self._least, self._book)
 
 
 def _outcome(attempt: Attempt[shards.Task, shards.Outcome]) -> shards.Outcome:

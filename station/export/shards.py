@@ -19,6 +19,8 @@ from typing import Any, Literal
 import msgspec
 
 from station import registry
+from station.episode.quality.finding_parts import RulesFile
+from station.episode.quality.rule_file import RuleBook, of_user
 from station.episode.storage import layout
 from station.episode.storage.atomic import sync_folder, write_atomic
 from station.errors import BadFile, EpisodeError, StationError
@@ -39,6 +41,7 @@ class Task(msgspec.Struct, frozen=True, kw_only=True):
         source: The episode.
         plan: What the format's `prepare` returned.
         min_quality: Least verdict that the episode needs.
+        book: The rules for an episode that no check has judged; None: those of the user who runs it.
         work: From `open_work`.
     """
 
@@ -47,6 +50,7 @@ class Task(msgspec.Struct, frozen=True, kw_only=True):
     plan: Any
     min_quality: MinQuality
     work: str
+    book: RuleBook | None = None
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
@@ -66,7 +70,10 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Record(msgspec.Struct, frozen=True, kw_only=True):
+    """What stands beside a shard; `rules` as of `verdict.Judged`: with others its episode is judged again."""
+
     fingerprint: str
+    rules: tuple[RulesFile, ...]
     made: Made
 
 
@@ -118,10 +125,11 @@ def make_shard(task: Task) -> Outcome:
     place = Path(task.work) / _SHARDS / task.source.episode_id
     try:
         before = _fingerprint(kind, task)
-        if (record := _record(place)) is not None and record.fingerprint == before:
+        record = _record(place)
+        if record is not None and record.fingerprint == before and _are_those(task, record.rules):
             return Outcome(source=task.source, status="kept", made=record.made)
-        verdict.expect(task.source, task.min_quality)
-        made = _make(kind, task, place, before)
+        judged = verdict.expect(task.source, task.min_quality, task.book)
+        made = _make(kind, task, place, before, judged)
     except verdict.NotGoodEnough as error:
         return Outcome(source=task.source, status="left-out", reason=str(error))
     except StationError as error:
@@ -171,7 +179,12 @@ def place(file: Path, target: Path) -> None:
         shutil.copyfile(file, target)
 
 
-def _make(kind: ExportKind, task: Task, place: Path, before: str) -> Made:
+def _are_those(task: Task, rules: tuple[RulesFile, ...]) -> bool:
+    """Whether the rules that let an episode in are today's; where its manifest did, they are not asked."""
+    return not rules or rules == (task.book or of_user()).files
+
+
+def _make(kind: ExportKind, task: Task, place: Path, before: str, judged: verdict.Judged) -> Made:
     making = Path(task.work) / _MAKING / f"{task.source.episode_id}.{os.getpid()}"
     shutil.rmtree(making, ignore_errors=True)
     (making / _FILES).mkdir(parents=True)
@@ -180,7 +193,8 @@ def _make(kind: ExportKind, task: Task, place: Path, before: str) -> Made:
         if _fingerprint(kind, task) != before:
             raise EpisodeError("changed while it was read; export it again when nobody writes it")
         _sync(making)
-        write_atomic(making / _RECORD, msgspec.json.encode(_Record(fingerprint=before, made=made)))
+        record = _Record(fingerprint=before, rules=judged.rules, made=made)
+        write_atomic(making / _RECORD, msgspec.json.encode(record))
         shutil.rmtree(place, ignore_errors=True)  # an older one, of other options
         os.replace(making, place)
     finally:
@@ -189,14 +203,14 @@ def _make(kind: ExportKind, task: Task, place: Path, before: str) -> Made:
 
 
 def _fingerprint(kind: ExportKind, task: Task) -> str:
-    """Name an episode as it is now, together with everything that decides what becomes of it."""
+    """Name an episode as it is now, a verdict in its manifest included, with what is asked for and made of it."""
     folder = Path(task.source.folder)
     files = sorted(path for pattern in _OF_AN_EPISODE for path in folder.glob(pattern))
     if not files:
         raise EpisodeError(f"{folder}: no episode any more; was it moved?")
     manifest = folder / layout.MANIFEST
     facts = [
-        kind.name, kind.version, task.min_quality, verdict.rules(task.min_quality), task.plan,
+        kind.name, kind.version, task.min_quality, task.plan,
         [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in files if path != manifest],
         hashlib.sha256(manifest.read_bytes()).hexdigest() if manifest in files else "",
     ]  # fmt: skip

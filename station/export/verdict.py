@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 from station.episode.quality.finding_parts import RulesFile
 from station.episode.quality.findings import Verdict
-from station.episode.quality.rule_file import of_user
-from station.episode.quality.standing import standing
+from station.episode.quality.rule_file import RuleBook, of_user
+from station.episode.quality.standing import standing, stands
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.folder import signals_file
 from station.errors import EpisodeError
@@ -20,13 +21,36 @@ class NotGoodEnough(EpisodeError):
     """An episode whose verdict is less than an export asks for."""
 
 
-def rules(least: MinQuality) -> list[RulesFile]:
-    """Return the files that decide, each with its hash; none where any episode will do."""
-    return [] if least == "any" else list(of_user().files)
+class Judged(NamedTuple):
+    """How an episode was found good enough.
+
+    Attributes:
+        verdict: None where any would do.
+        rules: Files of the rules that said so now, each with its hash; none where the verdict in the manifest stands.
+    """
+
+    verdict: Verdict | None
+    rules: tuple[RulesFile, ...] = ()
 
 
-def expect(source: Source, least: MinQuality) -> Verdict | None:
-    """Refuse an episode whose verdict is less than asked for; return the verdict, None where none was needed.
+def rule_book(least: MinQuality) -> RuleBook | None:
+    """Return this user's rules, to be read once for a whole export; None where any episode will do.
+
+    Raises:
+        BadFile, ConfigError: as `station.episode.quality.rule_file.load`.
+    """
+    return None if least == "any" else of_user()
+
+
+def expect(source: Source, least: MinQuality, book: RuleBook | None = None) -> Judged:
+    """Refuse an episode whose verdict is less than asked for.
+
+    The verdict that a check wrote stands, by whatever rules; these rules are for what has none.
+
+    Args:
+        source: The episode.
+        least: What is asked for.
+        book: The rules; None has this user's read.
 
     Raises:
         NotGoodEnough: less than `least`, with the first reason.
@@ -41,10 +65,11 @@ def expect(source: Source, least: MinQuality) -> Verdict | None:
     if not any(stream.count for stream in reader.streams()):
         raise EpisodeError(f"{source.episode_id}: holds no message; there is nothing to export")
     if least == "any":
-        return None
-    quality = standing(reader, of_user())
+        return Judged(None)
+    written = stands(reader.manifest)
+    quality = written or standing(reader, book or of_user())
     found = quality.verdict
     if _RANK[found] < _RANK[least]:
         reason = next((item.text for item in quality.reasons if item.verdict == found), "see `station check`")
         raise NotGoodEnough(f"{source.episode_id}: {found}, and --min-quality asks for {least}: {reason}")
-    return found
+    return Judged(found, () if written else tuple(quality.rules))

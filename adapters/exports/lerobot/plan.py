@@ -108,9 +108,10 @@ def common(sources: Sequence[Source], wish: Wish) -> Common:
         StationError: there is no such episode; the reason of the first one.
     """
     first: StationError | None = None
+    book = verdict.rule_book(wish.min_quality)
     for source in sources:
         try:
-            verdict.expect(source, wish.min_quality)
+            verdict.expect(source, wish.min_quality, book)
             return _of(open_source(source), wish)
         except StationError as error:
             first = first or error

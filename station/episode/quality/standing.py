@@ -17,21 +17,33 @@ def standing(reader: EpisodeReader, book: RuleBook, *, is_judged_anew: bool = Fa
 
     Args:
         reader: The episode.
-        book: The rules for what is judged now: where nothing was measured, or somebody has said since that it is to be
-            discarded, or whether the task was done.
+        book: The rules for what is judged now: where nothing `stands`.
         is_judged_anew: Whether they are laid on what was measured in any case.
 
     Raises:
         EpisodeError: it has to be measured, and cannot be read.
     """
+    if not is_judged_anew and (found := stands(reader.manifest)) is not None:
+        return found
     quality = _written(reader.manifest)
     if quality is None:
         return check(reader, book)
     flags = reader.manifest.quality_flags
-    if is_judged_anew or (quality.discarded, quality.success) != (flags.discarded, flags.success):
-        quality.discarded, quality.success = flags.discarded, flags.success
-        quality.verdict, quality.reasons = judge(quality, book.limits)
-        quality.rules = list(book.files)
+    quality.discarded, quality.success = flags.discarded, flags.success
+    quality.verdict, quality.reasons = judge(quality, book.limits)
+    quality.rules = list(book.files)
+    return quality
+
+
+def stands(manifest: Manifest) -> Quality | None:
+    """Return what a check wrote of an episode, by whatever rules; None where that is to be judged now.
+
+    That is where no check has written all that is measured today, or somebody has said since that the episode is to be
+    discarded, or whether the task was done.
+    """
+    quality, flags = _written(manifest), manifest.quality_flags
+    if quality is None or (quality.discarded, quality.success) != (flags.discarded, flags.success):
+        return None
     return quality
 
 

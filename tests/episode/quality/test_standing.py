@@ -84,4 +84,6 @@ def test_an_export_and_a_report_say_the_same_of_an_episode(
         with pytest.raises(verdict.NotGoodEnough, match=f"{folder.name}: reject, .*asks for usable: {reason}"):
             verdict.expect(source, "usable")
     else:
-        assert verdict.expect(source, "usable") == expected
+        judged = verdict.expect(source, "usable")
+        assert judged.verdict == expected
+        assert judged.rules == (() if since is measured else book.files), "of what was judged now"
