@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+
+from station.episode.storage.named_lock import open_locked
 
 
 @contextlib.contextmanager
@@ -20,38 +20,13 @@ def claimed(making: Path) -> Iterator[None]:
     Raises:
         OSError: nothing can be made there.
     """
+    with contextlib.suppress(FileExistsError):  # a file stands there, and the lock cannot be made
+        making.parent.mkdir(parents=True, exist_ok=True)
     lock = making.with_name(f"{making.name}.lock")
-    descriptor = _locked(lock)
-    try:
-        shutil.rmtree(making, ignore_errors=True)  # of a process that was killed
-        yield
-    finally:
-        shutil.rmtree(making, ignore_errors=True)
-        lock.unlink(missing_ok=True)  # last: from now on others make theirs
-        os.close(descriptor)
-
-
-def _locked(lock: Path) -> int:
-    """Return the descriptor of a locked file; the kernel lets go of it when this process ends, however it ends."""
-    while True:
+    with open_locked(lock, waits=True):
         try:
-            descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        except FileNotFoundError:
-            lock.parent.mkdir(parents=True, exist_ok=True)
-            continue
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-            if _is_still(lock, descriptor):
-                return descriptor
-        except BaseException:
-            os.close(descriptor)
-            raise
-        os.close(descriptor)
-
-
-def _is_still(lock: Path, descriptor: int) -> bool:
-    """Whether a name is still that of the file we hold, and was not removed while we waited for it."""
-    try:
-        return os.path.samestat(os.fstat(descriptor), lock.stat())
-    except FileNotFoundError:
-        return False
+            shutil.rmtree(making, ignore_errors=True)  # of a process that was killed
+            yield
+        finally:
+            shutil.rmtree(making, ignore_errors=True)
+            lock.unlink(missing_ok=True)  # last: from now on others make theirs

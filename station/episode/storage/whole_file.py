@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
+import io
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from station.episode.storage.atomic import sync_folder
+from station.episode.storage.named_lock import is_named, open_locked
 from station.errors import EpisodeError, StationError
+
+
+class OutputRefused(OSError):
+    """The system refused the file that is being written; every other `OSError` is of whoever writes it."""
 
 
 @contextmanager
@@ -22,19 +27,26 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
 
     Raises:
         EpisodeError: another process is writing it.
-        OSError: the disk refused it.
+        OutputRefused: the disk refused it.
     """
     part = path.with_name(f".{path.name}.part")
-    try:
-        with _claim(part) as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-            os.replace(part, path)
-    except BaseException:
-        _remove(part)
-        raise
-    sync_folder(path.parent)
+    with _claimed(part) as claim:
+        try:
+            with _refusals():
+                claim.truncate(0)
+            with io.BufferedWriter(_Output(claim.fileno(), "ab", closefd=False)) as file:
+                yield file
+                file.flush()
+            with _refusals():
+                os.fsync(claim.fileno())
+                os.replace(part, path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                if is_named(part, claim):
+                    part.unlink()
+            raise
+    with _refusals():
+        sync_folder(path.parent)
 
 
 @contextmanager
@@ -47,36 +59,35 @@ def named_file(path: Path) -> Iterator[BinaryIO]:
     try:
         with whole_file(path) as file:
             yield file
-    except OSError as error:
+    except OutputRefused as error:
         why = error.strerror or error
         raise StationError(f"{path}: cannot be written ({why}); name a file in a folder of yours") from error
 
 
-def _claim(part: Path) -> BinaryIO:
-    """Open and lock an empty file of that name; the lock goes with the process that holds it."""
-    while True:
-        file = part.open("ab")  # that truncates nothing: somebody else may be writing it
+class _Output(io.FileIO):
+    """The file as whoever writes it has it."""
+
+    def write(self, data: Any, /) -> int:
+        with _refusals():
+            return super().write(data)
+
+
+@contextmanager
+def _claimed(part: Path) -> Iterator[io.FileIO]:
+    """Open the file of that name and have it for this process."""
+    with _refusals():
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if _is_named(part, file):
-                file.truncate(0)
-                return file
+            claim = open_locked(part, waits=False)
         except BlockingIOError:
-            file.close()
             raise EpisodeError(f"{part}: another process is writing this file; wait for it") from None
-        except BaseException:
-            file.close()
-            raise
-        file.close()  # its last writer finished in between: the file has its final name, or is gone
+    with claim:
+        yield claim
 
 
-def _remove(part: Path) -> None:
-    """Remove what was begun, unless somebody else has begun it anew."""
-    with contextlib.suppress(OSError), part.open("rb") as file:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if _is_named(part, file):
-            part.unlink()
-
-
-def _is_named(part: Path, file: BinaryIO) -> bool:
-    return part.exists() and os.path.samestat(part.stat(), os.fstat(file.fileno()))
+@contextmanager
+def _refusals() -> Iterator[None]:
+    """Mark what the system says within the block as said of our file."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputRefused(error.errno, error.strerror, error.filename) from error

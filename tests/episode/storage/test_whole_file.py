@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import fcntl
+import io
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -11,9 +15,20 @@ from station.episode.storage.whole_file import named_file
 from station.errors import EpisodeError, StationError
 
 
-def write(path: Path, *, fails: Exception | None = None) -> None:
+@contextmanager
+def at_most(size: int) -> Iterator[None]:
+    """Have the system refuse larger files of this process [bytes]."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def write(path: Path, data: bytes = b"new", *, fails: Exception | None = None) -> None:
     with named_file(path) as file:
-        file.write(b"new")
+        file.write(data)
         if fails is not None:
             raise fails
 
@@ -31,9 +46,26 @@ def test_what_fails_half_way_leaves_the_older_one(tmp_path: Path) -> None:
     path.write_bytes(b"an older one")
     with pytest.raises(ZeroDivisionError):
         write(path, fails=ZeroDivisionError())
-    with pytest.raises(StationError, match=r"report\.html: cannot be written \(No space left on device\); name a file"):
-        write(path, fails=OSError(28, "No space left on device"))
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {"report.html": b"an older one"}
+
+
+@pytest.mark.parametrize("size", [io.DEFAULT_BUFFER_SIZE // 2, io.DEFAULT_BUFFER_SIZE * 2])
+def test_a_disk_that_refuses_half_way_is_told_and_leaves_the_older_one(tmp_path: Path, size: int) -> None:
+    path = tmp_path / "report.html"
+    path.write_bytes(b"an older one")
+    with (
+        at_most(100),
+        pytest.raises(StationError, match=r"report\.html: cannot be written \(File too large\); name a file"),
+    ):
+        write(path, b"new" * size)
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {"report.html": b"an older one"}
+
+
+def test_what_the_system_says_of_another_file_is_not_told_of_this_one(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError) as raised:
+        write(tmp_path / "report.html", fails=FileNotFoundError(2, "No such file or directory", "style.css"))
+    assert raised.value.filename == "style.css"
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_place_that_takes_no_file_is_told_with_what_to_do(tmp_path: Path) -> None:
