@@ -141,11 +141,18 @@ class Session:
         try:
             result = self._result(step, stop)
         except StationError:
-            self._face.failed(str(step), "stopped" if stop.is_set() else "failed")
+            self._face.failed(self._to_blame(step), "stopped" if stop.is_set() else "failed")
             raise
         self._face.done(str(step), result)
         if isinstance(step, StartStep) and step.start == _RECORDER and self._recording is not None:
             self._record(self._recording, stop)
+
+    def _to_blame(self, step: Step) -> str:
+        """Return the step that failed: servers load side by side, and who waits for one hears that another has died."""
+        dead = self._supervisor.ended()
+        if isinstance(step, StartStep) and step.start not in dead:
+            return next((str(other) for other in self._runbook.servers if other.start in dead), str(step))
+        return str(step)
 
     def _result(self, step: Step, stop: threading.Event) -> str:
         if isinstance(step, StartStep):

@@ -174,6 +174,16 @@ def test_a_check_that_fails_ends_it_with_what_to_do(place: Place) -> None:
     assert person.heard("make room or record elsewhere with --data")
 
 
+def test_what_is_called_failed_is_the_server_that_died_not_the_one_that_was_waited_for(place: Place) -> None:
+    person = Person()
+    text = HEAD + "steps:\n  - start: g1\n    with: {backend: mujoco}\n"  # which takes longer to load
+    assert place.session(text + "  - start: gamepad\n    with: {fake: /nowhere}\n", person).run(place.stop) == 1
+    (failed,) = [line for line in person.told if line.startswith("failed start")]
+    assert failed.startswith("failed start gamepad ")
+    assert person.heard("error failed: server 'gamepad' ended with code 2 before ")
+    assert person.heard("/nowhere: cannot be read")
+
+
 def test_asked_to_stop_while_a_server_loads_it_stops(place: Place) -> None:
     person = Person()
     person.asked = place.stop.set
