@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -66,10 +67,16 @@ def expect(source: Source, least: MinQuality, book: RuleBook | None = None) -> J
         raise EpisodeError(f"{source.episode_id}: holds no message; there is nothing to export")
     if least == "any":
         return Judged(None)
-    written = stands(reader.manifest)
-    quality = written or standing(reader, book or of_user())
+    book, written = book or of_user(), stands(reader.manifest)
+    quality = written or standing(reader, book)
     found = quality.verdict
     if _RANK[found] < _RANK[least]:
         reason = next((item.text for item in quality.reasons if item.verdict == found), "see `station check`")
-        raise NotGoodEnough(f"{source.episode_id}: {found}, and --min-quality asks for {least}: {reason}")
+        cure = "" if _are_same(quality.rules, book.files) else "; by other rules than today's, `station check` it anew"
+        raise NotGoodEnough(f"{source.episode_id}: {found}, and --min-quality asks for {least}: {reason}{cure}")
     return Judged(found, () if written else tuple(quality.rules))
+
+
+def _are_same(some: Iterable[RulesFile], others: Iterable[RulesFile]) -> bool:
+    """Whether files of rules say the same, wherever they lie."""
+    return [file.sha256 for file in some] == [file.sha256 for file in others]

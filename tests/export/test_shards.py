@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from station import registry
+from station.episode.quality import rule_file
 from station.episode.quality.check import check, write_measured
 from station.episode.reading.reader import open_episode
 from station.episode.storage.manifest import load_manifest, save_manifest
@@ -60,6 +61,18 @@ def test_the_verdict_of_a_check_stands_whatever_the_rules_are_now(lab: Path, sou
     folder = Path(source.folder)
     write_measured(folder, check(open_episode(str(folder))))
     assert made_by(lab, source, tmp_path, LAX, STRICT) == "made kept"
+
+
+def test_who_is_left_out_by_rules_of_another_day_is_told_how_to_be_judged_anew(lab: Path, source: Source) -> None:
+    folder = Path(source.folder)
+    lab.write_text(STRICT)
+    write_measured(folder, check(open_episode(str(folder)), rule_file.of_user()))
+    cure = "; by other rules than today's, `station check` it anew"
+    for rules, is_told in ((STRICT, False), (LAX, True)):
+        lab.write_text(rules)
+        with pytest.raises(verdict.NotGoodEnough, match=r": reject, .* silent for ") as refused:
+            verdict.expect(source, "usable")
+        assert str(refused.value).endswith(cure) == is_told
 
 
 def test_what_somebody_says_of_an_episode_after_its_check_is_judged(lab: Path, source: Source, tmp_path: Path) -> None:

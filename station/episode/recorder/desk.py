@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from station.episode.recorder.answers import Answers
+from station.episode.recorder.latched import believed
 from station.episode.recorder.options import Notice, RecordingOptions
 from station.episode.recorder.ring import Ring
 from station.episode.recorder.room import Room
@@ -53,6 +54,7 @@ class Desk:
         self.claim: Callable[[], None] = lambda: None
         self._heard = Heard()
         self._ring = Ring(options.preroll_s, options.preroll_bytes)
+        self._latched: dict[str, bytes | None] = {}  # stamps of states that stood on the bus when the tap was opened
         self._position: Position | None = None  # of the tap, behind what it returned so far
         self._awaited = ""  # id of a start request that is to come once more, with what came before and behind it
         self._ignored_until = ""  # id of a start request, see `ignore_until`
@@ -173,7 +175,7 @@ class Desk:
             ),
         )
         self._heard.fill(manifest)
-        preroll = self._ring.since(mono_ns)
+        preroll = believed(self._ring.since(mono_ns), self._latched)
         writer = EpisodeWriter(
             folder, anchor=anchor, manifest=manifest, options=self.options.writer, start_id=request.id,
             place=self._ring.place(mono_ns) if preroll else self._position,

@@ -2,12 +2,16 @@
 
 A robot that waits for a command says its state once and then waits. A recorder whose tap opens in between would have
 the step that answers to this state and not the state itself.
+
+A stamp that stands beside a value need not be the value's: a stock script that writes over a native key leaves it as it
+was, and a bus at rest does not tell. A script that goes on writing is heard on the tap, and the state is then left out;
+one that wrote within the span and never again is not told from the native writer.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -48,6 +52,21 @@ def not_among(states: Iterable[Write], writes: Iterable[Write]) -> list[Write]:
     """Return the states that are not also among some writes: those came by the tap."""
     known = {(write.key, write.stamp) for write in writes}
     return [state for state in states if (state.key, state.stamp) not in known]
+
+
+def believed(writes: Sequence[Write], stamps: Mapping[str, bytes | None]) -> Sequence[Write]:
+    """Return writes without those latched states whose key was next written by somebody who does not stamp.
+
+    Args:
+        writes: In the order of the bus.
+        stamps: Of the latched states among them, by key.
+    """
+    later: dict[str, Write] = {}
+    for write in writes:
+        if write.key in stamps and write.value is not None and write.stamp != stamps[write.key]:
+            later.setdefault(write.key, write)
+    doubted = {(key, stamps[key]) for key, write in later.items() if write.stamp is None}
+    return [write for write in writes if (write.key, write.stamp) not in doubted] if doubted else writes
 
 
 def _is_state(key: str) -> bool:

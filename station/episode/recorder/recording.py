@@ -41,6 +41,7 @@ class Recording(Desk):
     def latched(self, states: Sequence[Write]) -> None:
         """Take states into the pre-roll that were written before the tap was open; see `recorder.latched`."""
         self._ring.add(states, self._position)
+        self._latched = {state.key: state.stamp for state in states}
 
     def placed(self, position: Position | None) -> None:
         """Tell where a tap stands before its first write."""

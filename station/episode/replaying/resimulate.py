@@ -14,17 +14,15 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from station import registry
 from station.bus import codec, keys
 from station.control.control import ControlStep, StepRecord
-from station.control.gate import GateConfig
 from station.control.inlet import CommandSample
-from station.control.rig import Rig, RigConfig, build
+from station.control.rig import Rig, build
 from station.episode.reading.reader import EpisodeReader, Message
 from station.episode.reading.steps import Step, StepJoiner
 from station.episode.replaying.recorded_policy import recorded_policy
-from station.errors import EpisodeError, UnknownName
-from station.life.server import ServerKind
+from station.episode.replaying.recorded_server import configuration, facts_of
+from station.errors import EpisodeError
 
 _REMEMBERED = 1000  # commands; a step uses the newest or, after refusals, one not much older
 _ENDS = ("robot-reset", "operator-reset", "estop")  # what an operator or the server did to the robot is no command
@@ -84,8 +82,8 @@ def to_sim(
         StationError: policy or robot model cannot be loaded.
     """
     suspect = recorded_policy(reader, robot)
-    facts = _facts(reader, suspect.robot)
-    config = _config(reader, facts)
+    facts = facts_of(reader, suspect.robot)
+    config = configuration(reader, facts)
     rig = build(msgspec.structs.replace(config.rig, viewer=False, **(changes or {})))
     try:
         if "policy" not in (changes or {}) and "checkpoint" not in (changes or {}):
@@ -103,48 +101,6 @@ def to_sim(
     finally:
         rig.robot.close()
     return report
-
-
-class _LowLevelConfig(msgspec.Struct):
-    """What is needed of the configuration of a low-level server."""
-
-    rig: RigConfig
-    gate: GateConfig
-    is_armed: bool
-
-
-def _facts(reader: EpisodeReader, robot: str) -> dict[str, Any]:
-    for facts in reader.manifest.servers.values():
-        if facts.get("role") == "low-level" and facts.get("robot") == robot:
-            return facts
-    raise EpisodeError(
-        f"episode {reader.episode_id}: no low-level server has stated its configuration for {robot!r}, "
-        "so the simulation cannot be set up as it was"
-    )
-
-
-def _config(reader: EpisodeReader, facts: Mapping[str, Any]) -> _LowLevelConfig:
-    """Read the recorded configuration as the type of the server that ran."""
-    name = facts.get("kind", facts.get("server"))  # older episodes tell its name alone, which is that of its kind
-    try:
-        kind: ServerKind = registry.find("server", str(name))
-        config: Any = msgspec.convert(facts.get("config"), kind.config)
-    except UnknownName as error:
-        raise EpisodeError(
-            f"episode {reader.episode_id}: its low-level server is of a kind that is not installed here: {error}; "
-            "install the package that has it"
-        ) from error
-    except msgspec.ValidationError as error:
-        raise EpisodeError(
-            f"episode {reader.episode_id}: the configuration of its {kind.name} server is none of this version: {error}"
-        ) from error
-    if not hasattr(config, "rig"):
-        raise EpisodeError(
-            f"episode {reader.episode_id}: an arm's controller keeps its own time, so its motion is not computed "
-            f"again; `station audit` derives its targets, and `station serve {kind.name}` with `station replay "
-            "--to bus --allow-live` moves a simulated one"
-        )
-    return _LowLevelConfig(config.rig, config.gate, config.is_armed)
 
 
 def _same_checkpoint(reader: EpisodeReader, recorded: str, rig: Rig) -> None:

@@ -139,6 +139,28 @@ def test_a_state_that_the_tap_brings_too_is_taken_once(g1: Bus, bus_server: BusA
     assert [(write.key, write.value) for write in not_among(states, brought)] == [(keys.sim_qpos(ROBOT), b"before")]
 
 
+def test_a_state_that_a_stock_script_goes_on_writing_over_is_not_taken_for_that_of_its_native_writer(
+    make: Make, g1: Bus
+) -> None:
+    body, other = keys.state_body(ROBOT), keys.sim_qpos(ROBOT)
+    g1.publish({body: b"[1]", STATE: b"", other: b""})
+    g1.call("SET", body, b"[2]")  # beside the stamp of [1]
+    intake = make()
+    g1.call("SET", body, b"[3]")
+    g1.call("DEL", other)  # which says nothing of who wrote it
+    g1.publish({STATE: b"later"})
+    folder = ask(intake, g1, "start")
+    ask(intake, g1, "stop")
+    found = [(m.topic, m.data, m.channel.is_native) for m in open_episode(folder).messages([body, STATE, other])]
+    assert found == [
+        (STATE, b"", True),
+        (other, b"", True),
+        (body, b"[3]", False),
+        (other, b"", False),
+        (STATE, b"later", True),
+    ]
+
+
 def test_what_a_robot_says_while_the_recorder_looks_back_is_recorded_once_and_without_a_hole(
     make: Make, g1: Bus
 ) -> None:

@@ -74,7 +74,6 @@ print(found.steps, found.different, *sorted(name for name in sys.modules if name
     ("facts", "words"),
     [
         ({"kind": "h1"}, "of a kind that is not installed here: unknown server 'h1'"),
-        ({"server": "left"}, "of a kind that is not installed here: unknown server 'left'"),
         ({"config": {"rate_hz": "fast"}}, "the configuration of its g1 server is none of this version"),
         ({"kind": "kassow", "config": {"host": "sim"}}, "an arm's controller keeps its own time"),
     ],
@@ -86,3 +85,25 @@ def test_a_configuration_that_cannot_be_read_is_refused_in_one_line(
     with pytest.raises(EpisodeError, match=words) as caught:
         to_sim(restated(folder, **facts))
     assert "\n" not in str(caught.value)
+    assert ("--name" in str(caught.value)) == ("kind" not in facts), "only who tells no kind may be of another one"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("left", "its low-level server is called like no kind that is installed here: unknown server 'left'"),
+        ("motion", "the configuration of its motion server is none of this version"),
+    ],
+)
+def test_a_server_that_told_its_name_alone_is_read_as_its_kind_once_that_is_added(
+    tmp_path: Path, name: str, words: str
+) -> None:
+    folder = lock_step.record(EpisodeBuilder(tmp_path), seconds=0.1)
+    with pytest.raises(EpisodeError, match=words) as caught:
+        to_sim(restated(folder, server=name))
+    told = str(caught.value)
+    assert told.endswith(
+        f"; if that name was given with --name, write `kind: KIND` into servers.g1 of {folder / 'manifest.yaml'}"
+    )
+    assert "\n" not in told
+    assert to_sim(restated(folder, kind="g1")).different == 0
