@@ -37,7 +37,10 @@ void bind_options(nb::module_& module) {
         .def_rw("late_fault_ticks", &Options::late_fault_ticks)
         .def_rw("ack_ticks", &Options::ack_ticks)
         .def_rw("watchdog_ticks", &Options::watchdog_ticks)
-        .def_rw("ceased_is_fault", &Options::ceased_is_fault);
+        .def_rw("ceased_is_fault", &Options::ceased_is_fault)
+        .def_rw("speed_noise_radps", &Options::speed_noise_radps)
+        .def_rw("noise_seed", &Options::noise_seed)
+        .def_rw("opaque", &Options::is_opaque);
 }
 
 nb::bytes trace_of(const Simulator& simulator, int64_t rows) {

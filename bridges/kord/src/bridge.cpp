@@ -3,59 +3,20 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <cstdio>
 
 #include "events.hpp"
-#include "guard.hpp"
 
 namespace station_kord {
 
 namespace {
 
-constexpr double kSeedRad = 0.0005;  // how far a first direct command may be from the arm
 constexpr double kPollS = 0.002;
-constexpr double kToolMaxMps = 2.0;  // of the tool, in the example of [MOTION_CONSTRAINTS] in KORD.ini
 constexpr double kLeast = 1e-9;      // of what must be positive
 constexpr int kLongestThrottle = 250;
-
-std::string number(double value) {
-    char text[32];
-    std::snprintf(text, sizeof text, "%.4g", value);
-    return text;
-}
-
-Joints negative(Joints values) {
-    for (double& value : values) value = -value;
-    return values;
-}
 
 void check_throttle(const std::string& what, int ticks) {
     if (ticks < 1 || ticks > kLongestThrottle)
         throw Refusal("BadOption", what + ": 1 to 250 ticks of 4 ms are expected, not " + std::to_string(ticks));
-}
-
-void check_speed(const std::string& what, double speed, double most, const std::string& unit) {
-    if (!(speed > 0 && speed <= most))
-        throw Refusal("OutOfLimits", what + ": a speed of " + number(speed) + " " + unit + " is not above 0 and " +
-                                         number(most) + " " + unit + " at most");
-}
-
-void check_taking(const std::string& what, const State& state) {
-    const std::string why = not_ready_text(state.motion_flags);
-    if (!why.empty())
-        throw Refusal("Refused", what + ": the controller takes no commands (" + why + "); see its own display");
-}
-
-const char* name_of(Mode mode) {
-    switch (mode) {
-        case Mode::stream: return "stream_j";
-        case Mode::velocity: return "velocity_j";
-        case Mode::direct: return "direct_j";
-        case Mode::move_joints: return "move_j";
-        case Mode::move_line: return "move_l";
-        case Mode::idle: break;
-    }
-    return "hold";
 }
 
 }  // namespace
@@ -81,8 +42,7 @@ void Bridge::connect(double timeout_s) {
         reported_.wait_for(lock, std::chrono::duration<double>(timeout_s), [this] { return has_reported_; });
     if (in_time && problem_.empty()) return;
     lock.unlock();
-    is_stopping_ = true;
-    thread_.join();
+    end();
     const std::string where = config_.host + " port " + std::to_string(config_.port);
     throw Refusal("NotConnected", "no controller answered at " + where + " within " + number(timeout_s) + " s (" +
                                       (in_time ? problem_ : "it takes its time") +
@@ -93,6 +53,10 @@ void Bridge::close() {
     const std::lock_guard life(life_mutex_);
     if (!thread_.joinable()) return;
     disengage();
+    end();
+}
+
+void Bridge::end() {
     is_stopping_ = true;
     if (hooks_.run_free) hooks_.run_free(true);
     thread_.join();
@@ -120,20 +84,6 @@ void Bridge::step(int64_t ticks) {
     if (!is_running_ || !hooks_.step(ticks)) throw Refusal("NotConnected", "there is no session to step; connect first");
 }
 
-Joints Bridge::engage() {
-    const State now = snapshot();
-    if (!now.is_connected) throw Refusal("NotConnected", "there is no session; connect first");
-    if (now.is_faulted) throw Refusal("Refused", "the arm is faulted; clear the faults first");
-    check_taking("engage", now);
-    if (now.is_moving) throw Refusal("Refused", "the arm still moves; wait until it stands");
-    granted_ = std::max(granted_.load(), revoked_.load()) + 1;
-    return now.q;
-}
-
-void Bridge::disengage() { revoked_ = granted_.load(); }
-
-void Bridge::hold() { post(Wish{}); }
-
 void Bridge::check_profile(const Profile& profile) const {
     const std::string name = std::string("profile '") + profile.name.data() + "'";
     if (profile.sim_only && !config_.is_simulated) throw Refusal("Refused", name + " is for the simulator only");
@@ -144,100 +94,12 @@ void Bridge::check_profile(const Profile& profile) const {
     if (profile.offset_guard && !is_within(profile.guard_qdd_radps2, kLeast))
         throw Refusal("BadOption", name + ": guard_qdd_radps2 must be positive and finite with an offset guard, not " +
                                        number(profile.guard_qdd_radps2));
+    const double fastest = *std::min_element(limits_.qd_max.begin(), limits_.qd_max.end());
+    if (!profile.tracks_time && profile.tracking_value > fastest)
+        throw Refusal("BadOption", name + ": tracking_value must be a speed of " + number(fastest) +
+                                       " rad/s at most, as the limits of the joints have it, not " +
+                                       number(profile.tracking_value));
     check_throttle(name + ": throttle", profile.throttle);
-}
-
-void Bridge::check_ready(const State& state, Mode wanted) const {
-    const std::string what = name_of(wanted);
-    if (!state.is_connected) throw Refusal("NotConnected", what + ": there is no session; connect first");
-    if (state.is_faulted) throw Refusal("Refused", what + ": the arm is faulted; clear the faults, then engage");
-    check_taking(what, state);
-    if (!is_engaged()) throw Refusal("Refused", what + ": not engaged; engage first");
-    const bool is_one_shot = wanted == Mode::move_joints || wanted == Mode::move_line;
-    if (state.is_moving && (state.mode != wanted || is_one_shot) && state.mode != Mode::idle)
-        throw Refusal("Refused", what + ": the arm still moves by " + name_of(state.mode) + "; wait until it stands");
-}
-
-void Bridge::check_joints(const char* what, const Joints& values, const Joints& low, const Joints& high,
-                          const char* unit) const {
-    const int joint = beyond(values, low, high);
-    if (joint < 0) return;
-    const auto at = static_cast<size_t>(joint);
-    throw Refusal("OutOfLimits", std::string(what) + ": joint " + std::to_string(joint + 1) + " at " +
-                                     number(values[at]) + " " + unit + " is outside " + number(low[at]) + " to " +
-                                     number(high[at]) + " " + unit);
-}
-
-void Bridge::post(Wish wish) {
-    const std::lock_guard lock(writers_mutex_);
-    wish.epoch = granted_;
-    const bool goes_on = wish.epoch == posted_.epoch;
-    const bool is_same = goes_on && posted_.kind == Mode::stream && wish.q == posted_.q;
-    wish.number = goes_on ? posted_.number : 0;
-    if (wish.kind == Mode::stream && !is_same) ++wish.number;
-    posted_ = wish;
-    wishes_.write(wish);
-}
-
-void Bridge::stream_j(const Joints& q) {
-    check_ready(snapshot(), Mode::stream);
-    check_joints("stream_j", q, limits_.q_min, limits_.q_max, "rad");
-    Wish wish;
-    wish.kind = Mode::stream;
-    wish.q = q;
-    post(wish);
-}
-
-void Bridge::velocity_j(const Joints& qd) {
-    check_ready(snapshot(), Mode::velocity);
-    check_joints("velocity_j", qd, negative(limits_.qd_max), limits_.qd_max, "rad/s");
-    Wish wish;
-    wish.kind = Mode::velocity;
-    wish.qd = qd;
-    post(wish);
-}
-
-void Bridge::direct_j(const Joints& q, const Joints& qd, const Joints& qdd) {
-    const State now = snapshot();
-    check_ready(now, Mode::direct);
-    check_joints("direct_j", q, limits_.q_min, limits_.q_max, "rad");
-    check_joints("direct_j", qd, negative(limits_.qd_max), limits_.qd_max, "rad/s");
-    check_joints("direct_j", qdd, negative(limits_.qdd_max), limits_.qdd_max, "rad/s²");
-    for (size_t joint = 0; joint < kJoints && now.mode != Mode::direct; ++joint)
-        if (std::abs(q[joint] - now.q[joint]) > kSeedRad)
-            throw Refusal("Refused", "direct_j: the first command must be where the arm is; joint " +
-                                         std::to_string(joint + 1) + " is at " + number(now.q[joint]) + " rad, not " +
-                                         number(q[joint]));
-    Wish wish;
-    wish.kind = Mode::direct;
-    wish.q = q;
-    wish.qd = qd;
-    wish.qdd = qdd;
-    post(wish);
-}
-
-void Bridge::move_j(const Joints& q, double speed_radps) {
-    check_ready(snapshot(), Mode::move_joints);
-    check_joints("move_j", q, limits_.q_min, limits_.q_max, "rad");
-    const double limit = *std::min_element(limits_.qd_max.begin(), limits_.qd_max.end());
-    check_speed("move_j", speed_radps, limit, "rad/s");
-    Wish wish;
-    wish.kind = Mode::move_joints;
-    wish.q = q;
-    wish.speed = speed_radps;
-    post(wish);
-}
-
-void Bridge::move_l(const Pose& pose, double speed_mps) {
-    check_ready(snapshot(), Mode::move_line);
-    if (!std::all_of(pose.begin(), pose.end(), [](double value) { return std::isfinite(value); }))
-        throw Refusal("BadOption", "move_l: six finite numbers are needed, x y z roll pitch yaw");
-    check_speed("move_l", speed_mps, kToolMaxMps, "m/s");
-    Wish wish;
-    wish.kind = Mode::move_line;
-    wish.pose = pose;
-    wish.speed = speed_mps;
-    post(wish);
 }
 
 void Bridge::set_profile(const Profile& profile) {

@@ -46,14 +46,17 @@ public:
     void clear_faults(double deadline_s);
 
 private:
-    // The face's, in bridge.cpp.
+    // The face's, in bridge.cpp; `revoke` is the thread's too.
     State snapshot() const;
     bool is_engaged() const { return granted_.load() > revoked_.load(); }
+    void revoke(uint64_t granted);
     void check_profile(const Profile& profile) const;
     void check_ready(const State& state, Mode wanted) const;
     void check_joints(const char* what, const Joints& values, const Joints& low, const Joints& high,
                       const char* unit) const;
+    Wish wish_of(Mode kind) const;
     void post(Wish wish);
+    void end();
     Outcome await_recovery(double deadline_s);
 
     // The thread's, in loop.cpp and telling.cpp. Nothing here calls Python, allocates in motion, logs, or waits for a

@@ -1,5 +1,7 @@
 #include "events.hpp"
 
+#include <cstdio>
+
 #include "arm_session.hpp"
 
 namespace station_kord {
@@ -37,6 +39,12 @@ constexpr Text kNotReadyTexts[] = {
 };
 
 }  // namespace
+
+std::string number(double value) {
+    char text[32];
+    std::snprintf(text, sizeof text, "%.4g", value);
+    return text;
+}
 
 const char* group_name(uint32_t group) {
     constexpr const char* kNames[] = {"unknown", "safety", "soft-stop", "kord", "hardware", "connection"};

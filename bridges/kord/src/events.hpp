@@ -6,6 +6,9 @@
 
 namespace station_kord {
 
+// In four digits.
+std::string number(double value);
+
 const char* group_name(uint32_t group);
 const char* event_text(uint32_t id);
 

@@ -10,7 +10,6 @@ namespace station_kord {
 namespace {
 
 constexpr double kStandstillRadps = 1e-3;
-constexpr int64_t kBeginTicks = 5;       // until a command that was sent can be seen in the arm's speed
 constexpr int kSilentWaits = 12;         // 100 ms without a heartbeat: the session is lost
 constexpr int kFirstWaits = 125;         // one second for the first heartbeat
 constexpr int kWindDownTicks = 300;      // 1.2 s: the longest stop of a move, and some
@@ -59,6 +58,7 @@ bool Bridge::open() {
     silent_waits_ = wind_down_ticks_ = 0;
     ticks_since_send_ = kBeginTicks;
     epoch_ = 0;
+    revoke(granted_.load());  // of the session before
     if (!session_.open(config_)) return false;
     opened_ns_ = now_ns();
     late_seen_ = session_.reading().insight.late_commands;
@@ -92,13 +92,14 @@ void Bridge::tick() {
     ++now_.tick;
     ticks_since_send_ += passed_ticks_;
     silent_waits_ = 0;
+    const bool is_back = !now_.is_connected;  // what is known of the arm is of before
     now_.is_connected = true;
 
     if (config_.fetch_first) read();
     follow_engagement();
     const int64_t sent = sends();
     recover();
-    if (!recovery_.is_working()) act(arm());
+    if (!recovery_.is_working() && !is_back) act(arm());
     if (!config_.fetch_first) read();
 
     if (now_.tick % kPercentileTicks == 0) {
@@ -129,12 +130,17 @@ void Bridge::lost_tick() {
 void Bridge::follow_engagement() {
     const bool is_new = wishes_.refresh();
     const Reading& reading = session_.reading();
-    const bool takes_commands = now_.is_connected && !reading.is_stopped() && reading.is_ready();
-    if (!takes_commands) revoked_ = granted_.load();
+    const bool is_open = !reading.is_stopped() && reading.is_ready();
+    const bool takes_commands = now_.is_connected && is_open && !recovery_.is_working() && !is_stopping_;
     const uint64_t granted = granted_.load();
+    // It may have been asked for in the very tick in which the arm began to move, by who could not see that yet.
+    const bool is_early = granted != epoch_ && (arm().is_moving || motion_.is_under_way());
+    if (!takes_commands || is_early) revoke(granted);
     const bool is_engaged = granted > revoked_.load();
-    if (!takes_commands || (is_engaged && granted != epoch_)) {
+    if (!is_open || (is_engaged && granted != epoch_)) {
         motion_.reset(reading.q);
+    } else if (!now_.is_connected) {
+        motion_.lose(arm());
     } else if (!is_engaged && epoch_ != 0) {
         motion_.hold(arm());
     }
@@ -148,7 +154,8 @@ Arm Bridge::arm() const {
     const bool is_fast = std::any_of(reading.qd.begin(), reading.qd.end(),
                                      [](double speed) { return std::abs(speed) > kStandstillRadps; });
     const bool is_queued = reading.has_insight && reading.insight.queued_motion_s > 0;
-    return {reading.q, reading.qd, is_fast || is_queued || ticks_since_send_ < kBeginTicks, passed_ticks_};
+    return {reading.q, reading.qd, is_fast || is_queued || ticks_since_send_ < kBeginTicks, passed_ticks_,
+            reading.tcp};
 }
 
 void Bridge::act(const Arm& arm) {
@@ -203,7 +210,7 @@ void Bridge::read() {
 void Bridge::note_fault(bool is_stopped) {
     if (is_stopped && !now_.is_faulted) ++now_.fault_count;
     now_.is_faulted = is_stopped;
-    if (is_stopped) revoked_ = granted_.load();
+    if (is_stopped) revoke(granted_.load());
 }
 
 void Bridge::lose() {
@@ -222,10 +229,10 @@ void Bridge::recover() {
     ++recovery_number_;
 }
 
-// A speed is brought to zero and a move is stopped before the session ends; what the controller has of a stream it
+// A speed is brought to zero and a move is stopped before the session ends; what is near of a stream the controller
 // finishes by itself.
 bool Bridge::winds_down() {
-    const bool is_driven = now_.mode != Mode::idle && now_.mode != Mode::stream;
+    const bool is_driven = epoch_ != 0 || (now_.mode != Mode::idle && now_.mode != Mode::stream);
     return is_driven && now_.is_connected && !now_.is_faulted && ++wind_down_ticks_ < kWindDownTicks;
 }
 

@@ -7,18 +7,13 @@ namespace station_kord {
 
 namespace {
 
-constexpr int64_t kFreshTicks = 5;    // 20 ms: a writer at 50 Hz never lets the speed sag
 constexpr int64_t kSilentTicks = 25;  // 100 ms: by then the arm stands
-constexpr int64_t kBeginTicks = 5;    // a move that was sent has begun by then
+constexpr int64_t kMadeUpTicks = 2;   // between direct commands: one that is missing the controller makes up for
 // Controllers take a direct command that is 0.6 mrad from where the one before led for a torque deviation (1010). A
 // change of speed by 0.1 rad/s in a tick is 0.4 mrad.
 constexpr double kQddMaxRadps2 = 0.1 / kTickS;
+constexpr double kJumpRad = 0.0005;  // less than that
 constexpr double kRounding = 1 + 1e-9;
-constexpr double kStopS = 0.1, kLongestStopS = 1.0;  // as soon as a speed that nobody renews, or as the joints may
-constexpr double kStopPeak = 1.5;                    // of a quintic from a speed to rest: deceleration times T/speed
-constexpr double kActsAfterS = 2 * kTickS;           // since the state that a command was made of
-
-bool is_one_shot(Mode mode) { return mode == Mode::move_joints || mode == Mode::move_line; }
 
 bool stands(const Joints& qd) {
     return std::all_of(qd.begin(), qd.end(), [](double speed) { return speed == 0; });
@@ -37,11 +32,11 @@ void Motion::reset(const Joints& q) {
     wish_ = {};
     once_ = {};
     target_ = now_.q = q;
-    qd_ = {};
+    now_.qd = {};
     now_.guard.reset(q);
-    now_.is_dirty = now_.is_waiting = now_.is_slewing = now_.is_seeded = false;
+    now_.is_dirty = now_.is_waiting = now_.is_slewing = now_.is_seeded = now_.is_owed = false;
     ticks_since_wish_ = kSilentTicks;
-    taken_number_ = 0;
+    taken_number_ = taken_holds_ = 0;
 }
 
 void Motion::take(const Wish& wish, const Arm& arm) {
@@ -49,7 +44,10 @@ void Motion::take(const Wish& wish, const Arm& arm) {
     const int64_t unseen = std::max<int64_t>(0, wish.number - taken_number_ - 1);
     const bool is_new = wish.number > taken_number_;
     taken_number_ = wish.number;
-    if (wish.kind == Mode::idle) return hold(arm);
+    const bool is_held = wish.holds > taken_holds_;
+    taken_holds_ = wish.holds;
+    if (is_held) hold(arm);
+    if (wish.kind == Mode::idle) return;
     if (!may_begin(wish, arm) || !is_allowed(wish, arm)) {
         ++now_.counters.refused;
         return;
@@ -62,12 +60,14 @@ void Motion::take(const Wish& wish, const Arm& arm) {
     now_.is_waiting = is_stream && now_.is_dirty && (is_new || now_.is_waiting);
     if (mode_ != Mode::velocity && mode_ != Mode::move_line) target_ = wish.q;
     once_ = {mode_, wish.q, {}, {}, wish.pose, wish.speed, 0};
+    goal_ = wish.q;
+    has_moved_ = false;
     wish_ = wish;
     ticks_since_wish_ = 0;
 }
 
 bool Motion::may_begin(const Wish& wish, const Arm& arm) const {
-    if (wish.kind == mode_ && !is_one_shot(mode_)) return true;
+    if (wish.kind == mode_ && !is_under_way()) return true;
     return !arm.is_moving && !is_pending();
 }
 
@@ -79,7 +79,7 @@ bool Motion::is_allowed(const Wish& wish, const Arm& arm) const {
 // Whether a direct command asks for more than the joints may do in a tick, from where and how fast the last one was.
 bool Motion::leaps(const Wish& wish, const Arm& arm) const {
     const bool goes_on = mode_ == Mode::direct && now_.is_seeded;
-    const Joints q = goes_on ? now_.q : arm.q, qd = goes_on ? qd_ : Joints{};
+    const Joints q = goes_on ? now_.q : arm.q, qd = goes_on ? now_.qd : Joints{};
     const double since_s = kTickS * static_cast<double>(arm.passed_ticks) * kRounding;
     for (size_t joint = 0; joint < kJoints; ++joint) {
         const double way = std::abs(wish.q[joint] - q[joint]), change = std::abs(wish.qd[joint] - qd[joint]);
@@ -88,47 +88,12 @@ bool Motion::leaps(const Wish& wish, const Arm& arm) const {
     return false;
 }
 
-// What the controller has of a stream it finishes, a speed goes down to zero, and a move that it makes by itself is
-// replaced by one that ends soon; unless it ends as soon.
-void Motion::hold(const Arm& arm) {
-    ticks_since_wish_ = std::max(ticks_since_wish_, kFreshTicks);
-    now_.is_waiting = false;
-    if (once_.stop_s > 0) return;  // it stops already
-    const bool was_sent = is_one_shot(mode_) && !now_.is_dirty;
-    const Sending stop = stop_of(arm);
-    now_.is_dirty = was_sent && arm.is_moving && !is_past_goal(stop.q, arm);
-    if (!now_.is_dirty) return;
-    once_ = stop;
-    target_ = stop.q;
-}
-
-// Half the way that the arm would go on in the time of the stop, from where it is when the command acts.
-Sending Motion::stop_of(const Arm& arm) const {
-    Sending stop{mode_, {}, {}, {}, {}, 0, kStopS};
-    for (size_t joint = 0; joint < kJoints; ++joint)
-        stop.stop_s = std::max(stop.stop_s, kStopPeak * std::abs(arm.qd[joint]) / limits_.qdd_max[joint]);
-    stop.stop_s = std::min(stop.stop_s, kLongestStopS);
-    for (size_t joint = 0; joint < kJoints; ++joint) {
-        const double q = arm.q[joint] + arm.qd[joint] * (kActsAfterS + stop.stop_s / 2);
-        const double low = std::min(limits_.q_min[joint], arm.q[joint]);
-        stop.q[joint] = std::clamp(q, low, std::max(limits_.q_max[joint], arm.q[joint]));
-    }
-    return stop;
-}
-
-// By the longest ways of all joints: one that stands at its goal has a measured speed too, and would tell nothing.
-bool Motion::is_past_goal(const Joints& q, const Arm& arm) const {
-    if (mode_ != Mode::move_joints) return false;
-    double way = 0, left = 0;
-    for (size_t joint = 0; joint < kJoints; ++joint) {
-        way = std::max(way, std::abs(q[joint] - arm.q[joint]));
-        left = std::max(left, std::abs(wish_.q[joint] - arm.q[joint]));
-    }
-    return way > left;
-}
-
 Sending Motion::decide(const Arm& arm, const Profile& profile, int throttle) {
     now_.ticks_since_send += arm.passed_ticks;
+    if (!now_.is_owed) {
+        now_.left_q = now_.q;
+        now_.left_qd = now_.qd;
+    }
     before_ = now_;
     Sending sending;
     switch (mode_) {
@@ -140,14 +105,43 @@ Sending Motion::decide(const Arm& arm, const Profile& profile, int throttle) {
         case Mode::move_line: sending = decide_once(arm); break;
     }
     ticks_since_wish_ += arm.passed_ticks;
-    if (sending.kind != Mode::idle) now_.ticks_since_send = 0;
+    if (sending.kind == Mode::idle) return sending;
+    if (is_jump(sending)) {
+        cut_off();
+        return {};
+    }
+    now_.ticks_since_send = 0;
+    now_.is_owed = false;
     return sending;
 }
 
 // A direct command that is missing is made up for by the controller, so the next one goes on from it.
 void Motion::unsent() {
-    const bool goes_on = before_.is_seeded && (mode_ == Mode::velocity || mode_ == Mode::direct);
-    if (!goes_on) now_ = before_;
+    if (!before_.is_seeded || !is_direct()) {
+        now_ = before_;
+        return;
+    }
+    now_.is_owed = true;
+    now_.ticks_since_send = before_.ticks_since_send;
+}
+
+// Where more than one is missing the arm comes to rest where the last one led, and what goes on from it is far ahead.
+bool Motion::is_jump(const Sending& sending) const {
+    if (sending.kind != Mode::direct || !before_.is_seeded || now_.ticks_since_send <= kMadeUpTicks) return false;
+    for (size_t joint = 0; joint < kJoints; ++joint) {
+        const double led = now_.left_q[joint] + now_.left_qd[joint] * kTickS;
+        if (!(std::abs(sending.q[joint] - led) <= kJumpRad)) return true;
+    }
+    return false;
+}
+
+// A velocity goes on from where the arm is once it stands; direct commands are their caller's, who has to begin anew.
+void Motion::cut_off() {
+    ++now_.counters.refused;
+    now_.is_seeded = now_.is_dirty = now_.is_owed = false;
+    target_ = now_.q = now_.left_q;
+    now_.qd = {};
+    if (mode_ == Mode::direct) mode_ = Mode::idle;
 }
 
 // A target waits for its turn, and a newer one takes its place; so the last one of a motion is always sent.
@@ -166,15 +160,21 @@ Sending Motion::decide_stream(const Arm& arm, const Profile& profile, int thrott
     }
     now_.q = sending.q;
     now_.is_seeded = true;
+    now_.pace_s = profile.tracks_time ? profile.tracking_value : 0.0;
+    now_.pace_radps = profile.tracking_value;
     return sending;
 }
 
 Sending Motion::decide_velocity(const Arm& arm) {
-    if (!now_.is_seeded) {  // the first direct command after another mode must be where the arm is
+    if (!now_.is_seeded) {  // the first direct command after another mode must be where the arm is, and it stands
+        if (arm.is_moving) {
+            if (ticks_since_wish_ > kFreshTicks) mode_ = Mode::idle;
+            return {};
+        }
         now_.is_seeded = true;
         now_.q = arm.q;
-        qd_ = {};
-        return {Mode::direct, now_.q, qd_, {}, {}, 0, 0};
+        now_.qd = {};
+        return {Mode::direct, now_.q, now_.qd, {}, {}, 0, 0};
     }
     return integrate(wish_.qd, kTickS, arm);
 }
@@ -184,18 +184,18 @@ Sending Motion::decide_direct(const Arm& arm) {
         now_.is_dirty = false;
         now_.is_seeded = true;
         now_.q = wish_.q;
-        qd_ = wish_.qd;
+        now_.qd = wish_.qd;
         return {Mode::direct, wish_.q, wish_.qd, wish_.qdd, {}, 0, 0};
     }
-    return integrate(qd_, 0.0, arm);
+    return integrate(now_.qd, 0.0, arm);
 }
 
 // Goes on at the wanted speed; `dv_max_s` times an acceleration is how fast the speed may change. When nobody has asked
-// for a while the speed goes down along a line that ends in time, and at zero the sending ends with it.
+// for a while the speed goes down along a line that ends in time; once the command with a zero has left, none follows.
 Sending Motion::integrate(const Joints& wanted, double dv_max_s, const Arm& arm) {
     const double left = static_cast<double>(kSilentTicks - ticks_since_wish_);
     const bool is_fresh = ticks_since_wish_ <= kFreshTicks;
-    const bool is_over = stands(qd_) && (!is_fresh || stands(wanted));
+    const bool is_over = stands(now_.qd) && (!is_fresh || stands(wanted)) && !now_.is_owed;
     if (is_over) {
         mode_ = Mode::idle;
         target_ = now_.q;
@@ -203,26 +203,18 @@ Sending Motion::integrate(const Joints& wanted, double dv_max_s, const Arm& arm)
     }
     for (size_t joint = 0; joint < kJoints; ++joint) {
         const double qdd_max = std::min(limits_.qdd_max[joint], kQddMaxRadps2), change = qdd_max * dv_max_s;
-        double speed = is_fresh ? std::clamp(wanted[joint], qd_[joint] - change, qd_[joint] + change)
-                                : qd_[joint] * std::max(0.0, left - 1) / std::max(1.0, left);
+        double& qd = now_.qd[joint];
+        double speed = is_fresh ? std::clamp(wanted[joint], qd - change, qd + change)
+                                : qd * std::max(0.0, left - 1) / std::max(1.0, left);
         if (dv_max_s > 0 || !is_fresh)
             speed = stoppable(speed, now_.q[joint], limits_.q_min[joint], limits_.q_max[joint], qdd_max);
-        qd_[joint] = std::abs(speed) < 1e-9 ? 0.0 : speed;
-        const double next = now_.q[joint] + qd_[joint] * kTickS * static_cast<double>(arm.passed_ticks);
+        qd = std::abs(speed) < 1e-9 ? 0.0 : speed;
+        const double next = now_.q[joint] + qd * kTickS * static_cast<double>(arm.passed_ticks);
         const double low = std::min(limits_.q_min[joint], now_.q[joint]);
         now_.q[joint] = std::clamp(next, low, std::max(limits_.q_max[joint], now_.q[joint]));
     }
     target_ = now_.q;
-    return {Mode::direct, now_.q, qd_, {}, {}, 0, 0};
-}
-
-Sending Motion::decide_once(const Arm& arm) {
-    if (!now_.is_dirty) {
-        if (now_.ticks_since_send > kBeginTicks && !arm.is_moving) mode_ = Mode::idle;
-        return {};
-    }
-    now_.is_dirty = false;
-    return once_;
+    return {Mode::direct, now_.q, now_.qd, {}, {}, 0, 0};
 }
 
 }  // namespace station_kord

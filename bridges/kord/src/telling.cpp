@@ -44,7 +44,7 @@ void Bridge::publish() {
     now_.mode = motion_.mode();
     now_.profile = profile_.name;
     now_.throttle = throttle();
-    now_.is_moving = now_.is_connected && arm().is_moving;
+    now_.is_moving = now_.is_connected && (arm().is_moving || motion_.is_under_way());
     now_.needs_user_confirmation = reading.needs_user();
     now_.session_age_s = static_cast<double>(now_ns() - opened_ns_) * 1e-9;
     now_.q = reading.q;

@@ -137,16 +137,18 @@ class KordBridge:
 
         Raises:
             NotConnected: There is no session.
-            Refused: The arm is faulted (`clear_faults` first) or still moves, or the controller is not ready.
+            Refused: The arm is faulted (`clear_faults` first) or still moves, or the controller is not ready. Where it
+                begins to move, or is being cleared, in the very tick, the next command is refused as not engaged.
         """
         return np.array(self._bridge.engage())
 
     def hold(self) -> None:
         """Come to rest and stay there; stays engaged.
 
-        Of a stream the arm finishes what it has; a velocity ramps down within 100 ms; a move of `move_j` or `move_l` is
-        replaced by one that ends within 100 ms, or as soon as `Limits.qdd_max` allows. Whether a real controller lets a
-        running move be replaced is not known: what stops it for certain is its own stop.
+        Of a stream the arm finishes what it has, if that takes no longer than 0.15 s; a velocity ramps down within
+        100 ms; a far target of a stream, and a move of `move_j` or `move_l`, are replaced by one that ends within
+        100 ms, or as soon as `Limits.qdd_max` allows. What is asked for after it does not undo it. Whether a real
+        controller lets a running move be replaced is not known: what stops it for certain is its own stop.
         """
         self._bridge.hold()
 
@@ -174,7 +176,8 @@ class KordBridge:
         """Move the joints at these speeds, for as long as this is called again and again.
 
         Integrated in C++ at 250 Hz into direct joint commands, with accelerations within `Limits.qdd_max`. 20 ms after
-        the last call the speed begins to fall, after 100 ms the arm stands. At a position limit a joint stops.
+        the last call the speed begins to fall, after 100 ms the arm stands. At a position limit a joint stops. Where
+        more than one command was missed and the next would be a jump, it begins anew once the arm stands.
 
         Args:
             qd: Shape (7,) [rad/s].
@@ -193,8 +196,9 @@ class KordBridge:
 
         The first one after another mode must be the arm's joints. One that is further from the last, or changes its
         speed by more, than `Limits` allow in the time between is not sent (`State.limit_refusals`). Without a next one
-        in 20 ms the last speed falls to zero within 100 ms. The controller faults (1010) where a command is not where
-        the one before led; those that `velocity_j` makes always are.
+        in 20 ms the last speed falls to zero within 100 ms. Where more than one was missed and the next would be a
+        jump, the motion ends. The controller faults (1010) where a command is not where the one before led; those that
+        `velocity_j` makes always are.
 
         Args:
             q, qd, qdd: Shape (7,) [rad], [rad/s], [rad/s²]; None for zeros.

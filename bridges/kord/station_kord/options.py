@@ -90,6 +90,10 @@ class SimOptions:
         watchdog_ticks: Ticks without a waitSync, in motion, that are event 3001.
         ceased_is_fault: Whether commands that cease in motion are event 3001: direct ones; and via-points that no other
             has followed for 16 ms while the arm still goes 1e-6 rad a tick (``on_movej_cmd_ceased_span`` of KORD.ini).
+        speed_noise_radps: Greatest error of a measured joint speed, to either side [rad/s]: the speeds that the bridge
+            reads, also of a joint that stands, and not those of `Simulator.trace`. The same in every run.
+        noise_seed: Chooses another course of the same noise.
+        opaque: Whether it tells no more than kord-api does, so that the bridge knows of no queue and no late command.
         order: ``fetch-first`` lets the bridge make the mistake of reading before it sends; for demonstrations.
         resend_targets: Let the bridge send its target at every turn though it is unchanged; for demonstrations.
     """
@@ -111,6 +115,9 @@ class SimOptions:
     ack_ticks: int = 4
     watchdog_ticks: int = 20
     ceased_is_fault: bool = False
+    speed_noise_radps: float = 0.0
+    noise_seed: int = 1
+    opaque: bool = False
     order: Order = "send-first"
     resend_targets: bool = False
 
@@ -124,6 +131,11 @@ class SimOptions:
         ):
             if getattr(self, name) not in known:
                 raise BadOption(f"sim.{name}: {' or '.join(known)} is expected, not {getattr(self, name)!r}")
+        if not (math.isfinite(self.speed_noise_radps) and self.speed_noise_radps >= 0.0 and self.noise_seed >= 0):
+            raise BadOption(
+                "sim.speed_noise_radps and sim.noise_seed: 0 or more is expected, not "
+                f"{self.speed_noise_radps:g} and {self.noise_seed}"
+            )
 
     @property
     def planner_speed_cost_ms(self) -> float:

@@ -23,7 +23,7 @@ class Profile:
         name: As in the state, on the command line and in episodes.
         tracking: ``time``: arrive in `tracking_value` seconds (TT_TIME). ``joint-speed``: move at `tracking_value`
             rad/s (TT_JS_TARGET_SPEED), so a far target takes long instead of being refused.
-        tracking_value: In [s] or [rad/s], see `tracking`.
+        tracking_value: In [s] or [rad/s], see `tracking`; a speed is within the `Limits.qd_max` of every joint.
         blend: ``time``: pass from one motion into the next within `blend_s`; ``none``: do not.
         blend_s: Blend time [s].
         overlay: ``via-point``: a new target replaces the rest of the running motion (OT_VIAPOINT). ``stop-point``: it

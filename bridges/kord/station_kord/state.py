@@ -86,7 +86,8 @@ class State:
         is_engaged: Commands are taken; see `KordBridge.engage`. A fault, a lost session and a controller that is not
             ready end it.
         is_faulted: The controller is in an alarm, suspended or halted, or the session was lost by a fault.
-        is_moving: The controller's reference moves, or motion is queued.
+        is_moving: The controller's reference moves, motion is queued, or a `move_j` or `move_l` that was sent has not
+            been seen to end. One that the controller never began is ended by `KordBridge.hold`.
         not_ready: Why the controller takes no commands though nothing is wrong, such as ``paused`` or ``offline``; ""
             where it does. It ends an engagement as a fault does.
         needs_user_confirmation: Only a person at the controller can clear what is wrong.
@@ -104,10 +105,11 @@ class State:
         stream_j_sends: moveJ of the stream that were sent: 125 Hz in motion with a throttle of 2, 0 Hz at hold.
         direct_sends: Direct joint commands that were sent (`velocity_j`, `direct_j`).
         move_sends: One-shot moves that were sent, and their stops.
-        failed_sends: Commands that did not leave this machine; those of a stream and moves are sent again.
+        failed_sends: Commands that did not leave this machine; targets of a stream, moves, and the last of a velocity
+            or direct motion are sent again.
         commands_dropped_by_throttle: Targets of the stream that a newer one replaced before their turn.
         slewed_sends: Targets of the stream that were approached in steps, see `Profile.offset_guard`.
-        limit_refusals: Commands that the last check in C++ did not send or cut at a limit.
+        limit_refusals: Commands that the last check in C++ did not send or cut at a limit, and motions that it cut off.
         sync_timeouts: waitSync calls without a heartbeat.
         missed_ticks: Heartbeats that passed while the loop was late.
         late_commands: Commands that came after their window, as far as this side or the simulator can tell.

@@ -60,7 +60,13 @@ Profile legacy_stop() {
 Arm::Arm(Setup setup) {
     setup.options.is_virtual = setup.is_virtual;
     plant_ = std::make_shared<kordsim::Plant>(setup.options);
-    bridge_ = std::make_unique<Bridge>(config_of(setup, kordsim::enroll(plant_)), station_kord::hooks_of(plant_));
+    station_kord::Hooks hooks = station_kord::hooks_of(plant_);
+    if (setup.meanwhile)
+        hooks.now_ns = [meanwhile = setup.meanwhile, now_ns = hooks.now_ns] {
+            meanwhile();
+            return now_ns();
+        };
+    bridge_ = std::make_unique<Bridge>(config_of(setup, kordsim::enroll(plant_)), std::move(hooks));
     bridge_->connect(10.0);
     q_ = bridge_->engage();
 }

@@ -28,6 +28,7 @@ struct Setup {
     int real_time_priority = 0;
     bool lock_memory = false;
     bool is_virtual = true;
+    std::function<void()> meanwhile;  // in the loop's thread: as a tick begins, and before it tells of what it did
 };
 
 // Connected and engaged.

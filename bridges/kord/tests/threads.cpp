@@ -51,6 +51,48 @@ void be_patient(Setup& setup) {
     setup.options.watchdog_ticks = 1'000'000;
 }
 
+// A controller behind a socket.
+class Apart {
+public:
+    Apart() : plant(std::make_shared<kordsim::Plant>(options())), server(made_folder() + "/s", plant, 0) {
+        CHECK(server.start().empty());
+    }
+    ~Apart() {
+        server.stop();
+        rmdir(folder_);
+    }
+
+    station_kord::BridgeConfig config() const {
+        station_kord::BridgeConfig config;
+        config.host = "unix:" + std::string(folder_) + "/s";
+        config.q_min = plant->options().q_min;
+        config.q_max = plant->options().q_max;
+        config.qd_max.fill(2.0);
+        config.qdd_max.fill(10.0);
+        config.profile = speed125();
+        config.is_simulated = true;
+        return config;
+    }
+
+private:
+    static kordsim::Options options() {
+        kordsim::Options options;
+        options.window_us = 1e6;
+        return options;
+    }
+
+    std::string made_folder() {
+        CHECK(mkdtemp(folder_) != nullptr);
+        return folder_;
+    }
+
+    char folder_[16] = "/tmp/kordXXXXXX";
+
+public:
+    const std::shared_ptr<kordsim::Plant> plant;
+    kordsim::Server server;
+};
+
 }  // namespace
 
 TEST(k12_the_loop_keeps_its_rate_and_sends_at_once_on_the_wall_clock) {
@@ -152,24 +194,10 @@ TEST(k14_what_is_not_granted_is_told) {
 }
 
 TEST(a_session_through_a_socket_that_ends_in_motion_leaves_the_arm_at_rest) {
-    char folder[] = "/tmp/kordXXXXXX";
-    CHECK(mkdtemp(folder) != nullptr);
-    const std::string path = std::string(folder) + "/s";
-    kordsim::Options options;
-    options.window_us = 1e6;
-    auto plant = std::make_shared<kordsim::Plant>(options);
-    kordsim::Server server(path, plant, 0);
-    CHECK(server.start().empty());
+    Apart apart;
+    auto& plant = apart.plant;
     {
-        station_kord::BridgeConfig config;
-        config.host = "unix:" + path;
-        config.q_min = options.q_min;
-        config.q_max = options.q_max;
-        config.qd_max.fill(2.0);
-        config.qdd_max.fill(10.0);
-        config.profile = speed125();
-        config.is_simulated = true;
-        Bridge bridge(config, {});
+        Bridge bridge(apart.config(), {});
         bridge.connect(10.0);
         Joints q = bridge.engage();
         q[0] += 1.0;
@@ -185,6 +213,18 @@ TEST(a_session_through_a_socket_that_ends_in_motion_leaves_the_arm_at_rest) {
     for (const auto& row : plant->trace(-1))
         if (row.qd[0] != 0) last = row.tick;
     CHECK(last - gone <= 50);
-    server.stop();
-    CHECK(rmdir(folder) == 0);
+}
+
+TEST(a_loop_whose_controller_is_gone_for_good_does_not_run_away) {
+    Apart apart;
+    Bridge bridge(apart.config(), {});
+    bridge.connect(10.0);
+    apart.server.stop();
+    await("a lost session", [&] { return !bridge.state().is_connected; });
+    CHECK(is_refused("NotConnected", [&] { bridge.clear_faults(5.0); }));
+    const auto begun = std::chrono::steady_clock::now();
+    const int64_t before = bridge.state().sync_timeouts;
+    await("waits", [&] { return bridge.state().sync_timeouts > before + 20; });
+    const std::chrono::duration<double> took = std::chrono::steady_clock::now() - begun;
+    CHECK(took.count() > 20 * kTickS);
 }

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from station_kord import PROFILES, KordBridge, SimOptions, State
 
-from tests.bridges.kord.arms import LIMITS, ONE_JOINT, arm, stream
+from tests.bridges.kord.arms import LIMITS, ONE_JOINT, arm
 
 PATTERN = np.arange(7) * 0.1
 """What joints differ by in every target: a mixture of two targets does not."""
@@ -108,57 +108,6 @@ def test_a_target_that_stays_or_is_given_up_is_replaced_by_none() -> None:
         bridge.step(1)
         bridge.stream_j(0.008 * ONE_JOINT)
         assert bridge.step(1).commands_dropped_by_throttle == 1
-
-
-@pytest.mark.parametrize("profile", ["speed125", "time125", "time250"])
-@pytest.mark.parametrize("length", [50, 51])
-def test_a_target_that_could_not_leave_is_sent_in_the_next_tick(profile: str, length: int) -> None:
-    with arm(profile) as bridge:
-        state = stream(bridge, length)
-        assert bridge.simulator is not None
-        bridge.simulator.fail_sends(3)
-        last = state.q_target + 0.0012 * ONE_JOINT
-        bridge.stream_j(last)
-        failing = bridge.step(2)
-        assert failing.failed_sends > 0
-        assert failing.q_sent[0] < last[0], "what has not left was not sent"
-        state = bridge.step(30)
-        assert (state.failed_sends, state.events) == (3, ())
-        assert state.q_sent[0] == last[0]
-        assert state.q[0] == pytest.approx(last[0], abs=1e-9)
-
-
-@pytest.mark.parametrize("profile", ["time125", "time250"])
-def test_a_far_target_is_approached_in_feasible_steps_though_some_could_not_leave(profile: str) -> None:
-    with arm(profile) as bridge:
-        bridge.stream_j(bridge.get_state().q + 0.5 * ONE_JOINT)
-        for _ in range(40):
-            bridge.step(7)
-            assert bridge.simulator is not None
-            bridge.simulator.fail_sends(1)
-        state = bridge.step(1000)
-        assert state.events == ()
-        assert state.failed_sends > 5
-        assert state.q[0] == pytest.approx(0.5, abs=1e-6)
-
-
-def test_a_move_and_a_velocity_survive_a_command_that_could_not_leave() -> None:
-    with arm() as bridge:
-        assert bridge.simulator is not None
-        bridge.simulator.fail_sends(2)
-        bridge.move_j(0.1 * ONE_JOINT, speed_radps=0.5)
-        state = bridge.step(100)
-        assert (state.move_sends, state.failed_sends) == (1, 2)
-        assert state.q[0] == pytest.approx(0.1, abs=1e-9)
-        bridge.simulator.fail_sends(1)  # the first: where the arm is
-        for tick in range(100):
-            bridge.velocity_j(0.1 * ONE_JOINT)
-            bridge.step(1)
-            if tick == 50:
-                bridge.simulator.fail_sends(1)
-        assert bridge.step(30).failed_sends == 4
-        assert bridge.get_state().events == ()
-        assert not bridge.get_state().is_moving
 
 
 def test_a_target_written_while_another_one_waits_for_its_turn_takes_its_place() -> None:

@@ -29,6 +29,7 @@ Controller::Controller(const Options& options) : options_(options), planner_(opt
     pending_.reserve(kRoom);
     due_direct_.reserve(kRoom);
     clearing_.reserve(kRoom);
+    status_.is_opaque = options_.is_opaque;
     publish(0);
 }
 

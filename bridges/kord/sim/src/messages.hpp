@@ -65,6 +65,7 @@ struct Status {
     std::array<Acknowledged, kAcknowledged> acknowledged{};
     int64_t late_commands = 0;
     int64_t is_lost = 0;  // the session ended by a fault; nothing more will come
+    int64_t is_opaque = 0;  // nobody is to look at what kord-api does not tell
 };
 
 static_assert(std::is_trivially_copyable_v<Command> && std::is_trivially_copyable_v<Clear>);

@@ -32,6 +32,9 @@ struct Options {
     int ack_ticks = 4;
     int watchdog_ticks = 20;
     bool ceased_is_fault = false;
+    double speed_noise_radps = 0;
+    uint64_t noise_seed = 1;
+    bool is_opaque = false;
 };
 
 }  // namespace kordsim

@@ -7,7 +7,7 @@ namespace kordsim {
 
 enum class PacketKind : uint32_t { hello = 1, waited, command, clear, welcome, busy, heartbeat };
 
-constexpr uint32_t kPacketVersion = 0x4b524401;  // "KRD" 1: both ends are of one build
+constexpr uint32_t kPacketVersion = 0x4b524402;  // "KRD" 2: both ends are of one build
 
 struct Packet {
     PacketKind kind = PacketKind::hello;

@@ -35,7 +35,8 @@ void sleep_until(int64_t instant_ns) {
     }
 }
 
-Plant::Plant(const Options& options) : options_(options), controller_(options), trace_(kTraceRows) {}
+Plant::Plant(const Options& options)
+    : options_(options), controller_(options), noise_(options.noise_seed), trace_(kTraceRows) {}
 
 void Plant::open() {
     const std::lock_guard lock(mutex_);
@@ -101,8 +102,18 @@ bool Plant::advance(int64_t time_ns, Status& told) {
     const bool says_why = controller_.status().event_count > 0;  // the last heartbeat of a session that is lost
     if (is_silent_ || (was_lost && !says_why)) return false;
     told = controller_.status();
+    measure(told);
     controller_.told();
     return true;
+}
+
+// Sensors; the trace has what is so. The same seed gives the same noise with every compiler.
+void Plant::measure(Status& told) {
+    if (options_.speed_noise_radps == 0) return;
+    for (double& speed : told.qd) {
+        const double share = static_cast<double>(noise_() >> 11) * 0x1p-53;  // 0 to 1
+        speed += options_.speed_noise_radps * (2 * share - 1);
+    }
 }
 
 bool Plant::receive(const Command& command) {

@@ -6,6 +6,7 @@
 #include <condition_variable>
 #include <memory>
 #include <mutex>
+#include <random>
 #include <string>
 #include <vector>
 
@@ -56,11 +57,12 @@ private:
     bool wait_virtual(int64_t ticks, Status& heard);
     bool wait_wall(std::chrono::microseconds timeout, Status& heard);
     bool advance(int64_t time_ns, Status& told);
-    void remember();
+    void measure(Status& told);
 
     const Options options_;
     mutable std::mutex mutex_;
     Controller controller_;
+    std::mt19937_64 noise_;
     bool is_silent_ = false;
     int failing_ = 0;
     std::vector<TraceRow> trace_;

@@ -62,7 +62,11 @@ void Session::close() {
 bool Session::sync() { return is_open_; }
 
 bool Session::wait(std::chrono::microseconds timeout) {
-    if (!is_open_ || !link_->wait(timeout, heard_)) return false;
+    if (!is_open_) {  // as long as any heartbeat that does not come
+        sleep_until(monotonic_ns() + timeout.count() * 1000);
+        return false;
+    }
+    if (!link_->wait(timeout, heard_)) return false;
     heard_ns_ = monotonic_ns();
     was_fetched_ = false;
     return true;
