@@ -41,12 +41,10 @@ from station.software import software
 
 RATE_HZ = 250.0
 """Ticks of the gate: as many as the controller's, so that no turn of the throttle passes without a target."""
-_ANSWERS = 16  # that wait to be told, at most
-_TOLD_TICKS = 25  # 0.1 s each
+_ANSWERS, _TOLD_TICKS = 64, 25  # that wait to be told, 0.1 s each: the last one while who asked still listens
+_STATE_EVERY, _CONTROLLER_EVERY = 2, 25  # ticks: 125 Hz and 10 Hz
 
 log = logging.getLogger(__name__)
-
-_STATE_EVERY, _CONTROLLER_EVERY = 2, 25  # ticks: 125 Hz and 10 Hz
 
 
 class SimulatedController(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -77,8 +75,7 @@ class KassowConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         gate: Times of the gate, and whom to obey when two write the command.
         start_armed: Whether targets go to the arm from the start; None: only in simulation. Otherwise `station arm`.
         connect_within_s: Longest wait for the controller [s].
-        real_time_priority: SCHED_FIFO priority that the session's thread asks for, the server itself for somewhat less;
-            0 asks for nothing.
+        real_time_priority: SCHED_FIFO priority that the session's thread asks for, the server for less; 0 for none.
         lock_memory: Whether to ask for the memory to be locked, so that no page has to be fetched in motion.
         sim: The simulated controller, with ``host: sim``.
     """
@@ -206,13 +203,13 @@ class Desk:
         self._control, self._session, self._robot = control, session, robot
         self._cleared: queue.SimpleQueue[tuple[ControllerRequest, str]] = queue.SimpleQueue()
         self._is_clearing = False
-        self._answers: deque[ControllerAnswer] = deque(maxlen=_ANSWERS)  # the first one is being told
-        self._told_ticks = 0
+        self._answers: deque[ControllerAnswer] = deque()  # the first one is being told
+        self._told_ticks, self._is_full = 0, False
 
     def hear(self, data: bytes) -> None:
         """Take up what came on the key of requests."""
         request = read(data)
-        if request is None or request.robot != self._robot:
+        if request is None or request.robot != self._robot or not self._has_room(request):
             return
         if request.action == "profile":
             self._reply(request, self._session.choose(request.profile))
@@ -235,11 +232,18 @@ class Desk:
                 self._control.commanded.note("clear-refused", "warning", who=request.who, reason=refusal)
             else:
                 self._control.cleared(request.who)
-        self._told_ticks += 1
+        self._told_ticks += bool(self._answers)
         if self._told_ticks > _TOLD_TICKS and len(self._answers) > 1:
             self._answers.popleft()
             self._told_ticks = 1
         return self._answers[0] if self._answers else None
+
+    def _has_room(self, request: ControllerRequest) -> bool:
+        """Whether its answer would be told in time: what is not answered is not done either."""
+        was_full, self._is_full = self._is_full, len(self._answers) + self._is_clearing >= _ANSWERS
+        if self._is_full and not was_full:
+            self._control.commanded.note("request-refused", "warning", who=request.who, reason="too many wait already")
+        return not self._is_full
 
     def _begin_clearing(self, request: ControllerRequest) -> None:
         try:
@@ -259,15 +263,12 @@ class Desk:
             self._cleared.put((request, refusal))
 
     def _reply(self, request: ControllerRequest, refusal: str) -> None:
-        if not self._answers:
-            self._told_ticks = 0
         self._answers.append(ControllerAnswer(id=request.id, action=request.action, refused=refusal))
 
 
 def _open(config: KassowConfig, limits: ArmLimits) -> KordSession:
-    sim = None
-    if config.host == "sim":
-        sim = sessions.simulated(limits, preset=config.sim.preset, q_start=config.sim.q_start)
+    preset, q_start = config.sim.preset, config.sim.q_start
+    sim = sessions.simulated(limits, preset=preset, q_start=q_start) if config.host == "sim" else None
     return sessions.open_session(
         host=config.host, port=config.port, session_id=config.session_id, limits=limits, profile=config.profile,
         sim=sim, real_time_priority=config.real_time_priority, lock_memory=config.lock_memory,

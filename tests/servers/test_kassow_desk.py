@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -99,6 +100,34 @@ def test_answers_that_come_at_once_are_told_one_after_the_other(desk: Desk) -> N
     assert len(told) == 200
     assert list(dict.fromkeys(told)) == ["0", "1", "2", "3", "4"]
     assert all(told.count(str(number)) >= 25 for number in range(5))
+
+
+def test_of_more_requests_than_can_be_answered_in_time_each_is_done_and_answered_once_or_neither(
+    arm: DrivenArm, desk: Desk
+) -> None:
+    desk.hear(request("clear", "clear"))
+    for number in range(1, 201):
+        desk.hear(request("throttle", str(number), throttle=number))
+    told: list[tuple[str, str]] = []
+
+    def look() -> bool:
+        answers = [desk.look() for _ in range(30)]
+        told.extend((answer.id, answer.refused) for answer in answers if answer is not None)
+        return {("clear", ""), ("63", "")} <= set(told)
+
+    wait_until(look)
+    look()
+    periods = [(id_, len(list(run))) for id_, run in itertools.groupby(id_ for id_, _ in told)]
+    done = [number for number, _ in periods if number != "clear"]
+    assert done == [str(number) for number in range(1, 64)]
+    assert sorted(number for number, _ in periods) == sorted([*done, "clear"]), "each once, the clear as well"
+    assert all(ticks >= 25 for _, ticks in periods)
+    assert not any(refused for _, refused in told)
+    record = arm.step(None)
+    assert arm.bridge.get_state().throttle == int(done[-1])
+    assert [happening.name for happening in record.happenings].count("request-refused") == 1
+    desk.hear(request("throttle", "later", throttle=2))
+    assert answer_to(desk, "later").refused == ""
 
 
 def test_a_clear_ends_driving_and_who_drove_has_to_let_go(arm: DrivenArm, desk: Desk) -> None:
