@@ -13,10 +13,12 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Sequence
+from typing import Any, Self
 
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
 from station.bus.connection import Connection, ConnectionLost, pack
+from station.bus.heard import Heard, Hearing
 from station.bus.outage import Outages
 from station.bus.sample import Sample
 from station.errors import BusError
@@ -26,7 +28,10 @@ log = logging.getLogger(__name__)
 _RETRY_S = 0.05
 _POLL_S = 0.002  # where a server refuses notifications: five looks within one period of a 100 Hz writer
 _TIMEOUT_S = 0.25
-_IDLE_S = 1.0  # a silent link is probed this often, so that a frozen server is noticed
+_IDLE_S = 1.0  # a line that was silent for so long is probed
+_NOTICED_S = _IDLE_S + _TIMEOUT_S  # a server that is frozen for so long is given up
+_SOON_S = 0.001  # what is here already is taken before a server is given up
+_SLACK_S = 0.15  # a busy machine answers a probe, or asks it, so much later
 NEEDED_EVENTS = "K$gx"
 
 
@@ -40,18 +45,25 @@ class Watch:
         address: Where the bus is.
         wanted: Keys to watch.
         outages: Account of the process, in which a cut is noted; None for none.
+        probe_s: How often the server is asked for an answer on the line of its messages [s]; `heard` is as old as that.
 
     Attributes:
         is_connected: Whether it hears at present.
         connections: How often it began to hear; one more means that the server may have been restarted.
     """
 
-    def __init__(self, address: BusAddress, wanted: Sequence[str], *, outages: Outages | None = None) -> None:
+    def __init__(
+        self, address: BusAddress, wanted: Sequence[str], *, outages: Outages | None = None, probe_s: float = _IDLE_S
+    ) -> None:
         self._address = address
         self._outages = outages
+        self._probe_s = probe_s
+        self._hearing = Hearing(probe_s + _SLACK_S)
+        self._asked_ns = self._answered_ns = self._read_ns = self._newest_ns = 0
         self._cut_ns: int | None = None  # since when we hear nothing
         self._last_error = ""
         self._keys = tuple(dict.fromkeys(wanted))
+        self._prefix = f"__keyspace@{address.db}__:"
         self._slots: dict[str, Sample] = {}
         self._newest_mark: dict[str, stamp.Stamp | None] = {}
         self._changed = threading.Condition()
@@ -63,6 +75,14 @@ class Watch:
         self._thread = threading.Thread(target=self._run, name="bus-watch", daemon=True)
         self._thread.start()
         self._armed.wait(_TIMEOUT_S * 4)  # so that a value written after this returns counts as new
+
+    @property
+    def heard(self) -> Heard:
+        """From when to when no write has escaped it: all that was written until then is in the slots by now.
+
+        Where the server is polled, a foreign write of the very bytes that were there before leaves no trace.
+        """
+        return self._hearing.span
 
     def latest(self, key: str, *, max_age_s: float = math.inf) -> Sample | None:
         """Return the newest value of a key; None when there is none or it arrived longer ago than `max_age_s`."""
@@ -94,7 +114,7 @@ class Watch:
             events.hang_up()
         self._thread.join(2.0)
 
-    def __enter__(self) -> Watch:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -130,34 +150,66 @@ class Watch:
             reader.close()
 
     def _listen(self, events: Connection, reader: Connection) -> None:
-        prefix = f"__keyspace@{self._address.db}__:"
-        channels = [prefix + name for key in self._keys for name in (key, keys.stamp(key))]
+        channels = [self._prefix + name for key in self._keys for name in (key, keys.stamp(key))]
         events.send("SUBSCRIBE", *channels)
         for _ in channels:
             _check_subscribed(events)
         self._fill_at_start(reader)
-        heard_ns = time.monotonic_ns()
+        self._asked_ns = self._answered_ns = self._newest_ns = time.monotonic_ns()
         while not self._closed.is_set():
-            try:
-                message = events.receive(_IDLE_S)
-            except TimeoutError:
-                self._cut_ns = heard_ns
-                reader.call("PING")  # raises when the server is frozen or gone
-                self._cut_ns, heard_ns = None, time.monotonic_ns()
+            message = self._next(events, reader)
+            if message is None:
                 continue
-            heard_ns = time.monotonic_ns()
-            touched: Counter[str] = Counter()
+            self._newest_ns, answered_ns, touched = time.monotonic_ns(), self._answered_ns, Counter[str]()
             while message is not False:
-                touched[message[1].decode("utf-8", "surrogateescape")[len(prefix) :]] += 1
+                self._note(message, touched)
                 message = events.buffered()
             self._take(reader, touched)
+            if self._answered_ns != answered_ns:
+                self._hearing.prove(self._asked_ns, self._answered_ns)
+
+    def _next(self, events: Connection, reader: Connection) -> Any:
+        """Return the next message, or None where there is none yet; ask for answers when it is time to.
+
+        Raises:
+            ConnectionLost: the server, or one of the two lines, is frozen or gone.
+        """
+        now_ns = time.monotonic_ns()
+        is_owed = self._answered_ns < self._asked_ns
+        if not is_owed and now_ns - self._asked_ns >= self._probe_s * 1e9:
+            events.send("PING")
+            self._asked_ns, is_owed = now_ns, True
+        if now_ns - self._read_ns >= _IDLE_S * 1e9:
+            self._cut_ns = self._newest_ns
+            reader.call("PING")
+            self._cut_ns, self._read_ns = None, time.monotonic_ns()
+        wait_s = _NOTICED_S - self._probe_s if is_owed else self._probe_s
+        end_ns = self._asked_ns + round(wait_s * 1e9)
+        try:
+            return events.receive(max((end_ns - now_ns) * 1e-9, _SOON_S))
+        except TimeoutError:
+            if is_owed and time.monotonic_ns() >= end_ns:
+                self._cut_ns = self._newest_ns
+                raise ConnectionLost(f"bus {events.address}: no answer in time where writes are told of") from None
+            return None
+
+    def _note(self, message: Any, touched: Counter[str]) -> None:
+        """Take note of a message: that a key was written, or the answer to a probe."""
+        if isinstance(message, list) and message[0] == b"message":
+            touched[message[1].decode("utf-8", "surrogateescape")[len(self._prefix) :]] += 1
+        elif isinstance(message, list) and message[0] == b"pong":
+            self._answered_ns = time.monotonic_ns()
+        else:
+            raise ConnectionLost(f"bus {self._address}: {message!r} came where writes are told of")
 
     def _poll(self, reader: Connection) -> None:
         log.warning("bus %s: no keyspace notifications; polling every %.0f ms", self._address, _POLL_S * 1e3)
         self._fill_at_start(reader)
         everything = Counter(name for key in self._keys for name in (key, keys.stamp(key)))
         while not self._closed.wait(_POLL_S):
+            asked_ns = time.monotonic_ns()
             self._take(reader, everything)
+            self._hearing.prove(asked_ns, time.monotonic_ns())
 
     def _fill_at_start(self, reader: Connection) -> None:
         """Take up what is there already, as of unknown age; after a lost connection keep what we had."""
@@ -171,6 +223,7 @@ class Watch:
         if self._cut_ns is not None and self._outages is not None:
             self._outages.note("watch-back", self._cut_ns)
         self._cut_ns, self._last_error = None, ""
+        self._hearing.begin(time.monotonic_ns())
         self.connections += 1
         self.is_connected = True
         self._armed.set()
@@ -202,6 +255,7 @@ class Watch:
         values = reader.send_packed(pack("MGET", *names))[0]
         if isinstance(values, Exception):
             raise BusError(f"bus {self._address}: {values}")
+        self._read_ns = time.monotonic_ns()
         marks = (stamp.decode(mark) if mark else None for mark in values[1::2])
         return dict(zip(wanted, zip(values[::2], marks, strict=True), strict=True))
 

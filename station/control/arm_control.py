@@ -22,6 +22,9 @@ from station.control.gate_state import FOLLOWING, MOVING
 from station.control.inlet import CommandSample
 from station.protocols import CommandFormat, Floats
 
+_DISARMED = "the arm was disarmed"
+_MOST_TEXTS = 16  # of one fault are told, should a controller put a number into them that runs
+
 
 def aim(wanted: Floats, q: Floats, lead_rad: float) -> Floats:
     """Return the target of an arm whose joints are at `q`, shapes (n,) [rad]: no farther ahead than its lead."""
@@ -76,6 +79,7 @@ class ArmControl:
         self._target: Floats | None = None  # newest target that was taken; None: not engaged
         self._refusal = ""  # of this tick
         self._was_refused = False  # whether it took none when it was last handed one
+        self._faults_told: set[str] = set()  # texts of the present fault
         self._tick = 0
 
     def sense(self) -> ArmState:
@@ -154,23 +158,34 @@ class ArmControl:
         return self.commanded.arm(now_s, who, refusal)
 
     def disarm(self, who: str = "") -> None:
-        """Let no targets go to the session, at once."""
+        """Let no targets go to the session, at once; who commanded has to let go, even if it is armed again at once."""
         self.commanded.disarm(who)
         self._release()
+        self.commanded.gate.insist_on_silence(_DISARMED)
 
     def refuse_rivals(self, count: int, reason: str) -> None:
         """Count commands that came from others than who is obeyed, before the step that they came for."""
         self.commanded.refuse_rivals(count, reason)
+
+    def heard_all(self, since_s: float, until_s: float) -> None:
+        """Say from when to when no write has escaped us, before the step that it is about [s]."""
+        self.commanded.heard_all(since_s, until_s)
 
     def health(self) -> dict[str, Any]:
         """Return what a server's heartbeat tells of this arm."""
         return self.session.health()
 
     def _see_to_fault(self, state: ArmState) -> None:
+        """Say what the controller says now, since its remedy is what an operator does; tell each text of it once."""
         gate = self.commanded.gate
-        if state.fault and gate.state not in ("faulted", "stopped"):
+        if not state.fault or gate.state == "stopped":
+            return
+        if gate.state != "faulted":
             self._release()
-            gate.fault(state.fault)
+            self._faults_told.clear()
+        gate.fault(state.fault)
+        if state.fault not in self._faults_told and len(self._faults_told) < _MOST_TEXTS:
+            self._faults_told.add(state.fault)
             self.commanded.note("controller-fault", "error", reason=state.fault)
 
     def _see_to_readiness(self, state: ArmState, now_s: float) -> None:
@@ -179,7 +194,7 @@ class ArmControl:
         if arming.state == "arming" and arming.stiffen(now_s) == 1.0:
             self.commanded.note("armed", "warning")
         if arming.state == "disarmed":
-            self.commanded.gate.insist_on_silence("the arm was disarmed")
+            self.commanded.gate.insist_on_silence(_DISARMED)
         elif state.obstacle:
             self.commanded.gate.insist_on_silence(state.obstacle)
 

@@ -13,6 +13,7 @@ from typing import Any, Protocol, TypeVar
 from station.control.arming import RAMP_S, Arming
 from station.control.gate import Decision, Gate, GateConfig
 from station.control.inlet import CommandSample, Inlet
+from station.control.silence import Quiet
 from station.control.slew import Bounds
 from station.control.slewing import Slewing
 from station.control.writers import spoken
@@ -51,6 +52,7 @@ class Commanded:
         self._ramp_s = ramp_s
         self._refusing: str | None = None
         self._rival = ""  # why somebody else's command was refused in this step
+        self._heard_s = (-math.inf, math.inf)  # offline everything is known
         self._slewing = Slewing(form)
         self._happenings: list[Happening] = []
 
@@ -68,12 +70,12 @@ class Commanded:
         if before is not None and inlet.good is not None and before.source != inlet.good.source:
             self.gate.change_hands(f"{spoken(inlet.good.source)} commands in place of {spoken(before.source)}")
         refusal = self._rival if inlet.refusal is None else f"{inlet.refusal.kind}: {inlet.refusal.text}"
-        quiet_s = 0.0 if self._rival else inlet.quiet_s(now_s)
+        quiet = self._quiet(now_s)
         self._rival = ""
         vector, age_s = inlet.vector, inlet.age_s(now_s)
         if obstacle:
             vector, refusal = None, obstacle
-        decision = self.gate.step(now_s, vector, age_s, refusal=refusal, quiet_s=quiet_s)
+        decision = self.gate.step(now_s, vector, age_s, refusal=refusal, quiet=quiet)
         for change in decision.transitions:
             severity: Severity = "warning" if change.after in _ALARMING else "info"
             self.note("gate", severity, **{"from": change.before, "to": change.after, "reason": change.reason})
@@ -107,6 +109,10 @@ class Commanded:
         self.inlet.refused["second-writer"] += count
         self._rival = f"second-writer: {reason}"
 
+    def heard_all(self, since_s: float, until_s: float) -> None:
+        """Say from when to when no write has escaped us, before the step that it is about [s]."""
+        self._heard_s = since_s, until_s
+
     def note(self, name: str, severity: Severity, **detail: Any) -> None:
         """Have something told with this step."""
         self._happenings.append(Happening(name, severity, detail))
@@ -115,6 +121,11 @@ class Commanded:
         """Return what happened since the last call, in order."""
         happenings, self._happenings = tuple(self._happenings), []
         return happenings
+
+    def _quiet(self, now_s: float) -> Quiet:
+        since_s, until_s = self._heard_s
+        came_s = 0.0 if self._rival else self.inlet.quiet_s(now_s)
+        return Quiet(min(now_s - since_s, came_s), max(now_s - until_s, 0.0))
 
     def _note_refusal(self) -> None:
         """Say once that commands are refused, again when the reason changes, and once that they are good again."""
@@ -190,6 +201,10 @@ class Control(Protocol[StateT, RecordT_co]):
 
     def refuse_rivals(self, count: int, reason: str) -> None:
         """Count commands of others than who is obeyed, before the step that they came for."""
+        ...
+
+    def heard_all(self, since_s: float, until_s: float) -> None:
+        """Say from when to when no write has escaped us, before the step that it is about [s]."""
         ...
 
     def health(self) -> dict[str, Any]:

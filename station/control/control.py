@@ -169,6 +169,10 @@ class ControlStep:
         """Count commands that came from others than who is obeyed, before the step that they came for."""
         self.commanded.refuse_rivals(count, reason)
 
+    def heard_all(self, since_s: float, until_s: float) -> None:
+        """Say from when to when no write has escaped us, before the step that it is about [s]."""
+        self.commanded.heard_all(since_s, until_s)
+
     def health(self) -> dict[str, Any]:
         """Return what a server's heartbeat tells of this robot."""
         return {"falls": self._falls}

@@ -8,8 +8,8 @@
 
 A robot that stays where it is without a command (an arm) has no way back: after holding it is `waiting`, is told in
 every tick where it rests, and enters a command at once, as fast as the rates let it. A stop, or its own controller's
-fault (`faulted`), is left by `reset` like any robot's, and then only commands are followed that begin anew, after a
-silence that was heard since the reset: nobody drives on through a stop, and a hole in a stream is not letting go.
+fault (`faulted`), is left by `reset`, and then only commands are followed that begin anew, after a silence that was
+heard since: nobody drives on through a stop. A hole in a stream is not letting go, nor is a bus that is cut or frozen.
 
 A command that comes back while holding is followed at once if it was followed before; from returning, when the blend
 had not ended, or when somebody else gives it, it is entered again. What is a good command is decided before, in
@@ -27,7 +27,7 @@ import msgspec
 import numpy as np
 
 from station.control.gate_state import FOLLOWING, LATCHED, State
-from station.control.silence import Silence
+from station.control.silence import Quiet, Silence
 from station.control.slew import Bounds
 from station.control.writers import Rule
 from station.protocols import Floats
@@ -69,10 +69,9 @@ class GateConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
                 raise ValueError(f"{name} must be a positive time in seconds, got {value}")
         if not (0.0 < self.rate_factor < math.inf):
             raise ValueError(f"rate_factor must be a positive number, got {self.rate_factor}")
-        if self.return_after_s < self.hold_after_s:
-            raise ValueError(
-                f"return_after_s ({self.return_after_s}) must not be less than hold_after_s ({self.hold_after_s})"
-            )
+        hold_s, return_s = self.hold_after_s, self.return_after_s
+        if return_s < hold_s:
+            raise ValueError(f"return_after_s ({return_s}) must not be less than hold_after_s ({hold_s})")
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +155,7 @@ class Gate:
         return self._silence.missing
 
     def step(
-        self, now_s: float, command: Floats | None, age_s: float, *, refusal: str = "", quiet_s: float | None = None
+        self, now_s: float, command: Floats | None, age_s: float, *, refusal: str = "", quiet: Quiet | None = None
     ) -> Decision:
         """Advance to an instant and return what the policy gets.
 
@@ -166,11 +165,11 @@ class Gate:
             command: The newest good command, shape (m,), or None.
             age_s: Its age [s]; infinite when unknown. Ignored without a command.
             refusal: Why something newer was refused, or "".
-            quiet_s: For how long nothing has come, be it only to be refused [s]; None: for as long as the age says.
+            quiet: For how long nothing has come, be it only to be refused; None: for as long as the age says.
         """
         now_s = self._pass_time(now_s)
         self._limited = ()
-        self._silence.hear(age_s if quiet_s is None else quiet_s, self._passed_s)
+        self._silence.hear(quiet or Quiet(age_s), self._passed_s)
         if self.demand:
             command, refusal = None, refusal or self.demand
         if command is None or command.shape != self._default.shape or not np.isfinite(command).all():
@@ -210,9 +209,10 @@ class Gate:
         self._move("stopped", self._now_s or 0.0, reason)
 
     def fault(self, reason: str) -> None:
-        """Latch what the robot's own controller says has gone wrong; a stop is more, and stays."""
+        """Latch what the robot's own controller says has gone wrong, now; a stop is more, and stays."""
         if self._state != "stopped":
             self._move("faulted", self._now_s or 0.0, reason)
+            self._reason = reason
 
     def reset(self, reason: str = "reset by the operator") -> None:
         """Leave the stop, a fault, and any other state: wait for a command, output standing (or where it rests).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import select
 import threading
 import time
@@ -20,6 +21,7 @@ from station.life import estop
 from station.life.rivals import FOREIGN
 
 _SOON_S = 0.25  # a message that has begun to come is whole within this
+_PROBE_S = 0.05  # who waits for a silence waits this much longer; a probe takes 0.1 ms
 _MOST = 16  # writers between two looks; a stranger may invent names
 
 
@@ -47,7 +49,7 @@ class CommandWatch(Watch):
         self._is_doubtful = False
         self.urgent = threading.Event()
         self.doubtful = 0
-        super().__init__(address, wanted, outages=outages)
+        super().__init__(address, wanted, outages=outages, probe_s=_PROBE_S)
 
     def take(self) -> list[Sample]:
         """Return the newest value of each writer since the last call, in the order of arrival."""
@@ -73,14 +75,14 @@ class CommandWatch(Watch):
     def _told_meanwhile(self) -> Counter[str]:
         """Count the writes that we are told of by now."""
         told: Counter[str] = Counter()
-        events, prefix = self._events, f"__keyspace@{self._address.db}__:"
+        events = self._events
         while events is not None and select.select([events], [], [], 0.0)[0]:
             try:
                 message = events.receive(_SOON_S)
             except TimeoutError:
                 break  # the beginning of a message, and no more of it: the next round has it
             while message is not False:
-                told[message[1].decode("utf-8", "surrogateescape")[len(prefix) :]] += 1
+                self._note(message, told)
                 message = events.buffered()
         return told
 
@@ -110,13 +112,18 @@ class Inbox:
         watch: Watches the key.
         key: The command's key.
         writers: Decides whose command it is.
+
+    Attributes:
+        heard_s: From when to when no write of it has escaped us, by the last call of `newest` or `has_come`, on the
+            gate's clock [s].
     """
 
     def __init__(self, watch: CommandWatch, key: str, writers: Writers) -> None:
         self._watch, self._key, self.writers = watch, key, writers
         self.seen: Sample | None = None
         self._command: CommandSample | None = None
-        self._refused = 0
+        self._refused = self._doubtful = 0
+        self.heard_s = (-math.inf, -math.inf)
 
     def newest(self, now_s: float | None = None) -> CommandSample | None:
         """Return the newest command, the same object as long as nothing new came from who is obeyed.
@@ -130,6 +137,7 @@ class Inbox:
 
     def has_come(self, now_s: float | None = None) -> bool:
         """Take up what came since the last call; return whether something did from who is obeyed."""
+        self.heard_s = self._heard_s(now_s)  # before the slots are looked at: what comes later is of later
         before, newest = self._command, self._watch.latest(self._key)
         for sample in self._watch.take():
             at_s = now_s if now_s is not None else (sample.arrived_ns or 0) * 1e-9
@@ -137,6 +145,8 @@ class Inbox:
                 self._command = _command(sample, now_s)
             else:
                 self._refused += 1
+        doubtful = self._watch.doubtful
+        self._refused, self._doubtful = self._refused + doubtful - self._doubtful, doubtful
         if newest is not None and newest is not self.seen:
             is_left = newest.arrived_ns is None and self._command is before  # from before we looked
             if is_left and self.writers.obeyed in ("", writer_of(newest)):
@@ -145,9 +155,14 @@ class Inbox:
         return self._command is not before
 
     def take_refused(self) -> int:
-        """Return how many commands of others came since the last call."""
+        """Return how many commands came since the last call that are not used: of others, and of who knows whom."""
         refused, self._refused = self._refused, 0
         return refused
+
+    def _heard_s(self, now_s: float | None) -> tuple[float, float]:
+        ahead_s = 0.0 if now_s is None else now_s - time.monotonic()
+        heard = self._watch.heard
+        return heard.since_ns * 1e-9 + ahead_s, heard.until_ns * 1e-9 + ahead_s
 
 
 def writer_of(sample: Sample) -> str:

@@ -105,12 +105,13 @@ class Inlet:
     clamped_samples: int = 0
     _asked_s: float | None = None  # when the age of `good` was last asked for
     _least_s: float = 0.0  # how old it must be by the time that has passed here
+    _found_s: float | None = None  # when `sample` was first asked for, where nobody knows when it came
 
     def take(self, sample: CommandSample | None) -> bool:
         """Take up the newest sample; return whether it is one that was not seen before."""
         if sample is None or sample is self.sample:
             return False
-        self.sample = sample
+        self.sample, self._found_s = sample, None
         checked = check_command(sample.value, self.form)
         if isinstance(checked, Refusal):
             self.refusal = checked
@@ -133,10 +134,17 @@ class Inlet:
         return now_s - self.sample.arrived_s <= within_s
 
     def quiet_s(self, now_s: float) -> float:
-        """Return for how long no command has come, good or bad [s]; infinite when none has."""
-        if self.sample is None or self.sample.arrived_s is None:
+        """Return for how long no command has come, good or bad [s]; infinite when none has.
+
+        One that was found without anybody knowing when it came, as after a cut, may have come in this very moment.
+        """
+        if self.sample is None:
             return math.inf
-        return now_s - self.sample.arrived_s
+        if self.sample.arrived_s is not None:
+            return now_s - self.sample.arrived_s
+        if self._found_s is None and math.isfinite(now_s):
+            self._found_s = now_s
+        return 0.0 if self._found_s is None else now_s - self._found_s
 
     def age_s(self, now_s: float) -> float:
         """Return the age of the newest good command [s]; infinite when there is none or it is unknown.

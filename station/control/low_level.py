@@ -203,6 +203,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         writers = self._inbox.writers
         if refused := self._inbox.take_refused():
             self._control.refuse_rivals(refused, writers.refusal)
+        self._control.heard_all(*self._inbox.heard_s)
         record = self._control.step(state, command, now_s)
         self._publish(self._result_values(record, self._arm_answer))
         for happening in record.happenings:

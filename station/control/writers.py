@@ -84,6 +84,8 @@ class Writers:
     @property
     def refusal(self) -> str:
         """Why a write is refused."""
+        if not self.obeyed:
+            return "two write, and which of them wrote it cannot be told"
         return f"{spoken(self.obeyed)} is obeyed until it has been silent for {self._silent_after_s * 1e3:.0f} ms"
 
     def _remember(self, writer: str, now_s: float) -> None:

@@ -30,10 +30,10 @@ class Proxy:
     def address(self) -> BusAddress:
         return BusAddress(host="127.0.0.1", port=self._listener.getsockname()[1])
 
-    def swallow(self) -> None:
-        """Carry nothing more on the connections of now, and do not close them: the half-open connection."""
+    def swallow(self, *, only_newest: bool = False) -> None:
+        """Carry nothing more on the connections of now, or on the newest, and do not close them: half-open ones."""
         with self._lock:
-            self._swallowed |= set(self._others)
+            self._swallowed |= set(list(self._others)[-2 if only_newest else 0 :])
 
     def cut(self) -> None:
         """Close every connection, and close new ones at once, until `mend`."""

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -26,8 +22,9 @@ from station.bus.tap import TapRefused, open_tap
 from station.bus.tap.replication import ReplicationTap
 from station.bus.watch import Watch
 from station.errors import BusError
+from tests.bus.answering import answering
 from tests.bus.proxy import Proxy
-from tests.faults.bus_station import frozen
+from tests.faults.bus_station import frozen, pid_of
 from tests.waiting import wait_until
 
 
@@ -43,7 +40,7 @@ def kill_clients(address: BusAddress, kind: str) -> None:
 
 def test_a_frozen_server_is_a_silence_of_that_length(bus_server: BusAddress) -> None:
     with Bus(bus_server, name="g1") as bus:
-        pid = int(bus.call("INFO", "server").split(b"process_id:")[1].split()[0])
+        pid = pid_of(bus_server)
         os.kill(pid, signal.SIGSTOP)
         began = time.monotonic()
         wait_until(lambda: bus.publish({"k": b"1"}) and time.monotonic() - began > 0.8)
@@ -83,7 +80,7 @@ def test_a_writer_that_was_frozen_itself_does_not_blame_the_server(bus_server: B
 def test_a_cut_connection_costs_the_write_that_met_the_cut_and_is_there_again_for_the_next(
     bus_server: BusAddress,
 ) -> None:
-    with Bus(bus_server, name="g1") as bus:
+    with Bus(bus_server, name="g1", timeout_s=5.0) as bus:
         for _ in range(3):
             kill_clients(bus_server, "normal")
             assert not bus.publish({"a": b"1", "b": b"2"})
@@ -97,7 +94,7 @@ def test_a_cut_connection_costs_the_write_that_met_the_cut_and_is_there_again_fo
 
 
 def test_only_the_line_of_a_watch_is_cut_and_told_of(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="g1") as bus, bus.watch(["k"]) as watch:
+    with Bus(bus_server, name="g1", timeout_s=5.0) as bus, bus.watch(["k"]) as watch:
         kill_clients(bus_server, "pubsub")
         wait_until(lambda: watch.connections == 2)
         assert [found.kind for found in bus.outages.take()] == ["watch-back"]
@@ -106,7 +103,7 @@ def test_only_the_line_of_a_watch_is_cut_and_told_of(bus_server: BusAddress) -> 
 
 
 def test_what_a_server_refuses_is_counted_and_its_end_is_told(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="g1") as bus:
+    with Bus(bus_server, name="g1", timeout_s=5.0) as bus:
         for _ in range(2):
             bus.call("REPLICAOF", "127.0.0.1", "1")
             assert not bus.publish({"a": b"1", "b": b"2"})
@@ -237,48 +234,3 @@ def test_a_process_that_nobody_asks_remembers_no_more_than_a_hundred() -> None:
         found.note("bus-back", 0)
     assert len(found.take()) == 100
     assert Outage("bus-back", 0, 10**9, {"x": 1}).detail().keys() == {"seconds", "began_ago_s", "x"}
-
-
-@contextmanager
-def answering(path: Path, answers: dict[bytes, bytes]) -> Iterator[BusAddress]:
-    """A server on a socket that knows nothing but what it is told: each command's answer by its name, else ``+OK``."""
-    listener = socket.socket(socket.AF_UNIX)
-    listener.bind(str(path))
-    listener.listen()
-    listener.settimeout(0.05)
-    closed = threading.Event()
-    threads: list[threading.Thread] = []
-
-    def serve(stream: socket.socket) -> None:
-        stream.settimeout(0.05)
-        with stream, contextlib.suppress(OSError):  # who asked has gone
-            while not closed.is_set():
-                try:
-                    data = stream.recv(1 << 16)
-                except TimeoutError:
-                    continue
-                if not data:
-                    return
-                for command in data.split(b"*")[1:]:
-                    name = command.split(b"\r\n")[2]
-                    stream.sendall(answers.get(name, b"+OK\r\n"))
-
-    def accept() -> None:
-        while not closed.is_set():
-            try:
-                stream, _ = listener.accept()
-            except TimeoutError:
-                continue
-            threads.append(threading.Thread(target=serve, args=(stream,)))
-            threads[-1].start()
-
-    accepting = threading.Thread(target=accept)
-    accepting.start()
-    try:
-        yield BusAddress(socket=str(path))
-    finally:
-        closed.set()
-        accepting.join()
-        for thread in threads:
-            thread.join()
-        listener.close()

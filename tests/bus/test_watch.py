@@ -5,16 +5,21 @@ from __future__ import annotations
 import math
 import os
 import signal
+import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
 import redis
 
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.bus.watch import Watch
+from tests.bus.answering import answering
 from tests.bus.proxy import Proxy
+from tests.faults.bus_station import frozen, pause, pid_of
 from tests.waiting import DEADLINE_S, wait_until
 
 
@@ -156,3 +161,126 @@ def test_a_server_that_refuses_notifications_is_polled(bus_server: BusAddress) -
             sample = watch.latest("k")
             assert sample is not None
             assert time.monotonic_ns() - (sample.arrived_ns or 0) < DEADLINE_S * 1e9
+
+
+PROBE_S, FROZEN_S = 0.05, 0.6  # shorter than what is given up
+
+
+@pytest.fixture
+def probed(bus_server: BusAddress) -> Iterator[Watch]:
+    with Watch(bus_server, ["k"], probe_s=PROBE_S) as watch:
+        yield watch
+
+
+def wait_until_heard(watch: Watch, seconds: float) -> None:
+    """Wait until it has heard for so long without a break."""
+    wait_until(lambda: watch.heard.until_ns - watch.heard.since_ns > seconds * 1e9)
+
+
+def when_it_stands(pid: int) -> int:
+    """Wait until a process that was stopped answers nobody any more; return the instant [ns]."""
+    wait_until(lambda: Path(f"/proc/{pid}/stat").read_text().rpartition(") ")[2].startswith("T"))
+    return time.monotonic_ns()
+
+
+def test_of_an_idle_bus_it_is_known_that_nothing_was_written(probed: Watch) -> None:
+    wait_until_heard(probed, 0.5)
+    assert probed.heard.until_ns < time.monotonic_ns()
+    assert probed.connections == 1
+
+
+def test_of_a_frozen_bus_nothing_is_known_and_when_it_is_back_it_begins_anew(
+    bus_server: BusAddress, probed: Watch
+) -> None:
+    wait_until_heard(probed, 0.2)
+    pid = pid_of(bus_server)
+    with frozen(pid):
+        frozen_ns = when_it_stands(pid)
+        pause(FROZEN_S)
+        assert probed.heard.until_ns <= frozen_ns
+        thawed_ns = time.monotonic_ns()
+    wait_until(lambda: probed.heard.until_ns > thawed_ns)
+    assert probed.heard.since_ns >= thawed_ns
+    wait_until_heard(probed, 0.3)
+
+
+@pytest.mark.parametrize("cut_s", [0.0, FROZEN_S])
+def test_of_a_cut_line_nothing_is_known_and_when_it_is_back_it_begins_anew(
+    bus_server: BusAddress, cut_s: float
+) -> None:
+    with Proxy(bus_server) as network, Watch(network.address, ["k"], probe_s=PROBE_S) as watch:
+        wait_until_heard(watch, 0.1)
+        network.cut()
+        cut_ns = time.monotonic_ns()
+        pause(cut_s)
+        assert watch.heard.until_ns <= cut_ns
+        network.mend()
+        wait_until(lambda: watch.heard.until_ns > cut_ns)
+        assert watch.heard.since_ns > cut_ns
+        wait_until_heard(watch, 0.1)
+
+
+def test_what_was_written_before_it_knows_of_every_write_is_at_hand(bus_server: BusAddress, probed: Watch) -> None:
+    written: list[int] = [time.monotonic_ns()]  # when the n-th write was done
+    ended = threading.Event()
+
+    def write() -> None:
+        with Bus(bus_server, name="motion", timeout_s=5.0) as bus:
+            while not ended.is_set():
+                bus.publish({"k": b"%d" % len(written)})
+                written.append(time.monotonic_ns())
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        wait_until(lambda: probed.latest("k") is not None)
+        proofs: set[int] = set()
+        while len(proofs) < 25:
+            known_ns, sample = probed.heard.until_ns, probed.latest("k")
+            proofs.add(known_ns)
+            assert sample is not None
+            newest = int(sample.value)
+            assert newest + 1 >= len(written) or written[newest + 1] > known_ns, "a later one was written before that"
+    finally:
+        ended.set()
+        writer.join()
+
+
+def test_an_answer_proves_nothing_before_what_was_told_ahead_of_it_is_taken_up(tmp_path: Path) -> None:
+    answers = {b"SUBSCRIBE": b":1\r\n:1\r\n", b"MGET": b"*2\r\n$-1\r\n$-1\r\n"}
+    answers[b"CONFIG"] = b"*2\r\n$1\r\nx\r\n$4\r\nK$gx\r\n"
+    pong = b"*2\r\n$4\r\npong\r\n$0\r\n\r\n"
+    with answering(tmp_path / "bus.sock", answers) as address:
+        answers[b"PING"] = pong
+        with Watch(address, ["k"], probe_s=PROBE_S) as watch:
+            wait_until_heard(watch, 0.1)
+            answers[b"MGET"] = b""  # it is told of a write with the next answer, and cannot read it
+            answers[b"PING"] = b"*3\r\n$7\r\nmessage\r\n$16\r\n__keyspace@0__:k\r\n$3\r\nset\r\n" + pong
+            told_ns = time.monotonic_ns()
+            wait_until(lambda: not watch.is_connected)
+            assert watch.heard.until_ns <= told_ns
+
+
+def test_a_half_open_line_of_messages_is_given_up_though_the_server_answers_on_the_other(
+    bus_server: BusAddress,
+) -> None:
+    with Proxy(bus_server) as network, Watch(network.address, ["k"]) as watch, Bus(bus_server, name="motion") as bus:
+        network.swallow(only_newest=True)
+        wait_until(lambda: watch.connections == 2)
+        bus.publish({"k": b"1"})
+        wait_until(lambda: watch.latest("k") is not None)
+
+
+def test_a_bus_that_is_polled_is_known_as_of_the_last_look(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="admin") as admin:
+        admin.call("ACL", "SETUSER", "plain", "on", ">pw", "~*", "&*", "+@all", "-config")
+        address = BusAddress(socket=bus_server.socket, username="plain", password="pw")
+        with Watch(address, ["k"], probe_s=PROBE_S) as watch:
+            wait_until_heard(watch, 0.3)
+            pid = pid_of(bus_server)
+            with frozen(pid):
+                frozen_ns = when_it_stands(pid)
+                pause(FROZEN_S)
+                assert watch.heard.until_ns <= frozen_ns
+            wait_until(lambda: watch.heard.since_ns > frozen_ns)
+            wait_until_heard(watch, 0.3)

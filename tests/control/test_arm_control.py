@@ -164,6 +164,42 @@ def test_a_fault_disengages_and_stays_until_it_is_cleared_even_when_the_controll
     assert bench.step().decision.state == "waiting"
 
 
+def test_what_the_controller_says_of_its_fault_now_is_the_reason_and_each_text_is_told_once() -> None:
+    bench = Bench()
+    bench.drive(50)
+    halted, waits = "safety 1010; when its cause is gone: clear it", "safety 1010; confirm it at the controller"
+    for _ in range(20):
+        for text in (halted, waits):
+            bench.arm.fault = text
+            assert bench.step().decision.reason == text
+            assert text in bench.control.arm(bench.now_s, "somebody")
+    bench.arm.fault = ""
+    assert bench.step().decision.reason == waits
+    told = [happening.detail["reason"] for happening in bench.told if happening.name == "controller-fault"]
+    assert told == [halted, waits]
+    assert [happening.detail["to"] for happening in bench.told if happening.name == "gate"].count("faulted") == 1
+    bench.control.cleared("somebody")
+    bench.arm.fault = halted
+    bench.steps(0.1)
+    assert bench.names().count("controller-fault") == 3, "a fault that comes again is told again"
+
+
+def test_a_fault_whose_text_runs_does_not_flood_and_one_under_a_stop_is_told_once_the_stop_is_left() -> None:
+    bench = Bench()
+    for number in range(200):
+        bench.arm.fault = f"halted {number} ms ago"
+        bench.step()
+    assert bench.state == "faulted"
+    assert bench.control.commanded.gate.reason == "halted 199 ms ago"
+    assert bench.names().count("controller-fault") == 16
+    bench.control.stop("hand on the button")
+    bench.arm.fault = "another"
+    assert bench.step().decision.reason == "hand on the button"
+    bench.control.reset("somebody")
+    assert bench.step().decision.reason == "another"
+    assert bench.names().count("controller-fault") == 17
+
+
 def test_a_stop_is_more_than_a_fault_and_a_fault_that_is_still_there_shows_again() -> None:
     bench = Bench()
     fault(bench)
@@ -194,6 +230,18 @@ def test_disarming_in_motion_releases_at_once() -> None:
     bench.drive(50)
     bench.control.disarm("somebody")
     assert not bench.arm.is_engaged
+
+
+def test_disarming_and_arming_between_two_ticks_does_not_spare_the_silence() -> None:
+    bench = Bench()
+    command = bench.drive(50)
+    bench.control.disarm("somebody")
+    assert bench.control.arm(bench.now_s, "somebody") == ""
+    command = bench.drive(100, command)
+    assert (bench.state, len(bench.arm.engaged_at)) == ("waiting", 1)
+    bench.steps(0.4)
+    bench.drive(10)
+    assert (bench.state, len(bench.arm.engaged_at)) == ("tracking", 2)
 
 
 @pytest.mark.parametrize("end", [stop, fault])

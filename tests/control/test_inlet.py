@@ -141,3 +141,22 @@ def test_refusing_is_what_it_does_now_and_not_what_it_did_once() -> None:
     assert not inlet.is_refusing(1.4, within_s=0.3)
     inlet.take(CommandSample(b"[1]", arrived_s=None))
     assert not inlet.is_refusing(1.0, within_s=0.3)
+
+
+def test_it_is_quiet_for_as_long_as_nothing_came_good_or_bad() -> None:
+    inlet = Inlet(FORM)
+    assert inlet.quiet_s(1.0) == math.inf
+    inlet.take(CommandSample(_text(), arrived_s=1.0))
+    inlet.take(CommandSample(b"[1]", arrived_s=1.5))
+    assert inlet.quiet_s(2.0) == pytest.approx(0.5)
+
+
+def test_a_command_of_unknown_arrival_that_is_found_later_may_have_come_just_now() -> None:
+    inlet = Inlet(FORM)
+    inlet.take(CommandSample(_text(), arrived_s=1.0))
+    inlet.take(CommandSample(_text(), arrived_s=None))
+    assert inlet.quiet_s(math.nan) == 0.0
+    assert inlet.quiet_s(9.0) == 0.0
+    assert inlet.quiet_s(9.25) == pytest.approx(0.25)
+    inlet.take(CommandSample(_text(), arrived_s=None))
+    assert inlet.quiet_s(9.5) == 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 
@@ -12,14 +13,16 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 from station.bus import codec
+from station.bus.heard import Hearing
 from station.control.arm_control import ArmControl
 from station.control.gate import GateConfig
 from station.control.inlet import CommandSample
-from station.control.silence import Silence
+from station.control.silence import Quiet, Silence
 from tests.control.arm_bench import FORM, STEP
 from tests.control.ideal_arm import TICK_S, IdealArm
 
 NEEDED_S = GateConfig().return_after_s
+PROBE_S, GAP_S = 0.05, 0.2  # of a watch that a robot's commands come by
 
 
 def insisted() -> Silence:
@@ -31,7 +34,7 @@ def insisted() -> Silence:
 def ticks_until_kept(silence: Silence, age_s: float, passed_s: float = TICK_S) -> int:
     """How many ticks of nothing new it takes; the age of what came last is `age_s` in the first of them."""
     for tick in range(1000):
-        silence.hear(age_s + tick * passed_s, passed_s)
+        silence.hear(Quiet(age_s + tick * passed_s), passed_s)
         if not silence.missing:
             return tick
     raise AssertionError("silence was never kept")
@@ -53,22 +56,43 @@ def test_silence_from_before_it_was_insisted_on_does_not_count() -> None:
 
 def test_a_stalled_process_has_heard_no_silence() -> None:
     silence = insisted()
-    silence.hear(0.0, TICK_S)
-    silence.hear(5.0, 0.1)  # five seconds later, of which a tick counts for a tenth
+    silence.hear(Quiet(0.0), TICK_S)
+    silence.hear(Quiet(5.0), 0.1)  # five seconds later, of which a tick counts for a tenth
     assert silence.missing
-    silence.hear(0.0, TICK_S)  # what came meanwhile
+    silence.hear(Quiet(0.0), TICK_S)  # what came meanwhile
     assert ticks_until_kept(silence, TICK_S) == 75
+
+
+def test_what_nobody_knows_of_is_no_silence() -> None:
+    silence = insisted()
+    for tick in range(1000):  # the bus is frozen
+        silence.hear(Quiet(math.inf, unheard_s=tick * TICK_S), TICK_S)
+    silence.hear(Quiet(math.inf, math.nan), TICK_S)
+    assert silence.missing
+    silence.hear(Quiet(0.0), TICK_S)  # it is back, and hears from now on
+    assert ticks_until_kept(silence, TICK_S) == 75
+
+
+def test_a_silence_is_kept_once_it_is_known_that_it_was_one() -> None:
+    silence = insisted()
+    for tick in range(77):
+        silence.hear(Quiet(math.inf, unheard_s=0.01), TICK_S)
+        assert silence.missing, tick
+    for _ in range(2):
+        silence.hear(Quiet(math.inf, unheard_s=0.01), TICK_S)
+    assert not silence.missing
 
 
 def test_what_comes_ends_a_silence_and_one_from_the_future_is_something_that_came() -> None:
     silence = insisted()
     for age_s in (0.2, 0.29, -0.5, math.nan):
-        silence.hear(age_s, 0.1)
+        silence.hear(Quiet(age_s), 0.1)
     assert silence.missing
 
 
 class OneWhoDoesNotLetGo(RuleBasedStateMachine):
-    """An arm, a commander, an operator of stop, faults and arming; and a history of all that was written."""
+    """An arm, a commander, an operator of stop, faults and arming, a bus that is frozen and cut; and a history of all
+    that was written, or would have been had the bus let it."""
 
     @initialize(is_simulated=st.booleans())
     def begin(self, is_simulated: bool) -> None:
@@ -76,6 +100,8 @@ class OneWhoDoesNotLetGo(RuleBasedStateMachine):
         self.arm.is_simulated = is_simulated
         self.control = ArmControl(self.arm, FORM, gate=GateConfig(), is_armed=True)
         self.now_s, self.seq, self.attempts = 100.0, 0, 0
+        self.hearing, self.asked_s, self.is_well = Hearing(GAP_S), self.now_s, True
+        self.hearing.begin(round(self.now_s * 1e9))
         self.command = self.arm.q.copy()
         self.sample: CommandSample | None = None
         self.heard: list[float] = []  # when something was written, good or bad
@@ -126,7 +152,39 @@ class OneWhoDoesNotLetGo(RuleBasedStateMachine):
         for _ in range(ticks):
             self.now_s += TICK_S
             self.heard.append(self.now_s)
+        self.is_well = False
         self.tick()
+        self.is_well = True
+        self.drive(1)
+
+    def keep_from_writing(self, ticks: int) -> None:
+        """Whoever commands goes on, and nothing of it comes."""
+        for _ in range(ticks):
+            self.now_s += TICK_S
+            self.heard.append(self.now_s)
+            self.tick()
+
+    @rule(ticks=st.integers(1, 300), then=st.integers(0, 20))
+    def frozen(self, ticks: int, then: int) -> None:
+        """The bus is frozen; who commands gives up what it waits for, and connects anew a moment after it is back."""
+        self.is_well = False
+        self.keep_from_writing(ticks)
+        self.is_well = True
+        self.keep_from_writing(then)
+        self.drive(1)
+
+    @rule(ticks=st.integers(0, 300), then=st.integers(0, 20), finds=st.booleans())
+    def cut_off(self, ticks: int, then: int, finds: bool) -> None:
+        """Our own line is cut; who commands writes on, and its last write may be found when the line is back."""
+        self.is_well = False
+        self.keep_from_writing(ticks)
+        self.is_well = True
+        self.hearing.begin(round(self.now_s * 1e9))
+        if finds:
+            self.write(codec.json_vector(self.command))
+            assert self.sample is not None
+            self.sample = dataclasses.replace(self.sample, arrived_s=None)
+        self.keep_from_writing(then)
         self.drive(1)
 
     # -- what ends following -------------------------------------------------------------------------------------
@@ -185,6 +243,8 @@ class OneWhoDoesNotLetGo(RuleBasedStateMachine):
     # -- a tick, and what must hold ------------------------------------------------------------------------------
     def tick(self) -> None:
         self.arm.pass_tick()
+        self.probe()
+        self.control.heard_all(*(at_ns * 1e-9 for at_ns in self.hearing.span))
         before = len(self.arm.engaged_at)
         record = self.control.step(self.control.sense(), self.sample, self.now_s)
         is_refused = "engage-refused" in [happening.name for happening in record.happenings]
@@ -192,6 +252,11 @@ class OneWhoDoesNotLetGo(RuleBasedStateMachine):
             self.expect_silence()
         if is_refused or self.control.commanded.arming.state == "disarmed":
             self.ended_s = self.now_s
+
+    def probe(self) -> None:
+        if self.is_well and self.now_s - self.asked_s >= PROBE_S:
+            self.asked_s = self.now_s
+            self.hearing.prove(round((self.now_s - TICK_S) * 1e9), round(self.now_s * 1e9))
 
     def expect_silence(self) -> None:
         since = [self.ended_s, *(at_s for at_s in self.heard if at_s > self.ended_s)]
@@ -245,6 +310,31 @@ def rival(run: OneWhoDoesNotLetGo) -> None:
 
 def stall(run: OneWhoDoesNotLetGo) -> None:
     run.stalled(300)
+
+
+def freeze_shortly(run: OneWhoDoesNotLetGo) -> None:
+    run.frozen(ticks=82, then=0)  # 0.33 s
+
+
+def freeze(run: OneWhoDoesNotLetGo) -> None:
+    run.frozen(ticks=600, then=20)
+
+
+def cut(run: OneWhoDoesNotLetGo) -> None:
+    run.cut_off(ticks=600, then=20, finds=True)
+
+
+@pytest.mark.parametrize("goes_on", [freeze_shortly, freeze, cut])
+def test_what_a_bus_that_is_frozen_or_cut_kept_from_us_is_no_silence(goes_on: Goes) -> None:
+    run = stopped_in_motion()
+    run.reset(then_arm=False)
+    run.drive(5)
+    for _ in range(3):
+        goes_on(run)
+    run.drive(50)
+    assert len(run.arm.engaged_at) == 1
+    run.begins_anew()
+    assert len(run.arm.engaged_at) == 2
 
 
 @pytest.mark.parametrize("goes_on", [nonsense, rival, stall])

@@ -1,0 +1,47 @@
+"""From when to when a reader knows of every write: only then has nobody written who was not heard. Pure."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Heard(NamedTuple):
+    """A span of time, on the reader's monotonic clock [ns], of which no write has escaped it; empty until it begins.
+
+    Attributes:
+        since_ns: From when on it could hear without a break: before, who wrote may have been kept from it.
+        until_ns: Up to when all that was written is known by now. Later writes may be on their way.
+    """
+
+    since_ns: int
+    until_ns: int
+
+
+class Hearing:
+    """Proves a span by questions, which the server answers on the line of its messages and in their order.
+
+    What it told before an answer has come before the answer; so all is known that was written before the question. Of
+    the time between two proofs nothing else is known: server, line or reader may have stood still for as long, and
+    whoever writes was kept from it. Where that is longer than `gap_s`, the span begins anew.
+
+    Args:
+        gap_s: Longest time without a proof within a span [s].
+    """
+
+    def __init__(self, gap_s: float) -> None:
+        self._gap_ns = round(gap_s * 1e9)
+        self.span = Heard(0, 0)
+
+    def begin(self, now_ns: int) -> None:
+        """Hear from now on: everything that is written later will be told."""
+        self.span = Heard(now_ns, now_ns)
+
+    def prove(self, asked_ns: int, now_ns: int) -> None:
+        """Take note of an answer, once all that was told before it has been taken up.
+
+        Args:
+            asked_ns: When the question was asked.
+            now_ns: When its answer was there.
+        """
+        is_unbroken = now_ns - self.span.until_ns <= self._gap_ns
+        self.span = Heard(self.span.since_ns if is_unbroken else now_ns, asked_ns)

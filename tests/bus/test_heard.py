@@ -1,0 +1,48 @@
+"""What is known of writes: up to the newest question that was answered, without a break since a link was well."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from station.bus.heard import Heard, Hearing
+
+GAP_S, PROBE_S = 0.2, 0.05
+
+
+def test_nothing_is_known_before_it_begins() -> None:
+    assert Hearing(GAP_S).span == Heard(0, 0)
+
+
+def test_an_answer_proves_what_was_written_before_its_question_and_no_more() -> None:
+    hearing = Hearing(1e-6)
+    hearing.begin(1000)
+    hearing.prove(1600, 1900)
+    assert hearing.span == Heard(1000, 1600)
+
+
+def test_where_it_stood_still_for_too_long_between_two_answers_the_span_begins_anew() -> None:
+    hearing = Hearing(1e-6)
+    hearing.begin(1000)
+    hearing.prove(1600, 2000)
+    assert hearing.span == Heard(1000, 1600), "1000 ns from the last proof to this answer"
+    hearing.prove(2500, 2601)
+    assert hearing.span == Heard(2601, 2500), "empty: the server may have come to itself only just now"
+    hearing.prove(2650, 2660)
+    assert hearing.span == Heard(2601, 2650)
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0)), min_size=1, max_size=30))
+def test_no_span_reaches_over_a_server_that_was_frozen_for_longer_than_the_gap(
+    pauses: list[tuple[float, float]],
+) -> None:
+    """One question at a time, a pause after each answer; the server is frozen from any time on until it answers."""
+    hearing, now_s, answered_s = Hearing(GAP_S), 1.0, 1.0
+    hearing.begin(round(now_s * 1e9))
+    for well_s, frozen_s in pauses:
+        asked_s = now_s = answered_s + PROBE_S + well_s
+        answered_s = now_s + frozen_s
+        hearing.prove(round(asked_s * 1e9), round(answered_s * 1e9))
+        assert hearing.span.until_ns == round(asked_s * 1e9)
+        if frozen_s > GAP_S:
+            assert hearing.span.since_ns == round(answered_s * 1e9)
