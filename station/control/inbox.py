@@ -141,7 +141,7 @@ class Inbox:
         before, newest = self._command, self._watch.latest(self._key)
         for sample in self._watch.take():
             at_s = now_s if now_s is not None else (sample.arrived_ns or 0) * 1e-9
-            if self.writers.hear(writer_of(sample), at_s):
+            if self.writers.hear(writer_of(sample), at_s, self.heard_s):
                 self._command = _command(sample, now_s)
             else:
                 self._refused += 1

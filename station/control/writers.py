@@ -1,11 +1,13 @@
 """Which of several writers of a key is obeyed, so that no robot follows two operators in turn. Pure; its time is given.
 
 The first is obeyed. Another is refused until the first has been silent for a while; with ``newest`` whoever begins to
-write is obeyed at once. Either way the change is a handover, and the gate enters the new one's commands with its blend.
+write is obeyed at once. A robot's server that stood still itself has heard no silence. Either way the change is a
+handover, and the gate enters the new one's commands with its blend.
 """
 
 from __future__ import annotations
 
+import math
 import socket
 from dataclasses import dataclass
 from typing import Literal
@@ -57,13 +59,20 @@ class Writers:
         self._refused = 0
         self.obeyed = ""
 
-    def hear(self, writer: str, now_s: float) -> bool:
-        """Take note of a write; return whether it is obeyed."""
+    def hear(self, writer: str, now_s: float, known_s: tuple[float, float] = (-math.inf, math.inf)) -> bool:
+        """Take note of a write; return whether it is obeyed.
+
+        Args:
+            writer: Whose it is.
+            now_s: When it came.
+            known_s: From when to when no write has escaped us: only in it has anybody been silent who was not heard.
+        """
         before_s, obeyed_s = self._heard.pop(writer, None), self._heard.get(self.obeyed)
         self._remember(writer, now_s)
         if writer != self.obeyed:
-            begins = before_s is None or now_s - before_s > self._silent_after_s
-            if obeyed_s is None or now_s - obeyed_s > self._silent_after_s:
+            begins_s, until_s = known_s[0], min(now_s, known_s[1])
+            begins = before_s is None or until_s - max(before_s, begins_s) > self._silent_after_s
+            if obeyed_s is None or until_s - max(obeyed_s, begins_s) > self._silent_after_s:
                 self._hand_over(writer, f"{spoken(self.obeyed)} has been silent" if self.obeyed else "")
             elif self._rule == "newest" and begins:
                 self._hand_over(writer, "it began to write last")

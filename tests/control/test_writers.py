@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
 import socket
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from station.bus import stamp
-from station.control.writers import News, Writers, spoken
+from station.control.writers import News, Rule, Writers, spoken
 from station.life.rivals import FOREIGN
 
 DT = 0.02
@@ -55,6 +57,23 @@ def test_once_the_first_has_been_silent_the_second_is_obeyed_and_that_is_a_hando
     assert obeyed[50:] == [False] * 15 + [True] * 35, "300 ms and no earlier"
     assert [news.kind for news in told] == ["handover"], "one after the other are no rivals"
     assert told[0].writers == ("a", "b")
+
+
+@pytest.mark.parametrize("rule", ["keep-first", "newest"])
+def test_who_stood_still_himself_has_heard_no_silence(rule: Rule) -> None:
+    writers = Writers(rule)
+    known_s = (-math.inf, 1.0)
+    for tick in range(51):
+        for name in "ba":
+            writers.hear(name, tick * DT, known_s)
+    first, _ = writers.obeyed, writers.take_news(1.0)
+    assert not writers.hear("ab"[first == "a"], 3.0, known_s), "two seconds of which nothing is known"
+    known_s = (3.01, 3.2)
+    assert not writers.hear("ab"[first == "a"], 3.25, known_s), "now it is known of a fifth of a second"
+    assert writers.hear(first, 3.26, known_s)
+    assert all(news.kind != "handover" for news in writers.take_news(3.26))
+    known_s = (3.01, 3.6)
+    assert writers.hear("ab"[first == "a"], 3.61, known_s), "0.34 s of which it is known"
 
 
 def test_the_end_of_the_contest_is_told_with_the_number_of_refused_writes() -> None:
