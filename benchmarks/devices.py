@@ -151,7 +151,7 @@ _SERVE = """
 import json, sys
 from servers.pico import KIND, PicoConfig
 from station.bus.address import parse
-from station.life.server import serve
+from station.life.serving import serve
 sys.exit(serve(KIND, PicoConfig(**json.loads(sys.argv[2])), address=parse(sys.argv[1])))
 """
 

@@ -18,6 +18,7 @@ from station.bus.address import BusAddress
 from station.bus.connection import Argument, Connection, ConnectionLost
 from station.bus.outage import Outages
 from station.bus.sample import Sample
+from station.bus.stamped_writes import StampedWrites
 from station.bus.watch import Watch
 from station.errors import BusError
 
@@ -54,8 +55,7 @@ class Bus:
         self._timeout_s = timeout_s
         self._lock = threading.Lock()
         self._closed = threading.Event()
-        self._sequences: dict[str, int] = {}
-        self._frames: dict[str, tuple[bytes, bytes]] = {}
+        self._writes = StampedWrites(self.source)
         self._unanswered: deque[int] = deque()  # keys per write whose answer is owed
         self._heard_s = time.monotonic()  # when the server last answered, or owed nothing
         self._looks_in_vain = 0  # for answers that are owed, since the server was last heard
@@ -93,7 +93,7 @@ class Bus:
             back by itself. No call waits longer than the time-out, and one that follows a late answer does not wait.
         """
         with self._lock:
-            request = self._mset(values, capture_ns)
+            request = self._writes.encode(values, capture_ns)
             if self._connection is None:
                 self.lost_writes += len(values)
                 return False
@@ -191,30 +191,6 @@ class Bus:
     ) -> None:
         self.close()
 
-    def _mset(self, values: Mapping[str, bytes], capture_ns: int | None) -> bytes:
-        mono_ns, wall_ns = time.monotonic_ns(), time.time_ns()
-        parts = [b"*%d\r\n$4\r\nMSET\r\n" % (1 + 4 * len(values))]
-        for key, value in values.items():
-            seq = self._sequences[key] = self._sequences.get(key, 0) + 1
-            mark = stamp.Stamp(seq, mono_ns, wall_ns, self.source, capture_ns).encode()
-            frame, stamp_frame = self._frames.get(key) or self._frame(key)
-            parts += (
-                frame,
-                b"$%d\r\n" % len(value),
-                value,
-                b"\r\n",
-                stamp_frame,
-                b"$%d\r\n" % len(mark),
-                mark,
-                b"\r\n",
-            )
-        return b"".join(parts)
-
-    def _frame(self, key: str) -> tuple[bytes, bytes]:
-        frames = (_bulk(key), _bulk(keys.stamp(key)))
-        self._frames[key] = frames
-        return frames
-
     def _account(self, connection: Connection, answers: list[Any]) -> bool:
         """Take note of the answers to writes; return whether one was refused.
 
@@ -305,8 +281,3 @@ class Bus:
 
 def _ns(monotonic_s: float) -> int:
     return round(monotonic_s * 1e9)
-
-
-def _bulk(text: str) -> bytes:
-    data = text.encode("utf-8", "surrogateescape")
-    return b"$%d\r\n%s\r\n" % (len(data), data)

@@ -23,7 +23,8 @@ from station.errors import ConfigError
 def command(server: str, bus: str | None, sets: tuple[str, ...], name: str, config_json: str, list_keys: bool) -> None:
     """Run SERVER until it is interrupted."""
     from station.cli.options import address_of
-    from station.life.server import ServerKind, serve
+    from station.life.server import ServerKind
+    from station.life.serving import serve
 
     kind: ServerKind = registry.find("server", server)
     if list_keys:

@@ -50,7 +50,7 @@ class Devices:
 
 @pytest.fixture
 def bus(bus_server: BusAddress) -> Iterator[Bus]:
-    with Bus(bus_server, name="tests") as line:
+    with Bus(bus_server, name="tests", timeout_s=5.0) as line:
         yield line
 
 

@@ -82,7 +82,7 @@ def test_a_bus_that_goes_and_comes_back_is_told_by_nobody_else(tmp_path_factory:
     options = ServerOptions(folder=tmp_path_factory.mktemp("b"), socket=tmp_path_factory.mktemp("s") / "bus.sock")
     server = RedisServer.start(options)
     heard: list[str] = []
-    with Bus(server.address, name="test") as bus, Onlooker(bus) as onlooker:
+    with Bus(server.address, name="test", timeout_s=5.0) as bus, Onlooker(bus) as onlooker:
         bus.publish({keys.server("g1"): codec.json_object(health("g1", 1))})
         server.stop()
         wait_until(lambda: heard.extend(event.name for event in onlooker.take()) or "bus-lost" in heard)

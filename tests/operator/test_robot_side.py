@@ -39,13 +39,16 @@ class Side:
         wait_until(lambda: self.watch.latest(keys.ESTOP) is not before)
 
     def look(self, later_s: float = 0.0) -> RobotSide:
-        self.robot.look(time.monotonic_ns() + int(later_s * SECOND))
+        """Look so much later than the gate spoke, however long the machine took to come here."""
+        sample = self.watch.latest(keys.command_gate(ROBOT))
+        now_ns = sample.arrived_ns if sample is not None else None
+        self.robot.look((now_ns or time.monotonic_ns()) + int(later_s * SECOND))
         return self.robot
 
 
 @pytest.fixture
 def side(bus_server: BusAddress) -> Iterator[Side]:
-    with Bus(bus_server, name="tests") as bus:
+    with Bus(bus_server, name="tests", timeout_s=5.0) as bus:
         made = Side(bus)
         yield made
         made.watch.close()

@@ -16,7 +16,8 @@ from station.bus.client import Bus
 from station.bus.tap import Tap, open_tap
 from station.errors import StationError
 from station.life import events
-from station.life.server import Life, ServerKind, serve
+from station.life.server import Life, ServerKind
+from station.life.serving import serve
 from station.operator import reading as readings
 from station.operator.device import Device, DeviceError
 from station.operator.reading import Reading
@@ -72,6 +73,7 @@ class Station:
         self.values: dict[str, bytes] = {}
         self.writes: list[str] = []  # of samples
         self.code: int | None = None
+        self._seen = 0  # events that were waited for, and those before them
         self._thread = threading.Thread(target=self._serve, daemon=True)
 
     def _main(self, _config: Nothing, life: Life) -> int:
@@ -106,16 +108,16 @@ class Station:
             event = events.decode(write.value or b"") if write.key == keys.EVENT else None
             self.events += [event] if event is not None else []
 
-    def until(self, name: str, reason: str = "") -> events.Event:
+    def until(self, name: str, reason: str = "") -> None:
+        """Wait for an event that comes after the one that was waited for before, whatever was told between them."""
+
         def found() -> bool:
             self.take()
-            return bool(self.events) and self.events[-1].name == name and self._reason() == reason
+            told = [(event.name, str(event.detail.get("reason", ""))) for event in self.events[self._seen :]]
+            self._seen += told.index((name, reason)) + 1 if (name, reason) in told else 0
+            return (name, reason) in told
 
         wait_until(found)
-        return self.events[-1]
-
-    def _reason(self) -> str:
-        return str(self.events[-1].detail.get("reason", ""))
 
     def state(self) -> str:
         self.take()
@@ -205,5 +207,5 @@ def test_a_device_that_is_not_there_at_the_start_ends_the_server(wheel: Wheel, b
     kind = ServerKind(name="wheel", role="sensor", summary="", config=Nothing, main=main)
     with pytest.raises(StationError, match="no wheel; plug it in"):
         serve(kind, Nothing(), address=bus_server)
-    with Bus(bus_server, name="test") as bus:
+    with Bus(bus_server, name="test", timeout_s=5.0) as bus:
         assert bus.get(keys.operator_status("wheel")) is None

@@ -26,7 +26,7 @@ import importlib, json, sys
 from station.bus.address import parse
 from station.config import build
 from station.errors import StationError
-from station.life.server import serve
+from station.life.serving import serve
 kind = importlib.import_module("servers." + sys.argv[1]).KIND
 try:
     sys.exit(serve(kind, build(kind.config, json.loads(sys.argv[3]), where="test"), address=parse(sys.argv[2])))
@@ -66,12 +66,15 @@ class Station(OneServer):
         told = [event.name.removeprefix("operator-") for event in self.events if event.name.startswith("operator-")]
         return [state for state, _ in groupby(told)]
 
+    def lasting(self) -> list[str]:
+        """Return the states that were told, in order, without ``stale``, which a busy machine adds for a moment."""
+        return [state for state, _ in groupby(state for state in self.states() if state != "stale")]
+
     def until_told(self, *states: str, beside: Callable[[], object]) -> None:
         """Wait until states were told, in order, and something is so; ``stale`` is told only where somebody waited."""
 
         def is_so() -> bool:
-            told = [state for state, _ in groupby(state for state in self.states() if state != "stale")]
-            return told == list(states) and bool(beside())
+            return self.lasting() == list(states) and bool(beside())
 
         with Waits.watched() as waits:
             self.until(is_so)

@@ -30,6 +30,8 @@ ROBOT = keys.TWIST2_ROBOT
 FORM = registry.find("command", "twist2")
 LIGHT = ("physics_dt_s=0.002", "real_time_priority=0")
 """Half the physics, and no more of the processor than anybody else: for tests that are about neither."""
+PATIENT = (*LIGHT, "gate.hold_after_s=1.0", "gate.return_after_s=2.0")
+"""A robot that waits for its commander on a busy machine: for tests that are not about how long it does."""
 
 
 class G1Process:
@@ -151,6 +153,11 @@ class StockCommander:
             for side in ("left", "right"):
                 self._line.call("SET", keys.action_hand(side), json.dumps([0.0] * 7).encode())
             self._line.call("SET", keys.action_neck(), json.dumps([0.0] * 2).encode())
+
+
+def ticks(log: Log) -> int:
+    """Return how many steps of the policy were seen."""
+    return len(log.of(keys.policy_timing(ROBOT)))
 
 
 def leaning(_time_s: float) -> Floats:

@@ -15,7 +15,7 @@ from station.control.arming import RAMP_S
 from station.errors import NotReady, Refused
 from station.life import arm_request
 from tests.lateness import TooLate, Waits, excuse
-from tests.servers.g1_station import FORM, LIGHT, ROBOT, G1Process, Log, StockCommander, logged, publish
+from tests.servers.g1_station import FORM, LIGHT, ROBOT, G1Process, Log, StockCommander, logged, publish, ticks
 from tests.waiting import wait_until
 
 DISARMED = (*LIGHT, "start_armed=false", "gate.return_after_s=1.5")
@@ -25,10 +25,6 @@ DISARMED = (*LIGHT, "start_armed=false", "gate.return_after_s=1.5")
 def stiffness(log: Log) -> list[float]:
     """Stiffness of the first joint as it was sent, tick by tick [N m/rad]."""
     return [float(codec.parse_f64(value)[29]) for value in log.values(keys.target(ROBOT))]
-
-
-def ticks(log: Log) -> int:
-    return len(log.of(keys.policy_timing(ROBOT)))
 
 
 def test_a_disarmed_robot_gets_nothing_though_its_policy_follows_the_commands(bus_server: BusAddress) -> None:
@@ -120,6 +116,7 @@ def test_who_waits_for_a_robot_that_is_stopped_while_it_is_arming_is_told_so(bus
                 button.publish({keys.ESTOP: b"1"})
             with pytest.raises(Refused, match="g1 was stopped while it was arming"):
                 asked.result(30)
+        wait_until(lambda: log.gate()["state"] == "stopped")  # the log may be behind the answer
         assert not stiffness(log)[-1]
 
 

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
-import os
 import re
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -19,17 +15,13 @@ import pytest
 from servers.camera import CameraConfig
 from station.bus import keys
 from station.bus.address import BusAddress
-from station.bus.client import Bus
-from station.bus.connection import ConnectionLost
-from station.bus.redis_server import RedisServer, ServerOptions
-from station.bus.sample import Sample
 from station.config import build
 from station.errors import ConfigError
 from tests.adapters.cameras import pictures
 from tests.adapters.cameras.fake_v4l2 import fake
 from tests.adapters.cameras.fake_v4l2.fake import FakeCamera, Mode
 from tests.servers.camera_station import CameraStation, camera_station
-from tests.waiting import DEADLINE_S, wait_until
+from tests.waiting import wait_until
 
 SMALL = {"width": 160, "height": 120}
 
@@ -101,9 +93,8 @@ def test_what_the_camera_lost_or_spoiled_is_counted_by_reason_and_told_once(
         pass_on(station, camera, 5)
         assert [pictures.number(shot.jpeg) for shot in station.shots] == [1, 2, 5]
         assert (station.detail["lost"], station.detail["dropped"]) == (3, 5)
-        station.until(lambda: station.told("camera-dropping"))
-        station.until(lambda: station.told("camera-steady"))
-        assert sum(event.detail["dropped"] for event in station.told("camera-steady")) == 5
+        station.until(lambda: sum(event.detail["dropped"] for event in station.told("camera-steady")) == 5)
+        assert len(station.told("camera-steady")) == len(station.told("camera-dropping"))
 
 
 def test_of_pictures_that_waited_the_newest_goes_to_the_bus(
@@ -113,12 +104,17 @@ def test_of_pictures_that_waited_the_newest_goes_to_the_bus(
         begin(station, camera)
         pass_on(station, camera, 1)
         station.process.send_signal(signal.SIGSTOP)
+        wait_until(lambda: is_stopped(station.process.pid))
         for number in (2, 3, 4):
             camera.take(pictures.jpeg(number))
         station.process.send_signal(signal.SIGCONT)
         station.until(lambda: pictures.number(station.shots[-1].jpeg) == 4)
         assert [pictures.number(shot.jpeg) for shot in station.shots] == [1, 4]
         station.until(lambda: station.detail.get("skipped") == 2)
+
+
+def is_stopped(pid: int) -> bool:
+    return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "T"
 
 
 def test_a_camera_that_is_torn_out_is_lost_and_comes_back_by_itself(
@@ -179,11 +175,12 @@ def test_raw_pictures_are_encoded_here_and_a_time_that_is_none_is_that_of_arriva
 ) -> None:
     with fake.camera(library, devices, [Mode("YUYV")]) as camera:
         begin(station, camera, quality=80)
+        before_ns = time.monotonic_ns()
         camera.take(pictures.yuyv(1234), is_stamped=False, age_s=0.5)
         station.until(lambda: station.shots)
         (shot,) = station.shots
         assert pictures.number(shot.jpeg) == 1234
-        assert 0 <= shot.stamp.mono_ns - (shot.stamp.capture_ns or 0) < 450_000_000
+        assert before_ns <= (shot.stamp.capture_ns or 0) <= shot.stamp.mono_ns
         assert (station.facts["format"], station.facts["is_passed_through"], station.facts["quality"]) == (
             "YUYV", False, 80,
         )  # fmt: skip
@@ -215,79 +212,6 @@ def test_a_camera_that_cannot_be_used_ends_the_start_with_one_line_that_says_wha
         code, line = station.ends()
     assert code == 1
     assert re.search(message, line), line
-
-
-def test_a_bus_that_stalls_gets_no_old_pictures_afterwards(tmp_path: Path) -> None:
-    for number in range(64):
-        (tmp_path / f"{number}.jpg").write_bytes(pictures.jpeg(number))
-    options = ServerOptions(folder=tmp_path / "bus", socket=tmp_path / "bus.sock")
-    options.folder.mkdir()
-    with (
-        RedisServer.start(options) as server,
-        camera_station("head", server.address, tmp_path) as station,
-    ):
-        station.start("files", options={"path": str(tmp_path)}, fps=50.0)
-        station.until(lambda: len(station.shots) > 10)
-        os.kill(server.pid, signal.SIGSTOP)
-        stalled_ns = station.shots[-1].stamp.mono_ns
-        try:
-            wait_until(lambda: _is_over(stalled_ns, 1.5))
-        finally:
-            os.kill(server.pid, signal.SIGCONT)
-        before = len(station.shots)
-        station.until(lambda: len(station.shots) > before + 20)
-        station.until(lambda: station.detail.get("unsent"))
-        late = [shot for shot in station.shots if shot.stamp.mono_ns > stalled_ns]
-        during = [shot for shot in late if shot.stamp.mono_ns < stalled_ns + 1_400_000_000]
-        assert len(during) < 20, "of seventy pictures a stalled bus gets those that were on their way"
-        for shot in late:
-            assert shot.stamp.mono_ns - (shot.stamp.capture_ns or 0) < 500_000_000, "an old picture"
-
-
-def _is_over(since_ns: int, seconds: float) -> bool:
-    return time.monotonic_ns() - since_ns > seconds * 1e9
-
-
-BOOK = """
-runbook: two-cameras
-robot: unitree_g1_with_hands
-steps:
-  - start: head
-    server: camera
-    with: {{source: files, options: {{path: {folder}}}, fps: 20}}
-  - start: left_wrist
-    server: camera
-    with: {{source: files, options: {{path: {folder}}}, fps: 20}}
-"""
-
-
-def test_a_runbook_starts_several_under_names_of_their_own(bus_server: BusAddress, tmp_path: Path) -> None:
-    folder = tmp_path / "pictures"
-    folder.mkdir()
-    (folder / "1.jpg").write_bytes(pictures.jpeg(1))
-    book = tmp_path / "book.yaml"
-    book.write_text(BOOK.format(folder=folder))
-    command = [sys.executable, "-m", "station", "up", str(book), "--yes", "--for", "60s", "--bus", bus_server.url]
-    with (
-        subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-        ) as process,
-        Bus(bus_server, name="test") as bus,
-    ):
-        wanted = [keys.camera_image("head"), keys.camera_image("left_wrist")]
-        found: dict[str, Sample] = {}
-
-        def are_there() -> bool:
-            with contextlib.suppress(ConnectionLost):  # a machine that is busy owes an answer for a moment
-                found.update(bus.read(wanted))
-            return len(found) == 2
-
-        wait_until(lambda: process.poll() is not None or are_there(), 2 * DEADLINE_S)
-        process.send_signal(signal.SIGINT)
-        told = process.communicate(timeout=DEADLINE_S)[0].decode()
-    assert sorted(found) == wanted, told
-    assert {sample.stamp.writer for sample in found.values() if sample.stamp} == {"head", "left_wrist"}
-    assert "start head (camera)" in told
 
 
 @pytest.mark.parametrize(

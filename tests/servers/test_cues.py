@@ -136,7 +136,8 @@ def test_a_robot_whose_server_is_killed_with_nobody_to_say_so_is_heard(
 ROBOT = """
 import msgspec
 from station.bus.address import parse
-from station.life.server import ServerKind, serve
+from station.life.server import ServerKind
+from station.life.serving import serve
 class Nothing(msgspec.Struct, frozen=True): pass
 def main(config, life):
     life.ready()

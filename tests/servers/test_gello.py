@@ -27,7 +27,7 @@ def test_two_leaders_stand_on_the_bus_and_a_silent_servo_is_named_until_it_answe
     steps = [{"at_s": 0.0, "left": POSE, "right": OTHER}, {"at_s": 1.0, "left": POSE}, {"at_s": 1.5, "left": OTHER},
              {"at_s": 2.0, "silent": [4], "arm": "left"}, {"at_s": 4.5, "silent": []}]  # fmt: skip
     leaders.start(steps, patience_s=1.0)
-    leaders.until(lambda: leaders.states()[-2:] == ["lost", "live"] and len(leaders.samples) > 100)
+    leaders.until(lambda: leaders.lasting()[-2:] == ["lost", "live"] and len(leaders.samples) > 100)
     joints = [sample.joints for sample in leaders.samples if sample.joints is not None]
     np.testing.assert_allclose(joints[0], [*POSE[:7], *OTHER[:7], POSE[7], OTHER[7]], atol=0.01)
     np.testing.assert_allclose(joints[-1], [*OTHER[:7], *OTHER[:7], OTHER[7], OTHER[7]], atol=0.01)

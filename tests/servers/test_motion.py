@@ -38,7 +38,7 @@ import json, sys
 from servers.motion import KIND, MotionConfig
 from station.bus.address import parse
 from station.config import build
-from station.life.server import serve
+from station.life.serving import serve
 sys.exit(serve(KIND, build(MotionConfig, json.loads(sys.argv[2]), where="test"), address=parse(sys.argv[1])))
 """
 Start = Callable[..., subprocess.Popen[bytes]]
@@ -218,7 +218,7 @@ def test_what_it_runs_stands_on_the_bus_before_it_starts(start: Start, bus: Bus,
 def test_in_lock_step_each_state_gets_one_frame_and_two_runs_are_equal(start: Start, robot: StandInRobot) -> None:
     runs = []
     for _ in range(2):
-        process = start(pace="state")
+        process = start(pace="state", patience_s=DEADLINE_S)  # nothing is sent twice, however late we answer
         ticks = [robot.command(), *robot.until("done")]
         assert finish(process) == 0
         runs.append(ticks)

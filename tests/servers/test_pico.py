@@ -35,7 +35,7 @@ from servers.pico import KIND, PicoConfig
 from station.bus.address import parse
 from station.config import build
 from station.errors import StationError
-from station.life.server import serve
+from station.life.serving import serve
 try:
     sys.exit(serve(KIND, build(PicoConfig, json.loads(sys.argv[2]), where="test"), address=parse(sys.argv[1])))
 except StationError as error:
@@ -146,7 +146,7 @@ def test_stock_readers_find_their_controllers(start: Start, account: Account) ->
 def test_silence_and_a_service_that_dies_are_told_and_over_when_they_are_over(start: Start, account: Account) -> None:
     faults = [{"at_s": 1.0, "kind": "silence", "for_s": 0.4}, {"at_s": 2.5, "kind": "crash", "for_s": 2.0}]
     start({"faults": faults})
-    account.until(lambda: account.states()[-2:] == ["lost", "live"])
+    account.until(lambda: account.states()[-3:] == ["stale", "lost", "live"])
     since_live = account.states()[account.states().index("live") :]
     assert since_live[:3] == ["live", "stale", "live"]
     assert since_live[-4:] == ["live", "stale", "lost", "live"]

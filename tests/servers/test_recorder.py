@@ -36,7 +36,7 @@ import sys
 from servers.recorder import KIND, RecorderConfig
 from station import config
 from station.bus.address import parse
-from station.life.server import serve
+from station.life.serving import serve
 import msgspec
 values = msgspec.json.decode(sys.argv[2])
 sys.exit(serve(KIND, config.build(RecorderConfig, values, where="test"), address=parse(sys.argv[1]), name=sys.argv[3]))

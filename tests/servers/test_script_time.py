@@ -14,7 +14,7 @@ from station.operator.reading import Reading
 from tests.servers.device_station import station
 
 AGAIN = f"import os; os.environ['{RESTARTS_VARIABLE}'] = '1'\n"
-FIRST_S, LATER_S = 0.3, 1.0
+FIRST_S, LATER_S = 0.3, 2.0  # what is to be seen in between lasts long enough for a busy machine
 PULL = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 PUSH = [0.5, 0.0, 0.0, 0.0, 0.0, 0.0]
 

@@ -133,13 +133,17 @@ def expect_nobody_drives(station: OperatedStation) -> None:
     assert not station.is_engaged
 
 
+def refusals(station: OperatedStation) -> list[str]:
+    """Return why nobody could begin to drive; among them that a sample came late, on a busy machine."""
+    return [str(event.detail["reason"]) for event in station.told("operator-refused")]
+
+
 def test_stop_button_latches_and_only_a_new_press_moves_the_robot_after_it(tmp_path: Path) -> None:
     with OperatedStation(tmp_path) as station:
         station.engage()
         station.press("left_stick_click", until=lambda: station.log.gate()["state"] == "stopped")
         assert "follows no more" in station.wait_for("teleop-commands-end").detail["reason"]
-        station.press(A, until=lambda: station.told("operator-refused"))
-        assert station.told("operator-refused")[-1].detail["reason"] == "the emergency stop is latched"
+        station.press(A, until=lambda: "the emergency stop is latched" in refusals(station))
         count = len(station.commands())
         with StopButton(station.server.address, name="tests") as button:
             button.release("tests go on")
@@ -156,8 +160,7 @@ def test_buttons_arm_and_disarm_a_robot_and_a_refusal_is_told_in_event_and_statu
         return station.told(told)[-1]
 
     with OperatedStation(tmp_path, start_armed=False) as station:
-        station.press(A, until=lambda: station.told("operator-refused"))
-        assert station.told("operator-refused")[-1].detail["reason"] == "the robot is disarmed"
+        station.press(A, until=lambda: "the robot is disarmed" in refusals(station))
         wait_until(lambda: "hold left_grip+left_trigger+right_grip+right_trigger to arm" in station.why_not())
         assert "button of pico" in squeeze(station, "arming").detail["who"]
         assert (station.wait_for("armed").wall_ns - station.told("arming")[0].wall_ns) * 1e-9 > 0.9 * RAMP_S
@@ -262,7 +265,7 @@ def test_wrong_setting_is_one_line_that_names_it(values: dict[str, Any], line: s
 )
 def test_what_cannot_start_says_so_in_a_line(bus_server: BusAddress, values: dict[str, Any], line: str) -> None:
     from station.errors import StationError
-    from station.life.server import serve
+    from station.life.serving import serve
 
     with pytest.raises(StationError) as caught:
         serve(registry.find("server", "teleop"), config.build(TeleopConfig, values, where="teleop"), address=bus_server)

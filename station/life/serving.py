@@ -1,0 +1,89 @@
+"""Runs a server in this process: from the connection to the bus to its last word.
+
+`serve` claims the server's name, hands a `Life` to the server's ``main(config, life) -> int`` and hears the signals
+that ask it to stop.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+import signal
+import threading
+import traceback
+
+import msgspec
+
+from station.bus import address as addresses
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.bus.credentials import for_role
+from station.bus.protection import look
+from station.errors import BusError, Refused, StationError
+from station.life.server import Life, ServerKind, read_health
+
+log = logging.getLogger(__name__)
+
+_PATIENCE_S = 1.0  # for an answer of the bus, while a server loads and nothing moves
+
+
+def serve(kind: ServerKind, config: msgspec.Struct, *, address: BusAddress | None = None, name: str = "") -> int:
+    """Run a server in this process until it ends or is asked to; return its exit code.
+
+    Raises:
+        BusError: the bus cannot be reached at the start.
+        Refused: a live server already has this name.
+    """
+    name = name or kind.name
+    with Bus(for_role(address or addresses.default(), kind.role), name=name, timeout_s=_PATIENCE_S) as bus:
+        _claim(bus, name)
+        _warn_of_strangers(bus)
+        life = Life(kind, name, bus, _config_hash(config))
+        _on_signals(life)
+        reason = "stopped"
+        try:
+            return kind.main(config, life)
+        except StationError as error:
+            reason = str(error)
+            life.last_word("server-failed", reason=reason)
+            raise
+        except Exception as error:
+            reason = f"{type(error).__name__}: {error}"
+            life.last_word("server-crashed", reason=reason, where=traceback.format_exc(limit=-3))
+            raise
+        finally:
+            life.end(reason)
+
+
+def _claim(bus: Bus, name: str) -> None:
+    for health in read_health(bus):
+        if health.name == name and health.is_alive:
+            raise Refused(
+                f"server {name!r} is already running on {bus.address} (pid {health.pid} on {health.host}); "
+                "stop it first, or start this one under another --name"
+            )
+
+
+def _warn_of_strangers(bus: Bus) -> None:
+    with contextlib.suppress(BusError):  # the bus is being lost: a later look will tell
+        protection = look(bus)
+        if protection.verdict == "open":
+            log.warning("bus %s: %s", bus.address, protection.found)
+
+
+def _config_hash(config: msgspec.Struct) -> str:
+    return hashlib.sha256(msgspec.json.encode(config, enc_hook=str)).hexdigest()
+
+
+def _on_signals(life: Life) -> None:
+    if threading.current_thread() is not threading.main_thread():
+        return
+
+    def ask_to_stop(number: int, _frame: object) -> None:
+        if life.stopping and number == signal.SIGINT:
+            raise KeyboardInterrupt  # the second Ctrl-C does not wait for a clean end
+        life.stop_event.set()
+
+    signal.signal(signal.SIGINT, ask_to_stop)
+    signal.signal(signal.SIGTERM, ask_to_stop)

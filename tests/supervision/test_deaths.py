@@ -1,0 +1,95 @@
+"""What becomes of a station when one of its servers dies, with real servers on a real bus."""
+
+from __future__ import annotations
+
+import getpass
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from station.life.server import Health, read_health
+from tests.supervision.place import HEAD, MOTION, Person, Place
+from tests.waiting import wait_until
+
+
+def test_where_a_person_attends_a_server_that_dies_ends_nothing_and_starts_again_when_told(place: Place) -> None:
+    person = Person(is_attended=True)
+    with _running(place, HEAD + "steps:\n" + MOTION, person) as codes:
+        pid = _active(place, "motion")
+        os.kill(pid, signal.SIGKILL)
+        wait_until(lambda: person.heard("error server 'motion' was killed by SIGKILL; its last words: "))
+        assert person.heard("; r starts it again, Ctrl-C takes the station down")
+        wait_until(lambda: person.offered == "motion")
+        assert not codes, "the station is up"
+        person.wants_restart = True
+        assert _active(place, "motion", before=pid) != pid
+        wait_until(lambda: person.heard("info supervisor: server-active server=motion"))
+        assert person.offered == ""
+        assert person.heard(
+            f"warning supervisor: server-restarted server=motion reason=was killed by SIGKILL who={_me()}"
+        )
+    assert codes == [0], "whoever died was started again"
+
+
+def test_one_that_stays_dead_makes_the_end_a_failure(place: Place) -> None:
+    person = Person(is_attended=True)
+    with _running(place, HEAD + "steps:\n" + MOTION, person) as codes:
+        os.kill(_active(place, "motion"), signal.SIGKILL)
+        wait_until(lambda: person.offered == "motion")
+    assert codes == [1]
+
+
+@pytest.mark.parametrize(("is_attended", "unattended", "rule"), [(False, False, ""), (True, True, ""),
+                                                                 (True, False, "    if_it_dies: end\n")])  # fmt: skip
+def test_where_nobody_is_to_be_asked_it_ends(place: Place, *, is_attended: bool, unattended: bool, rule: str) -> None:
+    person = Person(is_attended=is_attended)
+    with _running(place, HEAD + "steps:\n" + MOTION + rule, person, unattended=unattended) as codes:
+        os.kill(_active(place, "motion"), signal.SIGKILL)
+        wait_until(lambda: codes)
+    assert codes == [1]
+    assert person.heard("error server 'motion' was killed by SIGKILL; its last words: ")
+    assert not person.heard("starts it again")
+
+
+def test_what_the_runbook_wants_started_again_is_whoever_attends(place: Place) -> None:
+    person = Person()
+    with _running(place, HEAD + "steps:\n" + MOTION + "    if_it_dies: restart\n", person) as codes:
+        pid = _active(place, "motion")
+        os.kill(pid, signal.SIGKILL)
+        assert _active(place, "motion", before=pid) != pid
+    assert codes == [0]
+    assert person.heard("warning supervisor: server-restarted server=motion reason=was killed by SIGKILL restarts=1")
+
+
+@contextmanager
+def _running(place: Place, text: str, person: Person, *, unattended: bool = False) -> Iterator[list[int]]:
+    """Run a session in a thread; its exit code is in the list once it has ended, at the latest after the block."""
+    codes: list[int] = []
+    session = place.session(text, person, unattended=unattended)
+    thread = threading.Thread(target=lambda: codes.append(session.run(place.stop)))
+    thread.start()
+    try:
+        yield codes
+    finally:
+        place.stop.set()
+        thread.join()
+
+
+def _active(place: Place, name: str, before: int = 0) -> int:
+    """Wait until a server is active that is not the one before; return its process id."""
+
+    def health() -> Health | None:
+        return next((h for h in read_health(place.bus) if (h.name, h.state) == (name, "active")), None)
+
+    wait_until(lambda: (found := health()) is not None and found.pid != before and found.is_alive)
+    found = health()
+    assert found is not None
+    return found.pid
+
+
+def _me() -> str:
+    return getpass.getuser()
