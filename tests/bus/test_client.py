@@ -14,11 +14,12 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.errors import BusError
+from tests.faults.bus_station import pid_of
 from tests.waiting import wait_until
 
 
 def test_a_write_sets_the_key_and_its_stamp_together(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="motion") as bus:
+    with Bus(bus_server, name="motion", timeout_s=5.0) as bus:
         before_ns = time.monotonic_ns()
         assert bus.publish({"k": b"v", "other": b"w"})
         sample = bus.read(["k"])["k"]
@@ -32,7 +33,7 @@ def test_a_write_sets_the_key_and_its_stamp_together(bus_server: BusAddress) -> 
 
 
 def test_sequence_numbers_count_the_writes_of_each_key(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="motion") as bus:
+    with Bus(bus_server, name="motion", timeout_s=5.0) as bus:
         for _ in range(3):
             bus.publish({"a": b"1"})
         bus.publish({"a": b"1", "b": b"1"})
@@ -41,7 +42,7 @@ def test_sequence_numbers_count_the_writes_of_each_key(bus_server: BusAddress) -
 
 
 def test_a_devices_capture_time_travels_with_the_stamp(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="pico") as bus:
+    with Bus(bus_server, name="pico", timeout_s=5.0) as bus:
         bus.publish({"k": b"v"}, capture_ns=123)
         mark = bus.read(["k"])["k"].stamp
     assert mark is not None
@@ -49,7 +50,7 @@ def test_a_devices_capture_time_travels_with_the_stamp(bus_server: BusAddress) -
 
 
 def test_names_lists_keys_without_their_stamps(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="motion") as bus:
+    with Bus(bus_server, name="motion", timeout_s=5.0) as bus:
         bus.publish({f"k{n}": b"v" for n in range(50)})
         assert bus.names("k*") == sorted(f"k{n}" for n in range(50))
 
@@ -57,7 +58,7 @@ def test_names_lists_keys_without_their_stamps(bus_server: BusAddress) -> None:
 def test_a_lost_bus_is_told_at_once_counted_and_found_again(tmp_path: Path) -> None:
     options = ServerOptions(folder=tmp_path, socket=tmp_path / "bus.sock")
     server = RedisServer.start(options)
-    with Bus(server.address, name="motion") as bus:
+    with Bus(server.address, name="motion", timeout_s=5.0) as bus:
         bus.publish({"k": b"1"})
         os.kill(server.pid, signal.SIGKILL)
         server.stop()
@@ -76,7 +77,7 @@ def test_a_lost_bus_is_told_at_once_counted_and_found_again(tmp_path: Path) -> N
 
 
 def freeze(bus: Bus) -> int:
-    pid = int(bus.call("INFO", "server").split(b"process_id:")[1].split()[0])
+    pid = pid_of(bus.address)
     os.kill(pid, signal.SIGSTOP)
     return pid
 
@@ -135,6 +136,7 @@ def test_a_writer_that_will_not_queue_learns_without_writing_that_the_server_has
         wait_until(bus.catch_up)
         assert not bus.is_late
         assert bus.lost_writes == 0
+        bus.set_timeout(5.0)
         assert bus.get("k") == b"1"
 
 
@@ -172,7 +174,7 @@ def test_an_unreachable_bus_names_the_address_and_the_remedy(tmp_path: Path) -> 
 
 
 def test_a_refused_write_counts_as_lost_and_says_why(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="motion") as bus:
+    with Bus(bus_server, name="motion", timeout_s=5.0) as bus:
         bus.call("CONFIG", "SET", "maxmemory", "1")
         assert not bus.publish({"k": b"v" * 1000})
         assert "OOM" in bus.last_error

@@ -46,7 +46,7 @@ def kill(kept: KeptServer) -> None:
 
 def test_a_killed_server_is_back_in_its_place_and_asks_for_the_same_password(options: ServerOptions) -> None:
     told: list[str] = []
-    with KeptServer.start(options, told.append) as kept, Bus(kept.address, name="g1") as bus:
+    with KeptServer.start(options, told.append) as kept, Bus(kept.address, name="g1", timeout_s=5.0) as bus:
         address, pid = kept.address, kept.pid
         bus.publish({"k": b"1"})
         kill(kept)
@@ -59,7 +59,7 @@ def test_a_killed_server_is_back_in_its_place_and_asks_for_the_same_password(opt
 
 
 def test_one_that_is_told_to_shut_down_is_back_too(options: ServerOptions) -> None:
-    with KeptServer.start(options) as kept, Bus(kept.address, name="admin") as bus:
+    with KeptServer.start(options) as kept, Bus(kept.address, name="admin", timeout_s=5.0) as bus:
         with pytest.raises(BusError):
             bus.call("SHUTDOWN", "NOSAVE")
         wait_until(lambda: kept.restarts == 1)
@@ -88,7 +88,7 @@ def test_neither_the_first_nor_a_later_server_outlives_its_keeper(tmp_path: Path
         assert keeper.stdout is not None
         first = int(keeper.stdout.readline())
         os.kill(first, signal.SIGKILL)
-        with Bus(_address(tmp_path), name="test") as bus:
+        with Bus(_address(tmp_path), name="test", timeout_s=5.0) as bus:
             second = int(bus.call("INFO", "server").split(b"process_id:")[1].split()[0])
         assert second != first
         keeper.kill()
@@ -98,7 +98,7 @@ def test_neither_the_first_nor_a_later_server_outlives_its_keeper(tmp_path: Path
 def test_in_a_terminal_the_operator_is_told() -> None:
     with new_home() as home, home.running("bus", "start") as running:
         wait_until(home.bus_is_there)
-        with Bus(home.bus, name="test") as bus:
+        with Bus(home.bus, name="test", timeout_s=5.0) as bus:
             wait_until(lambda: bus.call("CONFIG", "GET", "shutdown-timeout")[1] == b"0")  # its start is over
             pid = int(bus.call("INFO", "server").split(b"process_id:")[1].split()[0])
             os.kill(pid, signal.SIGKILL)

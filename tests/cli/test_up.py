@@ -61,7 +61,7 @@ def test_ctrl_c_takes_the_station_down_in_order_and_closes_the_episode(home: Hom
 
 
 def test_ctrl_c_during_the_start_stops_what_has_started(home: Home) -> None:
-    with home.running("up", COMMANDS_ONLY, *RECORDED) as station:
+    with home.running("up", "g1-sim-motion", *RECORDED) as station:  # whose robot takes seconds to load
         station.wait_for("✓ check bus")
         station.interrupt()
         code, out = station.finish()

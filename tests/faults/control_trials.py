@@ -34,7 +34,7 @@ class Trial(msgspec.Struct, kw_only=True):
         default_s: From the last good command to standing [s].
         entered_s: From the end of the fault until the command was followed again [s].
         gates: States of the gate from the fault until it stands.
-        gates_after: And from the end of the fault.
+        gates_after: And from the end of the fault until the command was followed again.
         stands: Whether the policy was asked to stand, and nothing else, from then on.
         falls, lean_deg, lowest_m: From the fault to the end of the trial.
         rate: Greatest rate of an element of the command in that time, times what it may be.
@@ -115,7 +115,8 @@ def _follow_again(station: MovingStation, trial: Trial, end: Callable[[], object
     wait_until(lambda: _has_entered(station, since_ns), 60.0)
     tracked = next(step for step in station.onlooker.since(since_ns) if step.gate == "tracking")
     trial.entered_s = (tracked.mono_ns - since_ns) * 1e-9
-    trial.gates_after = tuple(station.onlooker.gates(since_ns))
+    gates = station.onlooker.gates(since_ns)
+    trial.gates_after = tuple(gates[: gates.index("tracking") + 1])
 
 
 def _has_entered(station: MovingStation, since_ns: int) -> bool:
@@ -124,9 +125,10 @@ def _has_entered(station: MovingStation, since_ns: int) -> bool:
 
 def _measure(trial: Trial, steps: list[Step], at_ns: int) -> None:
     followed = [step for step in steps if step.gate in ("entering", "tracking")]
-    held = next(step for step in steps if step.gate == "holding")
+    held = next((step for step in steps if step.gate == "holding"), None)
     stands = next(step for step in steps if step.gate == "waiting")
     trial.used_age_s = max((step.age_s for step in followed), default=0.0)
-    trial.hold_age_s, trial.hold_s = held.age_s, (held.mono_ns - at_ns) * 1e-9
+    if held is not None:  # the loop may have been late for it
+        trial.hold_age_s, trial.hold_s = held.age_s, (held.mono_ns - at_ns) * 1e-9
     trial.stands = all(step.asks_to_stand for step in steps if step.mono_ns >= stands.mono_ns)
     trial.default_s = stands.age_s  # nothing good has come since

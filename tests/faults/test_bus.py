@@ -6,12 +6,14 @@ import os
 import signal
 from itertools import pairwise
 from pathlib import Path
+from tempfile import mkdtemp
 
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import Connection
 from station.bus.redis_server import RedisServer, ServerOptions
+from station.control.gate import GateConfig
 from station.episode.quality.check import check
 from station.episode.reading.reader import open_episode
 from station.episode.storage.manifest import load_manifest
@@ -35,24 +37,30 @@ from tests.faults.bus_station import (
     soon,
 )
 from tests.faults.recorded_station import recorded_station
-from tests.lateness import TooLate, Waits, excuse
+from tests.lateness import TooLate, Waits, excuse, in_time
 from tests.servers.g1_station import LIGHT, G1Process, Log, StockCommander, logged
 from tests.waiting import wait_until
 
+HOLDS_S = GateConfig().return_after_s - GateConfig().hold_after_s
 TOGETHER_S = 0.5  # what servers tell within it is one interruption
 
 
 def test_frozen_for_two_seconds_it_costs_no_write_and_the_robot_holds_stands_and_comes_back(
     bus_server: BusAddress, tmp_path: Path
 ) -> None:
-    with robot_station(bus_server, tmp_path) as station:
+    in_time(lambda: freeze_the_bus(bus_server, Path(mkdtemp(dir=tmp_path))))
+
+
+def freeze_the_bus(address: BusAddress, place: Path) -> None:
+    with Waits.watched() as waits, robot_station(address, place) as station:
         folder = Path(station.ask("start", task="walk").path or "")
         station.wait_until_it_records(messages=200)
-        with frozen(pid_of(bus_server)):
+        with frozen(pid_of(address)):
             pause(2.0)
         soon(lambda: station.gate() == "tracking")
         wait_until(lambda: set(station.told(folder, "bus-silent")) == set(SERVERS))
         station.ask("stop", success=True)
+        waits.seconds()
     reader = open_episode(folder)
     quality = check(reader)
     assert lost(quality) == 0
@@ -62,16 +70,23 @@ def test_frozen_for_two_seconds_it_costs_no_write_and_the_robot_holds_stands_and
     assert (of_kind(quality, "hole"), of_kind(quality, "bus-lost")) == ([], [])
     assert "bus-silent" in rules(quality)
     states = gate_states(reader)
-    assert ("holding", "returning") in pairwise(states)
-    assert "entering" in states[states.index("returning") :]
-    assert states[-1] == "tracking"
+    expect_held(list(pairwise(states)), waits)
+    back = states[states.index("returning") :]
+    assert "tracking" in back[back.index("entering") :]
     assert quality.falls == 0
+
+
+def expect_held(changes: list[tuple[str, str]], waits: Waits) -> None:
+    """It held before it returned; or no step was made so soon, because somebody had to wait."""
+    if ("tracking", "returning") in changes and ("holding", "returning") not in changes:
+        raise TooLate(f"a step that holds: {changes}", HOLDS_S, waits.longest_s)
+    assert ("holding", "returning") in changes
 
 
 def test_killed_again_and_again_it_is_back_at_once_and_a_stop_stays_latched_though_the_bus_forgot_it(
     tmp_path: Path,
 ) -> None:
-    with kept_bus(tmp_path) as kept, robot_station(kept.address, tmp_path) as station:
+    with Waits.watched() as waits, kept_bus(tmp_path) as kept, robot_station(kept.address, tmp_path) as station:
         folder = Path(station.ask("start", task="walk").path or "")
         station.wait_until_it_records(messages=200)
         os.kill(kept.pid, signal.SIGKILL)
@@ -88,13 +103,16 @@ def test_killed_again_and_again_it_is_back_at_once_and_a_stop_stays_latched_thou
         station.bus.publish({keys.ESTOP: b'{"stop": false}'})
         wait_until(lambda: station.gate() == "tracking")
         ended = station.ask("stop")
+        waits.seconds()
     assert ended.path == str(folder)
     assert gate_states(open_episode(folder)).count("stopped") == 1, "it stays so until it is released"
     quality = checked(folder)
     assert quality.verdict == "reject"
     assert {"holes", "bus-lost", "lost"} <= rules(quality)
     losses, holes = of_kind(quality, "bus-lost"), of_kind(quality, "hole")
-    assert [loss.told_by for loss in losses] == [SERVERS, SERVERS]
+    assert sorted(name for loss in losses for name in loss.told_by) == sorted(2 * SERVERS)
+    if len(losses) > 2:
+        excuse(TooLate(f"two losses were told as {len(losses)}", TOGETHER_S / 2, waits.longest_s))
     assert all(hole.lost and "the bus was restarted" in hole.reason for hole in holes)
     assert sum(hole.lost or 0 for hole in holes) == lost(quality)
     assert len(holes) == len(load_manifest(folder).holes) == 2

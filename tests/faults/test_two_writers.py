@@ -18,15 +18,15 @@ from station.bus.tap import Write
 from station.control.slew import LONGEST_TICK_S
 from station.life.events import Event, decode
 from station.protocols import Floats
+from tests.faults.bus_station import frozen
 from tests.lateness import TooLate, Waits, in_time
-from tests.servers.g1_station import FORM, LIGHT, ROBOT, G1Process, Log, StockCommander, logged
+from tests.servers.g1_station import FORM, PATIENT, ROBOT, G1Process, Log, StockCommander, logged
 from tests.waiting import wait_until
 
 COMMAND = FORM.key
 SOON = 10  # writes of a 50 Hz commander in 200 ms
 PERIOD_S = 0.02
-PATIENT = (*LIGHT, "gate.hold_after_s=1.0", "gate.return_after_s=2.0")
-"""A robot that waits for its commander on a busy machine: these tests are about whom it obeys."""
+PATIENT_S = 1.0  # as long without a command the gate of a patient robot holds
 HOST = socket.gethostname()
 
 
@@ -79,6 +79,24 @@ def heard_before_told(log: Log, name: str) -> int:
     return count
 
 
+def changes(log: Log) -> list[tuple[str, str]]:
+    """Return the changes of the gate, each from what and to what."""
+    return [(event.detail["from"], event.detail["to"]) for event in log.events("gate")]
+
+
+def used_while_tracking(log: Log) -> Floats:
+    """Return the newest commands that were followed and not blended, at most fifty."""
+    followed = [vector for vector, state in zip(used(log), log.states(), strict=False) if state == "tracking"]
+    return np.array(followed[-50:])
+
+
+def expect_to_be_followed_alone(log: Log, followed: int, waits: Waits) -> None:
+    """Nobody else was, and the gate has not changed but where he who was followed fell silent: the machine was late."""
+    if lost := changes(log)[followed:]:
+        raise TooLate(f"the commands of who is obeyed: {lost}", PATIENT_S, waits.seconds())
+    assert not log.events("command-handover")
+
+
 def test_the_second_of_two_motion_servers_is_refused_and_takes_over_when_the_first_is_killed(
     bus_server: BusAddress,
 ) -> None:
@@ -91,8 +109,8 @@ def refuse_the_second(address: BusAddress) -> None:
         G1Process(address, *PATIENT),
         commander(address, "first", "builtin:stand") as first,
     ):
-        wait_until(lambda: log.gate()["state"] == "tracking")
-        waits = Waits()
+        wait_until(lambda: changes(log)[-1:] == [("entering", "tracking")])
+        waits, followed = Waits(), len(changes(log))
         with commander(address, "second", "builtin:wave") as second:
             wait_until(lambda: told_by_robot(log))
             waited_s = waits.seconds()
@@ -105,10 +123,10 @@ def refuse_the_second(address: BusAddress) -> None:
                 ["first", str(first.pid)], ["second", str(second.pid)]
             ]  # fmt: skip
             wait_until(lambda: log.gate()["refused"] > 100)
-            newest = used(log)[-50:]
+            newest = used_while_tracking(log)
             firsts = {write.value for write in writes_of(log, "first")}
             obeyed = [codec.parse_json_vector(value) for value in firsts if value is not None]
-            assert log.gate()["state"] == "tracking"
+            expect_to_be_followed_alone(log, followed, waits)
             for vector in newest:
                 assert min(np.abs(vector - other).max() for other in obeyed) < 1e-9
             expect_handover(log, first, second)
@@ -128,29 +146,50 @@ def expect_handover(log: Log, first: subprocess.Popen[bytes], second: subprocess
     assert handover["obeyed"] == f"second (pid {second.pid} on {HOST})"
     assert handover["reason"] == f"first (pid {first.pid} on {HOST}) has been silent"
     wait_until(lambda: [event for event in told_by_robot(log) if event.detail.get("ended")])
-    changes = [(event.detail["from"], event.detail["to"]) for event in log.events("gate")]
-    assert ("holding", "tracking") not in changes, "who takes over is entered with a blend"
-    followed = [state for _, state in changes[before:] if state in ("entering", "tracking")]
+    assert ("holding", "tracking") not in changes(log), "who takes over is entered with a blend"
+    followed = [state for _, state in changes(log)[before:] if state in ("entering", "tracking")]
     assert followed[0] == "entering", "who takes over is entered with a blend"
 
 
+def test_a_robots_server_that_stood_still_itself_goes_on_obeying_the_first(bus_server: BusAddress) -> None:
+    with (
+        logged(bus_server) as log,
+        G1Process(bus_server, *PATIENT) as robot,
+        commander(bus_server, "first", "builtin:stand"),
+        commander(bus_server, "second", "builtin:stand"),
+    ):
+        wait_until(lambda: told_by_robot(log))
+        handovers = len(log.events("command-handover"))
+        written = len(log.of(COMMAND))
+        with frozen(robot.process.pid):
+            wait_until(lambda: len(log.of(COMMAND)) > written + 300)  # of both: three seconds
+        refused = log.gate()["refused"]
+        wait_until(lambda: log.gate()["refused"] > refused + 50)
+        assert len(log.events("command-handover")) == handovers, "whoever is obeyed wrote all the time"
+
+
 def test_a_stock_script_beside_our_motion_server_is_refused_and_called_foreign(bus_server: BusAddress) -> None:
+    in_time(lambda: refuse_a_stranger(bus_server))
+
+
+def refuse_a_stranger(address: BusAddress) -> None:
     far = FORM.default.copy()
     far[6 + 15] = 1.5
     with (
-        logged(bus_server) as log,
-        G1Process(bus_server, *PATIENT),
-        commander(bus_server, "ours", "builtin:stand") as ours,
+        logged(address) as log,
+        G1Process(address, *PATIENT),
+        commander(address, "ours", "builtin:stand") as ours,
     ):
-        wait_until(lambda: log.gate()["state"] == "tracking")
-        with StockCommander(bus_server, lambda _: far):
+        wait_until(lambda: changes(log)[-1:] == [("entering", "tracking")])
+        waits, followed = Waits(), len(changes(log))
+        with StockCommander(address, lambda _: far):
             wait_until(lambda: told_by_robot(log))
             wait_until(lambda: log.gate()["refused"] > 50)
+            expect_to_be_followed_alone(log, followed, waits)
         told = told_by_robot(log)[0].detail
         assert told["obeyed"] == f"ours (pid {ours.pid} on {HOST})"
         assert told["refused"] == ["a foreign writer"]
         assert "foreign" in told["writers"]
-    assert not log.events("command-handover")
     assert np.abs(used(log)[:, 6 + 15] - far[6 + 15]).min() > 0.5, "never on the way there"
 
 
@@ -172,15 +211,20 @@ def test_in_lock_step_only_the_commands_of_who_is_obeyed_are_used(bus_server: Bu
 
 
 def test_our_motion_server_beside_a_stock_script_is_refused(bus_server: BusAddress) -> None:
-    with logged(bus_server) as log, G1Process(bus_server, *PATIENT), StockCommander(bus_server):
-        wait_until(lambda: log.gate()["state"] == "tracking")
-        with commander(bus_server, "ours", "builtin:wave") as ours:
+    in_time(lambda: refuse_ours(bus_server))
+
+
+def refuse_ours(address: BusAddress) -> None:
+    with logged(address) as log, G1Process(address, *PATIENT), StockCommander(address):
+        wait_until(lambda: changes(log)[-1:] == [("entering", "tracking")])
+        waits, followed = Waits(), len(changes(log))
+        with commander(address, "ours", "builtin:wave") as ours:
             wait_until(lambda: told_by_robot(log))
             wait_until(lambda: log.gate()["refused"] > 50)
             told = told_by_robot(log)[0].detail
             assert told["obeyed"] == "a foreign writer"
             assert told["refused"] == [f"ours (pid {ours.pid} on {HOST})"]
-            assert log.gate()["state"] == "tracking"
+            expect_to_be_followed_alone(log, followed, waits)
 
 
 def test_whoever_begins_last_is_obeyed_where_that_is_configured(bus_server: BusAddress) -> None:
@@ -197,7 +241,7 @@ def test_whoever_begins_last_is_obeyed_where_that_is_configured(bus_server: BusA
             (handover,) = log.events("command-handover")
             assert handover.detail["obeyed"] == f"second (pid {second.pid} on {HOST})"
             assert handover.detail["reason"] == "it began to write last"
-    assert ("tracking", "entering") in [(event.detail["from"], event.detail["to"]) for event in log.events("gate")]
+    assert ("tracking", "entering") in changes(log)
     expect_no_kick(log)
 
 

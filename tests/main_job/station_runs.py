@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 SHARED_VARIABLES = ("STATION_BUS", "STATION_BUS_PASSWORD", "STATION_DATA")
-LOCK_STEP = ("g1.pace=command", "motion.pace=state")
+LOCK_STEP = ("g1.pace=command", "motion.pace=state", "g1.command_timeout_s=20", "motion.patience_s=20")
+"""One waits for the other however late it is: time stands still meanwhile, and goes not on without a command."""
 RUNBOOK = "runbooks/g1-sim-motion.yaml"
 ROOT = Path(__file__).parents[2]
 

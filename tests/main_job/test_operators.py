@@ -11,7 +11,7 @@ from station import assets
 from station.bus import keys
 from station.episode.quality.findings import Quality
 from tests.cli.running import Home
-from tests.lateness import Waits, in_time
+from tests.lateness import STALE_S, TooLate, Waits, in_time
 from tests.main_job.station_runs import ROOT as HOUSE
 from tests.servers.g1_station import LIGHT, ROBOT, Log, logged
 from tests.verdicts import expect_no_worse
@@ -26,6 +26,7 @@ SCRIPTS: dict[str, dict[str, str]] = {
     "keyboard": {"keyboard": "builtin:keyboard/example.json"},
 }
 TRACKED = 100  # steps: two seconds
+LONGEST = 2500  # steps: fifty seconds
 SHARE = 0.3  # of all steps, those in which the operator was followed
 PATIENT = (*LIGHT, "gate.hold_after_s=0.5", "gate.return_after_s=2.0")
 """A robot that does not leave its operator because a busy machine is late with a command."""
@@ -48,7 +49,8 @@ def drive(device: str, home: Home) -> None:
     with Waits.watched() as waits, home.running("up", f"runbooks/g1-sim-{device}.yaml", *arguments) as station:
         station.wait_for("✓ start g1")
         with logged(home.bus) as log:
-            wait_until(lambda: tracked(log) >= max(TRACKED, 1.2 * SHARE * steps(log)), 2 * DEADLINE_S)
+            wait_until(lambda: is_followed(log) or steps(log) > LONGEST, 2 * DEADLINE_S)
+            expect_followed(log, waits)
         station.interrupt()
         code, out = station.finish()
     assert code == 0, station.text
@@ -58,6 +60,18 @@ def drive(device: str, home: Home) -> None:
     (robot,) = check.steps
     assert robot.gate_shares["tracking"] > SHARE
     expect_no_worse("usable", check, waits)
+
+
+def is_followed(log: Log) -> bool:
+    return tracked(log) >= max(TRACKED, 1.2 * SHARE * steps(log))
+
+
+def expect_followed(log: Log, waits: Waits) -> None:
+    """The robot followed for long enough; or samples came late, and until the next press nobody drives."""
+    if not is_followed(log):
+        waits.seconds()
+        lost = [event.detail["reason"] for event in log.events("operator-disengaged", "operator-refused")]
+        raise TooLate(f"{tracked(log)} of {steps(log)} steps: {lost}", STALE_S / 2, waits.longest_s)
 
 
 def steps(log: Log) -> int:

@@ -71,7 +71,7 @@ def test_an_address_cannot_carry_other_settings(tmp_path: Path, bind: str) -> No
 
 
 def test_a_protected_bus_lets_in_who_knows_the_password(protected: RedisServer, free_port: int) -> None:
-    with Bus(protected.address, name="own") as bus:
+    with Bus(protected.address, name="own", timeout_s=5.0) as bus:
         bus.publish({"a": b"1"})
     Connection(BusAddress(host="127.0.0.1", port=free_port, password=SECRET), timeout_s=5.0).close()
     for address in (
@@ -123,7 +123,7 @@ def test_start_of_an_open_bus_tells_where_the_password_is_and_what_does_not_work
         file = password_file.beside(addresses.runtime_folder() / "bus.sock")
         password = file.read_text().strip()
         assert len(password) >= 32
-        with Bus(None, name="own") as bus:  # found by itself, password and all
+        with Bus(None, name="own", timeout_s=5.0) as bus:  # found by itself, password and all
             assert look(bus).verdict == "closed"
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
@@ -147,7 +147,7 @@ def test_start_with_a_loopback_port_says_that_every_user_of_the_machine_may_use_
 def test_an_unprotected_bus_fails_the_check_and_is_broken_to_the_doctor(
     unprotected: BusAddress, tmp_path: Path
 ) -> None:
-    with Bus(unprotected, name="check") as bus:
+    with Bus(unprotected, name="check", timeout_s=5.0) as bus:
         with pytest.raises(NotReady, match="without a password") as failed:
             BusCheck().run(bus, tmp_path)
         assert "\n" not in str(failed.value)
@@ -174,7 +174,7 @@ def test_a_server_warns_of_an_open_bus_and_a_command_of_a_password_among_its_arg
 
 def test_a_bus_of_our_own_passes_the_check(bus_server: BusAddress, protected: RedisServer, tmp_path: Path) -> None:
     for address in (bus_server, protected.address):
-        with Bus(address, name="check") as bus:
+        with Bus(address, name="check", timeout_s=5.0) as bus:
             BusCheck().run(bus, tmp_path)
             assert bus_access(bus).level == "ok"
 
@@ -182,7 +182,7 @@ def test_a_bus_of_our_own_passes_the_check(bus_server: BusAddress, protected: Re
 def test_a_bus_whose_settings_may_not_be_read_is_unknown_unless_it_asks_for_a_password(
     unprotected: BusAddress,
 ) -> None:
-    with Bus(unprotected, name="check") as bus:
+    with Bus(unprotected, name="check", timeout_s=5.0) as bus:
         bus.call("ACL", "SETUSER", "default", "-config")
         assert look(bus).verdict == "unknown"
         assert bus_access(bus).level == "warning"
@@ -248,5 +248,5 @@ def test_a_value_beyond_the_limit_never_enters_our_bus(tmp_path_factory: pytest.
         with pytest.raises(BusError):
             connection.call("SETRANGE", "fits", 1 << 20, b"more")
         connection.close()
-        with Bus(server.address, name="check") as bus:
+        with Bus(server.address, name="check", timeout_s=5.0) as bus:
             assert bus.names() == ["fits"]

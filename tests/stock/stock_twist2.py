@@ -112,10 +112,17 @@ class LowLevelServer:
 
 
 class Recorder:
-    """Reads ten keys in a pipeline, thirty times a second; its buttons are in ``controller_data``."""
+    """Reads ten keys in a pipeline, thirty times a second; its buttons are in ``controller_data``.
 
-    def __init__(self, port: int) -> None:
-        self.redis = redis.Redis(host="localhost", port=port, db=0, socket_timeout=0.1, socket_connect_timeout=0.1)
+    Args:
+        port: Of the bus.
+        patience_s: Longest wait for an answer [s]; stock ends after that.
+    """
+
+    def __init__(self, port: int, patience_s: float = 0.1) -> None:
+        self.redis = redis.Redis(
+            host="localhost", port=port, db=0, socket_timeout=patience_s, socket_connect_timeout=patience_s
+        )
         self.pipeline = self.redis.pipeline()
 
     def is_button_pressed(self) -> bool:

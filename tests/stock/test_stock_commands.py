@@ -19,7 +19,8 @@ from tests.stock.stock_twist2 import ACTIONS, BODY, STANDING, STATE_BODY, Motion
 from tests.waiting import wait_until
 
 AS_STOCK = ("policy=twist2", "robot_model=twist2:g1/g1_sim2sim_29dof.xml")
-PATIENT = ("gate.hold_after_s=1.0", "gate.return_after_s=2.0")
+PATIENCE_S = 1.0
+PATIENT = (f"gate.hold_after_s={PATIENCE_S}", "gate.return_after_s=2.0")
 """A robot that still follows when a busy machine looks at it a moment after the last command."""
 PERIOD_S = 0.02
 MOST_JOINT_ERROR_RAD = 0.11
@@ -29,6 +30,14 @@ SETTLED = 150  # commands: stock steps into the clip at once, our gate blends fo
 def gate(bus: Bus) -> str:
     value = bus.get(keys.command_gate(keys.TWIST2_ROBOT))
     return str(json.loads(value)["state"]) if value else ""
+
+
+def expect_tracked(bus: Bus, waits: Waits) -> None:
+    """The robot follows; or it is still on its way there, because somebody had to wait."""
+    if (state := gate(bus)) in ("entering", "holding"):
+        excuse(TooLate(f"the robot, which is {state},", PATIENCE_S, waits.seconds()))
+    else:
+        assert state == "tracking"
 
 
 def clip(name: str, seconds: float) -> list[list[float]]:
@@ -74,7 +83,7 @@ def test_robot_walks_to_stock_commands_and_all_of_it_is_recorded(
     with Waits.watched() as waits:
         stock.play(commands, follower.look)
         waited_s = waits.seconds()
-    assert gate(bus) == "tracking"
+    expect_tracked(bus, waits)
     assert np.mean(follower.errors[SETTLED:]) <= MOST_JOINT_ERROR_RAD
     stock.close()
     open_bus.terminal.json("record", "stop")
@@ -103,8 +112,9 @@ def test_order_of_starting_does_not_matter(bus: Bus, serve: Serve, stock: Motion
     g1 = serve("g1", *PATIENT)
     wait_until(lambda: gate(bus))
     assert gate(bus) == "waiting"  # an empty bus, or the last words of somebody who has gone, move nothing
-    stock.play(waving(2.0))
-    assert gate(bus) == "tracking"
+    waits = Waits()
+    stock.play(waving(2.0))  # twice as long as it takes to enter
+    expect_tracked(bus, waits)
     stock.close()
     wait_until(lambda: gate(bus) == "waiting")  # stock would repeat the last command for ever
     assert g1.poll() is None
@@ -120,14 +130,17 @@ def test_what_stock_may_write_wrongly_is_refused_and_the_robot_stands(
     stock.redis.set(BODY, "not a list")
     wait_until(lambda: sum(health(bus, "g1").detail.get("refused", {}).values()) >= 4)
     assert (g1.poll(), gate(bus)) == (None, "waiting")
-    stock.play(waving(2.0))
-    assert gate(bus) == "tracking"
+    waits = Waits()
+    stock.play(waving(2.0))  # twice as long as it takes to enter
+    expect_tracked(bus, waits)
     stock.close()
 
 
 def test_robot_needs_none_of_the_companion_keys(bus: Bus, serve: Serve, stock: MotionServer) -> None:
     g1 = serve("g1", *PATIENT)
     others = [key for key in ACTIONS if key != BODY]
+    waits = Waits()
     stock.play(waving(2.0), each=lambda _: stock.redis.delete(*others))
-    assert (g1.poll(), gate(bus)) == (None, "tracking")
+    expect_tracked(bus, waits)
+    assert g1.poll() is None
     stock.close()

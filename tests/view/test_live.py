@@ -26,7 +26,7 @@ from tests.waiting import wait_until
 
 @pytest.fixture
 def bus(bus_server: BusAddress) -> Iterator[Bus]:
-    with Bus(bus_server, name="g1") as bus:
+    with Bus(bus_server, name="g1", timeout_s=5.0) as bus:
         yield bus
 
 

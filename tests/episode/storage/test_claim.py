@@ -23,7 +23,7 @@ from pathlib import Path
 from station.bus.address import parse
 from station.bus.client import Bus
 from station.episode.storage.claim import Claim
-claim = Claim(Path(sys.argv[1]), Bus(parse(sys.argv[2]), name="first"))
+claim = Claim(Path(sys.argv[1]), Bus(parse(sys.argv[2]), name="first", timeout_s=5.0))
 print("held", flush=True)
 time.sleep(60)
 """
@@ -31,7 +31,7 @@ time.sleep(60)
 
 def test_one_recorder_per_data_folder_until_it_is_killed(bus_server: BusAddress, tmp_path: Path) -> None:
     with (
-        Bus(bus_server, name="second") as bus,
+        Bus(bus_server, name="second", timeout_s=5.0) as bus,
         subprocess.Popen(
             [sys.executable, "-c", HOLD, str(tmp_path), bus_server.url], stdout=subprocess.PIPE, text=True
         ) as first,
@@ -51,7 +51,10 @@ def test_one_recorder_per_data_folder_until_it_is_killed(bus_server: BusAddress,
 
 
 def test_a_recorder_of_another_machine_is_heard_on_the_bus(bus_server: BusAddress, tmp_path: Path) -> None:
-    with Bus(bus_server, name="far-recorder") as far, Bus(bus_server, name="second") as bus:
+    with (
+        Bus(bus_server, name="far-recorder", timeout_s=5.0) as far,
+        Bus(bus_server, name="second", timeout_s=5.0) as bus,
+    ):
         far.publish({keys.RECORDER: b'{"state": "idle"}'})
         Claim(tmp_path, bus).close()  # it said so once, long ago as far as we know, and says no more
         done = threading.Event()
@@ -87,7 +90,7 @@ def test_looking_at_the_lock_does_not_keep_a_recorder_out(bus_server: BusAddress
     thread = threading.Thread(target=look)
     thread.start()
     try:
-        with Bus(bus_server, name="recorder") as bus:
+        with Bus(bus_server, name="recorder", timeout_s=5.0) as bus:
             for _ in range(50):
                 Claim(tmp_path, bus).close()
     finally:
@@ -97,7 +100,7 @@ def test_looking_at_the_lock_does_not_keep_a_recorder_out(bus_server: BusAddress
 
 def test_a_folder_that_was_removed_or_replaced_is_claimed_anew(bus_server: BusAddress, tmp_path: Path) -> None:
     data = tmp_path / "data"
-    with Bus(bus_server, name="recorder") as bus, Claim(data, bus) as claim:
+    with Bus(bus_server, name="recorder", timeout_s=5.0) as bus, Claim(data, bus) as claim:
         claim.renew()
         assert is_claimed(data)
         data.rename(tmp_path / "elsewhere")
@@ -113,7 +116,7 @@ def test_a_folder_that_another_recorder_has_claimed_meanwhile_is_refused_until_i
     bus_server: BusAddress, tmp_path: Path
 ) -> None:
     data = tmp_path / "data"
-    with Bus(bus_server, name="recorder") as bus, Claim(data, bus) as claim:
+    with Bus(bus_server, name="recorder", timeout_s=5.0) as bus, Claim(data, bus) as claim:
         data.rename(tmp_path / "elsewhere")
         data.mkdir()
         with (data / ".recorder.lock").open("w") as other:
