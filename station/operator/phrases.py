@@ -75,6 +75,7 @@ DEFAULTS: dict[str, Phrase] = {
     "bad-action": _urgent("the policy gives no numbers", "alarm", "policy"),
     "controller-fault": _urgent("the controller stopped: {reason}", "alarm", "controller"),
     "controller-cleared": _said("the controller is clear", "up", "controller"),
+    "request-refused": _said("not done: {reason}", "no", "controller"),
     "clear-refused": _said("not cleared: {reason}", "no", "controller"),
     "engage-refused": _said("refused: {reason}", "no", "driving"),
     "engagement-lost": _urgent("{reason}", "lost", "driving"),

@@ -65,7 +65,7 @@ class KordSession:
 
     @property
     def profile(self) -> Profile:
-        """How targets are tracked."""
+        """How targets are tracked, by the newest state."""
         return self._profile
 
     @property
@@ -82,6 +82,8 @@ class KordSession:
     def read(self) -> ArmState:
         """Return the newest state of the session's thread."""
         state = self._newest = self._bridge.get_state()
+        if state.profile != self._profile.name:  # the bridge takes up what was chosen when the arm stands
+            self._profile = self._kord.PROFILES.get(state.profile, self._profile)
         obstacle = beyond_reach(state.q, self._limits, self.lead_rad)
         return ArmState(
             time.monotonic_ns(), state.q, state.is_moving, state.is_engaged, fault_of(state), obstacle, state
@@ -105,11 +107,7 @@ class KordSession:
 
     def choose(self, profile: str) -> str:
         """Track by another named profile, at standstill; return why not, or ""."""
-        known: dict[str, Profile] = self._kord.PROFILES
-        refusal = self._try(self._bridge.set_profile, profile)
-        if not refusal:
-            self._profile = known[profile]
-        return refusal
+        return self._try(self._bridge.set_profile, profile)
 
     def throttle(self, ticks: int) -> str:
         """Send targets on every so-manieth tick; return why not, or ""."""

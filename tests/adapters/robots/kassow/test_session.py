@@ -37,6 +37,17 @@ def test_after_the_bridge_disengaged_by_itself_who_never_lets_go_is_not_followed
     assert driven.bridge.get_state().stream_j_sends == sends
 
 
+def test_a_target_is_as_far_ahead_as_the_profile_that_is_at_work_allows(driven: DrivenArm) -> None:
+    by_speed_rad, by_time_rad = 0.3 * 0.05, 1.0 * 0.05
+    assert driven.session.lead_rad == pytest.approx(by_speed_rad)
+    assert driven.session.choose("time125") == ""
+    driven.session.read()
+    assert driven.session.lead_rad == pytest.approx(by_speed_rad), "the bridge has not taken it up yet"
+    driven.bridge.step(2)
+    driven.session.read()
+    assert driven.session.lead_rad == pytest.approx(by_time_rad)
+
+
 def test_clearing_where_there_is_no_fault_ends_driving_and_says_so(driven: DrivenArm) -> None:
     driven.drive(20)
     assert driven.session.clear() == ""
