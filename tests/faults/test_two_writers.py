@@ -155,17 +155,22 @@ def test_a_robots_server_that_stood_still_itself_goes_on_obeying_the_first(bus_s
     with (
         logged(bus_server) as log,
         G1Process(bus_server, *PATIENT) as robot,
-        commander(bus_server, "first", "builtin:stand"),
-        commander(bus_server, "second", "builtin:stand"),
+        commander(bus_server, "first", "builtin:stand") as first,
     ):
-        wait_until(lambda: told_by_robot(log))
-        handovers = len(log.events("command-handover"))
-        written = len(log.of(COMMAND))
-        with frozen(robot.process.pid):
-            wait_until(lambda: len(log.of(COMMAND)) > written + 300)  # of both: three seconds
-        refused = log.gate()["refused"]
-        wait_until(lambda: log.gate()["refused"] > refused + 50)
-        assert len(log.events("command-handover")) == handovers, "whoever is obeyed wrote all the time"
+        wait_until(lambda: log.gate()["state"] == "tracking")
+        with commander(bus_server, "second", "builtin:wave"):
+            wait_until(lambda: told_by_robot(log))
+            written = len(writes_of(log, "first"))
+            with frozen(robot.process.pid):
+                wait_until(lambda: len(writes_of(log, "first")) > written + 130)  # longer than it may be silent
+                first.send_signal(signal.SIGSTOP)
+                count = len(writes_of(log, "second"))
+                wait_until(lambda: len(writes_of(log, "second")) > count)  # the newest write that the robot finds
+            ticks = len(log.states())
+            wait_until(lambda: len(log.states()) > ticks + 2)
+            first.send_signal(signal.SIGCONT)
+            wait_until(lambda: changes(log)[-1:] == [("entering", "tracking")] and len(log.states()) > ticks + 50)
+    assert not log.events("command-handover"), "the first wrote all the time"
 
 
 def test_a_stock_script_beside_our_motion_server_is_refused_and_called_foreign(bus_server: BusAddress) -> None:
