@@ -24,7 +24,7 @@ from tests.waiting import DEADLINE_S, wait_until
 
 
 def test_a_value_that_was_there_before_has_no_age(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="motion") as bus:
+    with Bus(bus_server, name="motion", timeout_s=5.0) as bus:
         bus.publish({"k": b"old"})
         with bus.watch(["k"]) as watch:
             sample = watch.latest("k")
@@ -35,7 +35,7 @@ def test_a_value_that_was_there_before_has_no_age(bus_server: BusAddress) -> Non
 
 
 def test_closing_waits_for_nothing(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="motion") as bus:
+    with Bus(bus_server, name="motion", timeout_s=5.0) as bus:
         began = time.monotonic()
         for _ in range(20):
             bus.watch(["k"]).close()
@@ -43,7 +43,7 @@ def test_closing_waits_for_nothing(bus_server: BusAddress) -> None:
 
 
 def test_a_new_value_arrives_with_its_stamp_and_age(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="motion") as bus, bus.watch(["k"]) as watch:
+    with Bus(bus_server, name="motion", timeout_s=5.0) as bus, bus.watch(["k"]) as watch:
         bus.publish({"k": b"new"})
         sample = watch.wait("k", after=None, timeout_s=DEADLINE_S)
         assert sample is not None
@@ -56,7 +56,7 @@ def test_a_new_value_arrives_with_its_stamp_and_age(bus_server: BusAddress) -> N
 
 
 def test_the_newest_of_many_writes_ends_in_the_slot(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="motion") as bus, bus.watch(["k"]) as watch:
+    with Bus(bus_server, name="motion", timeout_s=5.0) as bus, bus.watch(["k"]) as watch:
         for n in range(2000):
             bus.publish({"k": b"%d" % n})
         wait_until(lambda: (sample := watch.latest("k")) is not None and sample.value == b"1999")
@@ -64,7 +64,7 @@ def test_the_newest_of_many_writes_ends_in_the_slot(bus_server: BusAddress) -> N
 
 def test_a_foreign_writer_is_seen_even_over_a_native_stamp(bus_server: BusAddress) -> None:
     foreign = redis.Redis(unix_socket_path=bus_server.socket or "")
-    with foreign, Bus(bus_server, name="motion") as bus, bus.watch(["k"]) as watch:
+    with foreign, Bus(bus_server, name="motion", timeout_s=5.0) as bus, bus.watch(["k"]) as watch:
         bus.publish({"k": b"native"})
         native = watch.wait("k", after=None, timeout_s=DEADLINE_S)
         foreign.set("k", b"foreign")
@@ -81,7 +81,7 @@ def test_a_foreign_writer_is_seen_even_over_a_native_stamp(bus_server: BusAddres
 
 
 def test_a_deleted_key_leaves_its_slot(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="motion") as bus, bus.watch(["k"]) as watch:
+    with Bus(bus_server, name="motion", timeout_s=5.0) as bus, bus.watch(["k"]) as watch:
         bus.publish({"k": b"v"})
         wait_until(lambda: watch.latest("k") is not None)
         bus.call("DEL", "k")
@@ -139,7 +139,7 @@ def test_after_a_cut_it_reads_again_what_changed_meanwhile_and_calls_none_of_it_
 
 
 def test_a_frozen_server_is_noticed(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="motion") as bus, bus.watch(["k"]) as watch:
+    with Bus(bus_server, name="motion", timeout_s=5.0) as bus, bus.watch(["k"]) as watch:
         pid = int(bus.call("INFO", "server").split(b"process_id:")[1].split()[0])
         os.kill(pid, signal.SIGSTOP)
         try:
@@ -150,11 +150,11 @@ def test_a_frozen_server_is_noticed(bus_server: BusAddress) -> None:
 
 
 def test_a_server_that_refuses_notifications_is_polled(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="admin") as admin:
+    with Bus(bus_server, name="admin", timeout_s=5.0) as admin:
         admin.call("ACL", "SETUSER", "plain", "on", ">pw", "~*", "&*", "+@all", "-config")
         address = BusAddress(socket=bus_server.socket, username="plain", password="pw")
         admin.call("CONFIG", "SET", "notify-keyspace-events", "")
-        with Bus(address, name="motion") as bus, Watch(address, ["k"]) as watch:
+        with Bus(address, name="motion", timeout_s=5.0) as bus, Watch(address, ["k"]) as watch:
             for n in range(5):
                 bus.publish({"k": b"%d" % n})
                 wait_until(lambda n=n: (s := watch.latest("k")) is not None and s.value == b"%d" % n)
@@ -264,7 +264,11 @@ def test_an_answer_proves_nothing_before_what_was_told_ahead_of_it_is_taken_up(t
 def test_a_half_open_line_of_messages_is_given_up_though_the_server_answers_on_the_other(
     bus_server: BusAddress,
 ) -> None:
-    with Proxy(bus_server) as network, Watch(network.address, ["k"]) as watch, Bus(bus_server, name="motion") as bus:
+    with (
+        Proxy(bus_server) as network,
+        Watch(network.address, ["k"]) as watch,
+        Bus(bus_server, name="motion", timeout_s=5.0) as bus,
+    ):
         network.swallow(only_newest=True)
         wait_until(lambda: watch.connections == 2)
         bus.publish({"k": b"1"})
@@ -272,7 +276,7 @@ def test_a_half_open_line_of_messages_is_given_up_though_the_server_answers_on_t
 
 
 def test_a_bus_that_is_polled_is_known_as_of_the_last_look(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="admin") as admin:
+    with Bus(bus_server, name="admin", timeout_s=5.0) as admin:
         admin.call("ACL", "SETUSER", "plain", "on", ">pw", "~*", "&*", "+@all", "-config")
         address = BusAddress(socket=bus_server.socket, username="plain", password="pw")
         with Watch(address, ["k"], probe_s=PROBE_S) as watch:

@@ -114,7 +114,8 @@ def test_twist_robot_answers_with_74_scaled_numbers(bus: Bus, serve: Serve, log:
         followed = sum(b'"tracking"' in value for value in log.values(keys.command_gate(keys.TWIST_ROBOT)))
     finish(g1)
     holds_vectors(log, T1_STATES)
-    target = np.frombuffer(log.values(keys.target("g1"))[-30])[:29]
+    steps = zip(log.values(keys.target("g1")), log.values(keys.command_gate(keys.TWIST_ROBOT)), strict=False)
+    target = [np.frombuffer(value)[:29] for value, gate in steps if b'"tracking"' in gate][-1]
     assert target[G1_29.index("left_wrist_roll")] == pytest.approx(LEFT_WRIST)
     assert target[G1_29.index("right_wrist_roll")] == pytest.approx(RIGHT_WRIST)
     assert log.values(f"state_body_{keys.TWIST2_ROBOT}") == []

@@ -95,7 +95,7 @@ def test_one_recorded_command_stays_one(builder: EpisodeBuilder, bus_server: Bus
     report = Replay(episode_id="", bus="", roles=[], speed=1.0)
     found = list(moments(reader, None, report))
     assert [len(moment.values) for moment in found] == [2, 3, 6, 1]
-    with Bus(bus_server, name="probe") as bus:
+    with Bus(bus_server, name="probe", timeout_s=5.0) as bus:
         to_bus(reader, bus_server, speed=FAST)
         marks = {bus.read([key])[key].stamp.mono_ns for key in found[2].values}  # type: ignore[union-attr]
     assert len(marks) == 1
@@ -104,7 +104,7 @@ def test_one_recorded_command_stays_one(builder: EpisodeBuilder, bus_server: Bus
 def test_deleted_keys_are_deleted_again(builder: EpisodeBuilder, bus_server: BusAddress) -> None:
     builder.foreign("key", b"1", at_s=0.1)
     builder.delete("key", at_s=0.2)
-    with Bus(bus_server, name="probe") as bus:
+    with Bus(bus_server, name="probe", timeout_s=5.0) as bus:
         bus.call("SET", "key", "0")
         to_bus(episode(builder), bus_server, speed=FAST)
         assert bus.get("key") is None
@@ -132,7 +132,7 @@ def test_replay_ends_when_asked_to(builder: EpisodeBuilder, bus_server: BusAddre
     builder.foreign("key", b"1", at_s=0.0)
     builder.foreign("key", b"2", at_s=3600.0)
     stop = threading.Event()
-    with Bus(bus_server, name="probe") as bus, ThreadPoolExecutor(1) as pool:
+    with Bus(bus_server, name="probe", timeout_s=5.0) as bus, ThreadPoolExecutor(1) as pool:
         running = pool.submit(to_bus, episode(builder), bus_server, stop=stop)
         wait_until(lambda: bus.get("key") == b"1")
         stop.set()
@@ -167,7 +167,7 @@ class Alive:
     """A server that says it is alive, as `station.life.server` does."""
 
     def __init__(self, address: BusAddress, role: str, name: str) -> None:
-        self._bus = Bus(address, name=name)
+        self._bus = Bus(address, name=name, timeout_s=5.0)
         now = time.time_ns()
         health = Health(
             name=name, role=role, state="active", pid=1, host="here", boot="", source=self._bus.source,  # type: ignore[arg-type]
