@@ -44,6 +44,7 @@ class Heritage:
         self._options = options
         self._life = life
         self._take_up_s = take_up_s
+        self._began_ns = time.monotonic_ns()
         self._closed: list[Repaired] = []
         self._found: Unfinished | None = None
         self._unborn: ResumePoint | None = None  # of an episode that was asked for, and of which nothing is there
@@ -102,10 +103,10 @@ class Heritage:
         if is_in_stream:
             return
         mark = request.stamp
-        is_fresh = (
-            mark is not None and mark.is_from_this_boot and time.monotonic_ns() - mark.mono_ns < _PATIENCE_S * 1e9
-        )
-        if self._was_killed and is_fresh and not is_answered:
+        written_ns = mark.mono_ns if mark is not None and mark.is_from_this_boot else 0
+        is_for_us = written_ns >= self._began_ns  # the stream may bring it as well: then it is known
+        is_left = self._was_killed and time.monotonic_ns() - written_ns < _PATIENCE_S * 1e9
+        if written_ns and (is_for_us or is_left) and not is_answered:
             recording.missed(Write(keys.RECORD, request.value, None, time.monotonic_ns()))
         else:
             recording.seed(keys.RECORD, request.value, None)

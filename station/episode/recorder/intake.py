@@ -61,11 +61,10 @@ class Intake:
         self._written_ns = heritage.enter(self.recording, tap)  # the newest write, on our monotonic clock
         if tap.resumed:
             self._known_ns = self._written_ns or heritage.start_ns
-        self._early: list[Write] = []  # came while we looked back
         self._preroll_s = options.preroll_s
         if not tap.resumed:
             self._look_back()
-        heritage.see_to_request(self.recording, is_in_stream=bool(tap.resumed) or self._is_request_early)
+        heritage.see_to_request(self.recording, is_in_stream=bool(tap.resumed))
 
     def step(self) -> None:
         """Take in what arrived, unless it had better wait at the bus; see to a tap that is lost."""
@@ -108,8 +107,7 @@ class Intake:
 
     def _read(self) -> list[Write]:
         """Return what the tap brings, and take note of up to when we know of every write: what it brings may be old."""
-        early, self._early = self._early, []
-        writes = early or self.tap.read(_READ_S)
+        writes = self.tap.read(_READ_S)
         self._heard_ns = now_ns = time.monotonic_ns()
         self._known_ns = max(self._known_ns, min(newest_written_ns(writes), now_ns))
         return writes
@@ -143,11 +141,8 @@ class Intake:
             else:
                 log.warning("the bus is slow: states from before the recorder's tap are not in its pre-roll")
         finally:
-            self._early = early
-
-    @property
-    def _is_request_early(self) -> bool:
-        return any(write.key == keys.RECORD for write in self._early)
+            if early:
+                self._feed(early)
 
     def _is_own(self, write: Write, since_ns: int) -> bool:
         mark = stamps.decode(write.stamp) if write.stamp is not None and write.key == keys.RECORDER else None
@@ -165,8 +160,7 @@ class Intake:
         with contextlib.suppress(BusError):  # gone again; the next hole brings us back here
             self._seed()
             self._look_back()
-            value = self._life.bus.get(keys.RECORD)
-            if value is not None and not self._is_request_early:
+            if (value := self._life.bus.get(keys.RECORD)) is not None:
                 self.recording.missed(Write(keys.RECORD, value, None, time.monotonic_ns()))
 
     def _tap_again(self, error: BusError) -> None:

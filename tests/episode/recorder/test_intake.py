@@ -220,8 +220,9 @@ def test_an_episode_that_was_asked_for_in_a_hole_has_the_state_that_stands_on_th
     assert step.values[STATE] == state
 
 
+@pytest.mark.parametrize("stands", [True, False])
 def test_a_request_that_comes_as_soon_as_the_tap_is_open_is_done_once(
-    make: Make, g1: Bus, monkeypatch: pytest.MonkeyPatch
+    make: Make, g1: Bus, monkeypatch: pytest.MonkeyPatch, stands: bool
 ) -> None:
     def open_and_ask(*where: Any, **how: Any) -> Tap:
         tap = open_tap(*where, **how)
@@ -229,9 +230,9 @@ def test_a_request_that_comes_as_soon_as_the_tap_is_open_is_done_once(
         return tap
 
     monkeypatch.setattr(intake_module, "open_tap", open_and_ask)
-    g1.publish({STATE: b""})
+    if stands:
+        g1.publish({STATE: b""})
     intake = make()
-    assert not intake.recording.is_recording, "the tap brings it"
     step_until(intake, lambda: intake.recording.is_recording)
     folder = ask(intake, g1, "stop", but="start")
     assert [message.sequence for message in open_episode(folder).messages([keys.RECORD])] == [1, 2]
