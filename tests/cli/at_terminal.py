@@ -10,12 +10,16 @@ import subprocess
 import sys
 import termios
 import threading
-from collections.abc import Callable
 from typing import Any
 
 from tests.cli.running import Home
 from tests.main_job.station_runs import ROOT
 from tests.waiting import wait_until
+
+_AT_TERMINAL = (
+    "import fcntl, os, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); os.execv(sys.argv[1], sys.argv[1:])"
+)
+"""Run by the child itself: between fork and exec of a process with threads no code is safe, see `station.bus.tied`."""
 
 
 class AtTerminal:
@@ -25,10 +29,9 @@ class AtTerminal:
         self._ours, theirs = pty.openpty()
         self.before = self.settings()
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "station", *arguments],
+            [sys.executable, "-I", "-S", "-c", _AT_TERMINAL, sys.executable, "-m", "station", *arguments],
             cwd=ROOT, env={**home.environment, "TERM": "xterm", "COLUMNS": "400", "LINES": "40"},
             stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
-            preexec_fn=_take_terminal(theirs),  # noqa: PLW1509  one system call
         )  # fmt: skip
         self._theirs = theirs  # kept open, so that its settings can be read when the process has ended
         self.screen = ""
@@ -42,7 +45,7 @@ class AtTerminal:
     def wait_for(self, text: str, after: int = 0) -> int:
         """Wait until the screen has shown a text, behind a place; return the place behind it."""
         wait_until(lambda: text in self.screen[after:] or self.process.poll() is not None)
-        assert text in self.screen[after:], f"no {text!r} in:\n{self.screen[after:]}"
+        assert text in self.screen[after:], f"no {text!r} (exit code {self.process.poll()}) in:\n{self.screen[after:]}"
         return self.screen.index(text, after) + len(text)
 
     def wait_for_any(self, *texts: str, after: int = 0) -> None:
@@ -95,10 +98,3 @@ def _some(descriptor: int) -> bytes:
 def _has_more(descriptor: int) -> bool:
     waiting = fcntl.ioctl(descriptor, termios.FIONREAD, b"\0" * 4)
     return bool(int.from_bytes(waiting, sys.byteorder))
-
-
-def _take_terminal(descriptor: int) -> Callable[[], None]:
-    def in_child() -> None:
-        fcntl.ioctl(descriptor, termios.TIOCSCTTY, 0)
-
-    return in_child
