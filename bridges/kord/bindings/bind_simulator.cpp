@@ -40,7 +40,8 @@ void bind_options(nb::module_& module) {
         .def_rw("ceased_is_fault", &Options::ceased_is_fault)
         .def_rw("speed_noise_radps", &Options::speed_noise_radps)
         .def_rw("noise_seed", &Options::noise_seed)
-        .def_rw("opaque", &Options::is_opaque);
+        .def_rw("opaque", &Options::is_opaque)
+        .def_rw("queues_after_stop_point", &Options::queues_after_stop_point);
 }
 
 nb::bytes trace_of(const Simulator& simulator, int64_t rows) {
@@ -77,6 +78,7 @@ void bind_simulator(nb::module_& module) {
              })
         .def("delay_commands", [](Simulator& self, int count) { self.plant->delay_commands(count); }, Free())
         .def("fail_sends", [](Simulator& self, int count) { self.plant->fail_sends(count); }, Free())
+        .def("lose_commands", [](Simulator& self, int count) { self.plant->lose_commands(count); }, Free())
         .def("pause", [](Simulator& self, bool paused) { self.plant->pause(paused); }, Free())
         .def("emergency_stop", [](Simulator& self, bool pressed) { self.plant->emergency_stop(pressed); }, Free())
         .def("confirm", [](Simulator& self) { self.plant->confirm(); }, Free())

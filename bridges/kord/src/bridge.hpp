@@ -54,6 +54,7 @@ private:
     void check_ready(const State& state, Mode wanted) const;
     void check_joints(const char* what, const Joints& values, const Joints& low, const Joints& high,
                       const char* unit) const;
+    void check_speeds(const char* what, const Joints& qd) const;
     Wish wish_of(Mode kind) const;
     void post(Wish wish);
     void end();

@@ -86,6 +86,17 @@ void Bridge::check_joints(const char* what, const Joints& values, const Joints& 
                                      number(high[at]) + " " + unit);
 }
 
+// Of a motion that comes to rest by itself when nobody renews it.
+void Bridge::check_speeds(const char* what, const Joints& qd) const {
+    check_joints(what, qd, negative(limits_.qd_max), limits_.qd_max, "rad/s");
+    for (size_t joint = 0; joint < kJoints; ++joint)
+        if (std::abs(qd[joint]) > kFastestRadps)
+            throw Refusal("OutOfLimits", std::string(what) + ": joint " + std::to_string(joint + 1) + " at " +
+                                             number(qd[joint]) + " rad/s is faster than " + number(kFastestRadps) +
+                                             " rad/s, from which it can come to rest within 100 ms without a torque "
+                                             "deviation (1010)");
+}
+
 // To be made before anything is looked at: a command belongs to the engagement in which it was asked for.
 Wish Bridge::wish_of(Mode kind) const {
     Wish wish;
@@ -119,7 +130,7 @@ void Bridge::stream_j(const Joints& q) {
 void Bridge::velocity_j(const Joints& qd) {
     Wish wish = wish_of(Mode::velocity);
     check_ready(snapshot(), Mode::velocity);
-    check_joints("velocity_j", qd, negative(limits_.qd_max), limits_.qd_max, "rad/s");
+    check_speeds("velocity_j", qd);
     wish.qd = qd;
     post(wish);
 }
@@ -129,7 +140,7 @@ void Bridge::direct_j(const Joints& q, const Joints& qd, const Joints& qdd) {
     const State now = snapshot();
     check_ready(now, Mode::direct);
     check_joints("direct_j", q, limits_.q_min, limits_.q_max, "rad");
-    check_joints("direct_j", qd, negative(limits_.qd_max), limits_.qd_max, "rad/s");
+    check_speeds("direct_j", qd);
     check_joints("direct_j", qdd, negative(limits_.qdd_max), limits_.qdd_max, "rad/s²");
     for (size_t joint = 0; joint < kJoints && now.mode != Mode::direct; ++joint)
         if (std::abs(q[joint] - now.q[joint]) > kSeedRad)

@@ -12,7 +12,7 @@ namespace {
 constexpr double kStandstillRadps = 1e-3;
 constexpr int kSilentWaits = 12;         // 100 ms without a heartbeat: the session is lost
 constexpr int kFirstWaits = 125;         // one second for the first heartbeat
-constexpr int kWindDownTicks = 300;      // 1.2 s: the longest stop of a move, and some
+constexpr int kWindDownTicks = 600;      // 2.4 s: the longest stop of a move, twice, and some
 constexpr int64_t kPercentileTicks = 50;
 constexpr double kMissShare = 0.4;       // of a tick that a heartbeat may be late without one being missed
 constexpr double kWindowUs = 1500;       // a command after it acts one tick later; for controllers that do not tell

@@ -7,16 +7,28 @@ namespace station_kord {
 
 namespace {
 
-constexpr int64_t kSilentTicks = 25;  // 100 ms: by then the arm stands
-constexpr int64_t kMadeUpTicks = 2;   // between direct commands: one that is missing the controller makes up for
+constexpr int64_t kMadeUpTicks = 2;  // between direct commands: one that is missing the controller makes up for
 // Controllers take a direct command that is 0.6 mrad from where the one before led for a torque deviation (1010). A
-// change of speed by 0.1 rad/s in a tick is 0.4 mrad.
-constexpr double kQddMaxRadps2 = 0.1 / kTickS;
+// change of speed by 0.1 rad/s in a tick is 0.4 mrad. One that is lost unseen makes three changes of one, which there is
+// time for while a speed grows, and before a range ends.
+constexpr double kQddMaxRadps2 = 0.1 / kTickS, kGentleMaxRadps2 = 0.045 / kTickS;
 constexpr double kJumpRad = 0.0005;  // less than that
 constexpr double kRounding = 1 + 1e-9;
 
 bool stands(const Joints& qd) {
     return std::all_of(qd.begin(), qd.end(), [](double speed) { return speed == 0; });
+}
+
+// The speed of the next tick: it may fall faster than it may grow.
+double towards(double wanted, double qd, double growth, double fall) {
+    const double low = std::min(qd - growth, std::max(0.0, qd - fall));
+    return std::clamp(wanted, low, std::max(qd + growth, std::min(0.0, qd + fall)));
+}
+
+// Down along a line that ends when `left` ticks have passed, or as soon after it as may be.
+double falling(double qd, double left) {
+    const double wanted = qd * std::max(0.0, left - 1) / std::max(1.0, left);
+    return std::clamp(wanted, qd - kFallMaxRadps, qd + kFallMaxRadps);
 }
 
 // The speed at which a joint can still stop before its range ends.
@@ -61,7 +73,6 @@ void Motion::take(const Wish& wish, const Arm& arm) {
     if (mode_ != Mode::velocity && mode_ != Mode::move_line) target_ = wish.q;
     once_ = {mode_, wish.q, {}, {}, wish.pose, wish.speed, 0};
     goal_ = wish.q;
-    has_moved_ = false;
     wish_ = wish;
     ticks_since_wish_ = 0;
 }
@@ -97,7 +108,7 @@ Sending Motion::decide(const Arm& arm, const Profile& profile, int throttle) {
     before_ = now_;
     Sending sending;
     switch (mode_) {
-        case Mode::idle: break;
+        case Mode::idle: watch(arm); break;
         case Mode::stream: sending = decide_stream(arm, profile, throttle); break;
         case Mode::velocity: sending = decide_velocity(arm); break;
         case Mode::direct: sending = decide_direct(arm); break;
@@ -162,6 +173,7 @@ Sending Motion::decide_stream(const Arm& arm, const Profile& profile, int thrott
     now_.is_seeded = true;
     now_.pace_s = profile.tracks_time ? profile.tracking_value : 0.0;
     now_.pace_radps = profile.tracking_value;
+    now_.stops_at_points = profile.stops_at_points;
     return sending;
 }
 
@@ -172,6 +184,7 @@ Sending Motion::decide_velocity(const Arm& arm) {
             return {};
         }
         now_.is_seeded = true;
+        now_.is_callers = false;
         now_.q = arm.q;
         now_.qd = {};
         return {Mode::direct, now_.q, now_.qd, {}, {}, 0, 0};
@@ -182,12 +195,21 @@ Sending Motion::decide_velocity(const Arm& arm) {
 Sending Motion::decide_direct(const Arm& arm) {
     if (now_.is_dirty) {
         now_.is_dirty = false;
-        now_.is_seeded = true;
+        now_.is_seeded = now_.is_callers = true;
         now_.q = wish_.q;
         now_.qd = wish_.qd;
         return {Mode::direct, wish_.q, wish_.qd, wish_.qdd, {}, 0, 0};
     }
     return integrate(now_.qd, 0.0, arm);
+}
+
+// What the controller did where one command is missing: the next one goes on from it. A caller's own that has not left is
+// still to leave as it is.
+int64_t Motion::make_up(int64_t passed_ticks) {
+    if (now_.ticks_since_send != kMadeUpTicks || (now_.is_owed && now_.is_callers)) return passed_ticks;
+    for (size_t joint = 0; joint < kJoints; ++joint) now_.q[joint] = now_.left_q[joint] + now_.left_qd[joint] * kTickS;
+    now_.qd = now_.left_qd;
+    return 1;
 }
 
 // Goes on at the wanted speed; `dv_max_s` times an acceleration is how fast the speed may change. When nobody has asked
@@ -201,17 +223,19 @@ Sending Motion::integrate(const Joints& wanted, double dv_max_s, const Arm& arm)
         target_ = now_.q;
         return {};
     }
+    const double ticks = static_cast<double>(make_up(arm.passed_ticks));
+    now_.is_callers = false;
     for (size_t joint = 0; joint < kJoints; ++joint) {
-        const double qdd_max = std::min(limits_.qdd_max[joint], kQddMaxRadps2), change = qdd_max * dv_max_s;
+        const double qdd_max = std::min(limits_.qdd_max[joint], kQddMaxRadps2);
+        const double gentle = std::min(qdd_max, kGentleMaxRadps2);
         double& qd = now_.qd[joint];
-        double speed = is_fresh ? std::clamp(wanted[joint], qd - change, qd + change)
-                                : qd * std::max(0.0, left - 1) / std::max(1.0, left);
+        double speed = is_fresh ? towards(wanted[joint], qd, gentle * dv_max_s, qdd_max * dv_max_s) : falling(qd, left);
         if (dv_max_s > 0 || !is_fresh)
-            speed = stoppable(speed, now_.q[joint], limits_.q_min[joint], limits_.q_max[joint], qdd_max);
+            speed = stoppable(speed, now_.q[joint], limits_.q_min[joint], limits_.q_max[joint], gentle);
         qd = std::abs(speed) < 1e-9 ? 0.0 : speed;
-        const double next = now_.q[joint] + qd * kTickS * static_cast<double>(arm.passed_ticks);
-        const double low = std::min(limits_.q_min[joint], now_.q[joint]);
-        now_.q[joint] = std::clamp(next, low, std::max(limits_.q_max[joint], now_.q[joint]));
+        const double next = now_.q[joint] + qd * kTickS * ticks;
+        const double low = std::min(limits_.q_min[joint], now_.left_q[joint]);  // it may stand beyond its range
+        now_.q[joint] = std::clamp(next, low, std::max(limits_.q_max[joint], now_.left_q[joint]));
     }
     target_ = now_.q;
     return {Mode::direct, now_.q, now_.qd, {}, {}, 0, 0};

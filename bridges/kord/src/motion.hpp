@@ -7,6 +7,11 @@ namespace station_kord {
 
 constexpr int64_t kFreshTicks = 5;  // 20 ms: a writer at 50 Hz never lets the speed sag
 constexpr int64_t kBeginTicks = 5;  // until a command that was sent can be seen in the arm's speed
+constexpr int64_t kSilentTicks = 25;  // 100 ms: by then an arm whose speed nobody renews stands
+
+// How much of a speed may go in a tick: 0.56 mrad, of the 0.6 that controllers take for a torque deviation.
+constexpr double kFallMaxRadps = 0.14;
+constexpr double kFastestRadps = kFallMaxRadps * (kSilentTicks - kFreshTicks - 1);  // which can go in time
 
 // What Python asks for; the newest wins. `epoch` says which engagement it belongs to.
 struct Wish {
@@ -71,9 +76,11 @@ private:
         bool is_dirty = false;       // whether there is something to send
         bool is_waiting = false;     // whether that is a target which has not had its turn
         bool is_slewing = false;     // whether the guard is still on its way
+        bool is_callers = false;     // of a direct motion: whether they were asked for, and not made here
         bool is_owed = false;        // whether a direct command has not left, and must not be the last
         int64_t ticks_since_send = 1'000'000;
         double pace_radps = 0, pace_s = 0;  // of the last target of a stream: the speed or the time that it was given
+        bool stops_at_points = false;       // and whether it waits until the arm stands at the one before
         Counters counters;
     };
 
@@ -84,11 +91,15 @@ private:
     bool goes_on(const Arm& arm) const;
     Sending stop_of(const Arm& arm) const;
     bool is_past_goal(const Joints& q, const Arm& arm) const;
+    bool is_unheard(const Arm& arm);
+    void watch(const Arm& arm);
+    double since_send_s() const;
     bool is_over(const Arm& arm) const;
     Sending decide_stream(const Arm& arm, const Profile& profile, int throttle);
     Sending decide_velocity(const Arm& arm);
     Sending decide_direct(const Arm& arm);
     Sending decide_once(const Arm& arm);
+    int64_t make_up(int64_t passed_ticks);
     Sending integrate(const Joints& wanted, double dv_max_s, const Arm& arm);
     bool is_jump(const Sending& sending) const;
     void cut_off();
@@ -99,7 +110,7 @@ private:
     Wish wish_;
     Sending once_;            // the move of the controller's own, or its stop
     Joints goal_{};           // where that move leads, if it is one of joints
-    bool has_moved_ = false;  // whether the arm was seen to move by it
+    int stops_again_ = 0;     // how often its stop is still to be sent again, where the arm moves on
     Progress now_, before_;
     Joints target_{};
     int64_t ticks_since_wish_ = 0, taken_number_ = 0, taken_holds_ = 0;

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "motion.hpp"
+#include "pose.hpp"
 
 namespace station_kord {
 
@@ -11,8 +12,16 @@ namespace {
 constexpr double kStopS = 0.1, kLongestStopS = 1.0;  // as soon as a speed that nobody renews, or as the joints may
 constexpr double kStopPeak = 1.5;                    // of a quintic from a speed to rest: deceleration times T/speed
 constexpr double kFinishS = 0.15;                    // what is left of a stream may take so long when it is held
-constexpr double kTurn = 6.283185307179586;
 constexpr double kThere = 0.001;                     // [rad], [m]: nearer than that an arm is where its move leads
+constexpr double kObeyedS = 0.08;                    // after its time a stop by which the arm still moves did not arrive
+constexpr double kWatchS = 10;                       // after a stop nothing else moves the arm than what it did not stop
+constexpr int kStopsAgain = 3;                       // a controller that finishes its move first would do them all
+
+double furthest(const Joints& a, const Joints& b) {
+    double way = 0;
+    for (size_t joint = 0; joint < kJoints; ++joint) way = std::max(way, std::abs(a[joint] - b[joint]));
+    return way;
+}
 
 }  // namespace
 
@@ -21,6 +30,7 @@ constexpr double kThere = 0.001;                     // [rad], [m]: nearer than 
 void Motion::hold(const Arm& arm) {
     ticks_since_wish_ = std::max(ticks_since_wish_, kFreshTicks);
     now_.is_waiting = false;
+    stops_again_ = kStopsAgain;
     if (once_.stop_s > 0) return;  // it stops already
     const bool is_to_stop = goes_on(arm);
     now_.is_dirty = false;
@@ -31,7 +41,6 @@ void Motion::hold(const Arm& arm) {
     if (mode_ == Mode::stream) {
         mode_ = Mode::move_joints;
         goal_ = now_.q;
-        has_moved_ = false;
         now_.is_seeded = now_.is_slewing = false;
     }
     once_ = stop_of(arm);
@@ -42,8 +51,8 @@ void Motion::hold(const Arm& arm) {
 bool Motion::goes_on(const Arm& arm) const {
     if (is_under_way()) return !now_.is_dirty;
     if (mode_ != Mode::stream || !now_.is_seeded) return false;
-    double left = 0;
-    for (size_t joint = 0; joint < kJoints; ++joint) left = std::max(left, std::abs(now_.q[joint] - arm.q[joint]));
+    if (now_.stops_at_points) return false;  // a stop would wait behind them all, and be a way back by then
+    const double left = furthest(now_.q, arm.q);
     return left > kThere && (now_.pace_s > 0 ? now_.pace_s : left / now_.pace_radps) > kFinishS;
 }
 
@@ -71,19 +80,15 @@ Sending Motion::stop_of(const Arm& arm) const {
 
 // By the longest ways of all joints: one that stands at its goal has a measured speed too, and would tell nothing.
 bool Motion::is_past_goal(const Joints& q, const Arm& arm) const {
-    if (mode_ != Mode::move_joints) return false;
-    double way = 0, left = 0;
-    for (size_t joint = 0; joint < kJoints; ++joint) {
-        way = std::max(way, std::abs(q[joint] - arm.q[joint]));
-        left = std::max(left, std::abs(goal_[joint] - arm.q[joint]));
-    }
-    return way >= left;
+    return mode_ == Mode::move_joints && furthest(q, arm.q) >= furthest(goal_, arm.q);
 }
 
 Sending Motion::decide_once(const Arm& arm) {
     if (!now_.is_dirty) {
-        has_moved_ = has_moved_ || (arm.is_moving && now_.ticks_since_send > kBeginTicks);
-        if (is_over(arm)) mode_ = Mode::idle;
+        if (is_over(arm))
+            mode_ = Mode::idle;
+        else
+            now_.is_dirty = is_unheard(arm);
         return {};
     }
     now_.is_dirty = false;
@@ -95,19 +100,30 @@ Sending Motion::decide_once(const Arm& arm) {
     return once_;
 }
 
-// An arm that stands may not have begun, or begin so gently that it cannot be seen.
+double Motion::since_send_s() const { return static_cast<double>(now_.ticks_since_send) * kTickS; }
+
+// "Sent" is all that is known of a stop; where it is lost on its way the arm goes on.
+bool Motion::is_unheard(const Arm& arm) {
+    const bool is_stopping = once_.stop_s > 0 && stops_again_ > 0;
+    if (!is_stopping || !arm.is_moving || since_send_s() <= once_.stop_s + kObeyedS) return false;
+    --stops_again_;
+    return true;
+}
+
+// A move that was too gentle to be seen, and whose stop was lost, is seen later.
+void Motion::watch(const Arm& arm) {
+    if (since_send_s() > kWatchS || !is_unheard(arm)) return;
+    mode_ = once_.kind;
+    now_.is_dirty = true;
+}
+
+// An arm that stands may not have begun, or begin so gently that it cannot be seen, or only in some of the ticks.
 bool Motion::is_over(const Arm& arm) const {
     if (arm.is_moving || now_.ticks_since_send <= kBeginTicks) return false;
-    if (once_.stop_s > 0) return static_cast<double>(now_.ticks_since_send) * kTickS > once_.stop_s;
-    if (has_moved_) return true;
-    double off = 0;
-    for (size_t joint = 0; joint < kJoints && mode_ == Mode::move_joints; ++joint)
-        off = std::max(off, std::abs(goal_[joint] - arm.q[joint]));
-    for (size_t part = 0; part < arm.tcp.size() && mode_ == Mode::move_line; ++part) {
-        const double way = once_.pose[part] - arm.tcp[part];
-        off = std::max(off, std::abs(part < 3 ? way : std::remainder(way, kTurn)));
-    }
-    return off < kThere;
+    if (once_.stop_s > 0)
+        return since_send_s() > once_.stop_s + (furthest(once_.q, arm.q) < kThere ? 0.0 : kObeyedS);
+    if (mode_ == Mode::move_joints) return furthest(goal_, arm.q) < kThere;
+    return way_between(once_.pose, arm.tcp) < kThere && turn_between(once_.pose, arm.tcp) < kThere;
 }
 
 }  // namespace station_kord

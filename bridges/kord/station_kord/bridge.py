@@ -147,8 +147,10 @@ class KordBridge:
 
         Of a stream the arm finishes what it has, if that takes no longer than 0.15 s; a velocity ramps down within
         100 ms; a far target of a stream, and a move of `move_j` or `move_l`, are replaced by one that ends within
-        100 ms, or as soon as `Limits.qdd_max` allows. What is asked for after it does not undo it. Whether a real
-        controller lets a running move be replaced is not known: what stops it for certain is its own stop.
+        100 ms, or as soon as `Limits.qdd_max` allows. What is asked for after it does not undo it. A stop by which the
+        arm still moves 80 ms after its time is sent again, three times for each `hold`. Of a profile of stop-points the
+        arm finishes all that it has. Whether a real controller lets a running move be replaced is not known: what stops
+        it for certain is its own stop. One that finishes the move first goes back in 100 ms then, or faults (3002).
         """
         self._bridge.hold()
 
@@ -175,15 +177,17 @@ class KordBridge:
     def velocity_j(self, qd: Sequence[float] | Floats) -> None:
         """Move the joints at these speeds, for as long as this is called again and again.
 
-        Integrated in C++ at 250 Hz into direct joint commands, with accelerations within `Limits.qdd_max`. 20 ms after
-        the last call the speed begins to fall, after 100 ms the arm stands. At a position limit a joint stops. Where
-        more than one command was missed and the next would be a jump, it begins anew once the arm stands.
+        Integrated in C++ at 250 Hz into direct joint commands, with accelerations within `Limits.qdd_max`, 11 rad/s² up
+        and 25 rad/s² down. 20 ms after the last call the speed begins to fall, after 100 ms the arm stands; a tick
+        later where a command is missed in a fast fall. At a position limit a joint stops. Where more than one command
+        was missed and the next would be a jump, it begins anew once the arm stands.
 
         Args:
             qd: Shape (7,) [rad/s].
 
         Raises:
-            OutOfLimits: A speed is beyond `Limits.qd_max`.
+            OutOfLimits: A speed is beyond `Limits.qd_max`, or above 2.66 rad/s, from which the arm could not stand
+                within 100 ms without a torque deviation (1010).
             Refused, NotConnected: As for `stream_j`.
         """
         self._bridge.velocity_j(seven("velocity_j", qd))
@@ -204,7 +208,8 @@ class KordBridge:
             q, qd, qdd: Shape (7,) [rad], [rad/s], [rad/s²]; None for zeros.
 
         Raises:
-            OutOfLimits: A position, speed or acceleration is beyond its limit.
+            OutOfLimits: A position, speed or acceleration is beyond its limit, or a speed above 2.66 rad/s: see
+                `velocity_j`.
             Refused, NotConnected: As for `stream_j`.
         """
         zeros = (0.0,) * 7
@@ -215,6 +220,8 @@ class KordBridge:
 
     def move_j(self, q: Sequence[float] | Floats, *, speed_radps: float = 0.3) -> None:
         """Move to joint positions once and stop there; `hold` and `disengage` end it before.
+
+        It, as `move_l`, is under way until the arm stands there, to 1 mrad (and 1 mm), or it is held.
 
         Args:
             q: Shape (7,) [rad].

@@ -61,7 +61,7 @@ def native_options(options: SimOptions) -> _native.SimOptions:
     for name in (
         "qd_max_radps", "qdd_max_radps2", "window_us", "fetch_closes_window", "buffer_len", "planner_time_ms",
         "torque_deviation_rad", "late_fault_ticks", "ack_ticks", "watchdog_ticks", "ceased_is_fault",
-        "speed_noise_radps", "noise_seed", "opaque",
+        "speed_noise_radps", "noise_seed", "opaque", "queues_after_stop_point",
     ):  # fmt: skip
         setattr(native, name, getattr(options, name))
     native.planner_speed_ms = options.planner_speed_cost_ms

@@ -94,6 +94,8 @@ class SimOptions:
             reads, also of a joint that stands, and not those of `Simulator.trace`. The same in every run.
         noise_seed: Chooses another course of the same noise.
         opaque: Whether it tells no more than kord-api does, so that the bridge knows of no queue and no late command.
+        queues_after_stop_point: Whether a via-point waits until a stop-point move that runs has ended, instead of
+            replacing the rest of it.
         order: ``fetch-first`` lets the bridge make the mistake of reading before it sends; for demonstrations.
         resend_targets: Let the bridge send its target at every turn though it is unchanged; for demonstrations.
     """
@@ -118,6 +120,7 @@ class SimOptions:
     speed_noise_radps: float = 0.0
     noise_seed: int = 1
     opaque: bool = False
+    queues_after_stop_point: bool = False
     order: Order = "send-first"
     resend_targets: bool = False
 

@@ -34,6 +34,10 @@ class Simulator:
         """Let the next commands fail to leave this machine, as with a full buffer; for a bridge of this process."""
         self.native.fail_sends(count)
 
+    def lose_commands(self, count: int = 1) -> None:
+        """Let the next commands be lost on their way: their sender hears that they were sent."""
+        self.native.lose_commands(count)
+
     def pause(self, paused: bool) -> None:
         """Pause the controller at its pendant, or let it go on: nothing is wrong, and no command is taken."""
         self.native.pause(paused)

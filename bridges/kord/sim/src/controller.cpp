@@ -48,6 +48,10 @@ void Controller::waited() { ticks_since_wait_ = 0; }
 
 void Controller::receive(const Command& command) {
     if (status_.is_lost || pending_.size() == kRoom) return;
+    if (losing_ > 0) {
+        --losing_;
+        return;
+    }
     ++received_;
     if (!takes_commands()) return;  // "sent" is all that its sender hears
     const bool late = is_late(command);

@@ -32,6 +32,7 @@ public:
     bool was_late_this_tick() const { return late_this_tick_; }
 
     void delay_commands(int count) { delayed_ = count; }
+    void lose_commands(int count) { losing_ = count; }
     void press_emergency_stop(bool is_pressed);
     void confirm();
     void pause(bool is_paused);
@@ -68,7 +69,7 @@ private:
     std::vector<Command> due_direct_;
     std::vector<Clearing> clearing_;
     int64_t tick_ = 0, ticks_since_move_ = 0;
-    int delayed_ = 0, late_streak_ = 0, ticks_since_wait_ = 0, received_ = 0, acknowledged_next_ = 0;
+    int delayed_ = 0, losing_ = 0, late_streak_ = 0, ticks_since_wait_ = 0, received_ = 0, acknowledged_next_ = 0;
     bool late_this_tick_ = false, is_pressed_ = false, has_cbun_event_ = false, has_session_ = false;
 };
 

@@ -42,11 +42,11 @@ double Motion::queued_s() const {
 bool Motion::begin(const Command& move) {
     const bool is_line = move.kind == CommandKind::move_line;
     const bool is_busy = kind_ == Kind::timed || kind_ == Kind::paced || kind_ == Kind::line;
-    const double duration_s = duration_of(move, move.stops_at_point && is_busy ? goal_ : reference_.q);
-    if (!is_line && move.tracking == Tracking::time && !(move.stops_at_point && is_busy) &&
-        !is_feasible(move.q, duration_s))
-        return false;
-    if (is_busy && (move.stops_at_point || !queue_.empty())) {
+    const bool is_replacing = !move.stops_at_point && queue_.empty() && !(stops_ && options_.queues_after_stop_point);
+    const bool waits = is_busy && !is_replacing;
+    const double duration_s = duration_of(move, waits ? goal_ : reference_.q);
+    if (!is_line && move.tracking == Tracking::time && !waits && !is_feasible(move.q, duration_s)) return false;
+    if (waits) {
         queue_.push_back({move, duration_s});
         waiting_s_ += duration_s;
         goal_ = is_line ? joints_of(line_goal(move), goal_) : move.q;

@@ -35,6 +35,7 @@ struct Options {
     double speed_noise_radps = 0;
     uint64_t noise_seed = 1;
     bool is_opaque = false;
+    bool queues_after_stop_point = false;
 };
 
 }  // namespace kordsim

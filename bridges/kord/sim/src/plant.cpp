@@ -174,6 +174,11 @@ void Plant::fail_sends(int count) {
     failing_ = count;
 }
 
+void Plant::lose_commands(int count) {
+    const std::lock_guard lock(mutex_);
+    controller_.lose_commands(count);
+}
+
 void Plant::pause(bool is_paused) {
     const std::lock_guard lock(mutex_);
     controller_.pause(is_paused);

@@ -44,6 +44,7 @@ public:
 
     void delay_commands(int count);
     void fail_sends(int count);
+    void lose_commands(int count);
     void pause(bool is_paused);
     void emergency_stop(bool is_pressed);
     void confirm();
