@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Generic, NamedTuple, TypeVar
+
+ValueT = TypeVar("ValueT")
 
 
 class Heard(NamedTuple):
@@ -45,3 +48,29 @@ class Hearing:
         """
         is_unbroken = now_ns - self.span.until_ns <= self._gap_ns
         self.span = Heard(self.span.since_ns if is_unbroken else now_ns, asked_ns)
+
+
+class Told(Generic[ValueT]):
+    """Finds the write that was not told of: an answer proves that the line is well, not that writes are told on it.
+
+    All is read unasked, and then a question is put where writes are told of. By its answer every write was told of
+    that had been there to be read, and the key read again; a key that has not been is one that nobody told us of.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[str, ValueT] = {}
+        self._differing: dict[str, ValueT] = {}
+
+    def note(self, values: Mapping[str, ValueT]) -> None:
+        """Take note of keys that were read because something was told of them, or as the first thing."""
+        self._known.update(values)
+        for key in values:
+            self._differing.pop(key, None)
+
+    def look(self, values: Mapping[str, ValueT]) -> None:
+        """Take note of keys that were read unasked, before the question is put."""
+        self._differing = {key: value for key, value in values.items() if value != self._known.get(key)}
+
+    def untold(self) -> str:
+        """Return a key that was written and not told of, once the question is answered and all is read; or ""."""
+        return next(iter(self._differing), "")

@@ -18,21 +18,33 @@ from typing import Any, Self
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
 from station.bus.connection import Connection, ConnectionLost, pack
-from station.bus.heard import Heard, Hearing
+from station.bus.heard import Heard, Hearing, Told
+from station.bus.notifications import (
+    ASK_FLAGS,
+    enable_notifications,
+    flags_of,
+    is_answer,
+    missing_events,
+    subscribe,
+    taken_away,
+)
 from station.bus.outage import Outages
 from station.bus.sample import Sample
 from station.errors import BusError
 
 log = logging.getLogger(__name__)
 
+Read = tuple[bytes | None, stamp.Stamp | None]  # what a key holds, and its stamp
+
 _RETRY_S = 0.05
+_SHORT_S = 1.0  # a connection that lived no longer is not followed by the next one at once
+_AGAIN_S = 60.0  # the same line is not logged again before
 _POLL_S = 0.002  # where a server refuses notifications: five looks within one period of a 100 Hz writer
 _TIMEOUT_S = 0.25
 _IDLE_S = 1.0  # a line that was silent for so long is probed
 _NOTICED_S = _IDLE_S + _TIMEOUT_S  # a server that is frozen for so long is given up
 _SOON_S = 0.001  # what is here already is taken before a server is given up
 _SLACK_S = 0.15  # a busy machine answers a probe, or asks it, so much later
-NEEDED_EVENTS = "K$gx"
 
 
 class Watch:
@@ -45,7 +57,7 @@ class Watch:
         address: Where the bus is.
         wanted: Keys to watch.
         outages: Account of the process, in which a cut is noted; None for none.
-        probe_s: How often the server is asked for an answer on the line of its messages [s]; `heard` is as old as that.
+        probe_s: How often it is proved that the server tells of every write [s]; `heard` is as old as that.
 
     Attributes:
         is_connected: Whether it hears at present.
@@ -59,10 +71,12 @@ class Watch:
         self._outages = outages
         self._probe_s = probe_s
         self._hearing = Hearing(probe_s + _SLACK_S)
-        self._asked_ns = self._answered_ns = self._read_ns = self._newest_ns = 0
+        self._told = Told[Read]()
+        self._asked_ns = self._answered_ns = self._newest_ns = self._began_ns = 0
         self._cut_ns: int | None = None  # since when we hear nothing
-        self._last_error = ""
+        self._last_error, self._logged_s = "", -math.inf
         self._keys = tuple(dict.fromkeys(wanted))
+        self._look_request = pack(*ASK_FLAGS) + _read_request(self._keys)
         self._prefix = f"__keyspace@{address.db}__:"
         self._slots: dict[str, Sample] = {}
         self._newest_mark: dict[str, stamp.Stamp | None] = {}
@@ -126,12 +140,14 @@ class Watch:
                 self._follow()
             except BusError as error:
                 was_connected, self.is_connected = self.is_connected, False
-                if str(error) != self._last_error and not self._closed.is_set():
-                    self._last_error = str(error)
-                    log.warning("watch: %s", error)
+                now_s, text = time.monotonic(), str(error)
+                if not self._closed.is_set() and (text != self._last_error or now_s - self._logged_s > _AGAIN_S):
+                    self._last_error, self._logged_s = text, now_s
+                    log.warning("watch: %s", text)
                 if was_connected:
                     self._cut_ns = self._cut_ns or time.monotonic_ns()
-                    continue  # where only the connection was cut, the next one works at once
+                    if now_s - self._began_ns * 1e-9 > _SHORT_S:
+                        continue  # where only the connection was cut, the next one works at once
                 self._closed.wait(_RETRY_S)
 
     def _follow(self) -> None:
@@ -151,9 +167,7 @@ class Watch:
 
     def _listen(self, events: Connection, reader: Connection) -> None:
         channels = [self._prefix + name for key in self._keys for name in (key, keys.stamp(key))]
-        events.send("SUBSCRIBE", *channels)
-        for _ in channels:
-            _check_subscribed(events)
+        subscribe(events, channels, _TIMEOUT_S)
         self._fill_at_start(reader)
         self._asked_ns = self._answered_ns = self._newest_ns = time.monotonic_ns()
         while not self._closed.is_set():
@@ -166,6 +180,7 @@ class Watch:
                 message = events.buffered()
             self._take(reader, touched)
             if self._answered_ns != answered_ns:
+                self._expect_told()
                 self._hearing.prove(self._asked_ns, self._answered_ns)
 
     def _next(self, events: Connection, reader: Connection) -> Any:
@@ -177,27 +192,45 @@ class Watch:
         now_ns = time.monotonic_ns()
         is_owed = self._answered_ns < self._asked_ns
         if not is_owed and now_ns - self._asked_ns >= self._probe_s * 1e9:
-            events.send("PING")
             self._asked_ns, is_owed = now_ns, True
-        if now_ns - self._read_ns >= _IDLE_S * 1e9:
-            self._cut_ns = self._newest_ns
-            reader.call("PING")
-            self._cut_ns, self._read_ns = None, time.monotonic_ns()
+            self._look(reader)
+            events.send("PING")
         wait_s = _NOTICED_S - self._probe_s if is_owed else self._probe_s
         end_ns = self._asked_ns + round(wait_s * 1e9)
         try:
-            return events.receive(max((end_ns - now_ns) * 1e-9, _SOON_S))
+            return events.receive(max((end_ns - time.monotonic_ns()) * 1e-9, _SOON_S))
         except TimeoutError:
             if is_owed and time.monotonic_ns() >= end_ns:
                 self._cut_ns = self._newest_ns
                 raise ConnectionLost(f"bus {events.address}: no answer in time where writes are told of") from None
             return None
 
+    def _look(self, reader: Connection) -> None:
+        """Read everything unasked, before a question is put on the other line; expect that writes are to be told."""
+        self._cut_ns = self._newest_ns
+        reader.set_timeout(_NOTICED_S - self._probe_s)
+        flags, values = reader.send_packed(self._look_request, 2)
+        reader.set_timeout(_TIMEOUT_S)
+        if missing_events(flags := flags_of(flags)):
+            self._cut_ns = self._hearing.span.until_ns
+            raise ConnectionLost(f"bus {self._address}: {taken_away(flags)}")
+        self._told.look(self._decoded(self._keys, values))
+        self._cut_ns = None
+
+    def _expect_told(self) -> None:
+        """Expect that all was told which `_look` has read, once the question after it is answered."""
+        if key := self._told.untold():
+            self._cut_ns = self._hearing.span.until_ns
+            raise ConnectionLost(
+                f"bus {self._address}: {key} changed and no write was told of: some client switched notifications off "
+                "for a moment, or flushed the bus"
+            )
+
     def _note(self, message: Any, touched: Counter[str]) -> None:
         """Take note of a message: that a key was written, or the answer to a probe."""
         if isinstance(message, list) and message[0] == b"message":
             touched[message[1].decode("utf-8", "surrogateescape")[len(self._prefix) :]] += 1
-        elif isinstance(message, list) and message[0] == b"pong":
+        elif self._answered_ns < self._asked_ns and is_answer(message):
             self._answered_ns = time.monotonic_ns()
         else:
             raise ConnectionLost(f"bus {self._address}: {message!r} came where writes are told of")
@@ -221,9 +254,9 @@ class Watch:
                 if value is not None and (known is None or (known.value, known.stamp) != (value, mark)):
                     self._slots[key] = Sample(key, value, mark, None)
         if self._cut_ns is not None and self._outages is not None:
-            self._outages.note("watch-back", self._cut_ns)
-        self._cut_ns, self._last_error = None, ""
-        self._hearing.begin(time.monotonic_ns())
+            self._outages.note("watch-back", self._cut_ns, reason=self._last_error)
+        self._cut_ns, self._began_ns = None, time.monotonic_ns()
+        self._hearing.begin(self._began_ns)
         self.connections += 1
         self.is_connected = True
         self._armed.set()
@@ -248,42 +281,19 @@ class Watch:
             self._slots[key] = Sample(key, value, None, now_ns)
         self._newest_mark[key] = mark
 
-    def _fetch(self, reader: Connection, wanted: Sequence[str]) -> dict[str, tuple[bytes | None, stamp.Stamp | None]]:
+    def _fetch(self, reader: Connection, wanted: Sequence[str]) -> dict[str, Read]:
         if not wanted:
             return {}
-        names = [name for key in wanted for name in (key, keys.stamp(key))]
-        values = reader.send_packed(pack("MGET", *names))[0]
+        values = self._decoded(wanted, reader.send_packed(_read_request(wanted))[0])
+        self._told.note(values)
+        return values
+
+    def _decoded(self, wanted: Sequence[str], values: Any) -> dict[str, Read]:
         if isinstance(values, Exception):
             raise BusError(f"bus {self._address}: {values}")
-        self._read_ns = time.monotonic_ns()
         marks = (stamp.decode(mark) if mark else None for mark in values[1::2])
         return dict(zip(wanted, zip(values[::2], marks, strict=True), strict=True))
 
 
-def _check_subscribed(events: Connection) -> None:
-    """Take the answer to one subscription.
-
-    Raises:
-        BusError: it was refused, or did not come: a watch that goes on would hear nothing for ever.
-    """
-    try:
-        answer = events.receive(_TIMEOUT_S)
-    except TimeoutError as error:
-        raise ConnectionLost(f"bus {events.address}: no answer to a subscription in time") from error
-    if isinstance(answer, Exception):
-        raise BusError(f"bus {events.address} refuses subscriptions: {answer}")
-
-
-def enable_notifications(connection: Connection) -> bool:
-    """Switch on the keyspace events that a watch needs, beside those that others asked for; False when refused."""
-    try:
-        present = connection.call("CONFIG", "GET", "notify-keyspace-events")[1].decode()
-        missing = [flag for flag in NEEDED_EVENTS if flag not in present and not ("A" in present and flag != "K")]
-        if missing:
-            connection.call("CONFIG", "SET", "notify-keyspace-events", present + "".join(missing))
-    except BusError as error:
-        if connection.fileno() < 0:
-            raise
-        log.warning("bus %s refuses keyspace notifications: %s", connection.address, error)
-        return False
-    return True
+def _read_request(wanted: Sequence[str]) -> bytes:
+    return pack("MGET", *(name for key in wanted for name in (key, keys.stamp(key))))

@@ -12,7 +12,7 @@ import msgspec
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
-from station.bus.watch import enable_notifications
+from station.bus.notifications import enable_notifications
 from station.errors import BusError
 
 _WINDOW_S = 3.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from station.bus.heard import Heard, Hearing
+from station.bus.heard import Heard, Hearing, Told
 
 GAP_S, PROBE_S = 0.2, 0.05
 
@@ -46,3 +46,43 @@ def test_no_span_reaches_over_a_server_that_was_frozen_for_longer_than_the_gap(
         assert hearing.span.until_ns == round(asked_s * 1e9)
         if frozen_s > GAP_S:
             assert hearing.span.since_ns == round(answered_s * 1e9)
+
+
+def test_a_key_that_is_read_unasked_and_differs_was_not_told_of_unless_it_is_read_again_before_the_answer() -> None:
+    told = Told[int]()
+    told.note({"a": 1, "b": 1})
+    told.look({"a": 1, "b": 1})
+    assert not told.untold()
+    told.look({"a": 2, "b": 3})
+    told.note({"a": 4})
+    assert told.untold() == "b"
+    told.note({"b": 3})
+    assert not told.untold()
+
+
+def write_or_hear(steps: list[str]) -> str:
+    """Play a server that tells of every write, as late as it likes but before an answer; return what is untold."""
+    told, value, pending, asked = Told[int](), 0, False, False
+    told.note({"k": value})
+    for step in steps:
+        if step == "write":
+            value, pending = value + 1, True
+        elif step == "hear" and pending:
+            pending = False
+            told.note({"k": value})
+        elif step == "look" and not asked:
+            asked = True
+            told.look({"k": value})
+        elif step == "answer" and asked:
+            asked = False
+            if pending:
+                pending = False
+                told.note({"k": value})
+            if key := told.untold():
+                return key
+    return ""
+
+
+@given(st.lists(st.sampled_from(["write", "hear", "look", "answer"]), max_size=60))
+def test_a_write_that_is_told_of_a_moment_later_is_never_taken_for_one_that_is_not(steps: list[str]) -> None:
+    assert not write_or_hear(steps)

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 from station.bus import keys
 from station.bus.address import BusAddress
-from station.bus.connection import Connection, ConnectionLost
+from station.bus.connection import ConnectionLost, pack
+from station.bus.notifications import ASK_FLAGS, flags_of, missing_events, switch_on, taken_away
 from station.bus.tap.base import (
     MOST_KEYS,
     PROBE,
@@ -24,13 +25,11 @@ from station.bus.tap.base import (
     key_name,
     write_probe,
 )
-from station.errors import BusError
 
 log = logging.getLogger(__name__)
 
-NEEDED_EVENTS = "K$gx"  # keyspace channels; strings; generic (del, rename); expired
 _ARM_TIMEOUT_S = 2.0
-_IDLE_CHECK_S = 2.0  # a silent link is questioned this often, so that a frozen server is noticed
+_IDLE_CHECK_S = 2.0  # the server is questioned this often, so that one is noticed that is frozen, or tells nothing
 _NO_CHANGE = frozenset((b"expire", b"persist"))
 _REMOVED = frozenset((b"del", b"expired", b"evicted", b"rename_from", b"move_from"))
 
@@ -109,7 +108,7 @@ class NotificationTap:
         self._values.close()
 
     def _arm(self) -> None:
-        refusal = _enable(self._values)
+        refusal = switch_on(self._values)  # no failure yet: somebody else may have, and the probe will tell
         self._subscribe()
         token = write_probe(self._values)
         deadline = time.monotonic() + _ARM_TIMEOUT_S
@@ -131,20 +130,30 @@ class NotificationTap:
 
     def _wait_for_events(self, timeout_s: float) -> list[tuple[bytes, bytes]]:
         """Return (key, what happened) for everything that has come; waits for the first."""
+        if time.monotonic() - self._checked_at > _IDLE_CHECK_S:
+            self._checked_at = time.monotonic()
+            self._check()
         try:
             message = self._events.receive(min(timeout_s, _IDLE_CHECK_S))
         except TimeoutError:
-            if time.monotonic() - self._checked_at > _IDLE_CHECK_S:
-                self._checked_at = time.monotonic()
-                self._values.call("PING")  # raises when the server is frozen or gone
             return []
-        self._checked_at = time.monotonic()
         events = []
         while message is not False:
             if message[0] == b"pmessage":
                 events.append((message[2][len(self._prefix) :], message[3]))
             message = self._events.buffered()
         return events
+
+    def _check(self) -> None:
+        """Expect that the server answers, and that it still tells of writes, where we may ask what it does.
+
+        Raises:
+            ConnectionLost: it is frozen or gone, or some client switched notifications off for all.
+        """
+        answer = self._values.send_packed(pack(*ASK_FLAGS))[0]
+        if isinstance(answer, list) and answer and missing_events(flags := flags_of(answer)):
+            self.close()
+            raise ConnectionLost(f"bus {self._address}: {taken_away(flags)}")
 
     def _take(self, events: list[tuple[bytes, bytes]]) -> list[Write]:
         events = [(key, what) for key, what in events if what not in _NO_CHANGE and key != PROBE]
@@ -217,20 +226,3 @@ class NotificationTap:
 def _owner(key: bytes) -> bytes:
     """Return the key to look at: a stamp stands for the key that it belongs to."""
     return key[:-1] if key.endswith(b"@") else key
-
-
-def _enable(connection: Connection) -> str | None:
-    """Switch on the events that we need beside those that others asked for; returns why not, if not.
-
-    Not being allowed to is no failure yet: somebody else may have switched them on, and the probe will tell.
-    """
-    try:
-        present = connection.call("CONFIG", "GET", "notify-keyspace-events")[1].decode()
-        missing = [flag for flag in NEEDED_EVENTS if flag not in present and not ("A" in present and flag != "K")]
-        if missing:
-            connection.call("CONFIG", "SET", "notify-keyspace-events", present + "".join(missing))
-    except ConnectionLost:
-        raise
-    except (BusError, IndexError) as error:
-        return str(error)
-    return None

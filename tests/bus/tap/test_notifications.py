@@ -152,6 +152,33 @@ def test_killed_or_frozen_server_is_an_error(
         os.kill(server.pid, signal.SIGKILL)
 
 
+def test_who_switches_notifications_off_for_all_is_an_error_and_the_next_tap_switches_them_on(
+    bus_server: BusAddress, writer: Connection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(notifications, "_IDLE_CHECK_S", 0.1)
+    tap = NotificationTap(bus_server)
+    writer.call("CONFIG", "SET", "notify-keyspace-events", "Ex")
+    with pytest.raises(BusError, match=r"set notify-keyspace-events to 'xE'.* keep K[$]gx"):
+        read_until_lost(tap)
+    tap.close()
+    tap = NotificationTap(bus_server)
+    writer.call("SET", "a", "1")
+    assert [write[:3] for write in read(tap, 1)] == [("a", b"1", None)]
+    tap.close()
+
+
+def test_who_may_not_ask_what_the_server_tells_is_told_all_the_same(
+    bus_server: BusAddress, writer: Connection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(notifications, "_IDLE_CHECK_S", 0.05)
+    writer.call("ACL", "SETUSER", "default", "-config")
+    tap = NotificationTap(bus_server)
+    assert tap.read(0.3) == []
+    writer.call("SET", "a", "1")
+    assert [write[:3] for write in read(tap, 1)] == [("a", b"1", None)]
+    tap.close()
+
+
 def test_read_waits_no_longer_than_it_was_told(tap: NotificationTap) -> None:
     started = time.monotonic()
     assert tap.read(0.2) == []
