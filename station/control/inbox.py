@@ -8,10 +8,12 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
+from station.bus.heard import Heard
 from station.bus.outage import Outages
 from station.bus.sample import Sample
 from station.bus.watch import Watch
@@ -23,14 +25,44 @@ from station.life.rivals import FOREIGN
 _SOON_S = 0.25  # a message that has begun to come is whole within this
 _PROBE_S = 0.05  # who waits for a silence waits this much longer; a probe takes 0.1 ms
 _MOST = 16  # writers between two looks; a stranger may invent names
+_AHEAD = 2  # writes that were read before they were told of, at most: each is told of within a round trip
+_MOST_WRITES = 4096  # between two looks: eight seconds of two who write at 250 Hz; more are forgotten
+
+
+class Arrival(NamedTuple):
+    """That somebody wrote.
+
+    Attributes:
+        writer: Who.
+        at_ns: When it came, on the monotonic clock [ns].
+        is_clear: Whether the value that was found is known to be his; else that he lives is all that is known.
+    """
+
+    writer: str
+    at_ns: int
+    is_clear: bool
+
+
+class Taken(NamedTuple):
+    """What came since the last look.
+
+    Attributes:
+        heard: From when to when no write has escaped us; all that was written until then is in here, or was before.
+        arrivals: Who wrote when, in order.
+        newest: The newest value of each whose values are known.
+    """
+
+    heard: Heard
+    arrivals: list[Arrival]
+    newest: dict[str, Sample]
 
 
 class CommandWatch(Watch):
-    """A watch that keeps, for one key, the newest value of each of its writers: a slot holds only the last one's.
+    """A watch that keeps, for one key, who wrote when, and the newest value of each: a slot holds only the last one's.
 
     A foreign write between a native one and our reading of it shows the foreign value beside the native stamp. So it
     looks again for word of writes once it has read, and a value that both kinds of writers may have written is
-    nobody's; who wrote it writes again.
+    nobody's; who wrote it writes again, and both are known to live.
 
     Args:
         address: Where the bus is.
@@ -46,16 +78,23 @@ class CommandWatch(Watch):
     def __init__(self, address: BusAddress, wanted: Sequence[str], *, key: str, outages: Outages | None = None) -> None:
         self._shared_key = key
         self._by_writer: dict[str, Sample] = {}
+        self._arrivals: list[Arrival] = []
+        self._numbers: dict[str, int] = {}  # of each native writer's newest write that was read
+        self._ahead = 0
         self._is_doubtful = False
         self.urgent = threading.Event()
         self.doubtful = 0
         super().__init__(address, wanted, outages=outages, probe_s=_PROBE_S)
 
-    def take(self) -> list[Sample]:
-        """Return the newest value of each writer since the last call, in the order of arrival."""
+    def take(self) -> Taken:
+        """Return the writes since the last call: a loop that stood still finds in them who wrote meanwhile.
+
+        Where they were too many, nothing is known of the time before: what is `heard` begins anew.
+        """
         with self._changed:
-            found, self._by_writer = self._by_writer, {}
-        return list(found.values())
+            taken = Taken(self._hearing.span, self._arrivals, self._by_writer)
+            self._arrivals, self._by_writer = [], {}
+        return taken
 
     def _take(self, reader: Connection, touched: Counter[str]) -> None:
         while touched and not self._closed.is_set():
@@ -69,6 +108,8 @@ class CommandWatch(Watch):
             with self._changed:
                 for key, (value, mark) in values.items():
                     self._put(key, value, mark, now_ns, is_foreign=touched[key] > touched[keys.stamp(key)])
+                if self._shared_key in values:
+                    self._note_overwritten(values[self._shared_key][1], touched[keys.stamp(self._shared_key)], now_ns)
                 self._changed.notify_all()
             touched = later
 
@@ -87,7 +128,7 @@ class CommandWatch(Watch):
         return told
 
     def _put(self, key: str, value: bytes | None, mark: stamp.Stamp | None, now_ns: int, *, is_foreign: bool) -> None:
-        before = self._slots.get(key)
+        before, mark_before = self._slots.get(key), self._newest_mark.get(key)
         super()._put(key, value, mark, now_ns, is_foreign=is_foreign)
         sample = self._slots.get(key)
         if sample is None or sample is before:
@@ -98,11 +139,40 @@ class CommandWatch(Watch):
             return
         if self._is_doubtful:
             self.doubtful += 1
+            if mark is not None and mark != mark_before:
+                self._arrive(Arrival(mark.source, now_ns, is_clear=False))
+            self._arrive(Arrival(FOREIGN, now_ns, is_clear=False))
             return
         writer = writer_of(sample)
         self._by_writer.pop(writer, None)
         if len(self._by_writer) < _MOST:
             self._by_writer[writer] = sample
+            self._arrive(Arrival(writer, now_ns, is_clear=True))
+
+    def _note_overwritten(self, mark: stamp.Stamp | None, told: int, now_ns: int) -> None:
+        """Take as alive whose write may have been overwritten before we read it.
+
+        Of the native writes that we were told of, as many are of him whose is read as his numbers say. Where they are
+        fewer, somebody else wrote too: of two who answer to the same state, one is always overwritten at once.
+        """
+        own = 0
+        if mark is not None:
+            own = max(0, mark.seq - self._numbers.pop(mark.source, mark.seq - 1))
+            self._numbers[mark.source] = mark.seq
+            if len(self._numbers) > _MOST:
+                del self._numbers[next(iter(self._numbers))]
+        left = self._ahead + own - told
+        self._ahead = min(max(left, 0), _AHEAD)
+        if left < 0:
+            for name in self._numbers:
+                if mark is None or name != mark.source:
+                    self._arrive(Arrival(name, now_ns, is_clear=False))
+
+    def _arrive(self, arrival: Arrival) -> None:
+        if len(self._arrivals) >= _MOST_WRITES:
+            self._arrivals.clear()
+            self._hearing.begin(arrival.at_ns)
+        self._arrivals.append(arrival)
 
 
 class Inbox:
@@ -137,14 +207,17 @@ class Inbox:
 
     def has_come(self, now_s: float | None = None) -> bool:
         """Take up what came since the last call; return whether something did from who is obeyed."""
-        self.heard_s = self._heard_s(now_s)  # before the slots are looked at: what comes later is of later
-        before, newest = self._command, self._watch.latest(self._key)
-        for sample in self._watch.take():
-            at_s = now_s if now_s is not None else (sample.arrived_ns or 0) * 1e-9
-            if self.writers.hear(writer_of(sample), at_s, self.heard_s):
-                self._command = _command(sample, now_s)
-            else:
+        before, newest, taken = self._command, self._watch.latest(self._key), self._watch.take()
+        self.heard_s = _seconds(taken.heard, now_s)
+        for writer, at_ns, is_clear in taken.arrivals:
+            at_s = now_s if now_s is not None else at_ns * 1e-9
+            if not is_clear:
+                self.writers.alive(writer, at_s)
+            elif not self.writers.hear(writer, at_s, self.heard_s):
                 self._refused += 1
+        self.writers.know(self.heard_s)
+        if self.writers.obeyed in taken.newest:
+            self._command = _command(taken.newest[self.writers.obeyed], now_s)
         doubtful = self._watch.doubtful
         self._refused, self._doubtful = self._refused + doubtful - self._doubtful, doubtful
         if newest is not None and newest is not self.seen:
@@ -159,10 +232,11 @@ class Inbox:
         refused, self._refused = self._refused, 0
         return refused
 
-    def _heard_s(self, now_s: float | None) -> tuple[float, float]:
-        ahead_s = 0.0 if now_s is None else now_s - time.monotonic()
-        heard = self._watch.heard
-        return heard.since_ns * 1e-9 + ahead_s, heard.until_ns * 1e-9 + ahead_s
+
+def _seconds(heard: Heard, now_s: float | None) -> tuple[float, float]:
+    """Return a span on the gate's clock [s]."""
+    ahead_s = 0.0 if now_s is None else now_s - time.monotonic()
+    return heard.since_ns * 1e-9 + ahead_s, heard.until_ns * 1e-9 + ahead_s
 
 
 def writer_of(sample: Sample) -> str:

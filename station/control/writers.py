@@ -1,8 +1,9 @@
 """Which of several writers of a key is obeyed, so that no robot follows two operators in turn. Pure; its time is given.
 
 The first is obeyed. Another is refused until the first has been silent for a while; with ``newest`` whoever begins to
-write is obeyed at once. A robot's server that stood still itself has heard no silence. Either way the change is a
-handover, and the gate enters the new one's commands with its blend.
+write is obeyed at once. A robot's server that stood still itself has heard no silence; one that was heard stays proven
+until he who was silent writes. Either way the change is a handover, and the gate enters the new one's commands with its
+blend.
 """
 
 from __future__ import annotations
@@ -53,6 +54,8 @@ class Writers:
         self._rule, self._silent_after_s = rule, silent_after_s
         self._rivals = Rivals(_APART_S)
         self._heard: dict[str, float] = {}  # newest write, in the order of writes
+        self._silent: set[str] = set()  # of them, who was silent for long enough and has not written since
+        self._is_unknown = False  # whether the bus stood still since the obeyed one, who may be silent, wrote last
         self._news: list[News] = []
         self._competing: tuple[str, ...] = ()
         self._told_s: float | None = None
@@ -67,19 +70,34 @@ class Writers:
             now_s: When it came.
             known_s: From when to when no write has escaped us: only in it has anybody been silent who was not heard.
         """
-        before_s, obeyed_s = self._heard.pop(writer, None), self._heard.get(self.obeyed)
+        self.know((known_s[0], min(now_s, known_s[1])))
+        begins = writer not in self._heard or writer in self._silent
         self._remember(writer, now_s)
         if writer != self.obeyed:
-            begins_s, until_s = known_s[0], min(now_s, known_s[1])
-            begins = before_s is None or until_s - max(before_s, begins_s) > self._silent_after_s
-            if obeyed_s is None or until_s - max(obeyed_s, begins_s) > self._silent_after_s:
+            if self.obeyed not in self._heard or self.obeyed in self._silent:
                 self._hand_over(writer, f"{spoken(self.obeyed)} has been silent" if self.obeyed else "")
             elif self._rule == "newest" and begins:
                 self._hand_over(writer, "it began to write last")
+        obeyed_s = self._heard[self.obeyed]
+        self._is_unknown = known_s[0] > obeyed_s and now_s - obeyed_s > self._silent_after_s
         self._note_rivals(writer, now_s)
         is_obeyed = writer == self.obeyed
         self._refused += not is_obeyed
         return is_obeyed
+
+    def alive(self, writer: str, now_s: float) -> None:
+        """Take note that somebody wrote of whose write nothing else is known; a stranger stays one."""
+        if writer in self._heard:
+            self._heard[writer] = now_s
+            if writer == self.obeyed:  # with others, their first write that is known begins
+                self._silent.discard(writer)
+
+    def know(self, known_s: tuple[float, float]) -> None:
+        """Take note of who has been silent in a span of which all writes have been told to us."""
+        since_s, until_s = known_s
+        for writer, at_s in self._heard.items():
+            if until_s - max(at_s, since_s) > self._silent_after_s:
+                self._silent.add(writer)
 
     def take_news(self, now_s: float) -> tuple[News, ...]:
         """Return what is to be told, once."""
@@ -95,12 +113,18 @@ class Writers:
         """Why a write is refused."""
         if not self.obeyed:
             return "two write, and which of them wrote it cannot be told"
+        if self._is_unknown:
+            return f"the bus stands still too often to know whether {spoken(self.obeyed)} is silent"
         return f"{spoken(self.obeyed)} is obeyed until it has been silent for {self._silent_after_s * 1e3:.0f} ms"
 
     def _remember(self, writer: str, now_s: float) -> None:
+        self._heard.pop(writer, None)
         self._heard[writer] = now_s
+        self._silent.discard(writer)
         if len(self._heard) > _MOST:
-            del self._heard[next(name for name in self._heard if name != self.obeyed)]
+            oldest = next(name for name in self._heard if name != self.obeyed)
+            del self._heard[oldest]
+            self._silent.discard(oldest)
 
     def _hand_over(self, writer: str, reason: str) -> None:
         if self.obeyed:

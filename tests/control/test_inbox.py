@@ -12,10 +12,11 @@ from station.bus import keys, stamp
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
 from station.control.inbox import CommandWatch, Inbox
-from station.control.writers import Writers
-from tests.waiting import wait_until
+from station.control.writers import Rule, Writers
+from tests.waiting import DEADLINE_S, wait_until
 
 KEY = "command"
+LONGER_S = 0.4  # than a writer may be silent
 
 
 @pytest.fixture
@@ -31,9 +32,9 @@ def line(bus_server: BusAddress) -> Iterator[Connection]:
     connection.close()
 
 
-def write_both_at_once(line: Connection) -> None:
+def write_both_at_once(line: Connection, seq: int = 1) -> None:
     """A foreign write and a native one, with nothing in between: who wrote the value that is found cannot be told."""
-    mark = stamp.Stamp(1, 1, 1, "teleop.1.b.n").encode()
+    mark = stamp.Stamp(seq, 1, 1, "teleop.1.b.n").encode()
     line.pipeline([["MULTI"], ["SET", KEY, b"foreign"], ["MSET", KEY, b"native", keys.stamp(KEY), mark], ["EXEC"]])
 
 
@@ -51,6 +52,109 @@ def test_a_write_whose_writer_cannot_be_told_is_left_out_and_counts_as_refused(
     line.call("SET", KEY, b"foreign")
     wait_until(lambda: (command := inbox.newest()) is not None and command.value == b"foreign")
     assert inbox.take_refused() == 0
+
+
+def write(line: Connection, name: str, seq: int) -> None:
+    """A native write."""
+    line.call(*native(name, seq))
+
+
+def native(name: str, seq: int) -> list[str | bytes]:
+    return ["MSET", KEY, f"{name} {seq}", keys.stamp(KEY), stamp.Stamp(seq, 1, 1, f"{name}.1.b.n").encode()]
+
+
+def wait_for(watch: CommandWatch, value: str) -> None:
+    wait_until(lambda: (found := watch.latest(KEY)) is not None and found.value == value.encode())
+
+
+def wait_until_heard(watch: CommandWatch, since_ns: int) -> None:
+    wait_until(lambda: watch.heard.until_ns > since_ns)
+
+
+@pytest.mark.parametrize("rule", ["keep-first", "newest"])
+def test_a_loop_that_stood_still_hands_over_between_no_two_who_wrote_all_the_time(
+    watch: CommandWatch, line: Connection, rule: Rule
+) -> None:
+    inbox = Inbox(watch, KEY, Writers(rule))
+    obeyed = {"keep-first": "a", "newest": "b"}[rule]
+    for name in "ab":
+        write(line, name, 1)
+        wait_for(watch, f"{name} 1")
+        inbox.newest()
+    assert inbox.writers.obeyed == f"{obeyed}.1.b.n"
+    began_ns, seq = time.monotonic_ns(), 1
+    while time.monotonic_ns() - began_ns < LONGER_S * 1e9:  # the loop looks at nothing
+        seq += 1
+        for name in "ba" if rule == "keep-first" else "ab":
+            write(line, name, seq)
+            wait_for(watch, f"{name} {seq}")
+    wait_until_heard(watch, time.monotonic_ns())
+    command = inbox.newest()
+    assert inbox.writers.obeyed == f"{obeyed}.1.b.n"
+    assert command is not None
+    assert command.value == f"{obeyed} {seq}".encode()
+    assert inbox.take_refused() == seq - (rule == "newest")
+
+
+def test_of_more_writes_than_it_can_keep_nothing_is_known(
+    watch: CommandWatch, line: Connection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("station.control.inbox._MOST_WRITES", 4)
+    for seq in range(1, 6):
+        before_ns = time.monotonic_ns()
+        write(line, "a", seq)
+        wait_for(watch, f"a {seq}")
+    taken = watch.take()
+    assert [arrival.writer for arrival in taken.arrivals] == ["a.1.b.n"]
+    assert taken.heard.since_ns > before_ns
+
+
+@pytest.mark.parametrize("first", ["ours", "foreign"])
+def test_who_is_obeyed_lives_though_of_none_of_his_writes_it_can_be_told_whether_it_is_his(
+    watch: CommandWatch, line: Connection, first: str
+) -> None:
+    inbox = Inbox(watch, KEY, Writers())
+    writes = [lambda: write(line, "teleop", 1), lambda: line.call("SET", KEY, b"foreign")]
+    if first == "foreign":
+        writes.reverse()
+    writes[0]()
+    wait_until(lambda: inbox.newest() is not None)
+    obeyed, began_ns, count = inbox.writers.obeyed, time.monotonic_ns(), 0
+    while watch.heard.until_ns - began_ns < LONGER_S * 1e9:
+        count += 1
+        write_both_at_once(line, count + 1)
+        wait_until(lambda count=count: watch.doubtful == count)  # type: ignore[misc]
+        inbox.newest()
+    before = watch.latest(KEY)
+    writes[1]()
+    wait_until(lambda: watch.latest(KEY) is not before)
+    inbox.newest()
+    assert inbox.writers.obeyed == obeyed
+
+
+def test_who_is_overwritten_each_time_before_he_can_be_read_is_not_silent(
+    watch: CommandWatch, line: Connection
+) -> None:
+    """Two commanders answer to the same state, the second always at once after the first."""
+    inbox = Inbox(watch, KEY, Writers())
+    write(line, "a", 1)
+    wait_until(lambda: inbox.newest() is not None)
+    began_ns, seq = time.monotonic_ns(), 1
+    while watch.heard.until_ns - began_ns < LONGER_S * 1e9:
+        seq += 1
+        line.pipeline([native("a", seq), native("b", seq)])
+        wait_for(watch, f"b {seq}")
+        inbox.newest()
+    assert inbox.writers.obeyed == "a.1.b.n"
+    began_s = time.monotonic()
+    while inbox.writers.obeyed != "b.1.b.n":
+        assert time.monotonic() - began_s < DEADLINE_S, (
+            "the first is silent; b's numbers account for all that is told of"
+        )
+        seq += 1
+        line.pipeline([native("b", seq)] if seq % 2 else [native("b", seq), native("b", seq := seq + 1)])
+        wait_for(watch, f"b {seq}")
+        inbox.newest()
 
 
 def test_what_it_knows_of_is_as_old_as_its_last_look_on_the_clock_of_the_gate(watch: CommandWatch) -> None:

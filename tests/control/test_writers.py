@@ -92,6 +92,60 @@ def test_the_newest_is_obeyed_from_its_first_write_where_that_is_the_rule() -> N
     assert told[1].obeyed == "b"
 
 
+def test_who_begins_right_after_the_bus_stood_still_is_obeyed_where_that_is_the_rule() -> None:
+    writers = Writers("newest")
+    for name, at_s in (("b", 0.0), ("a", 0.5)):
+        writers.hear(name, at_s, (-1.0, at_s))
+    for tick in range(50):
+        writers.hear("a", 0.5 + tick * DT, (-1.0, 0.5 + tick * DT))
+    assert writers.obeyed == "a"
+    assert writers.hear("b", 2.1, (2.0, 2.05)), "it let go before that, and was heard to"
+    assert not writers.hear("a", 2.12, (2.0, 2.05))
+    assert writers.hear("b", 2.14, (2.0, 2.05)), "and a, who has not let go, takes nothing back"
+
+
+def test_a_silence_that_was_heard_is_not_forgotten_when_the_bus_stands_still_afterwards() -> None:
+    for knows in (True, False):
+        writers = Writers()
+        writers.hear("a", 0.0, (-1.0, 0.0))
+        if knows:
+            writers.know((-1.0, 0.4))
+        assert writers.hear("b", 2.1, (2.0, 2.05)) == knows
+    writers = Writers()
+    writers.hear("a", 0.0, (-1.0, 0.0))
+    writers.know((-1.0, 0.4))
+    assert writers.hear("a", 2.0, (1.9, 2.0))
+    assert not writers.hear("b", 2.1, (1.9, 2.1)), "he writes again"
+
+
+def test_who_lives_is_not_silent_though_nothing_else_is_known_of_his_writes() -> None:
+    writers = Writers()
+    writers.hear("a", 0.0)
+    for tick in range(50):
+        writers.alive("a", tick * DT)
+        assert not writers.hear("b", tick * DT)
+    writers = Writers("newest")
+    writers.hear("a", 0.0)
+    writers.alive("b", 0.5)
+    assert writers.hear("b", 0.51), "of a stranger it is nothing, nor of one who let go: his first write begins"
+    for tick in range(50):
+        writers.hear("b", 0.52 + tick * DT)
+    writers.alive("a", 1.6)
+    assert writers.hear("a", 1.61)
+
+
+def test_a_refusal_says_where_a_bus_that_stands_still_keeps_silence_from_being_known() -> None:
+    writers = Writers()
+    for name in "ab":
+        writers.hear(name, 0.0, (-1.0, 0.0))
+    assert writers.refusal == f"{spoken('a')} is obeyed until it has been silent for 300 ms"
+    assert not writers.hear("b", 0.6, (0.5, 0.6))
+    assert writers.refusal == f"the bus stands still too often to know whether {spoken('a')} is silent"
+    writers.hear("a", 0.7, (0.5, 0.7))
+    writers.hear("b", 0.71, (0.5, 0.7))
+    assert writers.refusal == f"{spoken('a')} is obeyed until it has been silent for 300 ms"
+
+
 def test_invented_names_fill_no_memory_and_are_told_once_a_second() -> None:
     writers = Writers()
     story = [(name, tick * 0.001) for tick in range(5000) for name in ("a", f"x{tick}")]

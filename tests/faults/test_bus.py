@@ -213,6 +213,24 @@ def test_a_stop_that_was_pressed_while_the_robot_could_not_hear_is_obeyed_and_a_
         wait_until(lambda: log.gate()["state"] == "tracking")
 
 
+def test_a_stop_is_obeyed_though_somebody_has_switched_off_what_tells_the_robot_of_it(bus_server: BusAddress) -> None:
+    """The usual idiom of who wants to hear of expired keys alone, right before the stop; nothing is written again."""
+    with (
+        logged(bus_server) as log,
+        G1Process(bus_server, *LIGHT),
+        StockCommander(bus_server),
+        Bus(bus_server, name="operator", timeout_s=5.0) as operator,
+    ):
+        wait_until(lambda: log.gate()["state"] == "tracking")
+        operator.call("CONFIG", "SET", "notify-keyspace-events", "Ex")
+        operator.call("SET", keys.ESTOP, b'{"stop": true}')
+        wait_until(lambda: log.gate()["state"] == "stopped")
+        told = log.wait_for("watch-back")
+        assert "some client set notify-keyspace-events to 'xE'" in told.detail["reason"]
+        operator.publish({keys.ESTOP: b'{"stop": false}'})
+        wait_until(lambda: log.gate()["state"] == "tracking")
+
+
 def _unheard(network: Proxy, operator: Bus, log: Log, request: bytes) -> None:
     """Write a request while the robot is cut off, and wait until it is back."""
     told = len(log.events("bus-back"))
