@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from station.bus import client, outage
+from station.bus import client, keys, outage
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import Connection
@@ -24,7 +24,7 @@ from station.bus.watch import Watch
 from station.errors import BusError
 from tests.bus.answering import answering
 from tests.bus.proxy import Proxy
-from tests.faults.bus_station import frozen, pid_of
+from tests.faults.bus_station import frozen, pause, pid_of
 from tests.waiting import wait_until
 
 
@@ -66,13 +66,17 @@ def test_a_writer_that_was_frozen_itself_does_not_blame_the_server(bus_server: B
         "print([found.kind for found in bus.outages.take()])\n"
     )
     command = [sys.executable, "-c", code, bus_server.url]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as writer:
+    with (
+        Bus(bus_server, name="test", timeout_s=5.0) as bus,
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as writer,
+    ):
         assert writer.stdout is not None
         assert writer.stdout.readline() == "up\n"
         for _ in range(4):
             with frozen(writer.pid):
-                time.sleep(0.6)  # longer than a silence that is told of
-            time.sleep(0.02)
+                pause(0.6)  # longer than a silence that is told of
+                before = bus.get(keys.stamp("k"))
+            wait_until(lambda before=before: bus.get(keys.stamp("k")) != before)  # type: ignore[misc]
         out, _ = writer.communicate("", timeout=30)
     assert out == "[]\n"
 

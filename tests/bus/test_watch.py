@@ -183,6 +183,14 @@ def when_it_stands(pid: int) -> int:
     return time.monotonic_ns()
 
 
+def expect_nothing_new(watch: Watch, pid: int) -> int:
+    """Expect that of a server that was stopped nothing is known from then on; return since when [ns]."""
+    frozen_ns = when_it_stands(pid)
+    pause(FROZEN_S)
+    assert watch.heard.until_ns <= frozen_ns
+    return frozen_ns
+
+
 def test_of_an_idle_bus_it_is_known_that_nothing_was_written(probed: Watch) -> None:
     wait_until_heard(probed, 0.5)
     assert probed.heard.until_ns < time.monotonic_ns()
@@ -195,9 +203,7 @@ def test_of_a_frozen_bus_nothing_is_known_and_when_it_is_back_it_begins_anew(
     wait_until_heard(probed, 0.2)
     pid = pid_of(bus_server)
     with frozen(pid):
-        frozen_ns = when_it_stands(pid)
-        pause(FROZEN_S)
-        assert probed.heard.until_ns <= frozen_ns
+        expect_nothing_new(probed, pid)
         thawed_ns = time.monotonic_ns()
     wait_until(lambda: probed.heard.until_ns > thawed_ns)
     assert probed.heard.since_ns >= thawed_ns
@@ -283,8 +289,6 @@ def test_a_bus_that_is_polled_is_known_as_of_the_last_look(bus_server: BusAddres
             wait_until_heard(watch, 0.3)
             pid = pid_of(bus_server)
             with frozen(pid):
-                frozen_ns = when_it_stands(pid)
-                pause(FROZEN_S)
-                assert watch.heard.until_ns <= frozen_ns
+                frozen_ns = expect_nothing_new(watch, pid)
             wait_until(lambda: watch.heard.since_ns > frozen_ns)
             wait_until_heard(watch, 0.3)

@@ -11,6 +11,7 @@ from typing import Literal
 import msgspec
 
 from station.assets import inventory
+from tests.faults.bus_station import pause
 from tests.faults.moving_station import MovingStation
 from tests.faults.onlooker import Step
 from tests.waiting import wait_until
@@ -97,7 +98,7 @@ def _lose_bus(station: MovingStation, trial: Trial, random: Random) -> None:
     trial.away_s = random.uniform(0.05, 4.0)
     before = station.log("g1")
     station.kill_bus()
-    time.sleep(trial.away_s)  # the length of the outage
+    pause(trial.away_s)
     _follow_again(station, trial, station.start_bus)
     trial.falls += "fall " in station.log("g1").removeprefix(before)
 
@@ -105,7 +106,7 @@ def _lose_bus(station: MovingStation, trial: Trial, random: Random) -> None:
 def _lose_robot(station: MovingStation, trial: Trial, random: Random) -> None:
     trial.away_s = random.uniform(0.0, 2.0)
     station.kill("g1")
-    time.sleep(trial.away_s)  # the length of the outage
+    pause(trial.away_s)
     _follow_again(station, trial, lambda: station.start_again("g1"))
 
 

@@ -13,6 +13,7 @@ from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
+from tests.faults.bus_station import pause
 from tests.lateness import TooLate, Waits, in_time
 from tests.servers.g1_station import (
     FORM,
@@ -198,7 +199,7 @@ def take_the_bus_away(options: ServerOptions) -> None:
                 waits = Waits()
                 tick, at_s = codec.parse_json_vector(log.last(keys.policy_timing(ROBOT)))[0], time.monotonic()
                 first.stop()
-            time.sleep(1.0)  # the length of the outage
+            pause(1.0)
             with RedisServer.start(options) as second, logged(second.address) as log:
                 wait_until(lambda: log.events("bus-back"))
                 later = codec.parse_json_vector(log.last(keys.policy_timing(ROBOT)))[0]

@@ -18,14 +18,14 @@ from station.episode.storage.claim import Claim, is_claimed
 from station.errors import EpisodeError, Refused
 
 HOLD = """
-import sys, time
+import signal, sys
 from pathlib import Path
 from station.bus.address import parse
 from station.bus.client import Bus
 from station.episode.storage.claim import Claim
 claim = Claim(Path(sys.argv[1]), Bus(parse(sys.argv[2]), name="first", timeout_s=5.0))
 print("held", flush=True)
-time.sleep(60)
+signal.pause()
 """
 
 
