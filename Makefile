@@ -2,17 +2,35 @@
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
-JOBS   ?= 2
+JOBS   ?= 6# processes that run tests: on two cores, since most of them wait for a station most of the time
 
 KORD_SOURCES := $(shell find bridges/kord -type f -not -name '*.pyc' -not -path '*/build/*' 2>/dev/null)
 
-.PHONY: demo test check format bench soak kord clean
+.PHONY: help demo test quick prove hunt mutants check format bench soak kord clean
+
+help:   ## this list
+	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
 
 demo: $(VENV)/.installed   ## run the main job once and print the report
 	@$(BIN)/station demo
 
-test: $(VENV)/.installed-test $(VENV)/.installed-kord   ## the whole test suite
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadscope
+PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist loadscope
+
+test: $(VENV)/.installed-test $(VENV)/.installed-kord   ## the test suite, without proofs
+	@$(PYTEST) -m "not proof" --changed-builds
+
+quick: $(VENV)/.installed-test   ## only the tests that start no process
+	@$(PYTEST) -m unit
+
+prove: $(VENV)/.installed-test $(VENV)/.installed-kord   ## promises in milliseconds, on a quiet machine; writes their figures into docs/
+	@$(BIN)/python -m pytest -m proof --write-figures
+
+N ?= 20
+hunt: $(VENV)/.installed-test $(VENV)/.installed-kord   ## station tests N times on a loaded machine; lists what fails
+	@$(BIN)/python -m tests.hunt --runs $(N)
+
+mutants: $(VENV)/.installed-test $(VENV)/.installed-kord   ## small wrong patches of the product, each of which a test must notice
+	@$(BIN)/python -m tests.mutants
 
 check: $(VENV)/.installed-test   ## formatting, lint, types
 	$(BIN)/ruff format --check .
@@ -32,7 +50,7 @@ soak: $(VENV)/.installed-test   ## break a whole station for an hour, under load
 
 kord: $(VENV)/.installed-kord   ## the bridge to a Kassow controller, with a simulated one; needs a C++ compiler
 
-clean:
+clean:   ## remove the environment and caches
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache
 
 $(VENV)/bin/python:

@@ -1,7 +1,8 @@
-"""What every test may ask for: upstream data, and a real server of its own."""
+"""What every test may ask for: upstream data, a real bus, real processes; and how a run reports itself."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 from collections.abc import Iterator
@@ -12,16 +13,57 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from station.bus.address import BusAddress
-from tests.lateness import EXCUSED
+from tests import leftovers, progress, tiers
+from tests.figures import Figures
+from tests.shared_bus import SharedBus
+from tests.warm.starts import WarmStarts
+
+NO_UPSTREAM_DATA = "STATION_ASSETS does not name a folder with upstream data"
+
+_warm = pytest.StashKey[WarmStarts]()
 
 
-def pytest_configure() -> None:
-    """Hear Ctrl-C, so that every child does: a shell's background job, and all that it starts, would ignore it."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--changed-builds", action="store_true", help="build tier: only if its sources or compiler changed"
+    )
+    parser.addoption("--write-figures", action="store_true", help="proof tier: write its figures into docs/")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Obey Ctrl-C, so that every child does: a shell's background job, and all that it starts, would ignore it."""
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     # How long an example takes is the machine's business.
     settings.register_profile("patient", settings(), deadline=None, suppress_health_check=[HealthCheck.too_slow])
     settings.load_profile("patient")
+    config.pluginmanager.register(progress.Progress(config), "station-progress")
+    if not progress.distributes(config):
+        starts = config.stash[_warm] = WarmStarts()
+        starts.install()
+        tiers.watch()
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    if (starts := config.stash.get(_warm, None)) is not None:
+        starts.uninstall()
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m selects
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    tiers.mark(items)
+    if config.getoption("--changed-builds") and not os.environ.get("CI") and tiers.is_built(config):
+        unchanged = pytest.mark.skip(reason="build tier: neither sources nor compiler changed since it was green")
+        for item in items:
+            if item.get_closest_marker("build"):
+                item.add_marker(unchanged)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Hold each test to its tier, its fixtures too."""
+    with tiers.held_to(item):
+        return (yield)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -30,12 +72,13 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         _upstream_data()
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Say where a round was repeated because the machine was proven late, see tests/lateness.py."""
-    for report in terminalreporter.getreports("passed"):
-        for line in report.caplog.splitlines():
-            if EXCUSED in line:
-                terminalreporter.write_line(f"{report.nodeid}: {line}")
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
+    """Add to the report of a failure what the processes of the test said, and what is on its bus."""
+    report: Any = yield
+    if report.failed:
+        report.sections.extend(leftovers.evidence(item))
+    return report
 
 
 @pytest.fixture(scope="session")
@@ -49,10 +92,9 @@ def _upstream_data() -> Path:
     value = os.environ.get("STATION_ASSETS")
     if value and Path(value).is_dir():
         return Path(value)
-    message = "STATION_ASSETS does not name a folder with upstream data"
     if os.environ.get("CI"):
-        pytest.fail(message)
-    pytest.skip(message)
+        pytest.fail(NO_UPSTREAM_DATA)
+    pytest.skip(NO_UPSTREAM_DATA)
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -75,23 +117,33 @@ def _own_runtime_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: p
 
 
 @pytest.fixture(autouse=True)
-def _ordinary_scheduling() -> Iterator[None]:
-    """See that no test leaves real-time scheduling to those after it: their children would starve everybody else."""
-    yield
-    if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK != os.SCHED_OTHER:
-        found = f"policy {os.sched_getscheduler(0)}, priority {os.sched_getparam(0).sched_priority}"
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-        pytest.fail(f"the test leaves its process with real-time scheduling ({found})")
+def _leaves_nothing(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Fail the test that leaves processes, files in the checkout, or real-time scheduling to those after it."""
+    with leftovers.none_left(request.node):
+        yield
+
+
+@pytest.fixture(scope="session")
+def processes() -> None:
+    """Real processes: a test that uses this belongs to the tier `station`."""
+
+
+@pytest.fixture(scope="session")
+def proof(request: pytest.FixtureRequest) -> Figures:
+    """A promise about time, measured: a test that uses this belongs to the tier `proof`; figures go into docs/."""
+    return Figures(request.config)
+
+
+@pytest.fixture(scope="session")
+def _shared_bus(processes: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[SharedBus]:
+    with contextlib.closing(SharedBus(tmp_path_factory.mktemp("bus"))) as bus:
+        yield bus
 
 
 @pytest.fixture
-def bus_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BusAddress]:
-    """Address of a real server in a folder of its own."""
-    from station.bus.redis_server import RedisServer, ServerOptions
-
-    folder = tmp_path_factory.mktemp("bus")
-    with RedisServer.start(ServerOptions(folder=folder, socket=folder / "bus.sock")) as server:
-        yield server.address
+def bus_server(_shared_bus: SharedBus) -> BusAddress:
+    """Address of a real server without keys, clients or changed settings; the tests of a run share its process."""
+    return _shared_bus.empty()
 
 
 @pytest.fixture(scope="session")

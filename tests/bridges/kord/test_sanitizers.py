@@ -7,15 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from tests.bridges.kord.compiling import SOURCE, environment
+from tests.tiers import ROOT
+
+SOURCE = ROOT / "bridges/kord"
 
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("sanitizer", ["thread", "address"])
-def test_all_tests_in_cpp_pass_under_a_sanitizer(sanitizer: str, tmp_path: Path) -> None:
+def test_all_tests_in_cpp_pass_under_a_sanitizer(sanitizer: str, tmp_path: Path, compiler: dict[str, str]) -> None:
     done = subprocess.run(
         [SOURCE / "tools/sanitize.sh", sanitizer, tmp_path],
-        capture_output=True, text=True, timeout=850, check=False, env=environment(),
+        capture_output=True, text=True, timeout=850, check=False, env=compiler,
     )  # fmt: skip
     if "cannot find -l" in done.stderr:
         pytest.skip(f"the compiler has no library for its {sanitizer} sanitizer")

@@ -5,16 +5,14 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from pathlib import Path
 
 import pytest
 
-SOURCE = Path(__file__).parents[3] / "bridges/kord"
 
-
-def environment() -> dict[str, str]:
-    """Return this process's, with the programs of this Python's environment; without a compiler skip, fail in CI."""
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}"
+@pytest.fixture(scope="session")
+def compiler() -> dict[str, str]:
+    """The environment to compile bridges/kord in (tier `build`); without a compiler skip, fail in CI."""
+    path = f"{os.path.dirname(sys.executable)}{os.pathsep}{os.environ.get('PATH', '')}"
     for program in ("c++", "cmake"):
         if shutil.which(program, path=path) is None:
             message = f"there is no {program} to build bridges/kord with"
