@@ -13,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from station.bus.address import BusAddress
+from station.software import software
 from tests import leftovers, progress, tiers
 from tests.figures import Figures
 from tests.shared_bus import SharedBus
@@ -41,6 +42,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if not progress.distributes(config):
         starts = config.stash[_warm] = WarmStarts()
         starts.install()
+        software()  # asks git, once in a process
         tiers.watch()
 
 
@@ -143,7 +145,9 @@ def _shared_bus(processes: None, tmp_path_factory: pytest.TempPathFactory) -> It
 @pytest.fixture
 def bus_server(_shared_bus: SharedBus) -> BusAddress:
     """Address of a real server without keys, clients or changed settings; the tests of a run share its process."""
-    return _shared_bus.empty()
+    address = _shared_bus.empty()
+    leftovers.LASTING.add(_shared_bus.pid)
+    return address
 
 
 @pytest.fixture(scope="session")

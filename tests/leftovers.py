@@ -21,6 +21,9 @@ LINES = 40
 KEYS = 100
 """Of the bus, at most."""
 
+LASTING: set[int] = set()
+"""Processes that serve a whole run."""
+
 _LOGS = ("*.log", "*.err", "*.stderr", "*words*", "manifest.yaml")
 _GOING_S = 5.0  # a child that was told to go may take so long
 _KNOWN = frozenset({".pytest_cache", ".mypy_cache", ".ruff_cache", "__pycache__", ".hypothesis", ".benchmarks"})
@@ -45,7 +48,7 @@ def none_left(item: pytest.Item) -> Iterator[None]:
 
         def are_gone() -> bool:
             left.clear()
-            left.update({pid: name for pid, name in _children().items() if pid not in children})
+            left.update({pid: name for pid, name in _children().items() if pid not in children.keys() | LASTING})
             return not left
 
         try:

@@ -10,6 +10,8 @@ from station.bus.connection import Connection
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.errors import BusError
 
+_ANSWERS_S = 10.0
+
 
 class SharedBus:
     """A server that each test finds as if it had just been started.
@@ -31,9 +33,14 @@ class SharedBus:
             folder = self._folder / str(self._count)  # the socket of a frozen server is not free
             folder.mkdir()
             self._server = RedisServer.start(ServerOptions(folder=folder, socket=folder / "bus.sock"))
-            with contextlib.closing(Connection(self._server.address, timeout_s=5.0)) as line:
+            with contextlib.closing(Connection(self._server.address, timeout_s=_ANSWERS_S)) as line:
                 self._settings = _settings(line)
         return self._server.address
+
+    @property
+    def pid(self) -> int:
+        """Process id of the server; 0 before the first is asked for."""
+        return self._server.pid if self._server is not None else 0
 
     def close(self) -> None:
         """Stop the server."""
@@ -47,7 +54,7 @@ class SharedBus:
         if not self._server.is_running:
             return False
         try:
-            with contextlib.closing(Connection(self._server.address, timeout_s=1.0)) as line:
+            with contextlib.closing(Connection(self._server.address, timeout_s=_ANSWERS_S)) as line:
                 if b"process_id:%d\r" % self._server.pid not in line.call("INFO", "server"):
                     return False
                 for kind in ("normal", "pubsub", "replica"):

@@ -16,6 +16,8 @@ from tests.verdicts import expect_no_worse
 CPU_S = 0.3
 _SPIN = f"""
 import os, time
+
+pytestmark = pytest.mark.usefixtures("processes")
 os.sched_setaffinity(0, {{min(os.sched_getaffinity(0))}})
 while time.process_time() < {CPU_S}: pass
 """

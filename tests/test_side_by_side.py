@@ -16,6 +16,8 @@ from station.errors import BadFile, StationError, UsageError
 from tests.cli.running import are_gone
 from tests.waiting import DEADLINE_S, wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 ROOT = Path(__file__).parents[1]
 
 

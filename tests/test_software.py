@@ -10,6 +10,8 @@ import pytest
 
 from station.software import software
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 SAY = "from station.software import software; s = software(); print(repr(s.version), repr(s.revision), s.dirty)"
 
 

@@ -22,6 +22,8 @@ from station.bus.redis_server import RedisServer, ServerOptions, find_binary
 from station.errors import BusError, ConfigError
 from tests.waiting import wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 
 @pytest.fixture
 def options(tmp_path_factory: pytest.TempPathFactory) -> ServerOptions:

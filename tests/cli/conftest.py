@@ -18,14 +18,14 @@ SLOWEST_HZ = 45.0  # of a motion server, which is to write at 50
 
 
 @pytest.fixture
-def home() -> Iterator[Home]:
+def home(processes: None) -> Iterator[Home]:
     """A place of its own, where nothing runs."""
     with new_home() as made:
         yield made
 
 
 @pytest.fixture(scope="package")
-def bus_home() -> Iterator[Home]:
+def bus_home(processes: None) -> Iterator[Home]:
     """A place where a bus runs, and no server."""
     with new_home() as made, made.running("bus", "start") as bus:
         assert bus.process.stdout is not None
@@ -34,7 +34,7 @@ def bus_home() -> Iterator[Home]:
 
 
 @pytest.fixture(scope="package")
-def live() -> Iterator[Home]:
+def live(processes: None) -> Iterator[Home]:
     """A place where a station without a robot runs for as long as it is looked at; nothing is being recorded."""
     with (
         new_home() as made,
@@ -59,7 +59,7 @@ class Wave:
 
 
 @pytest.fixture(scope="package")
-def wave() -> Iterator[Wave]:
+def wave(processes: None) -> Iterator[Wave]:
     """A finished run of the built-in wave, with its episode; its motion server kept its time."""
     with ExitStack() as homes:
         yield in_time(lambda: wave_once(homes.enter_context(new_home())))

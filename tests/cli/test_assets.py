@@ -17,6 +17,8 @@ from tests.cli.running import Home, one_line
 from tests.main_job.station_runs import ROOT
 from tests.waiting import DEADLINE_S
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 
 @pytest.fixture
 def server() -> Iterator[Server]:

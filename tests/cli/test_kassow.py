@@ -19,6 +19,8 @@ from tests.cli.running import Home, one_line
 from tests.servers.kassow_station import ArmStation, Commander
 from tests.waiting import wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 
 @pytest.fixture(scope="module")
 def arm(kord: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ArmStation, Any]]:

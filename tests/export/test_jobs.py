@@ -20,6 +20,8 @@ from station.export.jobs import Attempt, DiskRefuses, map_episodes
 from tests.cli.running import are_gone
 from tests.waiting import DEADLINE_S, wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 ROOT = Path(__file__).parents[2]
 
 

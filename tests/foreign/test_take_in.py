@@ -26,6 +26,8 @@ from station.foreign.take_in import Order, TakenIn, take_in
 from tests.foreign.recorded import PERIOD_MS, STARTED_MS, document, jpeg, record
 from tests.waiting import DEADLINE_S, wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 ROOT = Path(__file__).parents[2]
 
 

@@ -24,6 +24,8 @@ from station.supervision.checks import BusCheck
 from station.supervision.findings import bus_access
 from tests.waiting import wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 SECRET = "a-password-that-nobody-guesses"
 
 

@@ -22,6 +22,8 @@ from tests.lateness import TooLate, Waits, excuse
 from tests.servers.kassow_station import ROBOT, ArmStation, Commander
 from tests.waiting import wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 
 @pytest.fixture(scope="module")
 def standing(kord: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ArmStation]:

@@ -13,6 +13,8 @@ import pytest
 
 from adapters.cameras import v4l2_calls as calls
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 STRUCTURES = {
     "v4l2_capability": calls.Capability,
     "v4l2_fmtdesc": calls.FormatDescription,

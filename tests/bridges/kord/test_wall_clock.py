@@ -48,6 +48,8 @@ json.dump(during | {"after_kb": locked_kb(), "told_after": bridge.get_state().me
 WHERE_TWO_ANSWER = """
 import ctypes, json, os, sys
 from station_kord import KordBridge, Limits, SimOptions
+
+pytestmark = pytest.mark.usefixtures("processes")
 by_library, by_kernel = (int(word) for word in sys.argv[1:])  # priorities of SCHED_FIFO; 0 for normal scheduling
 def policy_of(priority):
     return os.SCHED_FIFO if priority else os.SCHED_OTHER

@@ -28,6 +28,8 @@ from tests.episode.arm_run import ArmRun
 from tests.episode.synthetic import ROBOT, EpisodeBuilder, tick
 from tests.export.pictured import HEAD, number_in, walked
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 IMAGE = "observation.images.head"
 AGE = "age_s.camera.head"
 
