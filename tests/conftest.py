@@ -145,9 +145,7 @@ def _shared_bus(processes: None, tmp_path_factory: pytest.TempPathFactory) -> It
 @pytest.fixture
 def bus_server(_shared_bus: SharedBus) -> BusAddress:
     """Address of a real server without keys, clients or changed settings; the tests of a run share its process."""
-    address = _shared_bus.empty()
-    leftovers.LASTING.add(_shared_bus.pid)
-    return address
+    return _shared_bus.empty()
 
 
 @pytest.fixture(scope="session")

@@ -14,15 +14,13 @@ from station.bus.address import BusAddress
 from station.bus.connection import Connection
 from station.errors import BusError
 from tests.waiting import wait_until
+from tests.warm.starts import LASTING
 
 ROOT = Path(__file__).parents[1]
 LINES = 40
 """Of each log in the report of a failure, the last."""
 KEYS = 100
 """Of the bus, at most."""
-
-LASTING: set[int] = set()
-"""Processes that serve a whole run."""
 
 _LOGS = ("*.log", "*.err", "*.stderr", "*words*", "manifest.yaml")
 _GOING_S = 5.0  # a child that was told to go may take so long
@@ -48,7 +46,7 @@ def none_left(item: pytest.Item) -> Iterator[None]:
 
         def are_gone() -> bool:
             left.clear()
-            left.update({pid: name for pid, name in _children().items() if pid not in children.keys() | LASTING})
+            left.update({pid: name for pid, name in _children().items() if pid not in children})
             return not left
 
         try:
@@ -89,9 +87,9 @@ def _children() -> dict[int, str]:
     found: dict[int, str] = {}
     for task in Path("/proc/self/task").iterdir():
         with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-            for pid in (task / "children").read_text().split():
+            for pid in {*map(int, (task / "children").read_text().split())} - LASTING:
                 with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-                    found[int(pid)] = Path(f"/proc/{pid}/comm").read_text().strip()
+                    found[pid] = Path(f"/proc/{pid}/comm").read_text().strip()
     return found
 
 

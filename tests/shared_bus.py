@@ -9,6 +9,7 @@ from station.bus.address import BusAddress
 from station.bus.connection import Connection
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.errors import BusError
+from tests.warm.starts import LASTING
 
 _ANSWERS_S = 10.0
 
@@ -33,14 +34,10 @@ class SharedBus:
             folder = self._folder / str(self._count)  # the socket of a frozen server is not free
             folder.mkdir()
             self._server = RedisServer.start(ServerOptions(folder=folder, socket=folder / "bus.sock"))
+            LASTING.add(self._server.pid)
             with contextlib.closing(Connection(self._server.address, timeout_s=_ANSWERS_S)) as line:
                 self._settings = _settings(line)
         return self._server.address
-
-    @property
-    def pid(self) -> int:
-        """Process id of the server; 0 before the first is asked for."""
-        return self._server.pid if self._server is not None else 0
 
     def close(self) -> None:
         """Stop the server."""

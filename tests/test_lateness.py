@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from station.episode.quality.findings import Quality, Reason, StreamQuality
+from tests.late_verdicts import expect_no_worse_in_time
 from tests.lateness import EXCUSED, PROOF_S, TooLate, Waits, excuse, in_time
-from tests.verdicts import expect_no_worse
+from tests.verdicts import expect_no_worse_but_late
 
 CPU_S = 0.3
 _SPIN = f"""
@@ -23,6 +24,7 @@ while time.process_time() < {CPU_S}: pass
 """
 
 
+@pytest.mark.usefixtures("processes")
 @pytest.mark.skipif(not Path("/proc/self/schedstat").exists(), reason="this kernel does not tell who waited")
 def test_processes_that_share_a_processor_wait_for_each_other() -> None:
     with Waits.watched() as waits:
@@ -90,13 +92,20 @@ def test_a_rejected_episode_is_excused_for_a_gap_that_somebody_waited_for_and_fo
     waits = Waits()
     waits.longest_s = 1.5
     with pytest.raises(TooLate) as caught:
-        expect_no_worse("usable", Quality(episode_id="e", reasons=[gap], streams=[stream]), waits)
+        expect_no_worse_in_time("usable", Quality(episode_id="e", reasons=[gap], streams=[stream]), waits)
     assert caught.value.is_of_the_machine
     waits.longest_s = 0.0
     with pytest.raises(TooLate) as caught:
-        expect_no_worse("usable", Quality(episode_id="e", reasons=[gap], streams=[stream]), waits)
+        expect_no_worse_in_time("usable", Quality(episode_id="e", reasons=[gap], streams=[stream]), waits)
     assert not caught.value.is_of_the_machine
     with pytest.raises(AssertionError) as wrong:
-        expect_no_worse("usable", Quality(episode_id="e", reasons=[gap, fall], streams=[stream]), waits)
+        expect_no_worse_in_time("usable", Quality(episode_id="e", reasons=[gap, fall], streams=[stream]), waits)
     assert not isinstance(wrong.value, TooLate)
-    expect_no_worse("usable", Quality(episode_id="e", reasons=[Reason("slow", "usable", "40 Hz")]), waits)
+    expect_no_worse_in_time("usable", Quality(episode_id="e", reasons=[Reason("slow", "usable", "40 Hz")]), waits)
+
+
+def test_where_lateness_is_not_asked_for_a_gap_says_nothing_and_a_fall_rejects() -> None:
+    gap, fall = Reason("gap", "reject", "silent for 2 s"), Reason("fell", "reject", "1 fall(s)")
+    expect_no_worse_but_late("usable", Quality(episode_id="e", reasons=[gap]))
+    with pytest.raises(AssertionError):
+        expect_no_worse_but_late("usable", Quality(episode_id="e", reasons=[gap, fall]))

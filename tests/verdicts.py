@@ -1,56 +1,19 @@
-"""An episode that is not as it should be, and whether a machine that was late can be the reason."""
+"""Verdicts on episodes that were recorded on a machine which may have been busy."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from station.episode.quality.findings import Quality, Reason, Verdict
 
-from station.episode.quality.findings import Quality, Verdict
-from tests.lateness import STALE_S, TooLate, Waits
-
-_PERIOD_S = 0.02
-_LASTING = (0.3 + 1.0) / 0.3  # of an interruption to its cause: a silence of 0.3 s, and a second of entering after it
-_SLOW_SHARE = 0.05  # of the writes are missing in a stream that is slow
+OF_LATENESS = frozenset({"gap", "interrupted", "old-command", "slow"})
+"""Rules that a process may break which waits for a processor; `tests.late_verdicts` asks whether one did."""
 
 
-def _gap(quality: Quality, waits: Waits) -> tuple[float, float]:
-    timed = [stream.longest_gap_s or 0.0 for stream in quality.streams if stream.nominal_hz is not None]
-    return max(timed) / 2, waits.longest_s  # two may wait in turn
-
-
-def _interrupted(quality: Quality, waits: Waits) -> tuple[float, float]:
-    interrupted_s = max(robot.interrupted_share for robot in quality.steps) * quality.duration_s
-    return max(STALE_S / 2, interrupted_s / _LASTING), waits.seconds() if waits.longest_s >= STALE_S / 2 else 0.0
-
-
-def _old_command(quality: Quality, waits: Waits) -> tuple[float, float]:
-    return max(robot.command_age.p99_s or 0.0 for robot in quality.steps) - 2 * _PERIOD_S, waits.longest_s
-
-
-def _slow(quality: Quality, waits: Waits) -> tuple[float, float]:
-    return _SLOW_SHARE * quality.duration_s, waits.seconds()
-
-
-_OF_LATENESS: dict[str, Callable[[Quality, Waits], tuple[float, float]]] = {
-    "gap": _gap,
-    "interrupted": _interrupted,
-    "old-command": _old_command,
-    "slow": _slow,
-}
-"""By how much somebody was late at least for what a rule finds, and how long somebody was kept waiting, at a stretch or
-in all [s]; nothing that another rule finds is excused. The last two never reject an episode."""
-
-
-def expect_no_worse(than: Verdict, quality: Quality, waits: Waits) -> None:
-    """Fail where an episode has a worse verdict.
-
-    Raises:
-        TooLate: It has, and for nothing but what comes of being late.
-    """
-    waits.seconds()
+def worse_than(than: Verdict, quality: Quality) -> list[Reason]:
+    """Return the reasons for a worse verdict."""
     worse = ("reject",) if than == "usable" else ("reject", "usable")
-    against = [reason for reason in quality.reasons if reason.verdict in worse]
-    assert {reason.rule for reason in against} <= set(_OF_LATENESS), quality.reasons
-    if against:
-        proofs = [_OF_LATENESS[reason.rule](quality, waits) for reason in against]
-        late_s, waited_s = min(proofs, key=lambda proof: proof[1] - proof[0])  # the one that is proven least
-        raise TooLate("; ".join(reason.text for reason in against), late_s, waited_s)
+    return [reason for reason in quality.reasons if reason.verdict in worse]
+
+
+def expect_no_worse_but_late(than: Verdict, quality: Quality) -> None:
+    """Fail where anything but lateness gives an episode a worse verdict."""
+    assert {reason.rule for reason in worse_than(than, quality)} <= OF_LATENESS, quality.reasons

@@ -22,6 +22,8 @@ from tests.bus.proxy import Proxy
 from tests.faults.bus_station import frozen, pause, pid_of
 from tests.waiting import DEADLINE_S, wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 
 def test_a_value_that_was_there_before_has_no_age(bus_server: BusAddress) -> None:
     with Bus(bus_server, name="motion", timeout_s=5.0) as bus:
@@ -32,14 +34,6 @@ def test_a_value_that_was_there_before_has_no_age(bus_server: BusAddress) -> Non
             assert sample.value == b"old"
             assert sample.age_s() == math.inf
             assert watch.latest("k", max_age_s=1e9) is None
-
-
-def test_closing_waits_for_nothing(bus_server: BusAddress) -> None:
-    with Bus(bus_server, name="motion", timeout_s=5.0) as bus:
-        began = time.monotonic()
-        for _ in range(20):
-            bus.watch(["k"]).close()
-        assert time.monotonic() - began < 5.0, "one that sits out its wait of a second takes 20"
 
 
 def test_a_new_value_arrives_with_its_stamp_and_age(bus_server: BusAddress) -> None:
@@ -160,7 +154,6 @@ def test_a_server_that_refuses_notifications_is_polled(bus_server: BusAddress) -
                 wait_until(lambda n=n: (s := watch.latest("k")) is not None and s.value == b"%d" % n)
             sample = watch.latest("k")
             assert sample is not None
-            assert time.monotonic_ns() - (sample.arrived_ns or 0) < DEADLINE_S * 1e9
 
 
 PROBE_S, FROZEN_S = 0.05, 0.6  # shorter than what is given up

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from random import Random
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
@@ -22,6 +22,21 @@ KINDS: tuple[Kind, ...] = ("kill", "freeze", "cut", "bus", "g1")
 DULL = ("builtin:stand", "builtin:tour")  # in one nothing moves, the other is all of them
 CLIPS = tuple(name for name in inventory.motions() if name.startswith("builtin:") and name not in DULL)
 STANDS_S = 2.0  # watched after it is back at standing
+
+
+def expect_safe(trial: Trial, hold_after_s: float, told: str) -> None:
+    """What holds of a lost command whatever the machine is busy with.
+
+    Args:
+        trial: What the robot did.
+        hold_after_s: Of its gate [s].
+        told: How to do it again.
+    """
+    assert trial.used_age_s <= hold_after_s + 1e-6, f"no older command is followed; {told}"
+    assert trial.stands, f"back at standing it is asked to stand; {told}"
+    assert trial.gates_after[-2:] == ("entering", "tracking"), f"another takes over with the blend; {told}"
+    assert trial.rate <= 1.05, f"the command is continuous; {told}"
+    assert trial.falls == 0, told
 
 
 class Trial(msgspec.Struct, kw_only=True):
@@ -60,11 +75,25 @@ class Trial(msgspec.Struct, kw_only=True):
 
 
 def random_trial(
-    station: MovingStation, kind: Kind, random: Random, within_s: float = 6.0, clips: Sequence[str] = CLIPS
+    station: MovingStation,
+    kind: Kind,
+    random: Random,
+    within_s: float = 6.0,
+    clips: Sequence[str] = CLIPS,
+    **motion: Any,
 ) -> Trial:
-    """Play a random clip, do it at a random moment, let it end, and see that the robot follows again."""
+    """Play a random clip, do it at a random moment, let it end, and see that the robot follows again.
+
+    Args:
+        station: In which it is done.
+        kind: What is done.
+        random: Which clip, when, and for how long.
+        within_s: Latest moment, after the clip was first followed [s].
+        clips: To choose from.
+        motion: Settings of the motion server beside the clip.
+    """
     trial = Trial(kind=kind, clip=random.choice(clips), into_s=random.uniform(0.5, within_s))
-    station.play(trial.clip)
+    station.play(trial.clip, **motion)
     station.wait_s(trial.into_s)
     at_ns = time.monotonic_ns()
     {"bus": _lose_bus, "g1": _lose_robot}.get(kind, _lose_command)(station, trial, random)

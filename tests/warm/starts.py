@@ -17,6 +17,9 @@ ROOT = Path(__file__).parents[2]
 WARM_MODULES = ("station", "tests.", "adapters.")
 """Modules, or beginnings of their names, that run as warm children."""
 
+LASTING: set[int] = set()
+"""Processes that are there for all tests of a run, whichever starts them: they are no leftovers."""
+
 _READ_AT_IMPORT = (
     "PYTHON", "LD_", "MUJOCO_", "OMP_", "OPENBLAS_", "MKL_", "ORT_", "LANG", "LC_", "TZ", "MALLOC_", "RAY_"
 )  # fmt: skip
@@ -116,6 +119,7 @@ class WarmStarts:
                 [sys.executable, fork_server.__file__, str(theirs.fileno())],
                 pass_fds=(theirs.fileno(),),
             )
+            LASTING.add(self._server.pid)
         if fork_server.receive(ours) is None:
             ours.close()
             return False

