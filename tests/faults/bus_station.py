@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import groupby
 from pathlib import Path
@@ -86,11 +86,13 @@ class Writers:
 
 
 class RobotStation(RecordedStation):
-    """A simulated robot that follows a motion, and a recorder."""
+    """A simulated robot that follows a motion, and a recorder; `g1` are settings of the robot's server."""
 
-    def __init__(self, address: BusAddress, bus: Bus, folder: Path, **config: Any) -> None:
+    def __init__(
+        self, address: BusAddress, bus: Bus, folder: Path, *, g1: Mapping[str, Any] | None = None, **config: Any
+    ) -> None:
         super().__init__(address, bus, folder, **config)
-        light = G1Config(physics_dt_s=0.002, real_time_priority=0)
+        light = G1Config(physics_dt_s=0.002, real_time_priority=0, **(g1 or {}))
         self.supervisor.spawn("g1", light)
         self.supervisor.spawn("motion", MotionConfig(motion="builtin:wave", loop=True, enter_s=0.1, leave_s=0.1))
         for name in ("g1", "motion"):
