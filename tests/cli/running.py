@@ -12,7 +12,9 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.errors import BusError
@@ -23,6 +25,7 @@ from tests.waiting import DEADLINE_S, wait_until
 COMMANDS_ONLY = "commands-only"
 SHORT = ("--set", "motion.enter_s=0.1", "--set", "motion.leave_s=0.1")
 """Blends as short as they may be: tests of the command line wait for no robot."""
+DEMO = ("demo", "--for", "1s", *SHORT)
 
 
 class Running:
@@ -126,6 +129,13 @@ def new_home() -> Iterator[Home]:
         shutil.rmtree(folder)
 
 
+def demo_episode(home: Home, done: subprocess.CompletedProcess[str]) -> Path:
+    """Return the only episode that a demo has recorded."""
+    assert done.returncode == 0, done.stderr
+    (folder,) = (home.data / "demo").iterdir()
+    return folder
+
+
 def are_gone(pids: Sequence[int]) -> bool:
     """Whether none of some processes runs any more."""
     return not any(_is_running(pid) for pid in pids)
@@ -140,6 +150,24 @@ def _is_running(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except FileNotFoundError:
         return False
+
+
+def row(rows: list[dict[str, Any]], **wanted: str) -> dict[str, Any]:
+    """Return the only row with some values."""
+    (found,) = [row for row in rows if wanted.items() <= row.items()]
+    return found
+
+
+def status_of_motion(home: Home) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return what ``station status`` says of the motion server of a station, and of its key."""
+    found = home.json("status")
+    motion = row(found["servers"], name="motion")
+    assert motion["state"] == "active"
+    assert motion["pid"] == home.pids()["motion"]
+    assert row(found["servers"], name="recorder")["state"] == "active"
+    body = row(found["keys"], key=keys.action_body())
+    assert body["writer"] == "motion"
+    return motion, body
 
 
 def one_line(done: subprocess.CompletedProcess[str]) -> str:

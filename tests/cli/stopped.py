@@ -1,0 +1,63 @@
+"""A simulated robot that follows a motion, and what a stop from the command line does to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from station.bus import codec, keys
+from station.bus.joints import G1_29
+from station.bus.tap import Write
+from tests.cli.running import Home, Running, new_home
+from tests.servers.g1_station import LIGHT, Log, logged
+from tests.waiting import wait_until
+
+GATE = keys.command_gate(keys.TWIST2_ROBOT)
+SETTINGS = (*(f"g1.{setting}" for setting in LIGHT), "motion.motion=builtin:wave", "motion.loop=true",
+            "motion.enter_s=0.1", "motion.leave_s=0.1")  # fmt: skip
+
+
+@contextmanager
+def driven_robot() -> Iterator[tuple[Home, Running]]:
+    """A simulated robot that follows a motion."""
+    sets = [word for setting in SETTINGS for word in ("--set", setting)]
+    with new_home() as home, home.running("up", "g1-sim-motion", "--yes", *sets) as station:
+        station.wait_for("to=tracking")
+        yield home, station
+
+
+def states(writes: list[Write]) -> list[str]:
+    """Return the states of the gate, in order."""
+    return [codec.parse_json(write.value)["state"] for write in writes if write.key == GATE and write.value]
+
+
+def stop_and_reset(home: Home) -> int:
+    """Stop the robot and release it; return how many steps were published between the stop and the first damped one."""
+    with logged(home.bus) as log:
+        done = home.run("estop", "--reason", "a test")
+        assert done.returncode == 0
+        assert "every robot on this bus is damped; `station estop --reset` releases" in done.stdout
+        wait_until(lambda: "stopped" in states(log.writes))
+        assert home.run("estop", "--reset").stdout == "e-stop released\n"
+        wait_until(lambda: "tracking" in states(after_the_stop(log)))
+    targets = [write for write in log.writes if write.key == keys.target(keys.TWIST2_ROBOT)]
+    first = next(
+        n for n, write in enumerate(log.of(GATE)) if codec.parse_json(write.value or b"")["state"] == "stopped"
+    )
+    stiffness = codec.parse_f64(targets[first].value or b"")[len(G1_29) : 2 * len(G1_29)]
+    assert not stiffness.any(), "damped: no stiffness"
+    names = [event["name"] for event in events(log)]
+    assert names.index("estop") < names.index("operator-reset")
+    stopped_at = next(n for n, write in enumerate(log.writes) if write.key == keys.ESTOP)
+    return states(log.writes[stopped_at:]).index("stopped")
+
+
+def after_the_stop(log: Log) -> list[Write]:
+    writes = list(log.writes)
+    stops = [n for n, write in enumerate(writes) if write.key == GATE and b'"stopped"' in (write.value or b"")]
+    return writes[stops[-1] :] if stops else []
+
+
+def events(log: Log) -> list[dict[str, Any]]:
+    return [codec.parse_json(value) for value in log.values(keys.EVENT)]
