@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from station.bus import redis_server
+from station.bus import client, redis_server
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import Connection
@@ -18,6 +18,7 @@ from station.bus.redis_server import RedisServer, ServerOptions
 from station.bus.tap import BACKENDS, Tap, open_tap
 from station.bus.tap.replication import ReplicationTap
 from station.errors import BusError
+from tests.bus.proxy import Proxy
 from tests.bus.tap.traffic import read_until_lost
 from tests.faults.bus_station import frozen, pid_of
 from tests.figures import Figures
@@ -90,3 +91,17 @@ def test_a_frozen_server_is_told_by_the_tap(server: RedisServer, proof: Figures)
     tap.close()
     assert told_s < 10.0
     proof.figure("a frozen bus to a recorder's tap that is given up", told_s, "s", limit="10 s")
+
+
+def test_no_write_waits_for_a_network_that_is_silent(
+    bus_server: BusAddress, monkeypatch: pytest.MonkeyPatch, proof: Figures
+) -> None:
+    monkeypatch.setattr(client, "_STALL_S", 0.6)
+    longest_s = 0.0
+    with Proxy(bus_server) as network, Bus(network.address, name="g1") as bus:
+        bus.publish({"k": b"1"})
+        network.swallow()
+        while bus.connections == 1:
+            longest_s = max(longest_s, seconds(lambda: bus.publish({"k": b"2"})))
+    assert longest_s < 0.5
+    proof.figure("longest write over a half-open connection", longest_s * 1e3, "ms", limit="500 ms")

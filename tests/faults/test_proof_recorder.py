@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 from random import Random
@@ -14,6 +15,7 @@ from station.bus.address import BusAddress
 from station.episode.reading.reader import open_episode
 from station.episode.storage.manifest import load_manifest
 from station.protocols import Floats
+from tests.faults.bus_station import frozen
 from tests.faults.disks import BadDisk
 from tests.faults.heavy_cameras import FLUSH_TAKES_S, catch_up, kill_under_images
 from tests.faults.killed_recorder import (
@@ -22,7 +24,7 @@ from tests.faults.killed_recorder import (
     kill_while_it_recovers,
     kill_while_it_starts,
 )
-from tests.faults.recorded_station import BODY
+from tests.faults.recorded_station import BODY, Writers, recorded_station
 from tests.faults.slow_disk import robot_beside_a_recorder, ticks_made
 from tests.faults.soak_recorder import soak
 from tests.figures import Figures
@@ -38,8 +40,8 @@ KILLS = 6
 @pytest.mark.usefixtures("processes")
 def test_of_every_write_and_picture_of_some_minutes_none_is_lost_and_none_twice(proof: Figures) -> None:
     found = soak(MINUTES, kill_every_s=KILL_EVERY_S, period_s=0.0007, seed=1)
-    what = f"recorder: {found['kills']:.0f} kills in {MINUTES:.0f} min, {found['written']:.0f} writes"
-    proof.figure("recorder `kill -9` at random moments: kills and writes", what.removeprefix("recorder: "))
+    done = f"{found['kills']:.0f} kills in {MINUTES:.0f} min, {found['written']:.0f} writes"
+    proof.figure("recorder `kill -9` at random moments, images at 30 Hz", done)
     proof.figure("recorder `kill -9` at random moments: lost, twice", f"{found['lost']:.0f}, {found['duplicated']:.0f}",
                  limit="0, 0")  # fmt: skip
     proof.figure("time without a recorder that was killed, longest", found["longest_away_s"], "s")
@@ -77,6 +79,26 @@ def test_what_was_written_while_it_was_away_is_not_late(bus_server: BusAddress, 
         proof.figure("log time to write of a message, a recorder killed meanwhile, p90", usual_s * 1e3, "ms", "100 ms")
 
     in_time(once)
+
+
+def test_a_killed_recorder_has_all_but_the_last_moment_on_the_disk(
+    bus_server: BusAddress, tmp_path: Path, proof: Figures
+) -> None:
+    """Frozen instead of killed: the file is the same."""
+    unsafe_s: list[float] = []
+    with recorded_station(bus_server, tmp_path) as station:
+        folder = Path(station.ask("start", task="walk").path or "")
+        writers = Writers(bus_server, 0.003)
+        for number in range(KILLS):
+            station.wait_until_it_records(messages=1000 * (number + 1))
+            with frozen(station.pid):
+                at_ns = time.monotonic_ns()
+                *_, last = open_episode(folder).messages([BODY], stamps=True)
+            unsafe_s.append((at_ns - int((last.stamp or b"").split()[1])) * 1e-9)
+        writers.stop()
+        station.ask("stop")
+    proof.figure(f"what a killed recorder had not flushed, most of {KILLS}", max(unsafe_s), "s", limit="1 s")
+    assert max(unsafe_s) < 1.0, "a flush every half a second, and its time"
 
 
 def lateness_ms(read_s: Floats) -> tuple[float, int]:
@@ -134,7 +156,7 @@ def test_with_30_mb_of_images_a_second_a_killed_recorder_loses_none(
     bus_server: BusAddress, tmp_path: Path, proof: Figures
 ) -> None:
     images, dropped = kill_under_images(bus_server, tmp_path, mb_per_s=30.0, kills=5)
-    proof.figure(f"recorder `kill -9` five times at 30 MB/s, {images} images: dropped", dropped, limit="0")
+    proof.figure("recorder `kill -9` five times at 30 MB/s of images: dropped", f"{dropped} of {images}", limit="0")
     assert dropped == 0
 
 

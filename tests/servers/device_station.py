@@ -7,7 +7,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import groupby
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ from station.bus.tap import Write
 from station.life.events import Event
 from station.operator import reading as readings
 from station.operator.reading import Reading, Status
-from tests.lateness import STALE_S, TooLate, Waits, excuse
 from tests.servers.one_server import OneServer
 
 RUN = """
@@ -71,16 +70,8 @@ class Station(OneServer):
         return [state for state, _ in groupby(state for state in self.states() if state != "stale")]
 
     def until_told(self, *states: str, beside: Callable[[], object]) -> None:
-        """Wait until states were told, in order, and something is so; ``stale`` is told only where somebody waited."""
-
-        def is_so() -> bool:
-            return self.lasting() == list(states) and bool(beside())
-
-        with Waits.watched() as waits:
-            self.until(is_so)
-            waits.seconds()
-        if "stale" in self.states():
-            excuse(TooLate(str(self.states()), STALE_S / 2, waits.longest_s))
+        """Wait until states that last were told, in order, and something is so."""
+        self.until(lambda: self.lasting() == list(states) and bool(beside()))
 
     def told(self, name: str) -> Event:
         """Return the newest event of a name."""
@@ -96,6 +87,12 @@ class Station(OneServer):
             self.statuses.append(status)
             if len(values) > 1:
                 self.samples.append(readings.decode(self.device, samples))
+
+
+def presses(typist: Station, key: str = "w") -> int:
+    """Return how often a key of a keyboard was seen to be pressed."""
+    held = [0.0, *(sample.controls.get(f"key_{key}", 0.0) for sample in typist.samples)]
+    return sum(before < after for before, after in pairwise(held))
 
 
 @contextlib.contextmanager

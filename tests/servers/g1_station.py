@@ -30,9 +30,9 @@ ROBOT = keys.TWIST2_ROBOT
 FORM = registry.find("command", "twist2")
 LIGHT = ("physics_dt_s=0.002", "real_time_priority=0")
 """Half the physics, and no more of the processor than anybody else: for tests that are about neither."""
-PATIENT = (*LIGHT, "gate.hold_after_s=20.0", "gate.return_after_s=60.0")
+PATIENT = (*LIGHT, "gate.hold_after_s=20.0", "gate.return_after_s=60.0", "gate.blend_in_s=0.3")
 """A robot that waits for its commander on a busy machine: for tests in which no commander falls silent."""
-LEAVING = (*LIGHT, "gate.hold_after_s=4.0", "gate.return_after_s=5.0")
+LEAVING = (*LIGHT, "gate.hold_after_s=4.0", "gate.return_after_s=5.0", "gate.blend_in_s=0.3", "gate.blend_out_s=1.0")
 """A robot that is left by its commander within a test, and not because a busy machine was late for a moment."""
 
 

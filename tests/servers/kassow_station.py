@@ -6,7 +6,7 @@ import threading
 import time
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -150,3 +150,45 @@ class Commander:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
+
+
+def rate_hz(station: ArmStation, counter: str, seconds: float) -> float:
+    """How fast a counter grows, by the clock of the controller's ticks: those that were heard and those missed."""
+
+    def ticks(counters: dict[str, float]) -> float:
+        return counters["tick"] + counters["missed_ticks"]
+
+    before = station.counters()
+    wait_until(lambda: ticks(station.counters()) >= ticks(before) + seconds * 250)
+    after = station.counters()
+    return (after[counter] - before[counter]) / (ticks(after) - ticks(before)) * 250
+
+
+class Released(NamedTuple):
+    """What was sent to an arm after a stop and its release, while a commander that never let go went on.
+
+    Attributes:
+        sent_hz: Targets a second [Hz].
+        gap_s: For how long the commander wrote nothing, at most [s].
+    """
+
+    sent_hz: float
+    gap_s: float
+
+
+def stop_and_release(arm: ArmStation) -> Released:
+    """Stop an arm that is commanded, and release it; one that begins anew is followed."""
+    with Commander(arm) as commander:
+        arm.wait_for_gate("tracking")
+        arm.bus.publish({keys.ESTOP: b"1"})
+        arm.wait_for_gate("stopped")
+        arm.wait_for_rest()
+        assert rate_hz(arm, "stream_j_sends", 0.3) == 0.0
+        commander.longest_gap_s = 0.0
+        arm.bus.publish({keys.ESTOP: b"0"})
+        wait_until(lambda: arm.gate()["state"] != "stopped")
+        released = Released(rate_hz(arm, "stream_j_sends", 0.5), commander.longest_gap_s)
+    arm.settle()
+    with Commander(arm):
+        arm.wait_for_gate("tracking")
+    return released

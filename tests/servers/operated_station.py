@@ -36,7 +36,7 @@ from tests.waiting import wait_until
 START_PAUSE = "right_primary"
 UPRIGHT_M = 0.4
 TIMEOUT_S = 90.0
-PATIENT = GateConfig(hold_after_s=0.5, return_after_s=2.0)
+PATIENT = GateConfig(hold_after_s=1.5, return_after_s=4.0)
 """These tests are about who drives, and not about a robot whose commands are late: that is the gate's."""
 
 _SEEN = 20  # looks of the device server: what drives has then seen that nothing is pressed

@@ -11,20 +11,14 @@ import pytest
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.control.arming import RAMP_S
 from station.errors import NotReady, Refused
 from station.life import arm_request
-from tests.lateness import TooLate, Waits, excuse
-from tests.servers.g1_station import FORM, LIGHT, ROBOT, G1Process, Log, StockCommander, logged, publish, ticks
+from tests.servers.g1_station import FORM, LIGHT, ROBOT, G1Process, StockCommander, logged, publish, ticks
+from tests.servers.g1_trials import arm, stiffness
 from tests.waiting import wait_until
 
 DISARMED = (*LIGHT, "start_armed=false", "gate.return_after_s=1.5")
 """A busy machine may be late with a command; how long it takes until they have ceased is not the subject here."""
-
-
-def stiffness(log: Log) -> list[float]:
-    """Stiffness of the first joint as it was sent, tick by tick [N m/rad]."""
-    return [float(codec.parse_f64(value)[29]) for value in log.values(keys.target(ROBOT))]
 
 
 def test_a_disarmed_robot_gets_nothing_though_its_policy_follows_the_commands(bus_server: BusAddress) -> None:
@@ -39,30 +33,7 @@ def test_a_disarmed_robot_gets_nothing_though_its_policy_follows_the_commands(bu
 
 
 def test_arming_ramps_the_stiffness_up_is_told_and_the_robot_stays_on_its_feet(bus_server: BusAddress) -> None:
-    with logged(bus_server) as log, G1Process(bus_server, *DISARMED), Bus(bus_server, name="ada", timeout_s=5.0) as bus:
-        wait_until(lambda: ticks(log) > 5)
-        waits = Waits()
-        assert arm_request.ask(bus, "arm", reason="a test") == {"g1": ["arming", "armed"]}
-        wait_until(lambda: log.events("armed"))
-        waited_s = waits.seconds()
-        before = ticks(log)
-        wait_until(lambda: ticks(log) > before + 100)
-        assert log.gate()["state"] == "waiting", "no command: it is armed while it stands"
-        assert not log.events("fall")
-        (arming,) = log.events("arming")
-        assert arming.detail["who"].endswith(", a test")
-        ramp = [value for value in stiffness(log) if value > 0]
-        assert ramp[0] <= 0.06 * max(ramp)
-        assert np.diff(ramp).max() <= 0.06 * max(ramp), "a tick late at most"
-        rising = np.count_nonzero(np.array(ramp) < max(ramp))
-        assert 20 <= rising <= 100, "two seconds of 50 Hz, and of ticks that count for 0.1 s at most"
-        assert log.events("armed")[0].wall_ns - arming.wall_ns > 0.9e9 * RAMP_S
-        assert arm_request.ask(bus, "arm") == {"g1": ["armed"]}
-        assert arm_request.ask(bus, "disarm") == {"g1": ["disarmed"]}
-        wait_until(lambda: log.events("disarmed"))
-        assert stiffness(log)[-1] == 0.0
-    if rising < 80:
-        excuse(TooLate(f"{rising} ticks in two seconds", (80 - rising) * 0.02, waited_s))
+    arm(bus_server, *DISARMED)
 
 
 def test_arming_is_refused_while_commands_come_that_are_not_valid(bus_server: BusAddress) -> None:

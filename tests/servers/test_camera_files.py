@@ -3,63 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
 import subprocess
 import sys
-import tempfile
-import time
 from pathlib import Path
 
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import ConnectionLost
-from station.bus.redis_server import RedisServer, ServerOptions
 from station.bus.sample import Sample
 from tests.adapters.cameras import pictures
-from tests.lateness import TooLate, Waits, in_time
-from tests.servers.camera_station import camera_station
+from tests.servers.camera_trials import stall_the_bus
 from tests.waiting import DEADLINE_S, wait_until
 
-OLD_S = 0.5  # no picture goes to the bus so long after it was taken
 
-
-def test_a_bus_that_stalls_gets_no_old_pictures_afterwards(tmp_path: Path) -> None:
-    for number in range(64):
-        (tmp_path / f"{number}.jpg").write_bytes(pictures.jpeg(number))
-    in_time(lambda: stall_the_bus(tmp_path, Path(tempfile.mkdtemp(dir=tmp_path))))
-
-
-def stall_the_bus(album: Path, folder: Path) -> None:
-    options = ServerOptions(folder=folder, socket=folder / "bus.sock")
-    with (
-        Waits.watched() as waits,
-        RedisServer.start(options) as server,
-        camera_station("head", server.address, folder) as station,
-    ):
-        station.start("files", options={"path": str(album)}, fps=50.0)
-        station.until(lambda: len(station.shots) > 10)
-        os.kill(server.pid, signal.SIGSTOP)
-        stalled_ns = station.shots[-1].stamp.mono_ns
-        try:
-            wait_until(lambda: _is_over(stalled_ns, 1.5))
-        finally:
-            os.kill(server.pid, signal.SIGCONT)
-        before = len(station.shots)
-        station.until(lambda: len(station.shots) > before + 20)
-        station.until(lambda: station.detail.get("unsent"))
-        late = [shot for shot in station.shots if shot.stamp.mono_ns > stalled_ns]
-        during = [shot for shot in late if shot.stamp.mono_ns < stalled_ns + 1_400_000_000]
-        assert len(during) < 20, "of seventy pictures a stalled bus gets those that were on their way"
-        oldest_s = max(shot.stamp.mono_ns - (shot.stamp.capture_ns or 0) for shot in late) * 1e-9
-        waits.seconds()
-    if oldest_s >= OLD_S:
-        raise TooLate("a picture", oldest_s - OLD_S, waits.longest_s)
-
-
-def _is_over(since_ns: int, seconds: float) -> bool:
-    return time.monotonic_ns() - since_ns > seconds * 1e9
+def test_a_bus_that_stalls_gets_no_old_pictures_afterwards(processes: None, tmp_path: Path) -> None:
+    stall_the_bus(tmp_path)
 
 
 BOOK = """

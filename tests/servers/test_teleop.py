@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from tempfile import mkdtemp
 from typing import Any
 
-import numpy as np
 import pytest
 
 from servers.teleop import TeleopConfig
@@ -15,122 +13,41 @@ from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.control.arming import RAMP_S
-from station.episode.quality.check import check
-from station.episode.reading.reader import open_episode
 from station.errors import ConfigError
 from station.life.events import Event
 from station.life.server import Life
 from station.life.stop_button import StopButton
 from station.operator.buttons import HOLD_S
 from station.operator.requests import ArmButtons
-from station.protocols import Floats
-from tests.lateness import STALE_S, TooLate, Waits, in_time
 from tests.servers.g1_station import ROBOT, logged
-from tests.servers.operated_station import START_PAUSE, TIMEOUT_S, OperatedStation
-from tests.verdicts import expect_no_worse
+from tests.servers.operated_station import START_PAUSE, OperatedStation
+from tests.servers.operated_trials import (
+    SAME,
+    X,
+    Y,
+    be_silent_and_crash,
+    is_of_the_device,
+    record_and_begin_anew,
+    wave_walk_and_leave,
+)
+from tests.verdicts import expect_no_worse_but_late
 from tests.waiting import wait_until
 
-FORM = registry.find("command", "twist2")
-A, X, Y, B = START_PAUSE, "left_primary", "left_secondary", "right_secondary"
+A = START_PAUSE
 EVERYTHING = [f"{side}_{what}" for side in ("left", "right") for what in ("trigger", "grip")]
-TOLD_OF_DRIVING = [f"operator-{what}" for what in ("engaged", "disengaged", "mode", "exit", "refused")]
-SAME = 1e-6
-ROUNDS = 3
 
-pytestmark = pytest.mark.timeout(240)
+pytestmark = [pytest.mark.timeout(240), pytest.mark.usefixtures("processes")]
 
 
 def test_operator_waves_walks_lets_go_and_leaves(tmp_path: Path) -> None:
-    in_time(lambda: wave_walk_and_leave(Path(mkdtemp(dir=tmp_path))), ROUNDS)
-
-
-def wave_walk_and_leave(folder: Path) -> None:
-    with Waits.watched() as waits, OperatedStation(folder) as station:
-        assert station.log.gate()["state"] == "waiting"
-        station.engage()
-        station.wait_for_gate("tracking")
-        station.let_go()
-        station.drive_until(lambda: np.ptp(vectors(station)[:, 6:], axis=0).max() > 0.2)  # it waves
-        station.press("right_stick_click", until=lambda: station.told("operator-mode"))
-        station.worn.hold({"left_stick_y": 0.8})
-        station.drive_until(lambda: vectors(station)[:, 0].max() > 0.3)  # and walks
-        station.worn.let_go()
-        station.let_go()
-        station.press(X, until=lambda: station.told("operator-exit"))
-        assert station.wait_for_end() == 0
-        jumps = station.restarts_at_engaging()
-        assert len(jumps) == len(station.told("operator-engaged"))
-        assert max(jumps) <= SAME
-        wait_until(lambda: np.abs(vectors(station)[-1] - FORM.default).max() <= SAME)  # the log may be a moment behind
-        change = np.abs(np.diff(vectors(station), axis=0)) / (FORM.rate * 0.02)
-        assert change.max() <= 1.0 + SAME
-        assert station.is_upright()
-        expect_told(station, waits, "engaged", "disengaged", "engaged", "mode", "disengaged", "exit")
-        states = station.log.states()
-        followed = states[states.index("tracking") :]
-        assert set(followed) <= {"tracking", "holding", "returning", "waiting"}
-        assert followed.count("tracking") > 0.8 * len(followed)
-
-
-def expect_told(station: OperatedStation, waits: Waits, *names: str, losses: int = 0) -> None:
-    """This was told of driving and nothing else; or the device fell silent more often than the test let it, because
-    somebody had to wait."""
-    found = [event.name.removeprefix("operator-") for event in station.told(*TOLD_OF_DRIVING)]
-    silent = [reason for reason in station.reasons() if is_of_the_device(reason)]
-    if found != list(names) and len(silent) > losses:
-        waits.seconds()
-        raise TooLate(f"{silent[-1]}: {found}", STALE_S / 2, waits.longest_s)
-    assert found == list(names)
-
-
-def is_of_the_device(reason: str) -> bool:
-    """Whether driving ended because samples came late, as they do on a busy machine."""
-    return "pico is " in reason or " jumped " in reason
-
-
-def vectors(station: OperatedStation) -> Floats:
-    """All commands so far, shape (n, 35)."""
-    return np.array([vector for _, vector in station.commands()])
+    driven = wave_walk_and_leave(tmp_path)
+    assert driven.by_the_operator == ["engaged", "disengaged", "engaged", "mode", "disengaged", "exit"]
 
 
 def test_silence_and_a_crash_let_go_until_a_new_press_and_a_long_absence_ends_the_commands(tmp_path: Path) -> None:
-    in_time(lambda: be_silent_and_crash(Path(mkdtemp(dir=tmp_path))), ROUNDS)
-
-
-def be_silent_and_crash(folder: Path) -> None:
-    with Waits.watched() as waits, OperatedStation(folder, patience_s=2.0) as station:
-        station.engage()
-        station.wait_for_gate("tracking")
-        station.worn.be_silent(1.0)
-        station.wait_for("operator-disengaged")
-        expect_nobody_drives(station)
-        station.engage()
-        died = len(station.told("server-restarted", "server-died"))
-        station.worn.poison()
-        wait_until(lambda: len(station.told("server-restarted", "server-died")) > died, TIMEOUT_S)
-        expect_nobody_drives(station)  # the library took the server down with it, and it is there again
-        station.engage()
-        station.worn.be_silent(4.0)
-        ended = station.wait_for("teleop-commands-end")
-        assert "pico has been away" in ended.detail["reason"]
-        station.wait_for_gate("waiting")
-        expect_nobody_drives(station)
-        station.engage()
-        station.wait_for_gate("tracking")
-        assert all("pico is" in reason for reason in station.reasons())
-        jumps = station.restarts_at_engaging()
-        assert max(jumps) <= SAME
-        assert station.is_upright()
-        expect_told(station, waits, *["engaged", "disengaged"] * 3, "engaged", losses=3)
-        assert len(jumps) == 4
-
-
-def expect_nobody_drives(station: OperatedStation) -> None:
-    """The device is live again, and that alone moves nothing."""
-    count = len(station.told("operator-engaged"))
-    station.wait_until_live()
-    assert len(station.told("operator-engaged")) == count
-    assert not station.is_engaged
+    told = [name for name, _ in be_silent_and_crash(tmp_path).told if name != "refused"]
+    assert told == ["engaged", "disengaged"] * (len(told) // 2) + ["engaged"]
+    assert len(told) >= 7
 
 
 def refusals(station: OperatedStation) -> list[str]:
@@ -197,26 +114,7 @@ def test_an_arm_button_that_nobody_answers_is_told(bus_server: BusAddress) -> No
 
 
 def test_buttons_record_mark_and_begin_anew(tmp_path: Path) -> None:
-    in_time(lambda: record_and_begin_anew(Path(mkdtemp(dir=tmp_path))), ROUNDS)
-
-
-def record_and_begin_anew(folder: Path) -> None:
-    with Waits.watched() as waits, OperatedStation(folder, record=True, task="wave", operator="ada") as station:
-        station.press(Y, until=lambda: station.told("record-start"))
-        station.engage()
-        station.press(B, until=lambda: station.told("mark"))
-        station.press(B, until=lambda: len(station.told("record-start")) == 2, for_s=HOLD_S + 0.6)
-        assert len(station.told("record-stop")) == 1
-        marks = len(station.told("mark"))
-        station.press(B, until=lambda: len(station.told("mark")) > marks)
-        station.drive_until(lambda: station.log.gate()["state"] == "tracking")
-        station.press(Y, until=lambda: len(station.told("record-stop")) == 2)
-        assert not station.told("operator-record-refused")
-        first, second = sorted((station.data / "wave").iterdir())
-    assert check(open_episode(first)).discarded
-    quality = check(open_episode(second))
-    assert not quality.discarded
-    expect_no_worse("usable", quality, waits)
+    expect_no_worse_but_late("usable", record_and_begin_anew(tmp_path))
 
 
 def test_request_that_nobody_answers_is_told(tmp_path: Path) -> None:

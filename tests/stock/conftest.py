@@ -29,7 +29,7 @@ class OpenBus:
 
 
 @pytest.fixture(scope="module")
-def open_bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[OpenBus]:
+def open_bus(processes: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[OpenBus]:
     """One server per module; a test empties it."""
     terminal, port = Terminal(tmp_path_factory.mktemp("stock")), free_port()
     process = terminal.start("bus", "start", "--tcp", str(port))

@@ -59,7 +59,7 @@ class MotionServer:
         self.redis.set(f"action_hand_right_{ROBOT}", json.dumps([0.0] * 7))
         self.redis.set(f"action_neck_{ROBOT}", json.dumps([0.0, 0.0]))
 
-    def play(self, bodies: Iterable[list[float]], each: Callable[[list[float]], None] | None = None) -> None:
+    def play(self, bodies: Iterable[list[float]], each: Callable[[list[float]], object] | None = None) -> None:
         """Play commands, sleeping what is left of each period; `each` is called after each write."""
         for body in bodies:
             began = time.time()

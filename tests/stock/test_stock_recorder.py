@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 
 import pytest
 
-from station.bus import keys
 from station.bus.client import Bus
-from tests.lateness import TooLate, Waits, excuse
 from tests.stock.conftest import OpenBus, Serve
-from tests.stock.stock_twist2 import ACTIONS, STATES, Recorder, press
+from tests.stock.stock_trials import rows_of_our_servers
+from tests.stock.stock_twist2 import Recorder, press
 from tests.waiting import wait_until
 
 
@@ -23,20 +21,7 @@ def stock(open_bus: OpenBus) -> Iterator[Recorder]:
 
 
 def test_every_slot_of_a_row_is_filled_from_our_servers(bus: Bus, serve: Serve, stock: Recorder) -> None:
-    serve("g1")
-    serve("motion", "motion=builtin:wave")
-    wait_until(lambda: bus.get(keys.T_ACTION) and bus.get(keys.T_STATE))
-    rows, waits = [], Waits()
-    for _ in range(15):
-        rows.append(stock.item())
-        time.sleep(1 / 30)
-    waited_s = waits.seconds()
-    for row in rows:
-        lengths = {name: len(value) for name, value in row.items() if isinstance(value, list)}
-        assert lengths == {**STATES, **ACTIONS}
-        assert [type(row[name]) for name in ("t_state", "t_action")] == [int, int]
-        if (apart_s := abs(row["t_state"] - row["t_action"]) * 1e-3) >= 1.0:
-            excuse(TooLate("state and command of a row", apart_s - 1.0, waited_s))
+    rows = rows_of_our_servers(bus, serve, stock)
     wait_until(lambda: rows[0]["t_state"] < stock.item()["t_state"])
 
 

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import json
-import math
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,13 +11,10 @@ import pytest
 from station.bus import keys
 from station.bus.client import Bus
 from station.episode.reading.reader import open_episode
-from tests.lateness import TooLate, Waits, excuse
 from tests.stock.conftest import OpenBus, Serve, finish
-from tests.stock.stock_twist2 import ACTIONS, LOOP_S, STANDING, STATE_BODY, LowLevelServer
+from tests.stock.stock_trials import MOTION, look_at_our_commands, read_our_commands, run
+from tests.stock.stock_twist2 import ACTIONS, STANDING, STATE_BODY, LowLevelServer
 from tests.waiting import wait_until
-
-MOTION = "motion=builtin:wave"
-FASTEST_RAD_S = 3.0
 
 
 @pytest.fixture
@@ -30,50 +24,14 @@ def stock(open_bus: OpenBus) -> Iterator[LowLevelServer]:
     server.close()
 
 
-def run(stock: LowLevelServer, ticks: int) -> list[list[list[float]]]:
-    """Tick as stock does; return the four commands of each tick."""
-    read = []
-    for _ in range(ticks):
-        read.append(stock.tick())
-        time.sleep(LOOP_S)
-    return read
-
-
 def test_our_commands_are_what_a_stock_robot_reads(bus: Bus, serve: Serve, stock: LowLevelServer) -> None:
-    serve("motion", MOTION)
-    wait_until(lambda: bus.get(keys.action_body()))
-    stock.say_hello()
-    with Waits.watched() as waits:
-        read, now_ms = run(stock, 100), time.time() * 1000
-        t_action, waited_s = stock.redis.get("t_action"), waits.seconds()
-    for commands in read:
-        assert [len(command) for command in commands] == list(ACTIONS.values())
-        assert all(type(value) is float and math.isfinite(value) for command in commands for value in command)
-    assert t_action is not None
-    assert t_action.isdigit()
-    if (apart_s := abs(int(t_action) - now_ms) * 1e-3) >= 1.0:
-        excuse(TooLate("the last command", apart_s - 1.0, waits.longest_s))
-    if (different := len({tuple(commands[0]) for commands in read})) <= 50:  # it moves
-        excuse(TooLate(f"{different} different commands of 100", (51 - different) * LOOP_S, waited_s))
-    assert read[-1][1:] == [[0.0] * 7, [0.0] * 7, [0.0] * 2]
+    assert read_our_commands(bus, serve, stock).different > 1, "it moves"
 
 
 def test_first_command_is_near_the_default_pose_and_no_step_is_a_jump(
     bus: Bus, serve: Serve, stock: LowLevelServer
 ) -> None:
-    serve("motion", MOTION)
-    wait_until(lambda: bus.get(keys.action_body()))
-    looks, waits = [(time.monotonic(), STANDING[6:])], Waits()
-    for _ in range(100):
-        (body, *_others), *_ = run(stock, 1)
-        looks.append((time.monotonic(), body[6:]))
-    waited_s = waits.seconds()
-    for (before_s, one), (now_s, two) in itertools.pairwise(looks):
-        step = max(abs(a - b) for a, b in zip(one, two, strict=True))
-        between_s = now_s - before_s
-        assert step < 0.3 + FASTEST_RAD_S * between_s  # [rad]
-        if step >= 0.3:  # a late look sees several periods at once
-            excuse(TooLate(f"{step:.2f} rad in a look", between_s - LOOP_S, waited_s))
+    look_at_our_commands(bus, serve, stock)
 
 
 def test_all_four_keys_outlive_our_motion_server(bus: Bus, serve: Serve, stock: LowLevelServer) -> None:

@@ -1,0 +1,86 @@
+"""An operator with a spacemouse moves an arm: its tool, then a joint, and lets go."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from adapters.robots.kassow.kinematics import KR810
+from station.bus import codec, keys
+from station.life import events
+from tests.servers.operated_arm import ROBOT, OperatedArm
+from tests.waiting import wait_until
+
+SPEED_RAD_S, RATE_HZ = 0.3, 250.0
+FORWARDS_M, TURNED_RAD = 0.08, 0.2
+CYCLE_S, CYCLES = 7.0, 8
+RESTS = 450
+"""Commands since the operator let go: the arm has come to rest, and the cap was pushed for a while."""
+
+_REST = [0, 0, 0, 0, 0, 0]
+
+
+def press(at_s: float, for_s: float = 0.4) -> list[dict[str, Any]]:
+    return [{"at_s": at_s, "buttons": [0]}, {"at_s": at_s + for_s, "buttons": []}]
+
+
+def push(at_s: float, twist: list[float], for_s: float) -> list[dict[str, Any]]:
+    return [{"at_s": at_s, "twist": twist}, {"at_s": at_s + for_s, "twist": _REST}]
+
+
+def _cycle(at_s: float) -> list[dict[str, Any]]:
+    """Engage, push the tool forwards, choose joints, turn the base, let go, and push the cap all the same."""
+    return [
+        *press(at_s + 0.5), *push(at_s + 1.0, [1, 0, 0, 0, 0, 0], 1.0), *press(at_s + 2.1, 1.4),
+        *push(at_s + 3.7, [0, 0, 0, 0, 0, 1], 1.0), *press(at_s + 5.0), *push(at_s + 5.5, [1, 1, 1, 1, 1, 1], 1.0),
+    ]  # fmt: skip
+
+
+def move_and_let_go(folder: Path) -> list[str]:
+    """Do so, again where a sample came late and driving ended by itself; return why driving ended each time."""
+    steps = [step for cycle in range(CYCLES) for step in _cycle(cycle * CYCLE_S)]
+    with OperatedArm(folder, steps) as station:
+        arm = station.start_arm()
+        station.start_script()
+        started = arm.session.q.copy()
+        rests: list[np.ndarray[Any, Any]] = []
+
+        def is_done() -> bool:
+            rests[:] = since_release(station)
+            return len(rests) > RESTS and has_moved(station, started)
+
+        wait_until(is_done, CYCLES * CYCLE_S + 60.0)
+        assert (np.array(rests[RESTS // 2 :]) == rests[-1]).all(), "it stays where it is, however the cap is pushed"
+        assert arm.session.q == pytest.approx(rests[-1], abs=1e-9)
+        commands = station.commands()
+        assert commands[0] == pytest.approx(started, abs=1e-6)
+        assert np.abs(np.diff(commands, axis=0)).max() <= SPEED_RAD_S / RATE_HZ + 1e-9
+        assert station.told("operator-mode")[0].detail["mode"] == "joints 1-4"
+        source = codec.parse_json(station.log.last(keys.command_source(ROBOT)))
+        assert (source["driver"], source["engaged"]) == ("arm-tcp", False)
+        assert not station.log.values(keys.T_ACTION)  # of stock readers, which there are none for an arm
+        return [str(event.detail["reason"]) for event in station.told("operator-disengaged")]
+
+
+def has_moved(station: OperatedArm, started: np.ndarray[Any, Any]) -> bool:
+    """Whether the tool went forwards, and the base turned."""
+    commands = station.commands()
+    moved = np.array([KR810.posture(q).position for q in commands[::25]])
+    return bool(moved[:, 0].max() - moved[0, 0] > FORWARDS_M and commands[:, 0].max() - started[0] > TURNED_RAD)
+
+
+def since_release(station: OperatedArm) -> list[np.ndarray[Any, Any]]:
+    """Return the commands since the operator let go; none while it drives, or was made to let go."""
+    found: list[np.ndarray[Any, Any]] = []
+    for write in reversed(list(station.log.writes)):
+        if write.key == keys.EVENT and (event := events.decode(write.value or b"")) is not None:
+            if event.name == "operator-disengaged" and event.detail["reason"] == "released":
+                return found[::-1]
+            if event.name in ("operator-engaged", "operator-disengaged"):
+                return []
+        elif write.key == keys.action_joints(ROBOT) and write.value:
+            found.append(np.array(codec.parse_json(write.value)))
+    return []
