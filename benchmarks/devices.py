@@ -7,7 +7,6 @@ import importlib
 import json
 import os
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -21,6 +20,7 @@ from adapters.devices.fakes.pico.script import Script
 from adapters.devices.fakes.pico.service import PicoService
 from benchmarks import processes, stock
 from benchmarks.harness import Benchmark, Rounds, Row, Settings, Target, alternate, compare, mean, p50, p99
+from station import python_child
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -159,7 +159,7 @@ sys.exit(serve(KIND, PicoConfig(**json.loads(sys.argv[2])), address=parse(sys.ar
 @contextlib.contextmanager
 def _server(address: BusAddress, port: int) -> Iterator[subprocess.Popen[bytes]]:
     config = json.dumps({"port": port, "rate_hz": _LOOKS_HZ})
-    command = [sys.executable, "-c", _SERVE, address.url, config]
+    command = python_child.command("-c", _SERVE, address.url, config)
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:  # its events are on the bus
         try:
             yield process

@@ -7,7 +7,6 @@ import multiprocessing
 import os
 import socket
 import subprocess
-import sys
 import tempfile
 import time
 import traceback
@@ -17,6 +16,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from station import python_child
 from station.bus.address import BusAddress
 from station.bus.redis_server import RedisServer, ServerOptions
 
@@ -168,7 +168,7 @@ def station(*arguments: str, environment: Mapping[str, str], log: Path) -> Itera
     """Run a ``station`` command beside us; interrupt it at the end."""
     with log.open("ab") as output:
         process = subprocess.Popen(
-            [sys.executable, "-m", "station", *arguments],
+            python_child.command("-m", "station", *arguments),
             stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, env={**os.environ, **environment},
         )  # fmt: skip
     try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ from mcap.reader import make_reader
 
 from benchmarks import processes, upstream
 from benchmarks.harness import Benchmark, Row, Settings, Target, alternate, compare
+from station import python_child
 from station.episode.reading.reader import EpisodeReader
 from station.episode.replaying.audit import audit
 from station.episode.replaying.recorded_policy import load_policy, recorded_policy
@@ -61,7 +61,7 @@ def _episode(seconds: float) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="bench-") as name:
         folder = Path(name)
         settings = (*(f"g1.{setting}" for setting in upstream.G1_SETTINGS), f"motion.motion={upstream.MOTION}")
-        run = [sys.executable, "-m", "station", "up", "g1-sim-motion", "--yes", "--record", "--task", "bench"]
+        run = python_child.command("-m", "station", "up", "g1-sim-motion", "--yes", "--record", "--task", "bench")
         run += [word for setting in settings for word in ("--set", setting)]
         result = subprocess.run(
             [*run, "--for", f"{seconds:g}s", "--data", str(folder / "data")],

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import contextlib
 import subprocess
-import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ import msgspec
 
 from adapters.devices.pico.headset import DEFAULT_PORT, Headset
 from adapters.devices.pico.stock import controller_data
+from station import python_child
 from station.bus import codec, keys
 from station.config import to_plain
 from station.errors import NotReady
@@ -112,7 +112,7 @@ def _fake(script: Path, start_s: float) -> Iterator[_Fake]:
 
     load(script)  # a mistake in it is told here, in one line, and not by a child
     arguments = [str(script), "--port", "0", "--on-leash", "--start-s", repr(start_s)]
-    command = [sys.executable, "-m", "adapters.devices.fakes.pico", *arguments]
+    command = python_child.command("-m", "adapters.devices.fakes.pico", *arguments)
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin is not None
         assert process.stdout is not None

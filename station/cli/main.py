@@ -11,6 +11,7 @@ from typing import NoReturn
 
 import click
 
+from station import python_child
 from station.cli.options import Verbs
 from station.errors import StationError
 from station.printable import printable
@@ -77,6 +78,7 @@ def cli() -> None:
 
 def main() -> NoReturn:
     """Run the command line; every known error is one line on stderr and an exit code."""
+    python_child.protect_children()
     level = os.environ.get("STATION_LOG", "").upper()
     logging.basicConfig(level=level if level in _LEVELS else "INFO")
     for handler in logging.getLogger().handlers:

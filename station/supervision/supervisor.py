@@ -13,7 +13,6 @@ import contextlib
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Mapping
@@ -23,6 +22,7 @@ from typing import Any
 import msgspec
 
 from station import config as configuration
+from station import python_child
 from station.bus import address as addresses
 from station.bus import codec, keys
 from station.bus.address import BusAddress
@@ -96,7 +96,7 @@ class Supervisor:
         os.set_inheritable(reading, True)
         with log.open("ab") as output:
             process = subprocess.Popen(
-                [sys.executable, "-m", "station", *arguments],
+                python_child.command("-m", "station", *arguments),
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from station import python_child
 from station.errors import StationError
 from station.protocols import Floats
 
@@ -87,7 +87,7 @@ def _try(way: str, folder: Path) -> str | None:
     """Let a child draw; return why it did not, or None."""
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "station.view.offscreen_child", str(folder)],
+            python_child.command("-m", "station.view.offscreen_child", str(folder)),
             check=False, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
             errors="replace",
             timeout=_LIMIT_S, env=_environment(way), start_new_session=True,  # Ctrl-C is ours to hear, and kills it

@@ -128,3 +128,14 @@ def test_a_second_server_of_the_same_name_is_refused(supervisor: Supervisor, bus
     supervisor.stop("motion")
     supervisor.spawn("again", WAVE, server="motion")
     supervisor.wait_for("again", "inactive", DEADLINE_S)
+
+
+def test_a_child_imports_nothing_from_the_folder_that_the_station_is_started_in(
+    supervisor: Supervisor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "servers").mkdir()
+    (tmp_path / "servers/__init__.py").touch()
+    (tmp_path / "secrets.py").write_text("raise SystemExit('the secrets of this folder were imported')")
+    monkeypatch.chdir(tmp_path)
+    supervisor.spawn("motion", WAVE)
+    supervisor.wait_for("motion", "inactive", DEADLINE_S)

@@ -1,0 +1,54 @@
+"""Python processes that we start, in a folder with modules that are called like Python's own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from station import python_child
+
+_LIKE_THE_STATION_COMMAND = """
+import math, sys
+from station import side_by_side
+from station.cli.main import main
+
+if __name__ == "__main__":
+    sys.argv = ["station", "--version"]
+    try:
+        main()
+    except SystemExit as end:
+        assert end.code == 0
+    print(side_by_side.run(math.sqrt, [1.0, 4.0], jobs=2))
+"""
+
+
+@pytest.fixture
+def hostile(tmp_path: Path) -> Path:
+    """A folder whose modules end the process that imports them; multiprocessing imports `socket`."""
+    folder = tmp_path / "here"
+    folder.mkdir()
+    for module in ("socket", "secrets"):
+        (folder / f"{module}.py").write_text(f"raise SystemExit('the {module} of this folder was imported')")
+    return folder
+
+
+def run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    environment = {name: value for name, value in os.environ.items() if name != python_child.SAFE_PATH}
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_a_child_imports_no_module_of_the_current_folder(hostile: Path) -> None:
+    done = run(python_child.command("-c", "import secrets, multiprocessing.reduction"), hostile)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_command_line_protects_the_processes_that_share_its_work(hostile: Path, tmp_path: Path) -> None:
+    script = tmp_path / "station_command.py"
+    script.write_text(_LIKE_THE_STATION_COMMAND)
+    done = run([sys.executable, str(script)], hostile)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.endswith("[1.0, 2.0]\n")
