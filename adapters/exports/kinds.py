@@ -14,7 +14,7 @@ LEROBOT = ExportKind(
     convert=lerobot.convert,
     join=lerobot.join,
     columns=lerobot.columns,
-    version=3,
+    version=4,
 )
 CSV = ExportKind(
     name="csv",

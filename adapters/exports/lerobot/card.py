@@ -69,7 +69,7 @@ def _rows_text(plan: Plan) -> str:
     for column, keys, as_action in ((STATE, common.state, False), (ACTION, common.action, True)):
         lines += [f"- `{column}`, key `{one.key}`: {RULES[rule_of(one, as_action=as_action)]}" for one in keys]
     if common.cameras:
-        lines.append(f"- pictures: {RULES['picture']}; the video is {plan.codec}, a key picture every second one")
+        lines.append(f"- pictures: {RULES['picture']}; the video is {plan.codec}, every second frame a key frame")
     lines += [
         "",
         "`timestamp` is the number of the row over the rate, as LeRobot wants it. Real instants and ages stand in",

@@ -17,6 +17,7 @@ NO_CAMERA = "none"
 
 _STATE = "Keys of observation.state.  [default: robot_state of the episodes' robot, state_joints of an arm]"
 _ACTION = "Keys of action.  [default: command_used of the episodes' robot, the command that the policy was given]"
+_CODEC = "Of the video; av1, LeRobot's own, is slower to make and about as large, with better pictures."
 _CAMERA = f"Cameras; `{NO_CAMERA}` for no pictures.  [default: all]"
 
 
@@ -38,7 +39,7 @@ class LeRobotOptions(ExportOptions, frozen=True, kw_only=True, forbid_unknown_fi
     action: Annotated[tuple[str, ...], Meta(description=_ACTION)] = ()
     camera: Annotated[tuple[str, ...], Meta(description=_CAMERA)] = ()
     layout: Annotated[Layout, Meta(description="v3.0 for LeRobot; v2.1 for GR00T and openpi.")] = "v3.0"
-    codec: Annotated[Codec, Meta(description="Of the video; av1 is smaller, and slower to make.")] = "h264"
+    codec: Annotated[Codec, Meta(description=_CODEC)] = "h264"
     val: Annotated[float, Meta(ge=0.0, lt=1.0, description="Share of the episodes that is set aside.")] = 0.0
     seed: Annotated[int, Meta(description="Decides which episodes are set aside.")] = 0
 

@@ -19,6 +19,7 @@ from adapters.exports.lerobot.features import INDEX
 from adapters.exports.lerobot.kind import LeRobotOptions
 from adapters.exports.lerobot.modality import groups
 from adapters.exports.lerobot.plan import Camera
+from adapters.exports.lerobot.video import packets
 from station.bus import codec, contracts, keys
 from station.errors import EpisodeError
 from station.export import shards
@@ -228,10 +229,16 @@ def test_reruns_reader_streams_every_episode_with_curves_named_as_the_contract_n
     assert seen[f"/{IMAGE} VideoStream:sample"] == sum(rows)
 
 
-def test_av1_shows_the_same_pictures(tmp_path: Path) -> None:
-    exported([walked(tmp_path / "data", seconds=0.5)], out := tmp_path / "set", codec="av1")
+@pytest.mark.parametrize("coding", ["h264", "av1"])
+def test_a_video_shows_the_picture_of_each_row_and_every_second_frame_is_a_key_frame(
+    tmp_path: Path, coding: str
+) -> None:
+    exported([walked(tmp_path / "data", seconds=0.5)], out := tmp_path / "set", codec=coding)
     rows = pq.read_table(out / "data/chunk-000/file-000.parquet").to_pydict()
-    assert pictures(out / f"videos/{IMAGE}/chunk-000/file-000.mp4") == nearest(rows["time_ns"])
+    video = out / f"videos/{IMAGE}/chunk-000/file-000.mp4"
+    assert pictures(video) == nearest(rows["time_ns"])
+    is_key = [packet.is_keyframe for packet in packets(video)]
+    assert is_key == [number % 2 == 0 for number in range(len(is_key))]
 
 
 def test_a_picture_that_cannot_be_read_is_replaced_and_its_age_says_so(tmp_path: Path) -> None:
@@ -320,7 +327,8 @@ def test_an_episode_that_changes_while_it_is_read_is_left_out(tmp_path: Path) ->
 
     def meddle() -> None:
         while not stop.wait(0.005):
-            manifest.write_text(manifest.read_text() + "# again\n")
+            with manifest.open("a") as file:  # whole at any instant, unlike a file that is written anew
+                file.write("# again\n")
 
     with shards.open_work(out) as work:
         task = shards.Task(format="lerobot", source=sources[1], plan=plan, min_quality="any", work=str(work))
