@@ -84,6 +84,7 @@ def main() -> NoReturn:
     for handler in logging.getLogger().handlers:
         handler.setFormatter(_Formatter("%(levelname).1s %(name)s: %(message)s"))
     logging.captureWarnings(True)
+    os.environ.setdefault("RUST_LOG", "off")  # Rerun's own log, on stderr in colours: what matters of it is raised
     try:
         code = cli.main(prog_name="station", standalone_mode=False)
     except click.ClickException as error:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import signal
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +15,8 @@ from station.cli.options import address_of, bus_option, data_option
 from station.errors import StationError, UsageError
 
 if TYPE_CHECKING:
+    import rerun as rr
+
     from station.episode.reading.reader import EpisodeReader
 
 _IN_ITS_FOLDER = ""  # FILE was left out
@@ -100,39 +104,60 @@ def _show_live(save_as: Path | None, for_: str | None, robot: str, robot_model: 
     from station import config
     from station.bus.client import Bus
     from station.view.live import LiveView, run
+    from station.view.viewer import expect_display
 
+    if save_as is None:
+        expect_display()
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
     if for_ is not None:
         timer = threading.Timer(config.seconds(for_, where="--for"), stop.set)
         timer.daemon = True
         timer.start()
     recording = rr.RecordingStream("teleop-station")
-    with Bus(address_of(bus), name="view", timeout_s=1.0) as line:
-        _open(recording, save_as)
-        with LiveView(line, recording, robot=robot, robot_model=robot_model) as view:
-            _warn(view.warnings)
-            click.echo(f"showing {view.robot}; Ctrl-C stops", err=True)
+    with (
+        Bus(address_of(bus), name="view", timeout_s=1.0) as line,
+        _shown(recording, save_as, stop),
+        LiveView(line, recording, robot=robot, robot_model=robot_model) as view,
+    ):
+        _warn(view.warnings)
+        click.echo(f"showing {view.robot}; Ctrl-C stops", err=True)
+        with _signals_set(stop):
             run(view, stop)
+
+
+@contextmanager
+def _shown(recording: rr.RecordingStream, save_as: Path | None, stop: threading.Event) -> Iterator[None]:
+    """Send a recording to a file, or to a viewer, whose end sets an event."""
+    from station.view.viewer import open_viewer
+
+    if save_as is None:
+        with open_viewer(recording, on_end=stop.set) as viewer:
+            yield
+            if viewer.is_closed:
+                click.echo("the viewer was closed", err=True)
+            else:
+                viewer.deliver(recording)
+        return
+    try:
+        recording.save(save_as)
+    except (RuntimeError, OSError) as error:
+        raise StationError(f"{save_as}: cannot be written ({error}); name a file in a folder of yours") from error
+    yield
     recording.flush()
-    if save_as is not None:
-        click.echo(f"saved {save_as}; open it with: rerun {save_as}")
+    click.echo(f"saved {save_as}; open it with: rerun {save_as}")
+
+
+@contextmanager
+def _signals_set(stop: threading.Event) -> Iterator[None]:
+    """Have Ctrl-C and SIGTERM set an event; afterwards they are what they were, so a second Ctrl-C ends a wait."""
+    before = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _warn(warnings: list[str]) -> None:
     for warning in warnings:
         click.echo(f"station: {warning}", err=True)
-
-
-def _open(recording: object, save_as: Path | None) -> None:
-    import rerun as rr
-
-    assert isinstance(recording, rr.RecordingStream)
-    try:
-        if save_as is None:
-            recording.spawn()
-        else:
-            recording.save(save_as)
-    except (RuntimeError, OSError) as error:
-        raise StationError(f"Rerun cannot start ({error}); without a display use --save FILE.rrd") from error

@@ -19,6 +19,7 @@ from station.view.episode_story import draw_events, draw_states
 from station.view.find_model import find_model
 from station.view.model import RobotModel
 from station.view.poses import Posture
+from station.view.viewer import open_viewer
 
 APPLICATION = "teleop-station"
 
@@ -81,15 +82,12 @@ def show(reader: EpisodeReader, *, robot_model: str | Path | None = None) -> Vie
     """Open Rerun's viewer on an episode; needs a display.
 
     Raises:
-        StationError: the viewer does not start.
+        StationError: there is no display, or the viewer does not start, or ends before it has everything.
     """
     recording = _recording(reader)
-    try:
-        recording.spawn()
-    except (RuntimeError, OSError) as error:
-        raise StationError(f"Rerun's viewer does not start ({error}); save a file instead and open it there") from error
-    view = draw(reader, recording, robot_model=robot_model)
-    recording.flush()
+    with open_viewer(recording) as viewer:
+        view = draw(reader, recording, robot_model=robot_model)
+        viewer.deliver(recording)
     return view
 
 
