@@ -37,8 +37,8 @@ WHAT_ADAPTERS_NEED = {
 WHAT_EXPORTS_NEED = {
     "station.episode.reading.frames", "station.episode.reading.messages", "station.episode.reading.reader",
     "station.episode.reading.vectors", "station.episode.storage.folder", "station.episode.storage.manifest",
-    "station.export.columns", "station.export.kind", "station.export.resample", "station.export.shards",
-    "station.export.tracks", "station.export.verdict",
+    "station.export.columns", "station.export.kind", "station.export.parts", "station.export.resample",
+    "station.export.shards", "station.export.tracks", "station.export.verdict",
     "station.software",
 }  # fmt: skip
 """What reads an episode, and what every export shares; for `adapters/exports` alone."""

@@ -48,11 +48,7 @@ def convert(source: Source, plan: Plan, folder: Path) -> Made:
         EpisodeError: no key holds joint positions, or one that was asked for does not.
     """
     rows = Rows(source, plan.keys)
-    kinds = {key: found for key, columns in rows.columns.items() if (found := JointStates.of(columns)) is not None}
-    if without := [key for key in plan.keys if key not in kinds]:
-        raise EpisodeError(f"{source.episode_id}: key {without[0]!r} holds no joint positions; leave it out")
-    if not kinds:
-        raise EpisodeError(f"{source.episode_id}: no key in it holds joint positions, so nothing to export")
+    kinds = _kinds(rows, source, plan)
     rows.narrow(kinds)
     with (folder / f"{source.episode_id}.mcap").open("xb") as file:
         writer = Writer(file)
@@ -64,6 +60,22 @@ def convert(source: Source, plan: Plan, folder: Path) -> Made:
             writer.add_message(channels[row.key], row.log_ns, data, row.publish_ns, row.sequence)
         writer.finish()
     return rows.made()
+
+
+def look(source: Source, plan: Plan) -> list[str]:
+    """Say whether an episode can be converted; see `ExportKind.look`."""
+    _kinds(Rows(source, plan.keys), source, plan)
+    return []
+
+
+def _kinds(rows: Rows, source: Source, plan: Plan) -> dict[str, JointStates]:
+    """Return what makes the messages of each key that holds joint positions."""
+    kinds = {key: found for key, columns in rows.columns.items() if (found := JointStates.of(columns)) is not None}
+    if without := [key for key in plan.keys if key not in kinds]:
+        raise EpisodeError(f"{source.episode_id}: key {without[0]!r} holds no joint positions; leave it out")
+    if not kinds:
+        raise EpisodeError(f"{source.episode_id}: no key in it holds joint positions, so nothing to export")
+    return kinds
 
 
 class JointStates:

@@ -14,6 +14,7 @@ LEROBOT = ExportKind(
     convert=lerobot.convert,
     join=lerobot.join,
     columns=lerobot.columns,
+    look=lerobot.look,
     version=4,
 )
 CSV = ExportKind(
@@ -22,6 +23,7 @@ CSV = ExportKind(
     options=named_rows.QuickLookOptions,
     prepare=named_rows.prepare,
     convert=csv_tables.convert,
+    look=named_rows.look,
 )
 NPZ = ExportKind(
     name="npz",
@@ -29,6 +31,7 @@ NPZ = ExportKind(
     options=named_rows.QuickLookOptions,
     prepare=named_rows.prepare,
     convert=npz_arrays.convert,
+    look=named_rows.look,
 )
 JOINTSTATE_MCAP = ExportKind(
     name="jointstate-mcap",
@@ -36,4 +39,5 @@ JOINTSTATE_MCAP = ExportKind(
     options=named_rows.QuickLookOptions,
     prepare=named_rows.prepare,
     convert=jointstate.convert,
+    look=jointstate.look,
 )

@@ -66,6 +66,12 @@ def prepare(_sources: Sequence[Source], options: QuickLookOptions) -> Plan:
     return Plan(keys=options.keys)
 
 
+def look(source: Source, plan: Plan) -> list[str]:
+    """Say whether an episode can be converted; see `ExportKind.look`."""
+    Rows(source, plan.keys)
+    return []
+
+
 class Rows:
     """The rows of an episode.
 

@@ -220,6 +220,10 @@ def _preview(kind: ExportKind, chosen: Sequence[Any], options: Any, where: Where
             for line in told:
                 click.echo(f"column    {line}")
             click.echo(f"as        {json.dumps(_settings(seen.plan))}")
+        for note in seen.notes[:_TOLD]:
+            click.echo(f"note      {printable(note)}")
+        if more := seen.notes[_TOLD:]:
+            click.echo(f"note      {len(more)} more")
         click.echo(f"{len(seen.sources)} of {len(chosen)} episodes would go in; nothing was written")
     raise SystemExit(0 if seen.sources else 1)
 
@@ -229,6 +233,7 @@ def _plain(seen: Preview) -> dict[str, Any]:
         "sources": msgspec.to_builtins(seen.sources),
         "left_out": msgspec.to_builtins(seen.left_out),
         "plan": msgspec.to_builtins(seen.plan, enc_hook=str),
+        "notes": list(seen.notes),
     }
 
 

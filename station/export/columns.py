@@ -82,17 +82,33 @@ def expect_same(reader: EpisodeReader, wanted: Sequence[KeyColumns]) -> None:
     """Refuse an episode whose keys do not hold what the table has.
 
     Raises:
-        EpisodeError: a key is missing or has other elements; names it.
+        EpisodeError: a key is missing, or has other elements, units, role, codec or rate; names it and both values.
     """
     for columns in wanted:
         found = key_columns(reader, columns.key)
-        if found.names == columns.names:
-            continue
-        odd = ", ".join(sorted(set(found.names) ^ set(columns.names))[:3]) or "in another order"
-        raise EpisodeError(
-            f"{reader.episode_id}: key {columns.key!r} has {len(found.names)} elements, "
-            f"the data set {len(columns.names)} ({odd}); export episodes of one robot at a time"
+        if found != columns:
+            raise EpisodeError(f"{reader.episode_id}: key {columns.key!r} {_difference(found, columns)}")
+
+
+def _difference(found: KeyColumns, wanted: KeyColumns) -> str:
+    """Say in which an episode's columns of a key differ from those of the table."""
+    if found.names != wanted.names:
+        odd = ", ".join(sorted(set(found.names) ^ set(wanted.names))[:3]) or "in another order"
+        return (
+            f"has {len(found.names)} elements, the data set {len(wanted.names)} ({odd}); "
+            "export episodes of one robot at a time"
         )
+    units = zip(found.names, found.units, wanted.units, strict=True)
+    if unlike := next(
+        (f"{name} in {unit!r}, the data set in {ours!r}" for name, unit, ours in units if unit != ours), ""
+    ):
+        return f"has {unlike}; export episodes of one unit at a time"
+    fields = ("role", "codec", "rate_hz")
+    field = next(name for name in fields if getattr(found, name) != getattr(wanted, name))
+    return (
+        f"has {field} {getattr(found, field)} in its contract, the data set {getattr(wanted, field)}; "
+        "export these episodes apart"
+    )
 
 
 def unique_names(columns: Sequence[KeyColumns]) -> list[str]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from station import registry
 from station.episode.quality.rule_file import RuleBook
 from station.errors import StationError
 from station.export import shards, verdict
@@ -57,11 +58,19 @@ class Exported:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Preview:
-    """What an export would be: episodes that would go in, those that would not and why, and the format's plan."""
+    """What an export would be.
+
+    Attributes:
+        sources: Episodes that would go in.
+        left_out: Those that would not, and why.
+        plan: The format's; None where no episode is good enough.
+        notes: What the result would lack of the episodes, a line each.
+    """
 
     sources: tuple[Source, ...]
     left_out: tuple[LeftOut, ...]
     plan: Any
+    notes: tuple[str, ...] = ()
 
 
 def export(
@@ -132,8 +141,18 @@ def preview(
         on_done=None if on_done is None else lambda _: on_done(),
     )  # fmt: skip
     left_out = [LeftOut(source=each.item, reason=each.error) for each in attempts if each.error]
-    fit = [each.item for each in attempts if not each.error]
-    return Preview(sources=tuple(fit), left_out=tuple(left_out), plan=kind.prepare(fit, options) if fit else None)
+    good = [each.item for each in attempts if not each.error]
+    if not good:
+        return Preview(sources=(), left_out=tuple(left_out), plan=None)
+    plan = kind.prepare(good, options)
+    looks = map_episodes(_Fits(kind.name, plan), good, jobs=where.jobs, ray_address=where.ray_address)
+    left_out += [LeftOut(source=each.item, reason=each.error) for each in looks if each.error]
+    return Preview(
+        sources=tuple(each.item for each in looks if not each.error),
+        left_out=tuple(left_out),
+        plan=plan,
+        notes=tuple(note for each in looks for note in each.result or ()),
+    )
 
 
 class _Look:
@@ -144,6 +163,17 @@ class _Look:
 
     def __call__(self, source: Source) -> None:
         verdict.expect(source, self._least, self._book)
+
+
+class _Fits:
+    """Looks whether a format could convert an episode, likewise."""
+
+    def __init__(self, format: str, plan: Any) -> None:
+        self._format, self._plan = format, plan
+
+    def __call__(self, source: Source) -> Sequence[str]:
+        kind: ExportKind = registry.find("export", self._format)
+        return kind.look(source, self._plan) if kind.look is not None else ()
 
 
 def _outcome(attempt: Attempt[shards.Task, shards.Outcome]) -> shards.Outcome:

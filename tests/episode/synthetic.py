@@ -40,6 +40,7 @@ class EpisodeBuilder:
         self._channels: dict[tuple[str, str, str], int] = {}
         self._sequences: dict[tuple[str, str], int] = {}
         self._stamps: list[bytes] = []
+        self.contracts: dict[str, contracts.Contract] = {}  # in the place of today's, by key
 
     def write(self, values: Mapping[str, bytes], *, at_s: float, writer: str = "g1", lag_s: float = 0.0002) -> None:
         """One stamped `MSET`, written at a time and seen by the tap a little later."""
@@ -107,7 +108,7 @@ class EpisodeBuilder:
         found = self._channels.get((key, source, writer))
         if found is not None:
             return found
-        contract = contracts.contract(key)
+        contract = self.contracts.get(key) or contracts.contract(key)
         channel = self._writer.register_channel(
             topic=key,
             message_encoding="json" if _is_json(value) else "application/octet-stream",

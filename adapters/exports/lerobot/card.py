@@ -68,6 +68,8 @@ def _rows_text(plan: Plan) -> str:
     lines = ["## How a row is made", "", f"- clock: {RULES['clock']}"]
     for column, keys, as_action in ((STATE, common.state, False), (ACTION, common.action, True)):
         lines += [f"- `{column}`, key `{one.key}`: {RULES[rule_of(one, as_action=as_action)]}" for one in keys]
+    if common.is_every_part:
+        lines.append("- hands and neck: those whose command or state changed in the first episode")
     if common.cameras:
         lines.append(f"- pictures: {RULES['picture']}; the video is {plan.codec}, every second frame a key frame")
     lines += [
@@ -117,6 +119,9 @@ def _episode_row(number: int, shard: Shard, plan: Plan) -> tuple[str, ...]:
     remarks = [f"{count} values of `{key}` did not fit" for key, count in facts["skipped"].items()]
     if facts["without_own_step"]:
         remarks.append(f"{facts['without_own_step']} rows with the action of a neighbouring step")
+    for what, names in facts["missed"].items():
+        if names:
+            remarks.append(f"{what} that are not in the data set: {', '.join(names)}")
     for camera, found in facts["pictures"].items():
         remarks.append(f"{camera}: {found['distinct']} pictures")
         if found["bad"]:

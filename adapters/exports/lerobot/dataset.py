@@ -61,14 +61,17 @@ def join(shards: Sequence[Shard], left_out: Sequence[LeftOut], plan: Plan, folde
 
 def _notes(shards: Sequence[Shard]) -> Iterator[str]:
     """Yield what whoever asked for the data set should know, in a line each."""
-    with_others = [shard for shard in shards if shard.made.facts["other_cameras"]]
-    if with_others:
-        names = sorted({camera for shard in with_others for camera in shard.made.facts["other_cameras"]})
-        yield (
-            f"{len(with_others)} of {len(shards)} episodes ({with_others[0].source.episode_id} first) have cameras "
-            f"that the first one has not, and that are not in the data set: {', '.join(names)}; with --camera NAME "
-            "they are, and episodes without them are not"
-        )
+    for what, has, cure in (
+        ("cameras", "have cameras that the first one has not", "with --camera NAME they are"),
+        ("parts", "move what does not move in the first one", "with --state KEYS --action KEYS they are"),
+    ):
+        with_others = [shard for shard in shards if shard.made.facts["missed"][what]]
+        if with_others:
+            names = sorted({name for shard in with_others for name in shard.made.facts["missed"][what]})
+            yield (
+                f"{len(with_others)} of {len(shards)} episodes ({with_others[0].source.episode_id} first) {has}, and "
+                f"that are not in the data set: {', '.join(names)}; {cure}, and episodes without them are not"
+            )
     without = [shard for shard in shards if shard.made.facts["without_own_step"]]
     if without:
         rows = sum(shard.made.facts["without_own_step"] for shard in without)

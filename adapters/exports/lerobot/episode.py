@@ -10,14 +10,13 @@ import msgspec
 import numpy as np
 
 from adapters.exports.lerobot import parquet, stats
-from adapters.exports.lerobot.plan import ACTION, AGE, STATE, TIME, Plan, cameras_of, open_source
+from adapters.exports.lerobot.plan import ACTION, AGE, STATE, TIME, Plan, expect_fit, missed, open_source
 from station.assets import sha256
-from station.episode.reading import frames
 from station.episode.reading.messages import Ints
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.manifest import Manifest
 from station.export import tracks
-from station.export.columns import KeyColumns, expect_same
+from station.export.columns import KeyColumns
 from station.export.kind import Made, Source
 from station.export.resample import Column, Table, ages_s, resample
 from station.protocols import Floats, Floats32
@@ -45,10 +44,7 @@ def convert(source: Source, plan: Plan, folder: Path) -> Made:
     """
     common = plan.common
     reader = open_source(source)
-    expect_same(reader, common.read)
-    cameras = cameras_of(reader, [camera.name for camera in common.cameras])
-    recorded = tracks.read(reader, common.read, cameras.values())
-    table = resample(recorded, common.state, common.action, plan.fps, reader.episode_id)
+    recorded, table = _rows(reader, plan)
     encoded = _encode(reader, plan, table, folder)
     columns: parquet.Columns = {
         STATE: _joined(table.state, common.state),
@@ -67,7 +63,7 @@ def convert(source: Source, plan: Plan, folder: Path) -> Made:
     facts = {
         "task": task_of(reader.manifest),
         "pictures": {camera.name: _picture_facts(encoded[camera.key]) for camera in common.cameras},
-        "other_cameras": _other_cameras(reader, plan),
+        "missed": missed(reader, plan),
         "head_s": table.head_s,
         "tail_s": table.tail_s,
         "without_own_step": table.without_own_step,
@@ -96,10 +92,26 @@ def provenance(reader: EpisodeReader) -> dict[str, Any]:
     }
 
 
-def _other_cameras(reader: EpisodeReader, plan: Plan) -> list[str]:
-    """Return cameras of an episode that the data set has not, though all were meant."""
-    taken = {camera.name for camera in plan.common.cameras}
-    return sorted(frames.cameras(reader).keys() - taken) if plan.common.is_every_camera else []
+def look(source: Source, plan: Plan) -> list[str]:
+    """Do all that `convert` does but for video and files; return what the data set would lack of the episode.
+
+    Raises:
+        EpisodeError: as `convert`.
+    """
+    reader = open_source(source)
+    _rows(reader, plan)
+    return [
+        f"{source.episode_id}: {what}, not in the data set: {', '.join(names)}"
+        for what, names in missed(reader, plan).items()
+        if names
+    ]
+
+
+def _rows(reader: EpisodeReader, plan: Plan) -> tuple[tracks.Recorded, Table]:
+    common = plan.common
+    cameras = expect_fit(reader, plan)
+    recorded = tracks.read(reader, common.read, cameras.values())
+    return recorded, resample(recorded, common.state, common.action, plan.fps, reader.episode_id)
 
 
 def _encode(reader: EpisodeReader, plan: Plan, table: Table, folder: Path) -> Mapping[str, Encoded]:

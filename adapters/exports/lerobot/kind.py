@@ -15,8 +15,14 @@ from station.export.kind import ExportOptions, LeftOut, Made, Shard, Source
 
 NO_CAMERA = "none"
 
-_STATE = "Keys of observation.state.  [default: robot_state of the episodes' robot, state_joints of an arm]"
-_ACTION = "Keys of action.  [default: command_used of the episodes' robot, the command that the policy was given]"
+_STATE = (
+    "Keys of observation.state.  [default: robot_state of the episodes' robot, state_joints of an arm; and the state "
+    "of each hand and of the neck that moves in the first episode]"
+)
+_ACTION = (
+    "Keys of action.  [default: command_used of the episodes' robot, the command that the policy was given; and the "
+    "command of each hand and of the neck that moves in the first episode]"
+)
 _CODEC = "Of the video; av1, LeRobot's own, is slower to make and about as large, with better pictures."
 _CAMERA = f"Cameras; `{NO_CAMERA}` for no pictures.  [default: all]"
 
@@ -69,6 +75,13 @@ def columns(plan: Plan) -> list[str]:
         f"{ages}: how old the values of a row are [s]",
         f"{plans.TIME}: the instant of a row [ns since the epoch]",
     ]
+
+
+def look(source: Source, plan: Plan) -> list[str]:
+    """Say whether an episode fits; see `ExportKind.look`."""
+    from adapters.exports.lerobot import episode
+
+    return episode.look(source, plan)
 
 
 def convert(source: Source, plan: Plan, folder: Path) -> Made:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
@@ -15,8 +16,9 @@ from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.folder import signals_file
 from station.errors import EpisodeError, StationError, did_you_mean
 from station.export import verdict
-from station.export.columns import KeyColumns, key_columns, robot_of, unique_names
+from station.export.columns import KeyColumns, expect_same, key_columns, robot_of, unique_names
 from station.export.kind import MinQuality, Source
+from station.export.parts import moving_parts
 from station.export.resample import state_of_step
 
 Layout = Literal["v3.0", "v2.1"]
@@ -28,6 +30,8 @@ AGE = "age_s."
 """Before the name of a column: how old what stands there is. Names that begin with ``observation`` or ``action`` would
 be taken for inputs and outputs of a policy by LeRobot, whatever they hold."""
 TIME = "time_ns"
+
+_TRIED = 10  # pictures of a camera, for its size: the first may be torn
 
 
 class Camera(msgspec.Struct, frozen=True, kw_only=True):
@@ -61,6 +65,7 @@ class Common(msgspec.Struct, frozen=True, kw_only=True):
         read: These, and the states of the policy steps that made the action.
         cameras: By name.
         is_every_camera: Whether all cameras were meant, and these are those of the first episode.
+        is_every_part: Whether no keys were named, so that hands and neck are those that moved in the first episode.
     """
 
     robot: str
@@ -69,6 +74,7 @@ class Common(msgspec.Struct, frozen=True, kw_only=True):
     read: tuple[KeyColumns, ...]
     cameras: tuple[Camera, ...]
     is_every_camera: bool = False
+    is_every_part: bool = False
 
     @property
     def state_names(self) -> list[str]:
@@ -128,6 +134,39 @@ def open_source(source: Source) -> EpisodeReader:
     return EpisodeReader(signals_file(Path(source.folder)))
 
 
+def expect_fit(reader: EpisodeReader, plan: Plan) -> dict[str, str]:
+    """Refuse an episode that cannot be in a data set; return the key of each of its cameras by name.
+
+    Raises:
+        EpisodeError: a key or a camera is missing, or holds something else than the data set; names it.
+    """
+    common = plan.common
+    if common.is_every_part and (robot := robot_of(reader)) != common.robot:
+        raise EpisodeError(f"{reader.episode_id}: of {robot}, the data set is of {common.robot}; export it apart")
+    expect_same(reader, common.read)
+    found = cameras_of(reader, [camera.name for camera in common.cameras])
+    for camera in common.cameras:
+        one = _camera(reader, camera.name, found[camera.name])
+        if (one.height, one.width) != (camera.height, camera.width):
+            raise EpisodeError(
+                f"{reader.episode_id}: camera {camera.name!r}: pictures of {one.width}x{one.height} pixels, the data "
+                f"set has {camera.width}x{camera.height}; export these episodes apart"
+            )
+    return found
+
+
+def missed(reader: EpisodeReader, plan: Plan) -> dict[str, list[str]]:
+    """Return what an episode has and the data set lacks, though all was meant: cameras; hands and neck that moved."""
+    common = plan.common
+    taken = {camera.name for camera in common.cameras}
+    has = {one.key for one in (*common.state, *common.action)}
+    parts = moving_parts(reader, common.robot) if common.is_every_part else []
+    return {
+        "cameras": sorted(frames.cameras(reader).keys() - taken) if common.is_every_camera else [],
+        "parts": [part.name for part in parts if not {part.action, part.state} - {None} <= has],
+    }
+
+
 def cameras_of(reader: EpisodeReader, names: Sequence[str]) -> dict[str, str]:
     """Return the key of each named camera.
 
@@ -148,8 +187,11 @@ def cameras_of(reader: EpisodeReader, names: Sequence[str]) -> dict[str, str]:
 def _of(reader: EpisodeReader, wish: Wish) -> Common:
     robot = "" if wish.state and wish.action else robot_of(reader)
     _expect_defaults(reader, wish, robot)
-    state = tuple(key_columns(reader, key) for key in wish.state or (keys.state_of_step(robot),))
-    action = tuple(key_columns(reader, key) for key in wish.action or (keys.command_used(robot),))
+    parts = moving_parts(reader, robot) if robot else []
+    states = wish.state or (keys.state_of_step(robot), *(part.state for part in parts if part.state))
+    actions = wish.action or (keys.command_used(robot), *(part.action for part in parts if part.action))
+    state = tuple(key_columns(reader, key) for key in states)
+    action = tuple(key_columns(reader, key) for key in actions)
     chosen = {one.key: one for one in (*state, *action)}
     steps = {state_of_step(one.key) for one in action if one.role == "policy"}
     paces = {key: key_columns(reader, key) for key in sorted(key for key in steps if key and key not in chosen)}
@@ -161,6 +203,7 @@ def _of(reader: EpisodeReader, wish: Wish) -> Common:
         read=tuple({**chosen, **paces}.values()),
         cameras=tuple(_camera(reader, name, key) for name, key in cameras_of(reader, wanted).items()),
         is_every_camera=wish.cameras is None,
+        is_every_part=not wish.state and not wish.action,
     )
 
 
@@ -180,8 +223,11 @@ def _expect_defaults(reader: EpisodeReader, wish: Wish, robot: str) -> None:
 def _camera(reader: EpisodeReader, name: str, key: str) -> Camera:
     from adapters.exports.lerobot.decoder import Decoder
 
-    first = next(frames.frames(reader, key), None)
-    picture = Decoder().picture(first.jpeg) if first is not None else None
+    decoder = Decoder()
+    pictures = (decoder.picture(frame.jpeg) for frame in islice(frames.frames(reader, key), _TRIED))
+    picture = next((picture for picture in pictures if picture is not None), None)
     if picture is None:
-        raise EpisodeError(f"{reader.episode_id}: the first picture of camera {name!r} is no JPEG that can be read")
+        raise EpisodeError(
+            f"{reader.episode_id}: none of the first {_TRIED} pictures of camera {name!r} is a JPEG that can be read"
+        )
     return Camera(name=name, key=key, height=picture.height // 2 * 2, width=picture.width // 2 * 2)
