@@ -100,6 +100,7 @@ class JointCommand:
     margin: Floats
     rate: Floats
     stays: bool = True
+    velocities: tuple[int, ...] = ()
 
     @classmethod
     def within(cls, name: str, robot: str, *, lower: Floats, upper: Floats, margin: Floats, rate: Floats) -> Self:

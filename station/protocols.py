@@ -289,6 +289,14 @@ class CommandFormat(Protocol):
         """Whether a robot without a command stays where it is (an arm) instead of going back to `default`."""
         ...
 
+    @property
+    def velocities(self) -> tuple[int, ...]:
+        """Indices of the elements that are velocities of the robot, 0 in `default`; they fade where commands are lost.
+
+        A position that is held keeps the robot in place; a velocity that is held moves it on.
+        """
+        ...
+
     def encode(self, reference: Reference, joint_names: tuple[str, ...]) -> Floats:
         """Return the vector that asks for a reference whose joints are named, shape (m,)."""
         ...

@@ -25,9 +25,9 @@ HEAVY = (
 )  # fmt: skip
 
 WHAT_ADAPTERS_NEED = {
-    "station.arms", "station.assets", "station.bus.arm_contracts", "station.bus.codec", "station.bus.contracts",
-    "station.bus.joints", "station.bus.keys", "station.bus.sample", "station.camera.source", "station.config",
-    "station.errors", "station.foreign.kind", "station.operator.deadman", "station.operator.deltas",
+    "station.arms", "station.assets", "station.blends", "station.bus.arm_contracts", "station.bus.codec",
+    "station.bus.contracts", "station.bus.joints", "station.bus.keys", "station.bus.sample", "station.camera.source",
+    "station.config", "station.errors", "station.foreign.kind", "station.operator.deadman", "station.operator.deltas",
     "station.operator.device", "station.operator.driver", "station.operator.measure", "station.operator.reading",
     "station.operator.script_time", "station.operator.voice", "station.protocols", "station.registry",
     "station.rotations", "station.window",

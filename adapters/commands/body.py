@@ -26,6 +26,7 @@ class Bound:
         lower, upper: Its range.
         margin: How far outside it is still clamped.
         rate: Greatest change per second.
+        is_velocity: Whether it is a velocity of the root.
     """
 
     default: float
@@ -33,6 +34,7 @@ class Bound:
     upper: float
     margin: float
     rate: float
+    is_velocity: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +55,7 @@ class BodyCommand:
     upper: Floats
     margin: Floats
     rate: Floats
+    velocities: tuple[int, ...]
     joint_names: tuple[str, ...]
     head: Callable[[Reference], list[float]]
     stays: bool = False
@@ -95,6 +98,7 @@ def body_command(
         upper=whole("upper", g1.upper(joint_names)),
         margin=whole("margin", np.full(count, JOINT_MARGIN_RAD)),
         rate=whole("rate", g1.velocity(joint_names)),
+        velocities=tuple(index for index, bound in enumerate(bounds) if bound.is_velocity),
         joint_names=joint_names,
         head=head,
     )

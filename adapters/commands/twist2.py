@@ -27,9 +27,9 @@ def _head(reference: Reference) -> list[float]:
 
 # Rates: joints have their motors'. Those of the head leave room above what people walk with once it is retargeted and
 # differentiated frame by frame: 22 m/s^2, 1.2 m/s up and down, 2.9 rad/s of lean, 100 rad/s^2 of turn (1.2 x speed).
-VELOCITY = Bound(default=0.0, lower=-3.0, upper=3.0, margin=1.0, rate=30.0)
+VELOCITY = Bound(default=0.0, lower=-3.0, upper=3.0, margin=1.0, rate=30.0, is_velocity=True)
 TILT = Bound(default=0.0, lower=-1.3, upper=1.3, margin=0.2, rate=6.0)
-YAW_RATE = Bound(default=0.0, lower=-6.0, upper=6.0, margin=3.0, rate=150.0)
+YAW_RATE = Bound(default=0.0, lower=-6.0, upper=6.0, margin=3.0, rate=150.0, is_velocity=True)
 HEIGHT_RATE = 3.0
 
 FORMAT = body_command(

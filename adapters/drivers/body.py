@@ -13,6 +13,7 @@ from adapters.drivers.fingers import Fingers
 from adapters.drivers.neck import SCALE, Neck
 from adapters.drivers.outlet import Outlet
 from adapters.retarget.arm_ik import ARMS
+from station.blends import times_to_standing
 from station.bus.joints import G1_29, SMPL_24
 from station.errors import StationError
 from station.operator import deltas
@@ -22,7 +23,7 @@ from station.operator.reading import Body, Pose, Reading
 from station.protocols import CommandFormat, Floats, Reference
 
 LEAVE_S = 2.0
-"""From where a body was let go to a stand [s]; the arms stay as they were."""
+"""From where a body was let go to a stand [s]; the arms stay as they were, velocities fade sooner."""
 
 _CHEST, _HEAD = SMPL_24.index("spine3"), SMPL_24.index("head")  # stock TWIST2 looks at these two for the neck
 _WATCHED = ("pelvis", "head")  # what tells that the tracking jumped: hands and feet of a person are faster
@@ -151,7 +152,7 @@ class BodyDriver:
         arms = [HEAD + G1_29.index(name) for name in ARMS]
         self._rest[arms] = self._outlet.sent[arms]
         self._left_s = LEAVE_S
-        self._outlet.begin(LEAVE_S)
+        self._outlet.begin(times_to_standing(FORMAT, LEAVE_S))
 
 
 def _watched(body: Body) -> dict[str, Pose]:

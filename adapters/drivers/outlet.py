@@ -25,16 +25,20 @@ class Outlet:
         self.form = form
         self.sent: Floats = np.array(form.default)
         self._offset: Floats | None = None  # what was sent more than was wanted, when a way began; None before it does
-        self._begun_s, self._lasts_s = 0.0, 0.0
+        self._begun_s, self._lasts_s = 0.0, np.ones(len(self.sent))
 
     def take_up(self, command: Floats) -> None:
         """Let a command of somebody else stand, shape (m,)."""
         self.sent = np.clip(command, self.form.lower, self.form.upper)
         self.begin()
 
-    def begin(self, seconds: float = ENTER_S) -> None:
-        """Begin a way of so long from the command that stands to what is wanted from now on, wherever that moves."""
-        self._offset, self._begun_s, self._lasts_s = None, 0.0, seconds
+    def begin(self, seconds: Floats | float = ENTER_S) -> None:
+        """Begin a way of so long from the command that stands to what is wanted from now on, wherever that moves.
+
+        Args:
+            seconds: Time that it takes, of all elements or of each, shape (m,) [s].
+        """
+        self._offset, self._begun_s, self._lasts_s = None, 0.0, np.broadcast_to(seconds, self.sent.shape)
 
     def send(self, wanted: Floats, dt_s: float) -> Floats:
         """Return the command that follows the last one after a period [s]; the first after `begin` is the last one."""
@@ -42,7 +46,7 @@ class Outlet:
             self._offset = self.sent - wanted
             return self.sent.copy()
         self._begun_s += dt_s
-        left = 1.0 - float(rise(np.array(self._begun_s), 0.0, self._lasts_s)) if self._begun_s < self._lasts_s else 0.0
+        left = 1.0 - rise(self._begun_s / self._lasts_s, 0.0, 1.0)
         command = np.clip(wanted + left * self._offset, self.form.lower, self.form.upper)
         change = self.form.rate * dt_s
         self.sent = np.clip(command, self.sent - change, self.sent + change)

@@ -46,7 +46,8 @@ class Commanded:
     """
 
     def __init__(self, form: CommandFormat, config: GateConfig, *, is_armed: bool, ramp_s: float = RAMP_S) -> None:
-        self.gate = Gate(form.default, config, Bounds.of(form, config.rate_factor), stays=form.stays)
+        bounds = Bounds.of(form, config.rate_factor)
+        self.gate = Gate(form.default, config, bounds, stays=form.stays, velocities=form.velocities)
         self.inlet = Inlet(form)
         self.arming = Arming(is_armed=is_armed, ramp_s=ramp_s)
         self._ramp_s = ramp_s

@@ -16,17 +16,24 @@ had not ended, or when somebody else gives it, it is entered again. What is a go
 `station.control.inlet`. Whatever the state, no element moves faster than its rate (`station.control.slew`): a command
 that jumps is caught up with. Two things jump: `reset`, to standing, where a robot starts anew; and the output for a
 robot that stays while nobody moves it, which is where it rests.
+
+Where commands are lost, poses are held and then blended to standing; velocities begin to fade in the first tick that
+follows no command, and are zero `GateConfig.velocity_fade_s` later, since a velocity that is held moves the robot on.
+After a hold they come back in the same time, while poses follow at once.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 
-from station.control.gate_state import FOLLOWING, LATCHED, State
+from station.blends import VELOCITY_FADE_S
+from station.control.fade import VelocityFade
+from station.control.gate_state import FOLLOWING, LATCHED, MOVING, State
 from station.control.silence import Quiet, Silence
 from station.control.slew import Bounds
 from station.control.writers import Rule
@@ -47,6 +54,8 @@ class GateConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         return_after_s: Age beyond which the robot is taken back to standing [s]; one that stays is nobody's from then
             on, and commands of which silence is asked have to cease for longer than this.
         blend_out_s: Time from the held command to standing [s].
+        velocity_fade_s: Time from the velocities of the last command to zero, from the first tick on that does not
+            follow it, and back to live ones after a hold [s]; longer where a low `rate_factor` does not let them.
         rate_factor: Times the greatest rates of the command format; less moves more gently.
         rivals: Whom to obey when two write the command: ``keep-first`` refuses the second until the first has been
             silent for longer than `return_after_s`; ``newest`` gives way to whoever begins to write.
@@ -59,11 +68,12 @@ class GateConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     hold_after_s: float = 0.1
     return_after_s: float = 0.3
     blend_out_s: float = 2.0
+    velocity_fade_s: float = VELOCITY_FADE_S
     rate_factor: float = 1.0
     rivals: Rule = "keep-first"
 
     def __post_init__(self) -> None:
-        for name in ("blend_in_s", "hold_after_s", "return_after_s", "blend_out_s"):
+        for name in ("blend_in_s", "hold_after_s", "return_after_s", "blend_out_s", "velocity_fade_s"):
             value = getattr(self, name)
             if not (0.0 < value < math.inf):
                 raise ValueError(f"{name} must be a positive time in seconds, got {value}")
@@ -113,13 +123,20 @@ class Gate:
         config: Its times.
         bounds: Range and rate of each element; None bounds nothing.
         stays: Whether the robot stays where it is without a command, instead of going back to `default`.
+        velocities: Indices of the elements that are velocities, 0 in `default`.
 
     Raises:
         ConfigError: an element cannot be back at its default within `GateConfig.blend_out_s`.
     """
 
     def __init__(
-        self, default: Floats, config: GateConfig | None = None, bounds: Bounds | None = None, *, stays: bool = False
+        self,
+        default: Floats,
+        config: GateConfig | None = None,
+        bounds: Bounds | None = None,
+        *,
+        stays: bool = False,
+        velocities: Sequence[int] = (),
     ) -> None:
         self.config = config or GateConfig()
         self._default = np.array(default, dtype=np.float64)
@@ -131,6 +148,7 @@ class Gate:
         self._vector = self._default.copy()
         self._start = self._vector  # where a blend began
         self._since_s = 0.0
+        self._fade = VelocityFade(velocities, min(self.config.velocity_fade_s, self.config.blend_out_s))
         self._is_entered = False  # whether the blend into the command has ended
         self._new_hands = ""  # why the next command is entered again
         self._silence = Silence(self.config.return_after_s)
@@ -182,7 +200,7 @@ class Gate:
         elif command is not None and age_s <= self.config.hold_after_s + _ROUNDING:
             self._follow(now_s, command)
         elif self._state in FOLLOWING and age_s <= self.config.return_after_s + _ROUNDING:
-            self._move("holding", now_s, why)
+            self._hold(now_s, why)
         else:
             self._go_home(now_s, why)
         transitions, self._transitions = tuple(self._transitions), []
@@ -235,7 +253,8 @@ class Gate:
         self._new_hands = ""
         is_blending = self._state == "entering" and not self._stays
         fraction = self._fraction(now_s, self.config.blend_in_s) if is_blending else 1.0
-        self._approach(self._start + fraction * (command - self._start) if fraction < 1.0 else command)
+        wanted = self._start + fraction * (command - self._start) if fraction < 1.0 else command
+        self._approach(self._fade.apply(wanted, command, self._passed_s))
         if fraction >= 1.0 and self._state == "entering" and not (self._stays and self._limited):
             self._is_entered = True
             self._move("tracking", now_s, "caught up" if self._stays else "blend done")
@@ -243,6 +262,11 @@ class Gate:
     def _enter_again(self, now_s: float) -> None:
         self._move("entering", now_s, self._new_hands)
         self._since_s, self._start = now_s, self._vector  # also when it was entering: `_move` does nothing then
+
+    def _hold(self, now_s: float, why: str) -> None:
+        self._move("holding", now_s, why)
+        if self._fade.has_velocities:  # else nothing moves, not even an arm that was pushed out of its range
+            self._approach(self._fade.apply(self._vector, self._default, self._passed_s))
 
     def _go_home(self, now_s: float, why: str) -> None:
         if self._stays:
@@ -252,7 +276,8 @@ class Gate:
             return
         self._move("returning", now_s, why)
         fraction = self._fraction(now_s, self.config.blend_out_s)
-        self._approach(self._start + fraction * (self._default - self._start) if fraction < 1.0 else self._default)
+        wanted = self._start + fraction * (self._default - self._start) if fraction < 1.0 else self._default
+        self._approach(self._fade.apply(wanted, self._default, self._passed_s))
         if fraction >= 1.0 and not self._limited:
             self._move("waiting", now_s, "standing again")
 
@@ -283,6 +308,11 @@ class Gate:
         if state == self._state:
             return
         self._transitions.append(Transition(self._state, state, reason))
+        is_lost, is_back = self._state in MOVING, state == "tracking" and self._state == "holding"
+        if state in ("entering", "waiting"):
+            self._fade.end()
+        elif is_back or (is_lost and state in ("holding", "returning")):
+            self._fade.begin(self._vector)
         self._state, self._reason = state, reason
         self._since_s, self._start = now_s, self._vector
         if state in ("entering", "returning"):

@@ -21,6 +21,7 @@ from typing import Literal
 
 import numpy as np
 
+from station.blends import times_to_standing
 from station.protocols import CommandFormat, Floats, Motion
 
 Phase = Literal["waiting", "entering", "playing", "paused", "leaving", "done"]
@@ -55,6 +56,7 @@ class _Blend:
     end: Floats
     duration_s: float
     elapsed_s: float = 0.0
+    times_s: Floats | None = None  # of each element, where some take less than the whole
 
     @property
     def remaining_s(self) -> float:
@@ -67,7 +69,8 @@ class _Blend:
     def value(self) -> Floats:
         if self.is_over:
             return self.end.copy()
-        return self.start + (self.end - self.start) * (self.elapsed_s / self.duration_s)
+        times_s = self.duration_s if self.times_s is None else self.times_s
+        return self.start + (self.end - self.start) * np.minimum(self.elapsed_s / times_s, 1.0)
 
 
 class Playback:
@@ -77,7 +80,7 @@ class Playback:
         motion: What is played.
         command: The vector it is made of.
         enter_s: Blend from the default into the first frame [s].
-        leave_s: Blend from the last vector sent back to the default [s].
+        leave_s: Blend from the last vector sent back to the default [s]; velocities fade sooner (`station.blends`).
         seek_s: Blend into another place of the motion, by a seek or a loop [s].
         ease_s: Blend into and out of a pause [s].
         lead_s: How far ahead of the playing time the motion is sampled [s]; stock TWIST2 samples one period ahead.
@@ -180,7 +183,8 @@ class Playback:
             return False
         self._phase = "leaving"
         is_there = np.array_equal(self._sent, self._command.default)
-        self._blend = _Blend(self._sent, self._command.default, 0.0 if is_there else self._leave_s)
+        times_s = times_to_standing(self._command, self._leave_s)
+        self._blend = _Blend(self._sent, self._command.default, 0.0 if is_there else self._leave_s, times_s=times_s)
         self.blends += 1
         return True
 

@@ -1,13 +1,13 @@
 """The way out of driving: whatever moves comes to rest, then the robot is blended to its default pose; one that stays
-where it is without a command is left there. Pure."""
+where it is without a command is left there. Velocities that are left when the blend begins fade at once. Pure."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
 
+from station.blends import times_to_standing
 from station.bus import keys
 from station.protocols import CommandFormat, Floats
 
@@ -25,6 +25,7 @@ class Leaving:
 
     def __init__(self, form: CommandFormat, blend_s: float) -> None:
         self._form, self._default, self._blend_s = form, np.array(form.default), blend_s
+        self._times_s = times_to_standing(form, blend_s)
         self._rested_s, self._blended_s = 0.0, 0.0
         self._start: Floats | None = None
 
@@ -33,10 +34,9 @@ class Leaving:
         """Whether the default has been reached, or there is none to go to."""
         return self._start is not None and (self._form.stays or self._blended_s >= self._blend_s)
 
-    @property
-    def _part(self) -> float:
-        """How much of the way to the default is done, 0 to 1."""
-        return 0.5 - 0.5 * math.cos(math.pi * min(self._blended_s / self._blend_s, 1.0))
+    def _part(self, time_s: Floats | float) -> Floats:
+        """How much of a way to the default is done that takes so long [s], 0 to 1."""
+        return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.minimum(self._blended_s / time_s, 1.0)))
 
     def companions(self, values: Mapping[str, Floats]) -> Mapping[str, Floats]:
         """Return the values beside the command: the neck goes along to its default, hands keep what they hold."""
@@ -44,7 +44,7 @@ class Leaving:
         rest = self._form.companions.get(key)
         if rest is None or key not in values:
             return values
-        return {**values, key: values[key] + self._part * (np.asarray(rest) - values[key])}
+        return {**values, key: values[key] + self._part(self._blend_s) * (np.asarray(rest) - values[key])}
 
     def step(self, command: Floats, dt_s: float, *, is_still: bool) -> Floats:
         """Return the command after a period.
@@ -62,4 +62,4 @@ class Leaving:
         if self._form.stays:
             return self._start
         self._blended_s += dt_s
-        return self._start + self._part * (self._default - self._start)
+        return self._start + self._part(self._times_s) * (self._default - self._start)

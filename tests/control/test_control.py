@@ -153,6 +153,16 @@ def test_without_a_command_the_robot_is_asked_to_stand() -> None:
     assert record.command_seq == 0
 
 
+def test_a_policy_that_loses_its_commander_is_asked_to_stop_walking_300_ms_after_the_last_command() -> None:
+    bench, walking = Bench(), FORM.default.copy()
+    walking[[0, 1, 5]] = 0.9, 0.1, 0.4
+    bench.track(codec.json_vector(walking))
+    asked = [bench.step().decision.vector[[0, 1, 5]] for _ in range(15)]
+    assert asked[4].tolist() == [0.9, 0.1, 0.4]
+    assert (np.diff(asked[4:], axis=0) < 0.0).all()
+    assert asked[-1].tolist() == [0.0, 0.0, 0.0]
+
+
 def test_the_gates_changes_are_told_with_from_to_and_reason() -> None:
     bench = Bench()
     bench.track()

@@ -33,7 +33,7 @@ LATE_S = LONGEST_S + 0.06  # the tick of a leap in which the return begins, two 
 
 def bounded(form: CommandFormat = FORM, config: GateConfig | None = None) -> Gate:
     config = config or GateConfig()
-    return Gate(form.default, config, Bounds.of(form, config.rate_factor))
+    return Gate(form.default, config, Bounds.of(form, config.rate_factor), velocities=form.velocities)
 
 
 def end_to_end(seed: int, spread: float = 0.0) -> Floats:

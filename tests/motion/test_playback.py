@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from adapters.commands import twist, twist2
 from adapters.motions.clip import Clip
+from station.blends import VELOCITY_FADE_S
 from station.motion.playback import Frame, Playback
 from station.protocols import CommandFormat, Floats
 from tests.adapters.motions.made import smooth
@@ -76,13 +77,16 @@ def test_the_last_frame_is_sent_and_two_seconds_later_the_default_exactly() -> N
     assert playback.is_complete
 
 
-def test_leaving_is_linear_from_the_last_vector_sent() -> None:
+def test_leaving_is_linear_from_the_last_vector_sent_and_velocities_are_gone_after_200_ms() -> None:
     playback = Playback(CLIP, FORM)
     sent = play(playback, 2.5)[-1].command
+    assert np.abs(sent[VELOCITIES]).min() > 0.0
     assert playback.leave()
     assert not playback.leave()
     for step, frame in enumerate(play(playback, 2.0), start=1):
-        np.testing.assert_allclose(frame.command, sent + (FORM.default - sent) * step / 100, atol=1e-12)
+        wanted = sent + (FORM.default - sent) * step / 100
+        wanted[VELOCITIES] = sent[VELOCITIES] * max(1.0 - step / 10, 0.0)
+        np.testing.assert_allclose(frame.command, wanted, atol=1e-12)
     assert playback.is_done
     assert not playback.is_complete
 
@@ -239,7 +243,9 @@ def test_whatever_is_asked_vectors_are_finite_steps_are_bounded_and_the_end_is_t
     form: CommandFormat, script: list[tuple[str, float, int, float]], options: dict[str, Any]
 ) -> None:
     step, span = BOUNDS[form.name]
-    bound = np.maximum(step, span * DT / 0.5) + 1e-9
+    shortest_s = np.full(len(span), 0.5)
+    shortest_s[list(form.velocities)] = VELOCITY_FADE_S
+    bound = np.maximum(step, span * DT / shortest_s) + 1e-9
     playback = Playback(CLIP, form, **options)
     sent = playback.step(0.0).command
     for name, number, steps, dt_s in script:

@@ -23,11 +23,22 @@ def test_what_moves_comes_to_rest_before_the_blend_begins() -> None:
 
 def test_blend_ends_at_the_default_without_a_step() -> None:
     leaving, held = Leaving(FORM, 2.0), FORM.default + 0.3
+    held[list(FORM.velocities)] = 0.0
     sent = [held]
     while not leaving.is_done:
         sent.append(leaving.step(held, DT_S, is_still=True))
     assert np.abs(sent[-1] - FORM.default).max() < 1e-12
     assert np.abs(np.diff(sent, axis=0)).max() < 0.01
+
+
+def test_a_walk_that_has_to_be_left_stands_after_200_ms_while_its_pose_is_blended() -> None:
+    leaving, walking = Leaving(FORM, 2.0), FORM.default + 0.3
+    sent = [leaving.step(walking, DT_S, is_still=True) for _ in range(100)]
+    velocities, poses = list(FORM.velocities), [i for i in range(len(FORM.default)) if i not in FORM.velocities]
+    assert (np.diff(sent[:10], axis=0)[:, velocities] < 0.0).all()
+    assert np.abs(np.array(sent[9:])[:, velocities]).max() < 1e-12
+    assert np.abs(sent[9] - FORM.default)[poses].min() > 0.29
+    assert np.abs(sent[-1] - FORM.default).max() < 1e-12
 
 
 def test_what_never_rests_is_not_waited_for_for_ever() -> None:

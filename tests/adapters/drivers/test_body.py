@@ -10,6 +10,7 @@ import pytest
 from adapters.commands.twist2 import FORMAT
 from adapters.drivers.body import LEAVE_S, BodyDriver
 from adapters.drivers.outlet import ENTER_S
+from station.blends import VELOCITY_FADE_S
 from station.errors import StationError
 from station.operator.deadman import Snapshot
 from station.operator.reading import Body
@@ -51,6 +52,21 @@ def test_let_go_in_a_squat_it_stands_up_and_keeps_its_arms() -> None:
     assert left[-1][:6] == pytest.approx(FORMAT.default[:6])
     assert left[-1][21:] == pytest.approx(squatting[21:])
     assert driver.is_still
+
+
+def test_let_go_on_a_walk_it_stands_after_200_ms_while_its_legs_are_blended() -> None:
+    driver = BodyDriver(Shadow())
+    walking = FORMAT.default + 0.1
+    walking[list(FORMAT.velocities)] = 0.9, 0.1, 0.4
+    follow(driver, ENTER_S, engaged=True)
+    driver.take_up(walking)
+    follow(driver, TICK_S, engaged=True)
+    left = follow(driver, LEAVE_S + 0.1, engaged=False)
+    stands = round(VELOCITY_FADE_S / TICK_S)
+    assert left[0] == pytest.approx(walking, abs=0.05)
+    assert (np.diff(left[: stands + 1, 0]) < 0.0).all()
+    assert not left[stands:, list(FORMAT.velocities)].any()
+    assert np.abs(left[stands, LEG] - FORMAT.default[LEG]).max() > 0.09
 
 
 def test_a_body_that_cannot_be_is_told_in_the_next_tick_and_moves_nothing() -> None:
