@@ -9,6 +9,8 @@ import msgspec
 
 from station.bus.stamp import Stamp
 
+_LONGEST_NS = 1 << 62
+
 
 class Sample(msgspec.Struct, frozen=True):
     """A value and how fresh it is.
@@ -25,6 +27,18 @@ class Sample(msgspec.Struct, frozen=True):
     value: bytes
     stamp: Stamp | None
     arrived_ns: int | None
+
+    @property
+    def delay_s(self) -> float | None:
+        """Return the time from its writing to its arrival [s]; None where writer and reader share no clock.
+
+        They share one where they run on one machine (`Stamp.is_from_this_boot`). A negative time says that the stamp
+        is not of that clock all the same, since nothing arrives before it was written.
+        """
+        if self.stamp is None or self.arrived_ns is None or not self.stamp.is_from_this_boot:
+            return None
+        delay_ns = min(max(self.arrived_ns - self.stamp.mono_ns, -_LONGEST_NS), _LONGEST_NS)  # a stamp may say anything
+        return delay_ns * 1e-9
 
     def age_s(self, now_ns: int | None = None) -> float:
         """Return the time since it arrived [s]; infinite when it was there before we looked."""

@@ -48,7 +48,7 @@ class Commanded:
     def __init__(self, form: CommandFormat, config: GateConfig, *, is_armed: bool, ramp_s: float = RAMP_S) -> None:
         bounds = Bounds.of(form, config.rate_factor)
         self.gate = Gate(form.default, config, bounds, stays=form.stays, velocities=form.velocities)
-        self.inlet = Inlet(form)
+        self.inlet = Inlet(form, config.longest_delay_s)
         self.arming = Arming(is_armed=is_armed, ramp_s=ramp_s)
         self._ramp_s = ramp_s
         self._refusing: str | None = None
@@ -76,7 +76,7 @@ class Commanded:
         vector, age_s = inlet.vector, inlet.age_s(now_s)
         if obstacle:
             vector, refusal = None, obstacle
-        decision = self.gate.step(now_s, vector, age_s, refusal=refusal, quiet=quiet)
+        decision = self.gate.step(now_s, vector, age_s, delay_s=inlet.delay_s, refusal=refusal, quiet=quiet)
         for change in decision.transitions:
             severity: Severity = "warning" if change.after in _ALARMING else "info"
             self.note("gate", severity, **{"from": change.before, "to": change.after, "reason": change.reason})

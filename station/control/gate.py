@@ -42,6 +42,7 @@ from station.protocols import Floats
 _ROUNDING = 1e-9  # five ticks of 0.02 s are 100 ms
 _LONGEST_TICK_S = 0.1  # a clock that leaps takes a blend no further than this
 _LATEST_S = 1e12  # beyond, a clock's ticks are lost in rounding
+_TOLD_S = 0.05  # a delay that explains something
 _SLACK_S = 0.02  # a command may arrive between the reading of the clock and of the command
 
 
@@ -56,6 +57,8 @@ class GateConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         blend_out_s: Time from the held command to standing [s].
         velocity_fade_s: Time from the velocities of the last command to zero, from the first tick on that does not
             follow it, and back to live ones after a hold [s]; longer where a low `rate_factor` does not let them.
+        stale_after_s: Time since a command was written, by its writer's own clock where that is known, beyond which it
+            is held rather than followed, however newly it arrived [s]; at least `hold_after_s`.
         rate_factor: Times the greatest rates of the command format; less moves more gently.
         rivals: Whom to obey when two write the command: ``keep-first`` refuses the second until the first has been
             silent for longer than `return_after_s`; ``newest`` gives way to whoever begins to write.
@@ -69,11 +72,12 @@ class GateConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     return_after_s: float = 0.3
     blend_out_s: float = 2.0
     velocity_fade_s: float = VELOCITY_FADE_S
+    stale_after_s: float = 0.25
     rate_factor: float = 1.0
     rivals: Rule = "keep-first"
 
     def __post_init__(self) -> None:
-        for name in ("blend_in_s", "hold_after_s", "return_after_s", "blend_out_s", "velocity_fade_s"):
+        for name in ("blend_in_s", "hold_after_s", "return_after_s", "blend_out_s", "velocity_fade_s", "stale_after_s"):
             value = getattr(self, name)
             if not (0.0 < value < math.inf):
                 raise ValueError(f"{name} must be a positive time in seconds, got {value}")
@@ -82,6 +86,11 @@ class GateConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         hold_s, return_s = self.hold_after_s, self.return_after_s
         if return_s < hold_s:
             raise ValueError(f"return_after_s ({return_s}) must not be less than hold_after_s ({hold_s})")
+
+    @property
+    def longest_delay_s(self) -> float:
+        """Greatest time from writing to arrival with which a command is followed [s]."""
+        return max(self.stale_after_s, self.hold_after_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +182,14 @@ class Gate:
         return self._silence.missing
 
     def step(
-        self, now_s: float, command: Floats | None, age_s: float, *, refusal: str = "", quiet: Quiet | None = None
+        self,
+        now_s: float,
+        command: Floats | None,
+        age_s: float,
+        *,
+        delay_s: float = 0.0,
+        refusal: str = "",
+        quiet: Quiet | None = None,
     ) -> Decision:
         """Advance to an instant and return what the policy gets.
 
@@ -181,7 +197,8 @@ class Gate:
             now_s: The instant [s]. Where the clock runs backwards or is no number, no time passes; where it leaps, a
                 tick's worth.
             command: The newest good command, shape (m,), or None.
-            age_s: Its age [s]; infinite when unknown. Ignored without a command.
+            age_s: Time since it arrived [s]; infinite when unknown. Ignored without a command.
+            delay_s: Time from its writing to its arrival [s]; 0.0 where unknown.
             refusal: Why something newer was refused, or "".
             quiet: For how long nothing has come, be it only to be refused; None: for as long as the age says.
         """
@@ -192,12 +209,12 @@ class Gate:
             command, refusal = None, refusal or self.demand
         if command is None or command.shape != self._default.shape or not np.isfinite(command).all():
             command, age_s = None, math.inf
-        elif not age_s >= -_SLACK_S:  # from the future, or not a number: nothing is known of it
-            age_s = math.inf
-        why = refusal or _staleness(age_s)
+        elif not (age_s >= -_SLACK_S and delay_s >= -_SLACK_S):
+            age_s = math.inf  # from the future, or not a number: nothing is known of it
+        why = refusal or _staleness(age_s, delay_s)
         if self._state in LATCHED:
             pass
-        elif command is not None and age_s <= self.config.hold_after_s + _ROUNDING:
+        elif command is not None and self._is_in_time(age_s, delay_s):
             self._follow(now_s, command)
         elif self._state in FOLLOWING and age_s <= self.config.return_after_s + _ROUNDING:
             self._hold(now_s, why)
@@ -258,6 +275,10 @@ class Gate:
         if fraction >= 1.0 and self._state == "entering" and not (self._stays and self._limited):
             self._is_entered = True
             self._move("tracking", now_s, "caught up" if self._stays else "blend done")
+
+    def _is_in_time(self, age_s: float, delay_s: float) -> bool:
+        config = self.config
+        return age_s <= config.hold_after_s + _ROUNDING and age_s + delay_s <= config.longest_delay_s + _ROUNDING
 
     def _enter_again(self, now_s: float) -> None:
         self._move("entering", now_s, self._new_hands)
@@ -323,7 +344,8 @@ class Gate:
         return 1.0 if fraction >= 1.0 - _ROUNDING else fraction
 
 
-def _staleness(age_s: float) -> str:
+def _staleness(age_s: float, delay_s: float) -> str:
     if age_s == math.inf:
         return "no command yet"
-    return f"the newest good command is {age_s * 1e3:.0f} ms old"
+    came = f" and was written {delay_s * 1e3:.0f} ms before it came" if delay_s >= _TOLD_S else ""
+    return f"the newest good command is {age_s * 1e3:.0f} ms old{came}"

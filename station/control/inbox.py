@@ -251,6 +251,7 @@ def _command(sample: Sample, now_s: float | None) -> CommandSample:
     return CommandSample(
         value=sample.value,
         arrived_s=at_s,
+        delay_s=sample.delay_s if now_s is None else None,  # ticks are no writer's clock
         written_ns=mark.mono_ns if mark is not None and is_ours else 0,
         arrived_ns=arrived_ns or 0,
         seq=mark.seq if mark is not None else 0,

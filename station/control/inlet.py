@@ -1,4 +1,8 @@
-"""What is a good command: parsed, of the right length, finite, within range; the rest is refused and counted."""
+"""What is a good command: in time, parsed, of the right length, finite, within range; the rest is refused and counted.
+
+A line that was frozen or cut delivers the commands of seconds ago in one burst, and each arrives now. So a command has
+two ages: since it arrived, and, where its stamp is of this machine's clock, since it was written.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,7 @@ import numpy as np
 from station.bus import codec, contracts
 from station.protocols import CommandFormat, Floats
 
-RefusalKind = Literal["not-json", "wrong-length", "not-finite", "out-of-range", "second-writer"]
+RefusalKind = Literal["not-json", "wrong-length", "not-finite", "out-of-range", "second-writer", "stale", "wrong-clock"]
 
 _LONGEST_BYTES = 16384  # 35 numbers take 1 kB; parsing a megabyte would cost the loop its deadline
 _SLACK_S = 0.02  # a clock that was read before a command came makes it seem to come from the future
@@ -66,6 +70,8 @@ class CommandSample:
     Attributes:
         value: Its bytes.
         arrived_s: When it reached us, on the gate's clock [s]; None when it was there before we looked.
+        delay_s: How long before that it was written, by its writer's own clock [s]; None where that is unknown: without
+            a stamp, from another machine, in lock-step.
         written_ns, arrived_ns: When it was written and when it arrived, on this machine's monotonic clock; 0 when
             unknown, as `written_ns` for a foreign writer.
         seq: Sequence number of its write; 0 for a foreign writer.
@@ -74,6 +80,7 @@ class CommandSample:
 
     value: bytes
     arrived_s: float | None
+    delay_s: float | None = None
     written_ns: int = 0
     arrived_ns: int = 0
     seq: int = 0
@@ -86,6 +93,7 @@ class Inlet:
 
     Attributes:
         form: The command's format.
+        longest_delay_s: A command that took longer to come is refused [s].
         sample: The newest sample, good or bad.
         good: The sample that `vector` was read from.
         vector: The newest good command, shape (m,), or None.
@@ -96,6 +104,7 @@ class Inlet:
     """
 
     form: CommandFormat
+    longest_delay_s: float = math.inf
     sample: CommandSample | None = None
     good: CommandSample | None = None
     vector: Floats | None = None
@@ -112,7 +121,7 @@ class Inlet:
         if sample is None or sample is self.sample:
             return False
         self.sample, self._found_s = sample, None
-        checked = check_command(sample.value, self.form)
+        checked = self._why_not_in_time(sample) or check_command(sample.value, self.form)
         if isinstance(checked, Refusal):
             self.refusal = checked
             self.refused[checked.kind] += 1
@@ -122,6 +131,11 @@ class Inlet:
         self.clamped_samples += bool(checked.clamped)
         self._asked_s, self._least_s = None, 0.0
         return True
+
+    @property
+    def delay_s(self) -> float:
+        """How long the newest good command took to come [s]; 0.0 where that is unknown."""
+        return (self.good.delay_s or 0.0) if self.good is not None else 0.0
 
     def forget(self) -> None:
         """Let no earlier command be followed any more; the counters stay."""
@@ -158,6 +172,14 @@ class Inlet:
             self._asked_s = now_s
         age_s = now_s - self.good.arrived_s
         return age_s if age_s >= self._least_s - _SLACK_S else self._least_s
+
+    def _why_not_in_time(self, sample: CommandSample) -> Refusal | None:
+        delay_s, longest_s = sample.delay_s, self.longest_delay_s
+        if delay_s is None or -_SLACK_S <= delay_s <= longest_s:
+            return None
+        if delay_s > longest_s:
+            return Refusal("stale", f"written {delay_s:.3g} s before it came, allowed are {longest_s:g} s")
+        return Refusal("wrong-clock", f"stamped {-delay_s:.3g} s after it came: not by this machine's monotonic clock")
 
 
 def _kind_of_unreadable(data: bytes) -> RefusalKind:

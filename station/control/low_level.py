@@ -245,9 +245,17 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         gate, inlet = commanded.gate, commanded.inlet
         self._life.report(
             gate=gate.state, gate_reason=gate.reason, arming=commanded.arming.state,
+            command_age_by=_age_by(inlet.good),
             command_writer=self._inbox.writers.obeyed and spoken(self._inbox.writers.obeyed),
             refused=dict(inlet.refused), clamped=inlet.clamped_samples, **self._control.health(), **loop,
         )  # fmt: skip
+
+
+def _age_by(command: CommandSample | None) -> str:
+    """Return what tells the age of a command, for people."""
+    if command is None:
+        return ""
+    return "arrival alone" if command.delay_s is None else "stamp and arrival"
 
 
 def result_values(

@@ -1,7 +1,8 @@
 """What is heard of an operator's device: its newest sample, or why there is none that may be used.
 
-Fresh is what arrived here a moment ago and is live by the device server's own word: either alone is not enough, because
-a device server may be dead, and a living one may have lost its device.
+Fresh is what arrived here a moment ago, was written a moment ago (where that is known, on one machine), and is live by
+the device server's own word: none of them alone is enough, because a device server may be dead, a line may have been
+frozen, and a living server may have lost its device.
 """
 
 from __future__ import annotations
@@ -18,6 +19,10 @@ from station.operator.reading import Reading, Status
 
 STALE_S = 0.1
 """A device server that has not spoken for longer is silent [s]; it speaks with every tick."""
+
+LATE_S = 0.25
+"""Nobody drives by a sample that took longer to come [s]: a line that was frozen delivers those of seconds ago at once.
+Its buttons count all the same, the stop among them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +66,8 @@ class Ear:
         other = self._other.hear()
         if other.reading is None:
             return Heard(None, other.flaw, heard.sample)
-        return Heard(replace(heard.reading or Reading(), controls=other.reading.controls), heard.flaw, heard.sample)
+        reading = replace(heard.reading or Reading(), controls=other.reading.controls)
+        return Heard(reading, heard.flaw or other.flaw, heard.sample)
 
 
 class _One:
@@ -89,9 +95,14 @@ class _One:
             if status.state != "live":
                 why = f": {status.reason}" if status.reason else ""
                 return Heard(None, f"{self._device} is {status.state}{why}", status.new)
-            return Heard(self._decoded(status, samples), "", status.new)
+            reading, late = self._decoded(status, samples), self._why_late(sample)
+            return Heard(Reading(controls=reading.controls) if late else reading, late, status.new)
         except codec.BadValue as error:
             return Heard(None, str(error))
+
+    def _why_late(self, sample: Sample) -> str:
+        is_late = sample.delay_s is not None and sample.delay_s > LATE_S
+        return f"samples of {self._device} come {sample.delay_s:.1f} s late" if is_late else ""
 
     def _decoded(self, status: Status, samples: dict[str, Sample]) -> Reading:
         """Return the sample, decoded once: a tick without a new one gives the same object."""

@@ -1,9 +1,10 @@
-"""A line to the bus that can be cut: a socket that passes everything on, until it is told not to."""
+"""A line to the bus that can be cut or frozen: a socket that passes everything on, until it is told not to."""
 
 from __future__ import annotations
 
 import contextlib
 import selectors
+import signal
 import socket
 import subprocess
 import sys
@@ -36,8 +37,17 @@ class CuttableLine:
         """Let everybody connect again."""
         self._ask("mend")
 
+    def freeze(self) -> None:
+        """Pass nothing on, and keep what comes."""
+        self._process.send_signal(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        """Go on, with all that came meanwhile at once."""
+        self._process.send_signal(signal.SIGCONT)
+
     def close(self) -> None:
         """End it; a second call does nothing."""
+        self.thaw()
         self._process.communicate()
 
     def __enter__(self) -> CuttableLine:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import pytest
 
+from station.bus import keys, stamp
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.operator import reading as readings
@@ -92,6 +93,35 @@ def test_device_that_is_not_live_by_its_own_word_gives_nothing(one: Devices) -> 
     one.say("pico", PRESSED, "stale")
     assert one.ear.hear().reading is None
     assert one.ear.hear().flaw.startswith("pico is s")
+
+
+@pytest.mark.parametrize(("late_s", "boot", "is_of_use"), [(2.0, "", False), (0.1, "", True), (2.0, "0badb007", True)])
+def test_samples_that_a_frozen_line_kept_drive_nobody_but_their_buttons_count(
+    one: Devices, late_s: float, boot: str, is_of_use: bool
+) -> None:
+    """The device of another machine has a clock that says nothing here."""
+    whole = Reading(joints=np.arange(3.0), controls={"left_bumper": 1.0})
+    status = Status(state="live", new=1, parts=readings.parts(whole))
+    values = readings.encode("pico", whole) | readings.encode_status("pico", status)
+    source = f"pico.1.{boot or stamp.boot_id()}.beef"
+
+    found: list[Heard] = []
+
+    def heard() -> bool:
+        written_ns = time.monotonic_ns() - round(late_s * 1e9)
+        mark = stamp.Stamp(1, written_ns, 0, source).encode()
+        before = one.watch.latest(readings.watched_keys("pico")[0])
+        one.bus.call("MSET", *(word for key, value in values.items() for word in (key, value, keys.stamp(key), mark)))
+        wait_until(lambda: one.watch.latest(readings.watched_keys("pico")[0]) is not before)
+        found.append(one.ear.hear())
+        return found[-1].reading is not None and (not found[-1].flaw) == is_of_use
+
+    wait_until(heard)
+    reading = found[-1].reading
+    assert reading is not None
+    assert reading.controls == {"left_bumper": 1.0}
+    assert (reading.joints is not None) == is_of_use
+    assert is_of_use or found[-1].flaw.startswith("samples of pico come 2.")
 
 
 def test_value_that_is_none_is_a_flaw_and_no_crash(one: Devices) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 from station import registry
 from station.control.rig import build
@@ -20,6 +21,7 @@ WALKS = (
 )  # fmt: skip
 
 
+@pytest.mark.timeout(3600)
 def test_no_walk_falls_when_its_commands_are_lost(proof: None, record_property: Callable[[str, object], None]) -> None:
     rig, load, lost = build(TRACKER), registry.find("loader", "motion"), []
     for clip in (*(f"builtin:{name}" for name in WALKS), *UPSTREAM):

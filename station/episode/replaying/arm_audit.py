@@ -33,7 +33,9 @@ from station.errors import ConfigError, EpisodeError
 from station.protocols import Floats
 
 _REMEMBERED = 4096  # commands, of all writers: some seconds
-_ARRIVED, _OBSERVED = 2 + TIMING_STAGES.index("command_arrived"), 2 + TIMING_STAGES.index("observed")
+_WRITTEN, _ARRIVED, _OBSERVED = (
+    2 + TIMING_STAGES.index(stage) for stage in ("command_written", "command_arrived", "observed")
+)
 
 
 class ArmAudit(msgspec.Struct, kw_only=True):
@@ -179,7 +181,8 @@ class _Run:
             self._gate.rest(used)
             self._gate.step(now_s, used, 0.0)
             return
-        decision = self._gate.step(now_s, command, now_s - row[_ARRIVED] * 1e-9)
+        delay_s = (row[_ARRIVED] - row[_WRITTEN]) * 1e-9 if row[_WRITTEN] else 0.0
+        decision = self._gate.step(now_s, command, now_s - row[_ARRIVED] * 1e-9, delay_s=delay_s)
         self.found.commands.add(number, used, decision.vector)
         self.found.states_different += decision.state != state
 

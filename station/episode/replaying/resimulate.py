@@ -207,8 +207,15 @@ class _Run:
         before = self._sample
         if before is None or (before.seq, before.arrived_ns, before.value) != (seq, arrived_ns, value):
             arrived_s = now_s if self.report.lock_step else arrived_ns * 1e-9
+            written_ns = timing[_WRITTEN]
+            is_known = written_ns > 0 and not self.report.lock_step
             self._sample = CommandSample(
-                value, arrived_s if arrived_ns else None, written_ns=timing[_WRITTEN], arrived_ns=arrived_ns, seq=seq
+                value,
+                arrived_s if arrived_ns else None,
+                delay_s=(arrived_ns - written_ns) * 1e-9 if is_known else None,
+                written_ns=written_ns,
+                arrived_ns=arrived_ns,
+                seq=seq,
             )
         return self._sample
 
