@@ -56,7 +56,7 @@ WRITES: dict[str, tuple[str, ...]] = {
 }
 """Patterns of the keys that each role may write, stamps left out; an e-stop may come from all who can move or sense."""
 
-_MORE = {"recorder": "+psync +replconf +del", "operator": "+del"}
+_MORE = {"recorder": "+psync +replconf +del +multi +exec", "operator": "+del"}
 _PLACEHOLDER = "PASSWORD-OF-{role}"
 
 

@@ -225,6 +225,7 @@ RECORD = "station:record"
 RECORD_ACK = "station:record:ack"
 RECORDER = "station:recorder"
 TAP_PROBE = "station:tap:probe"
+NOT_MIRRORED = "station:tap:not_mirrored"  # on no bus: in recordings, for each write whose value a tap could not know
 
 SERVER_PREFIX = "station:server:"
 CONFIG_PREFIX = "station:config:"

@@ -15,7 +15,7 @@ from station.errors import BusError
 Backend = Literal["replication", "notifications", "poll"]
 PROBE = keys.TAP_PROBE.encode()
 CALL_TIMEOUT_S = 2.0  # answers to set-up requests; a tap is not part of a control loop
-_PROBE_LIFE_MS = 10_000
+PROBE_LIFE_MS = 10_000
 
 MOST_KEYS = 20_000
 """Keys that a tap remembers where it has to; a client that invents keys must not fill the memory. A station has 100."""
@@ -37,6 +37,22 @@ class Write(NamedTuple):
     mono_ns: int
 
 
+class Snapshot(NamedTuple):
+    """What a database held at the instant at which a probe was written.
+
+    Attributes:
+        probe: The probe's value.
+        values: Of its string keys.
+        unread: Further keys that were there: too large, or too many.
+        is_whole: Whether these are all its keys.
+    """
+
+    probe: bytes
+    values: dict[bytes, bytes]
+    unread: tuple[bytes, ...]
+    is_whole: bool
+
+
 class Position(msgspec.Struct, frozen=True):
     """A place in the server's stream of writes, from which a later tap can go on.
 
@@ -55,22 +71,21 @@ class Position(msgspec.Struct, frozen=True):
 class Tap(Protocol):
     """A line from the bus on which writes arrive. One thread reads it.
 
+    A change of a key that it knows of and cannot show is a write of `keys.NOT_MIRRORED`.
+
     Attributes:
         backend: How it listens.
         is_lossless: Whether every single write arrives; else a value may be overwritten before it is read.
         resumed: None when no resumption was asked for; True when it goes on without a hole, False when there is one.
         is_catching_up: Whether what `read` returns was written long before, while no tap was there.
+        unseen_keys: The most keys so far that there were beyond those that it can look at.
     """
 
     backend: Backend
     is_lossless: bool
     resumed: bool | None
     is_catching_up: bool
-
-    @property
-    def not_mirrored(self) -> int:
-        """How many changes of keys so far it knows of and cannot show."""
-        ...
+    unseen_keys: int
 
     def read(self, timeout_s: float) -> list[Write]:
         """Return what arrived, in the order of the bus; empty when nothing came in time.
@@ -102,15 +117,20 @@ def connect(address: BusAddress) -> Connection:
     return Connection(address, timeout_s=CALL_TIMEOUT_S)
 
 
+def new_token() -> bytes:
+    """Return a value for the probe that no other tap has."""
+    return secrets.token_hex(8).encode()
+
+
 def write_probe(connection: Connection) -> bytes:
     """Write the key that a tap must see before it may call itself armed; returns the value to look for.
 
     Raises:
         BusError: this user may not write the key.
     """
-    token = secrets.token_hex(8).encode()
+    token = new_token()
     try:
-        connection.call("SET", PROBE, token, "PX", _PROBE_LIFE_MS)
+        connection.call("SET", PROBE, token, "PX", PROBE_LIFE_MS)
     except BusError as error:
         if connection.fileno() < 0:
             raise

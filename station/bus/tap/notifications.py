@@ -62,7 +62,7 @@ class NotificationTap:
     backend: Backend = "notifications"
     is_lossless = False
     is_catching_up = False
-    not_mirrored = 0
+    unseen_keys = 0
 
     def __init__(self, address: BusAddress, resume: Position | None = None) -> None:
         self.resumed = False if resume is not None else None

@@ -37,7 +37,7 @@ class PollTap:
         BusError: the bus cannot be reached, or may not be read.
 
     Attributes:
-        not_mirrored: The most keys so far that there were beyond those that it looks at.
+        unseen_keys: The most keys so far that there were beyond those that it looks at.
     """
 
     backend: Backend = "poll"
@@ -48,7 +48,7 @@ class PollTap:
         self.resumed = False if resume is not None else None
         self._address = address
         self._period_s = 1.0 / rate_hz
-        self.not_mirrored = 0
+        self.unseen_keys = 0
         self._keys: list[bytes] = []
         self._contents: dict[bytes, _Content] = {}
         self._waiting: list[Write] = []
@@ -133,10 +133,10 @@ class PollTap:
                     beyond += key not in new
             if cursor == b"0":
                 break
-        if beyond > self.not_mirrored:
-            if not self.not_mirrored:
+        if beyond > self.unseen_keys:
+            if not self.unseen_keys:
                 log.warning("more than %d keys: writes of %d keys or more are not seen", MOST_KEYS, beyond)
-            self.not_mirrored = beyond
+            self.unseen_keys = beyond
         return [*kept, *new]
 
     def _fetch(self) -> dict[bytes, _Content]:

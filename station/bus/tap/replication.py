@@ -10,6 +10,7 @@ from station.bus.connection import Connection, ConnectionLost
 from station.bus.tap.base import Backend, Position, Write, connect, write_probe
 from station.bus.tap.link import Link
 from station.bus.tap.server_lag import ServerLag
+from station.bus.tap.snapshot import taken
 from station.bus.tap.stream import Stream
 from station.errors import BusError
 
@@ -35,12 +36,16 @@ class ReplicationTap:
         TapRefused: the server does not let us be a replica.
         BusError: it cannot be reached, or the probe did not come back.
 
+    A command that does not carry the whole value of its key (APPEND, COPY, RENAME …) arrives as the write of that value
+    where what the key held before is known: from the stream, and from what all keys held when the tap was opened.
+
     Attributes:
         is_catching_up: Whether what `read` returns was written long before.
     """
 
     backend: Backend = "replication"
     is_lossless = True
+    unseen_keys = 0
 
     def __init__(self, address: BusAddress, resume: Position | None = None) -> None:
         self._address = address
@@ -61,11 +66,6 @@ class ReplicationTap:
         except BaseException:
             self.close()
             raise
-
-    @property
-    def not_mirrored(self) -> int:
-        """Commands of others so far that changed a key without carrying its whole value (APPEND, INCR, HSET …)."""
-        return self._stream.not_mirrored
 
     def may_wait(self) -> bool:
         """Whether the server can keep what comes a little longer, also if we were killed now."""
@@ -118,7 +118,8 @@ class ReplicationTap:
     def _write_probe(self) -> bytes:
         connection = connect(self._address)
         try:
-            token = write_probe(connection)
+            self._stream.snapshot = taken(connection)
+            token = self._stream.snapshot.probe if self._stream.snapshot else write_probe(connection)
             self._link.silence_limit_s = _silence_limit_s(connection)
         finally:
             connection.close()

@@ -9,20 +9,23 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Container
 
 import hiredis
 
-from station.bus.tap.base import PROBE, Write, key_name
+from station.bus.tap.base import PROBE, Snapshot, Write, key_name
+from station.bus.tap.dumped import string_in
+from station.bus.tap.known_values import KnownValues
+from station.bus.tap.not_mirrored import not_mirrored
+from station.bus.tap.partial import PARTIAL, Command, after
 from station.errors import BusError
 
 log = logging.getLogger(__name__)
 
-Command = list[bytes]
-
 _KNOWN_KEYS_LIMIT = 100_000
 _MOST_REPORTS = 50
 _LONGEST_KEY = 4096  # bytes; names are remembered, and the server takes some as long as values
+_KEY_AT = {b"BITOP": 2, b"XGROUP": 2, b"EVAL": 3, b"EVALSHA": 3, b"FCALL": 3}  # where the key stands; else first
 # Commands that arrive on the link and change no value of a string key.
 _SILENT = frozenset(
     b"PING MULTI EXEC EXPIRE EXPIREAT PEXPIRE PEXPIREAT PERSIST PUBLISH SPUBLISH SCRIPT FUNCTION".split()
@@ -51,8 +54,10 @@ class Stream:
         selected_db: Database selected there.
         probe: Value of the last probe key that came by.
         wants_answer: Whether the server asked for an acknowledgement; whoever sends it resets this.
-        not_mirrored: Commands that changed a key without carrying its whole value (APPEND, INCR, HSET …), or one with a
-            name of kilobytes.
+        snapshot: What the tapped database held when a probe was written; taken in when that probe comes by.
+
+    A command that does not carry the whole value of its key (APPEND, COPY, RENAME …) is a write of that value where it
+    is known what the key held before. Where it is not, a write of `keys.NOT_MIRRORED` names command and key.
     """
 
     def __init__(self, *, db: int, offset: int, selected_db: int) -> None:
@@ -60,8 +65,9 @@ class Stream:
         self.selected_db = selected_db
         self.probe: bytes | None = None
         self.wants_answer = False
-        self.not_mirrored = 0
+        self.snapshot: Snapshot | None = None
         self._db = db
+        self._values = KnownValues()
         self._reader = hiredis.Reader()
         self._reader.setmaxbuf(1 << 20)  # keep the buffer between values of 60 KB instead of growing it each time
         self._fed = offset
@@ -101,7 +107,10 @@ class Stream:
         handlers.update(dict.fromkeys((b"MSET", b"MSETNX"), self._on_mset))
         handlers.update(dict.fromkeys((b"DEL", b"UNLINK", b"GETDEL"), self._on_delete))
         handlers.update({b"SELECT": self._on_select, b"REPLCONF": self._on_replconf})
-        handlers.update({b"FLUSHDB": self._on_flush, b"FLUSHALL": self._on_flush})
+        handlers.update({b"FLUSHDB": self._on_flush, b"FLUSHALL": self._on_flush, b"SWAPDB": self._on_swap})
+        handlers.update(dict.fromkeys(PARTIAL, self._on_partial))
+        handlers.update(dict.fromkeys((b"RENAME", b"RENAMENX"), self._on_rename))
+        handlers.update({b"COPY": self._on_copy, b"MOVE": self._on_move, b"RESTORE": self._on_restore})
         return handlers
 
     def _on_set(self, command: Command) -> None:
@@ -123,14 +132,57 @@ class Stream:
     def _on_delete(self, command: Command) -> None:
         deleted = dict.fromkeys(command[1:])
         for key in deleted:
-            if not _is_sibling(key, deleted):
+            if _is_sibling(key, deleted):
+                self._values.remove(self.selected_db, key)
+            else:
                 self._put(key, None, None)
 
     def _on_flush(self, command: Command) -> None:
-        if command[0].upper() == b"FLUSHDB" and self.selected_db != self._db:
-            return
-        self._writes += [Write(name, None, None, self._now_ns) for name in self._names.values()]
-        self._names.clear()
+        is_all = command[0].upper() == b"FLUSHALL"
+        for db in self._values.databases | {self._db} if is_all else {self.selected_db}:
+            self._values.clear(db)
+        if is_all or self.selected_db == self._db:
+            self._writes += [Write(name, None, None, self._now_ns) for name in self._names.values()]
+            self._names.clear()
+
+    def _on_swap(self, command: Command) -> None:
+        swapped = int(command[1]), int(command[2])
+        for db in swapped:
+            self._values.forget_database(db)
+        if self._db in swapped:
+            self._miss(command, b"", self._db)
+
+    def _on_partial(self, command: Command) -> None:
+        before = self._values.get(self.selected_db, command[1])
+        value = after(command, before) if before is not None else None
+        self._put_or_miss(command, command[1], value, self.selected_db)
+
+    def _on_rename(self, command: Command) -> None:
+        self._transfer(command, command[1], command[2], self.selected_db, is_moved=True)
+
+    def _on_move(self, command: Command) -> None:
+        self._transfer(command, command[1], command[1], int(command[2]), is_moved=True)
+
+    def _on_copy(self, command: Command) -> None:
+        options = [part.upper() for part in command[3:]]
+        to_db = int(options[options.index(b"DB") + 1]) if b"DB" in options else self.selected_db
+        self._transfer(command, command[1], command[2], to_db, is_moved=False)
+
+    def _on_restore(self, command: Command) -> None:
+        self._put_or_miss(command, command[1], string_in(command[3]), self.selected_db)
+
+    def _transfer(self, command: Command, source: bytes, target: bytes, to_db: int, *, is_moved: bool) -> None:
+        """Take in that a key got the value of another one, which may be gone by it."""
+        value = self._values.get(self.selected_db, source)
+        if is_moved:
+            self._put(source, None, None)
+        self._put_or_miss(command, target, value, to_db)
+
+    def _put_or_miss(self, command: Command, key: bytes, value: bytes | None, db: int) -> None:
+        if value is None:
+            self._miss(command, key, db)
+        else:
+            self._put(key, value, None, db=db)
 
     def _on_select(self, command: Command) -> None:
         self.selected_db = int(command[1])
@@ -139,27 +191,37 @@ class Stream:
         self.wants_answer = command[1].upper() == b"GETACK"
 
     def _on_other(self, command: Command) -> None:
-        if self.selected_db != self._db:
-            return
-        shown = b" ".join(part[:80] for part in command[:2])[:80]
-        why = b"%b does not carry the whole value of its key; write with SET instead" % shown
-        self._complain(command[0].upper(), why)
+        place = _KEY_AT.get(command[0].upper(), 1)
+        self._miss(command, command[place] if len(command) > place else b"", self.selected_db)
 
-    def _complain(self, what: bytes, why: bytes) -> None:
-        """Count a write that cannot be mirrored, and say so the first time."""
-        self.not_mirrored += 1
+    def _miss(self, command: Command, key: bytes, db: int) -> None:
+        """Tell of a change that cannot be shown: it does not carry the whole value, and what was there is unknown."""
+        self._values.forget(db, key)
+        if db == self._db:
+            self._tell(command[0].upper(), key, "what its key holds now is not in it; write with SET instead")
+
+    def _tell(self, what: bytes, key: bytes, why: str) -> None:
+        said = not_mirrored(what, key)
+        self._writes.append(said.write(self._now_ns))
         if what not in self._reported and len(self._reported) < _MOST_REPORTS:
             self._reported.add(what)
-            log.warning("not mirrored: %s", why.decode("utf-8", "backslashreplace"))
+            log.warning("not mirrored: %s %s: %s", said.command, said.key[:80], why)
 
-    def _put(self, key: bytes, value: bytes | None, stamp: bytes | None) -> None:
-        if self.selected_db != self._db:
+    def _put(self, key: bytes, value: bytes | None, stamp: bytes | None, *, db: int | None = None) -> None:
+        db = self.selected_db if db is None else db
+        if value is None:
+            self._values.remove(db, key)
+        else:
+            self._values.put(db, key, value)
+            if stamp is not None:
+                self._values.put(db, key + b"@", stamp)
+        if db != self._db:
             return
         if key == PROBE:
-            self.probe = value or self.probe  # keep it when it expires
+            self._on_probe(value)
             return
         if len(key) > _LONGEST_KEY:
-            self._complain(b"long key", b"a key of %d bytes; %d are the most that is kept" % (len(key), _LONGEST_KEY))
+            self._tell(b"SET", key, f"a key of {len(key)} bytes; {_LONGEST_KEY} are the most that is kept")
             return
         name = self._names.get(key)
         if name is None:
@@ -168,6 +230,17 @@ class Stream:
             del self._names[key]
         self._writes.append(Write(name, value, stamp, self._now_ns))
 
+    def _on_probe(self, value: bytes | None) -> None:
+        self.probe = value or self.probe  # keep it when it expires
+        snapshot = self.snapshot
+        if snapshot is None or value != snapshot.probe:
+            return
+        self.snapshot = None
+        self._values.learn(self._db, snapshot.values, snapshot.unread, is_whole=snapshot.is_whole)
+        for key in (*snapshot.values, *snapshot.unread):
+            if not _is_sibling(key, snapshot.values) and len(key) <= _LONGEST_KEY and key != PROBE:
+                self._learn(key)
+
     def _learn(self, key: bytes) -> str:
         if len(self._names) >= _KNOWN_KEYS_LIMIT:  # somebody makes keys without end; a FLUSHDB will then miss some
             self._names.clear()
@@ -175,7 +248,7 @@ class Stream:
         return name
 
 
-def _is_sibling(key: bytes, written: dict[bytes, bytes] | dict[bytes, None]) -> bool:
+def _is_sibling(key: bytes, written: Container[bytes]) -> bool:
     """Whether a key is the stamp of another key of the same command."""
     return key.endswith(b"@") and key[:-1] in written
 

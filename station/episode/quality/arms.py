@@ -33,7 +33,8 @@ _LARGEST = float(1 << 53)  # what counts to more than that in a double counts no
 def robots(topics: Iterable[str]) -> list[str]:
     """Return the suffixes of the arms whose counters are among the topics, sorted."""
     prefix = keys.state_counters("")
-    return sorted(topic.removeprefix(prefix) for topic in topics if topic.startswith(prefix))
+    own = (topic for topic in topics if topic.startswith(prefix) and not keys.is_stamp(topic))
+    return sorted(topic.removeprefix(prefix) for topic in own)
 
 
 @dataclass

@@ -89,6 +89,8 @@ def _assemble(reader: EpisodeReader, measured: Measuring) -> Quality:
         pauses=pauses.described(paused, start_ns),
         **_told(measured, manifest),
         **_recorded(manifest.recorder, drops),
+        not_mirrored=measured.changes.not_mirrored(),
+        deletions=measured.changes.deletions(),
         holes=len(manifest.holes) + manifest.holes_not_listed,
         lock_step=is_lock_step(manifest),
         times_of=timing.times_of(manifest),

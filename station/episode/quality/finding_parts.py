@@ -1,4 +1,4 @@
-"""What a check finds of cameras, of motion, and of a command beside the state that it was used with."""
+"""What a check finds of keys, of cameras, of motion, and of a command beside the state that it was used with."""
 
 from __future__ import annotations
 
@@ -10,6 +10,18 @@ class RulesFile(msgspec.Struct, frozen=True):
 
     file: str
     sha256: str
+
+
+class KeyChanges(msgspec.Struct, frozen=True, kw_only=True):
+    """Changes of one key by one command: the command (``deleted`` for any deletion), how many, and the first of them.
+
+    `key` is "" where the tap does not know which; `at_s` is from the start of the episode [s].
+    """
+
+    command: str
+    key: str
+    count: int
+    at_s: float
 
 
 class CameraQuality(msgspec.Struct, frozen=True, kw_only=True):

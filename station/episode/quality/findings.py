@@ -6,7 +6,14 @@ from typing import Literal
 
 import msgspec
 
-from station.episode.quality.finding_parts import Alignment, ArmQuality, CameraQuality, MotionQuality, RulesFile
+from station.episode.quality.finding_parts import (
+    Alignment,
+    ArmQuality,
+    CameraQuality,
+    KeyChanges,
+    MotionQuality,
+    RulesFile,
+)
 
 Verdict = Literal["good", "usable", "reject"]
 
@@ -211,6 +218,9 @@ class Quality(msgspec.Struct, kw_only=True):
         dropped: Writes that the recorder saw and could not keep.
         dropped_bulky: How many of them were images or other bulky values.
         dropped_keys: The keys that they were of, those that lost most first, with how many.
+        not_mirrored: Writes whose values the recorder's tap could not know: they reached the bus and are not in the
+            file.
+        deletions: Deletions of keys, by key.
         holes: Spans of which writes are missing, as the recorder stated them.
         backend, is_lossless: The tap that was used, and whether it can promise every write.
         lock_step: Whether commands waited for states, so that times say nothing of the control.
@@ -247,6 +257,8 @@ class Quality(msgspec.Struct, kw_only=True):
     dropped: int = 0
     dropped_bulky: int = 0
     dropped_keys: dict[str, int] = {}
+    not_mirrored: list[KeyChanges] = []
+    deletions: list[KeyChanges] = []
     holes: int = 0
     backend: str = ""
     is_lossless: bool = False

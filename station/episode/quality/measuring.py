@@ -8,6 +8,7 @@ from station.bus import codec, keys
 from station.episode.quality import arms, interruptions, motion, pauses
 from station.episode.quality.alignment import AlignmentMeter
 from station.episode.quality.cameras import CameraMeter, stated_hz
+from station.episode.quality.changes import ChangeCounter
 from station.episode.quality.policy_steps import StepMeter
 from station.episode.quality.streams import StreamCounter
 from station.episode.reading import frames, steps
@@ -27,6 +28,7 @@ class Measuring:
         motion: One for each robot whose joints are told of.
         arms: One for each arm.
         cameras: Counts pictures.
+        changes: Counts changes of keys that are no values in the file.
         events: Every event with its time from the start [s].
         ends: Where commands ended because their server said so.
     """
@@ -40,6 +42,7 @@ class Measuring:
         self.motion = motion.meters(topics)
         self.arms = [arms.ArmMeter(robot) for robot in arms.robots(topics)]
         self.cameras = CameraMeter(frames.cameras(reader), stated_hz(reader.manifest))
+        self.changes = ChangeCounter(self.start_ns)
         self.events: list[tuple[float, dict[str, Any]]] = []
         self.ends: list[pauses.End] = []
         self._joiners = {robot: StepJoiner(robot, context=meter.context) for robot, meter in self.steps.items()}
@@ -52,6 +55,7 @@ class Measuring:
     def _feed(self, message: Message) -> None:
         self.counter.feed(message)
         self.cameras.feed(message)
+        self.changes.feed(message)
         for meter in self.motion:
             meter.feed(message)
         for arm in self.arms:

@@ -139,6 +139,8 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     disordered: Rule
     lossy_tap: Rule
     holes: Rule
+    not_mirrored: Graded
+    deleted: Rule
     gap: Seconds
     slow: LeastShare
     rival_writers: Rule

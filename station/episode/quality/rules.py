@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from station.episode.quality.findings import Interruption, Quality, Reason, StepQuality, StreamQuality, Verdict
+from station.episode.quality.missing_rules import MISSING
 from station.episode.quality.rule_file import Graded, Limits, Rule
 from station.episode.quality.sensed_rules import SENSED, Finder
 from station.episode.quality.timing import not_judged
@@ -235,6 +236,7 @@ RULES: dict[str, Finder] = {
     "bus-silent": _bus_silent,
     "bus-lost": _bus_lost,
     "bus-refused": _bus_refused,
+    **MISSING,
     **SENSED,
     "operator-reset": _reset,
     "estop": _estop,

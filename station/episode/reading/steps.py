@@ -56,7 +56,8 @@ def robots(topics: Iterable[str]) -> list[str]:
     """Return the suffixes of the robots whose policy steps are among the topics, sorted."""
     prefix = keys.policy_timing("")
     others = keys.policy_obs("")
-    found = {topic.removeprefix(p) for topic in topics for p in (prefix, others) if topic.startswith(p)}
+    own = [topic for topic in topics if not keys.is_stamp(topic)]  # a stamp that was deleted is a topic too
+    found = {topic.removeprefix(p) for topic in own for p in (prefix, others) if topic.startswith(p)}
     return sorted(found)
 
 
@@ -85,6 +86,8 @@ class StepJoiner:
 
     def feed(self, message: Message) -> Step | None:
         """Take a message; return the step that it completes, if any."""
+        if message.channel.is_deletion:
+            return None
         topic, source = message.topic, message.channel.source
         if topic in self._context:
             self._newest[topic] = message.data

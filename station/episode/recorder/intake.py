@@ -79,7 +79,7 @@ class Intake:
             return
         if writes:
             self._feed(writes)
-        self.recording.not_mirrored(self.tap.not_mirrored)
+        self.recording.unseen_keys(self.tap.unseen_keys)
 
     def drain(self) -> None:
         """Take in all that was written before we were asked to stop: until a write of our own has come back."""

@@ -114,10 +114,10 @@ class Recording(Desk):
             recorder.is_lossless &= is_lossless
         self.tap.backend, self.tap.is_lossless = backend, is_lossless
 
-    def not_mirrored(self, count: int) -> None:
-        """Say how many commands of others changed a key in a way that the tap cannot show."""
-        if self._take is not None and self._take.manifest.recorder.not_mirrored != count:
-            self._take.manifest.recorder.not_mirrored = count
+    def unseen_keys(self, count: int) -> None:
+        """Say how many keys there are that the tap cannot look at."""
+        if self._take is not None and self._take.manifest.recorder.unseen_keys != count:
+            self._take.manifest.recorder.unseen_keys = count
             self._take.touch()
 
     def _handler(self, key: str) -> Callable[[Write], None] | None:
@@ -132,7 +132,7 @@ class Recording(Desk):
     def _choose(self, key: str) -> Callable[[Write], None] | None:
         if key == keys.RECORD:
             return self._request
-        if key == keys.EVENT or is_motion(key):
+        if key in (keys.EVENT, keys.NOT_MIRRORED) or is_motion(key):
             return self._note
         return self._hear if self._heard.is_of_interest(key) else None
 

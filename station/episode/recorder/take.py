@@ -14,7 +14,7 @@ from station.episode.storage.progress import Totals
 from station.episode.storage.request import RecordAnswer, RecorderState
 from station.episode.writing.closing import close_manifest
 from station.episode.writing.heard import is_motion, note_motion
-from station.episode.writing.retell import note_event, note_mark
+from station.episode.writing.retell import note_event, note_mark, note_not_mirrored
 
 if TYPE_CHECKING:
     from station.bus.tap import Position, Write
@@ -67,11 +67,14 @@ class Take:
         return self.writer.put(writes, position=position, is_whole=is_whole, is_live=is_live)
 
     def note(self, write: Write) -> None:
-        """Take from an event or a command's source what belongs into the manifest."""
+        """Take from an event, a command's source, or a word of the tap what belongs into the manifest."""
         if write.value is None:
             return
         if write.key == keys.EVENT:
             note_event(self.manifest, write.value, self._at_s(write.mono_ns))
+            self._is_dirty = True
+        elif write.key == keys.NOT_MIRRORED:
+            note_not_mirrored(self.manifest.recorder, write.value)
             self._is_dirty = True
         elif is_motion(write.key):
             self._is_dirty |= note_motion(self.manifest, write.key, write.value)

@@ -178,7 +178,10 @@ class Recorder(msgspec.Struct, kw_only=True):
         restarts: How often a recorder took this episode up again.
         messages, bytes: Messages in the file, and its size on disk.
         dropped: Writes that arrived and could not be kept (full queue, failed disk, too many keys).
-        not_mirrored: Commands that changed a key without carrying its whole value (APPEND, HSET, …), by anybody.
+        not_mirrored: Writes of anybody that changed a key to a value that the tap could not know (HSET, COPY of a key
+            that it never saw, …).
+        not_mirrored_by: The same by command and key, the first hundred of them.
+        unseen_keys: Keys that were beyond what a tap that polls can look at.
         lag_p50_ms, lag_p99_ms: From arrival of a write to its place in the file [ms].
         software: Version and revision of the recorder's code.
         config: Its configuration.
@@ -194,6 +197,8 @@ class Recorder(msgspec.Struct, kw_only=True):
     bytes: int = 0
     dropped: int = 0
     not_mirrored: int = 0
+    not_mirrored_by: dict[str, int] = {}
+    unseen_keys: int = 0
     lag_p50_ms: float | None = None
     lag_p99_ms: float | None = None
     software: dict[str, Any] = {}

@@ -29,6 +29,7 @@ class Told(msgspec.Struct, kw_only=True):
 
     Attributes:
         events, events_not_listed, marks, motions, quality_flags, servers: As in the manifest.
+        not_mirrored, not_mirrored_by: As in the manifest's `Recorder`.
         requests: Ids of the requests to the recorder in the file, in order.
         ending: The request that ended the episode, when it is in the file.
     """
@@ -39,6 +40,8 @@ class Told(msgspec.Struct, kw_only=True):
     motions: list[dict[str, Any]] = []
     quality_flags: QualityFlags = msgspec.field(default_factory=QualityFlags)
     servers: dict[str, dict[str, Any]] = {}
+    not_mirrored: int = 0
+    not_mirrored_by: dict[str, int] = {}
     requests: list[str] = []
     ending: RecordRequest | None = None
 

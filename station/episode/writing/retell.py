@@ -12,10 +12,11 @@ import msgspec
 from mcap.records import Channel
 
 from station.bus import codec, keys
+from station.bus.tap import not_mirrored
 from station.episode.storage import layout
 from station.episode.storage import manifest as manifests
 from station.episode.storage.anchor import Anchor
-from station.episode.storage.manifest import Event, Manifest, Mark
+from station.episode.storage.manifest import Event, Manifest, Mark, Recorder
 from station.episode.storage.records import RawMessage
 from station.episode.storage.request import RecordRequest, parse_request, request_id
 from station.episode.writing.checkpoint import Told
@@ -24,6 +25,8 @@ from station.errors import Refused
 
 _LONGEST_EVENT = 8192  # bytes; a longer one stands in the signals, the manifest says how long
 _MOST_NUMBERS = 100  # likewise: a manifest that holds too many values cannot be read any more
+_MOST_NOT_MIRRORED = 100
+_LONGEST_KEY = 200
 _MOST_REQUESTS = 256  # the newest; a request is sent again for some seconds at most
 _EVENT_FIELDS = ("name", "severity", "source", "wall_ns", "detail")
 
@@ -60,6 +63,15 @@ def note_mark(manifest: Manifest | Told, label: str, at_s: float, success: bool 
     return True
 
 
+def note_not_mirrored(account: Recorder | Told, value: bytes) -> None:
+    """Count what a tap said of writes that it could not show."""
+    said = not_mirrored.decode(value) or not_mirrored.NotMirrored("?", "")
+    account.not_mirrored += said.count
+    which = f"{said.command} {said.key[:_LONGEST_KEY]}"
+    if which in account.not_mirrored_by or len(account.not_mirrored_by) < _MOST_NOT_MIRRORED:
+        account.not_mirrored_by[which] = account.not_mirrored_by.get(which, 0) + said.count
+
+
 class Retelling:
     """Takes the messages of a file in order and tells what follows from them.
 
@@ -88,6 +100,8 @@ class Retelling:
             note_event(self.told, value, at_s)
         elif key == keys.RECORD:
             self._request(value, at_s)
+        elif key == keys.NOT_MIRRORED:
+            note_not_mirrored(self.told, value)
         elif is_motion(key):
             note_motion(self.told, key, value)
         elif (facts := json_object(value)) is not None:
@@ -106,6 +120,8 @@ class Retelling:
         manifest.events, manifest.marks, manifest.motions = list(told.events), list(told.marks), list(told.motions)
         manifest.events_not_listed = told.events_not_listed
         manifest.quality_flags = msgspec.structs.replace(told.quality_flags)
+        manifest.recorder.not_mirrored = told.not_mirrored
+        manifest.recorder.not_mirrored_by = dict(told.not_mirrored_by)
         manifest.servers = {**manifest.servers, **told.servers}
         if first_ns:
             manifest.timing.preroll_s = max(0.0, round((self._anchor.wall_ns - first_ns) * 1e-9, 6))
@@ -138,7 +154,9 @@ class Retelling:
 
 def is_told(key: str, encoding: str) -> bool:
     """Whether a manifest says something of the values of a key."""
-    is_of_interest = key in (keys.EVENT, keys.RECORD) or is_motion(key) or key.startswith(keys.CONFIG_PREFIX)
+    is_of_interest = (
+        key in (keys.EVENT, keys.RECORD, keys.NOT_MIRRORED) or is_motion(key) or key.startswith(keys.CONFIG_PREFIX)
+    )
     return is_of_interest and encoding != layout.DELETED
 
 

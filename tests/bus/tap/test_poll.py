@@ -108,10 +108,10 @@ def test_of_keys_without_end_those_that_were_there_first_are_looked_at_and_the_o
 
     def has_looked() -> bool:
         seen.extend(tap.read(0.05))
-        return tap.not_mirrored > 0
+        return tap.unseen_keys > 0
 
     wait_until(has_looked)
-    assert tap.not_mirrored == 300 - len([write for write in seen if write.key.startswith("invented")])
+    assert tap.unseen_keys == 300 - len([write for write in seen if write.key.startswith("invented")])
     assert len(tap._contents) <= 50
     writer.call("SET", "a", "2")
     assert [write[:3] for write in read(tap, 1)] == [("a", b"2", None)]

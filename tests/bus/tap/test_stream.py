@@ -8,17 +8,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from station.bus import keys
 from station.bus.connection import pack
+from station.bus.tap import Write, not_mirrored
+from station.bus.tap.base import PROBE, Snapshot
 from station.bus.tap.stream import Stream, encoded_length
 from station.errors import BusError
 
-keys = st.sampled_from([b"a", b"b", b"a@", b"unitree", b"\xff\xfe"])
+names = st.sampled_from([b"a", b"b", b"a@", b"unitree", b"\xff\xfe"])
 values = st.one_of(
     st.binary(max_size=40), st.sampled_from([b"\r\n", b"\n", b"$3\r\n", b"*1\r\n", b"x" * 99, b"x" * 1000])
 )
-sets = st.tuples(st.just(b"SET"), keys, values)
-stamped = st.builds(lambda key, value, stamp: (b"MSET", key, value, key + b"@", stamp), keys, values, values)
-deletions = st.tuples(st.just(b"DEL"), keys)
+sets = st.tuples(st.just(b"SET"), names, values)
+stamped = st.builds(lambda key, value, stamp: (b"MSET", key, value, key + b"@", stamp), names, values, values)
+deletions = st.tuples(st.just(b"DEL"), names)
 others = st.sampled_from([(b"PING",), (b"MULTI",), (b"EXEC",), (b"PEXPIREAT", b"a", b"1795230971000")])
 commands = st.lists(st.one_of(sets, stamped, deletions, others), max_size=30)
 
@@ -135,12 +138,81 @@ def test_key_that_is_no_text_is_escaped() -> None:
     assert _stream().feed(pack("SET", b"a\xff", "1"))[0].key == "a\\xff"
 
 
-def test_command_without_the_whole_value_is_counted_and_reported_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_command_whose_result_is_unknown_is_said_each_time_and_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     stream = _stream()
     with caplog.at_level(logging.WARNING):
-        assert stream.feed(pack("APPEND", "a", "x") * 3 + pack("HSET", "h", "f", "v")) == []
-    assert stream.not_mirrored == 4
+        seen = stream.feed(pack("APPEND", "a", "x") * 3 + pack("HSET", "h", "f", "v"))
+    assert [_said(write) for write in seen] == [("APPEND", "a")] * 3 + [("HSET", "h")]
     assert [record.getMessage().split(":")[0] for record in caplog.records] == ["not mirrored"] * 2
+
+
+PARTIAL: list[tuple[tuple[tuple[str | int, ...], ...], list[tuple[str, bytes | None]]]] = [
+    ((("SET", "a", "1"), ("APPEND", "a", "2"), ("append", "a", "3")), [("a", b"1"), ("a", b"12"), ("a", b"123")]),
+    ((("SET", "a", "12345"), ("SETRANGE", "a", 1, "xy")), [("a", b"12345"), ("a", b"1xy45")]),
+    ((("SET", "a", "1"), ("SETRANGE", "a", 3, "x")), [("a", b"1"), ("a", b"1\0\0x")]),
+    ((("SET", "a", "5"), ("INCR", "a"), ("DECRBY", "a", 9)), [("a", b"5"), ("a", b"6"), ("a", b"-3")]),
+    ((("SET", "a", b"\x40"), ("SETBIT", "a", 9, 1), ("SETBIT", "a", 1, 0)),
+     [("a", b"\x40"), ("a", b"\x40\x40"), ("a", b"\x00\x40")]),
+    ((("SET", "a", "1"), ("RENAME", "a", "b")), [("a", b"1"), ("a", None), ("b", b"1")]),
+    ((("SET", "a", "1"), ("RENAMENX", "a", "b"), ("APPEND", "b", "2")),
+     [("a", b"1"), ("a", None), ("b", b"1"), ("b", b"12")]),
+    ((("SET", "a", "1"), ("COPY", "a", "b", "REPLACE")), [("a", b"1"), ("b", b"1")]),
+    ((("SELECT", 1), ("SET", "a", "1"), ("COPY", "a", "b", "DB", 0)), [("b", b"1")]),
+    ((("SELECT", 1), ("SET", "a", "1"), ("APPEND", "a", "2"), ("MOVE", "a", 0)), [("a", b"12")]),
+    ((("SET", "a", "1"), ("MOVE", "a", 1)), [("a", b"1"), ("a", None)]),
+    ((("MSET", "a", "1", "a@", "s"), ("COPY", "a@", "b@")), [("a", b"1"), ("b@", b"s")]),
+    ((("FLUSHALL",), ("APPEND", "a", "1"), ("INCR", "n")), [("a", b"1"), ("n", b"1")]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("written", "expected"), PARTIAL)
+def test_command_that_carries_a_part_is_a_write_of_the_whole_value_where_that_is_known(
+    written: tuple[tuple[str | int, ...], ...], expected: list[tuple[str, bytes | None]]
+) -> None:
+    seen = _stream().feed(b"".join(pack(*command) for command in written))
+    assert [write[:2] for write in seen] == expected
+
+
+UNKNOWN: list[tuple[tuple[tuple[str | int, ...], ...], tuple[str, str]]] = [
+    ((("COPY", "a", "b"),), ("COPY", "b")),
+    ((("RENAME", "a", "b"),), ("RENAME", "b")),
+    ((("SET", "a", "1"), ("BITFIELD", "a", "SET", "u8", 0, 5), ("APPEND", "a", "2")), ("APPEND", "a")),
+    ((("SET", "a", "1"), ("BITOP", "NOT", "a", "b"), ("APPEND", "a", "2")), ("APPEND", "a")),
+    ((("SET", "a", "x" * 2_000_000), ("COPY", "a", "b")), ("COPY", "b")),
+    ((("SET", "a", "1"), ("SETRANGE", "a", 1 << 29, "x")), ("SETRANGE", "a")),
+    ((("SET", "a", "1"), ("SWAPDB", 0, 1)), ("SWAPDB", "")),
+    ((("SET", "a", "1"), ("SWAPDB", 0, 1), ("APPEND", "a", "2")), ("APPEND", "a")),
+    ((("RESTORE", "a", 0, b"\x02\x01\x01x" + bytes(10)),), ("RESTORE", "a")),
+]
+
+
+@pytest.mark.parametrize(("written", "expected"), UNKNOWN)
+def test_what_a_key_holds_is_never_guessed(
+    written: tuple[tuple[str | int, ...], ...], expected: tuple[str, str]
+) -> None:
+    seen = _stream().feed(b"".join(pack(*command) for command in written))
+    assert _said(seen[-1]) == expected
+
+
+def test_snapshot_counts_from_its_own_probe_on() -> None:
+    stream = _stream()
+    stream.snapshot = Snapshot(b"token", {b"a": b"1", b"a@": b"s"}, (b"large",), is_whole=True)
+    before = stream.feed(pack("APPEND", "a", "2") + pack("SET", PROBE, "of another tap") + pack("APPEND", "a", "3"))
+    assert [_said(write) for write in before] == [("APPEND", "a")] * 2
+    after = stream.feed(
+        pack("SET", PROBE, "token") + pack("APPEND", "a", "2") + pack("INCR", "new") + pack("APPEND", "large", "x")
+    )
+    assert [write[:2] for write in after[:2]] == [("a", b"12"), ("new", b"1")]
+    assert _said(after[2]) == ("APPEND", "large")
+    assert {write[:2] for write in stream.feed(pack("FLUSHALL"))} == {("a", None), ("large", None), ("new", None)}
+
+
+def test_memory_for_values_is_bounded() -> None:
+    stream = _stream()
+    for number in range(80):
+        stream.feed(pack("SET", f"key{number}", b"x" * (1 << 20)))
+    assert stream._values._size <= 64 << 20
+    assert _said(stream.feed(pack("COPY", "key0", "b"))[-1]) == ("COPY", "b")
 
 
 @pytest.mark.parametrize("data", [b"+PONG\r\n", b"hello\r\n", b":1\r\n", pack("SET", "a"), b"*0\r\n", b"*1\r\n:5\r\n"])
@@ -153,6 +225,12 @@ def test_request_for_an_acknowledgement_is_noticed() -> None:
     stream = _stream()
     stream.feed(pack("REPLCONF", "GETACK", "*"))
     assert stream.wants_answer
+
+
+def _said(write: Write) -> tuple[str, str] | None:
+    """What the tap says of a write that it cannot show; None for one that it shows."""
+    said = not_mirrored.decode(write.value or b"") if write.key == keys.NOT_MIRRORED else None
+    return None if said is None else (said.command, said.key)
 
 
 def _stream(offset: int = 0) -> Stream:

@@ -16,6 +16,7 @@ from station.bus import codec, keys
 from station.episode.quality import rule_file
 from station.episode.quality.check import check, write_measured
 from station.episode.quality.findings import Quality
+from station.episode.quality.missing_rules import MISSING
 from station.episode.quality.rule_file import LeastShare
 from station.episode.quality.rules import RULES
 from station.episode.quality.sensed_rules import SENSED
@@ -355,9 +356,9 @@ def test_unfinished_file_is_rejected(builder: EpisodeBuilder) -> None:
 
 
 def test_every_rule_has_a_case() -> None:
-    assert set(RULES) == set(CASES) | {"torn", "unfinished", "dropped-images"} | set(
+    assert set(RULES) == set(CASES) | {"torn", "unfinished", "dropped-images"} | set(MISSING) | set(
         SENSED
-    )  # test_motion_quality has these
+    )  # test_motion and test_missing have these
 
 
 def test_limits_can_be_changed(builder: EpisodeBuilder) -> None:

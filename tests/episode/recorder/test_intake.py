@@ -20,6 +20,7 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import Connection
 from station.bus.tap import Tap, open_tap
+from station.episode.quality.check import check
 from station.episode.reading import steps
 from station.episode.reading.reader import open_episode
 from station.episode.recorder import intake as intake_module
@@ -292,7 +293,34 @@ def test_a_tap_that_is_lost_at_the_end_leaves_a_hole_from_the_newest_write_that_
     assert_begins_behind_the_newest_block(folder, hole)
 
 
-def killed_recorder(g1: Bus, address: BusAddress, data: Path) -> Path:
+def test_writes_that_the_tap_cannot_know_are_counted_across_a_kill_of_the_recorder_and_a_cut_of_its_link(
+    make: Make, g1: Bus, bus_server: BusAddress, tmp_path: Path
+) -> None:
+    body = keys.action_body()
+
+    def write_in_part() -> None:
+        g1.call("BITFIELD", body, "INCRBY", "u8", 0, 1)
+
+    folder = killed_recorder(g1, bus_server, tmp_path, write_in_part)
+    write_in_part()
+    intake = make()
+    admin = Connection(bus_server, timeout_s=5.0)
+    assert admin.call("CLIENT", "KILL", "TYPE", "replica") == 1
+    admin.close()
+    write_in_part()
+    g1.call("SET", "x", "[1]")
+    g1.call("COPY", "x", body, "REPLACE")
+    ask(intake, g1, "stop")
+    recorder = load_manifest(folder).recorder
+    assert (recorder.not_mirrored, recorder.not_mirrored_by) == (3, {f"BITFIELD {body}": 3})
+    reader = open_episode(folder)
+    assert [message.data for message in reader.messages([body])] == [b"[1]"], "what the tap can know is in the file"
+    (reason,) = [reason for reason in check(reader).reasons if reason.rule == "not-mirrored"]
+    assert reason.verdict == "reject"
+    assert f"{body} by BITFIELD 3" in reason.text
+
+
+def killed_recorder(g1: Bus, address: BusAddress, data: Path, meanwhile: Callable[[], None] = lambda: None) -> Path:
     """Have a recorder's process begin an episode and be killed in the middle of it; return the folder."""
     serve = [sys.executable, "-m", "station", "serve", "recorder", "--bus", address.url]
     settings = [word for value in (f"data={data}", "min_free_mb=0") for word in ("--set", value)]
@@ -300,6 +328,7 @@ def killed_recorder(g1: Bus, address: BusAddress, data: Path) -> Path:
     try:
         wait_until(lambda: g1.get(keys.RECORDER) or recorder.poll() is not None)
         folder = Path(remote.ask(g1, "start", task="walk", timeout_s=60.0).path or "")
+        meanwhile()
         g1.publish({"own": b"first"})
         wait_until(lambda: (point := load_resume_point(folder)) is not None and point.messages)
     finally:
