@@ -20,6 +20,9 @@ SILENT_S = 3.0
 """A process that lives and has said nothing for this long is taken for frozen [s]; it speaks twice a second."""
 
 
+_DIED = "server-died"
+
+
 class Deaths:
     """Watches over the servers of a session, a few times a second.
 
@@ -56,12 +59,14 @@ class Deaths:
                 continue
             if code == 0 and step.kind.role == "command":
                 return f"{name} has finished", int(self.are_open)
-            how, words = how_it_ended(code), self._supervisor.last_words(name)
+            how = how_it_ended(code)
+            what = f"{how}; its last words: {self._supervisor.last_words(name)}"
             self._starting.discard(name)
             if not self._asks or step.if_it_dies == "end":
-                return f"server {name!r} {how}; its last words: {words}", 1
+                self._supervisor.tell(_DIED, "error", server=name, reason=what)
+                return f"server {name!r} {what}", 1
             self._dead[name] = how
-            self._tell(name, f"{how}; its last words: {words}", "server-died")
+            self._tell(name, what, _DIED)
         if health is None:
             self._heard.clear()  # nobody could speak: their time begins anew when the bus is back
         else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import getpass
+import json
 import os
 import signal
 import threading
@@ -11,6 +12,8 @@ from contextlib import contextmanager
 
 import pytest
 
+from station.bus import keys
+from station.bus.tap import open_tap
 from station.life.server import Health, read_health
 from tests.supervision.place import HEAD, MOTION, Person, Place
 from tests.waiting import wait_until
@@ -46,11 +49,16 @@ def test_one_that_stays_dead_makes_the_end_a_failure(place: Place) -> None:
 @pytest.mark.parametrize(("is_attended", "unattended", "rule"), [(False, False, ""), (True, True, ""),
                                                                  (True, False, "    if_it_dies: end\n")])  # fmt: skip
 def test_where_nobody_is_to_be_asked_it_ends(place: Place, *, is_attended: bool, unattended: bool, rule: str) -> None:
-    person = Person(is_attended=is_attended)
+    person, tap = Person(is_attended=is_attended), open_tap(place.bus.address)
     with _running(place, HEAD + "steps:\n" + MOTION + rule, person, unattended=unattended) as codes:
         os.kill(_active(place, "motion"), signal.SIGKILL)
         wait_until(lambda: codes)
+    events = [json.loads(write.value or b"{}") for write in tap.read(5.0) if write.key == keys.EVENT]
+    tap.close()
     assert codes == [1]
+    (died,) = [event["detail"] for event in events if event["name"] == "server-died"]
+    assert died["server"] == "motion"
+    assert died["reason"].startswith("was killed by SIGKILL; its last words: ")
     assert person.heard("error server 'motion' was killed by SIGKILL; its last words: ")
     assert not person.heard("starts it again")
 

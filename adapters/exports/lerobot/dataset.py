@@ -22,6 +22,11 @@ from adapters.exports.lerobot.split import ranges, split
 from station.errors import EpisodeError
 from station.export.kind import LeftOut, Shard
 
+_TOLD = 3  # episodes of a note that are named
+_CUT_S = 1.0  # without rows at the ends of an episode, that whoever exports is told of [s] ...
+_CUT_SHARE = 0.05  # ... or this share of the episode, ...
+_LITTLE_S = 0.2  # ... if it is more than keys and cameras differ by anyway [s]
+
 
 def join(shards: Sequence[Shard], left_out: Sequence[LeftOut], plan: Plan, folder: Path) -> dict[str, Any]:
     """Make the data set of shards, one of them in memory at a time.
@@ -59,6 +64,15 @@ def join(shards: Sequence[Shard], left_out: Sequence[LeftOut], plan: Plan, folde
             "cameras": [camera.name for camera in plan.common.cameras], "notes": list(_notes(ordered))}  # fmt: skip
 
 
+def _cut(shard: Shard) -> tuple[float, str] | None:
+    """Return how much of an episode has no rows [s], and at which ends; None for little."""
+    head_s, tail_s, made_s = shard.made.facts["head_s"], shard.made.facts["tail_s"], shard.made.seconds
+    cut_s = head_s + tail_s
+    if cut_s <= max(_LITTLE_S, min(_CUT_S, _CUT_SHARE * (made_s + cut_s))):
+        return None
+    return cut_s, f"{head_s:.1f} at its beginning, {tail_s:.1f} at its end"
+
+
 def _notes(shards: Sequence[Shard]) -> Iterator[str]:
     """Yield what whoever asked for the data set should know, in a line each."""
     for what, has, cure in (
@@ -72,6 +86,15 @@ def _notes(shards: Sequence[Shard]) -> Iterator[str]:
                 f"{len(with_others)} of {len(shards)} episodes ({with_others[0].source.episode_id} first) {has}, and "
                 f"that are not in the data set: {', '.join(names)}; {cure}, and episodes without them are not"
             )
+    cut = {shard.source.episode_id: said for shard in shards if (said := _cut(shard))}
+    if cut:
+        longest = sorted(cut, key=lambda name: cut[name], reverse=True)[:_TOLD]
+        told = ", ".join(f"{name} {cut[name][0]:.1f} s ({cut[name][1]})" for name in longest)
+        more = f" and {len(cut) - _TOLD} more" if len(cut) > _TOLD else ""
+        yield (
+            f"{len(cut)} of {len(shards)} episodes have rows for a part of what was recorded only, since not every key "
+            f"and camera reaches their ends: cut are {told}{more}; `station check` says which key or camera it was"
+        )
     without = [shard for shard in shards if shard.made.facts["without_own_step"]]
     if without:
         rows = sum(shard.made.facts["without_own_step"] for shard in without)

@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from station.episode.quality import falls, interruptions, pauses, rule_file, timing
+from station.episode.quality import falls, interruptions, pauses, presence, rule_file, timing
 from station.episode.quality.findings import FallSeen, Quality
 from station.episode.quality.measuring import Measuring
 from station.episode.quality.rule_file import RuleBook
@@ -51,7 +51,10 @@ def write_measured(folder: Path, quality: Quality) -> Manifest:
         )
     manifest = load_manifest(folder)
     listed = msgspec.structs.replace(  # as the manifest's own
-        quality, streams=quality.streams[:MAX_STREAMS], cameras=quality.cameras[:MAX_STREAMS]
+        quality,
+        streams=quality.streams[:MAX_STREAMS],
+        cameras=quality.cameras[:MAX_STREAMS],
+        presence=quality.presence[:MAX_STREAMS],
     )
     manifest.quality = {"measured_at": datetime.now(UTC).isoformat(), **msgspec.to_builtins(listed)}
     save_manifest(manifest, folder)
@@ -75,6 +78,7 @@ def _assemble(reader: EpisodeReader, measured: Measuring) -> Quality:
     counter, start_ns = measured.counter, measured.start_ns
     streams, commands = counter.streams(start_ns, drops, measured.ends), list(counter.commands())
     paused = pauses.find(commands, measured.ends)
+    span_s, cameras = presence.ends_s(manifest, streams), measured.cameras.result(streams)
     return Quality(
         episode_id=reader.episode_id,
         duration_s=max((s.last_s for s in streams), default=0.0) - min((s.first_s for s in streams), default=0.0),
@@ -84,7 +88,10 @@ def _assemble(reader: EpisodeReader, measured: Measuring) -> Quality:
         alignment=[meter.result() for meter in measured.alignment.values()],
         motion=[moved for meter in measured.motion if (moved := meter.result()) is not None],
         arms=[arm for meter in measured.arms if (arm := meter.result()) is not None],
-        cameras=measured.cameras.result(streams),
+        cameras=cameras,
+        ends_s=span_s,
+        presence=presence.find(streams, span_s, measured.ends, measured.heartbeats),
+        no_pictures=presence.without_pictures(manifest, (camera.key for camera in cameras), measured.heartbeats),
         rivals=rivals(commands, measured.ends),
         pauses=pauses.described(paused, start_ns),
         **_told(measured, manifest),
@@ -113,6 +120,7 @@ def _told(measured: Measuring, manifest: Manifest) -> dict[str, Any]:
         "resets": names["operator-reset"],
         "estops": names["estop"],
         "interruptions": found,
+        "losses": presence.losses(measured.events, manifest),
         "bus_lost": sum(item.kind == "bus-lost" for item in found),
         "events": dict(sorted(names.items())),
     }

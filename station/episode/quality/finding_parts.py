@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import msgspec
 
 
@@ -22,6 +24,49 @@ class KeyChanges(msgspec.Struct, frozen=True, kw_only=True):
     key: str
     count: int
     at_s: float
+
+
+class KeyPresence(msgspec.Struct, frozen=True, kw_only=True):
+    """How a rated key lies in the episode, whoever wrote it.
+
+    Attributes:
+        key, role: The key, and its role by the recorded contract.
+        writer: Server that wrote it last, or ``foreign``.
+        nominal_hz: Rate by contract [Hz].
+        late_s, early_s: From the start of the episode to the first message, and from the last one to its end [s].
+        between_s: Longest time between two processes that wrote it one after the other [s].
+        is_end_told: Whether its last writer had said that its commands end, or that it ends.
+    """
+
+    key: str
+    role: str
+    writer: str
+    nominal_hz: float
+    late_s: float
+    early_s: float
+    between_s: float
+    is_end_told: bool
+
+
+LossKind = Literal["server-died", "server-given-up", "server-restarted", "server-silent", "camera-lost"]
+
+
+class Loss(msgspec.Struct, frozen=True, kw_only=True):
+    """An event that says that a server died or fell silent, or that a camera was lost.
+
+    Attributes:
+        kind: Name of the event.
+        server: The server that died, or the camera's.
+        role: Its role by its own word, "" where it said none.
+        at_s: When it was said, from the start of the episode [s].
+        reason: Why, as the event says.
+    """
+
+    kind: LossKind
+    server: str
+    role: str
+    at_s: float
+    reason: str
 
 
 class CameraQuality(msgspec.Struct, frozen=True, kw_only=True):

@@ -11,6 +11,8 @@ from station.episode.quality.finding_parts import (
     ArmQuality,
     CameraQuality,
     KeyChanges,
+    KeyPresence,
+    Loss,
     MotionQuality,
     RulesFile,
 )
@@ -206,6 +208,10 @@ class Quality(msgspec.Struct, kw_only=True):
         motion: How joints moved, by robot.
         arms: What the sessions of arms with their controllers counted, by robot.
         cameras: What became of the pictures, by camera.
+        ends_s: From when to when there is an episode, from its start [s].
+        presence: How each rated key lies in it.
+        no_pictures: Keys of cameras that were there, and of which there is no picture.
+        losses: Servers that died or fell silent and cameras that were lost, by events.
         rivals: Command keys with several writers at once.
         pauses: Times without commands that their writer told of beforehand, in order.
         falls: Number of falls, by event or by pose.
@@ -244,6 +250,10 @@ class Quality(msgspec.Struct, kw_only=True):
     motion: list[MotionQuality] = []
     arms: list[ArmQuality] = []
     cameras: list[CameraQuality] = []
+    ends_s: tuple[float, float] = (0.0, 0.0)
+    presence: list[KeyPresence] = []
+    no_pictures: list[str] = []
+    losses: list[Loss] = []
     rivals: list[RivalWriters] = []
     pauses: list[CommandPause] = []
     falls: int = 0

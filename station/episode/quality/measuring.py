@@ -10,6 +10,7 @@ from station.episode.quality.alignment import AlignmentMeter
 from station.episode.quality.cameras import CameraMeter, stated_hz
 from station.episode.quality.changes import ChangeCounter
 from station.episode.quality.policy_steps import StepMeter
+from station.episode.quality.presence import Heartbeats
 from station.episode.quality.streams import StreamCounter
 from station.episode.reading import frames, steps
 from station.episode.reading.messages import Message
@@ -29,6 +30,7 @@ class Measuring:
         arms: One for each arm.
         cameras: Counts pictures.
         changes: Counts changes of keys that are no values in the file.
+        heartbeats: Which servers lived.
         events: Every event with its time from the start [s].
         ends: Where commands ended because their server said so.
     """
@@ -43,6 +45,7 @@ class Measuring:
         self.arms = [arms.ArmMeter(robot) for robot in arms.robots(topics)]
         self.cameras = CameraMeter(frames.cameras(reader), stated_hz(reader.manifest))
         self.changes = ChangeCounter(self.start_ns)
+        self.heartbeats = Heartbeats(self.start_ns)
         self.events: list[tuple[float, dict[str, Any]]] = []
         self.ends: list[pauses.End] = []
         self._joiners = {robot: StepJoiner(robot, context=meter.context) for robot, meter in self.steps.items()}
@@ -56,6 +59,7 @@ class Measuring:
         self.counter.feed(message)
         self.cameras.feed(message)
         self.changes.feed(message)
+        self.heartbeats.feed(message)
         for meter in self.motion:
             meter.feed(message)
         for arm in self.arms:

@@ -36,10 +36,10 @@ class Rule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         for name, value in limits.items():
             if math.isnan(value):
                 raise ValueError(f"{name}: expected a number, got nan")
-        usable = next((value for name, value in limits.items() if name.startswith("usable_above")), None)
-        reject = next((value for name, value in limits.items() if name.startswith("reject_above")), None)
-        if usable is not None and reject is not None and usable > reject:
-            raise ValueError(f"the limit for usable, {usable:g}, lies above the one for reject, {reject:g}")
+        for name, reject in limits.items():
+            usable = limits.get(name.replace("reject_", "usable_"), reject)
+            if usable > reject:
+                raise ValueError(f"the limit for usable, {usable:g}, lies above the one for reject, {reject:g}")
 
 
 class Graded(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -64,6 +64,13 @@ class Seconds(Graded, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     usable_above_s: float
     reject_above_s: float
+
+
+class Ends(Graded, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Limits of what is missing at an end of the episode: usable above a time [s], not above a share of it, 0..1."""
+
+    usable_above_s: float
+    reject_above_share: float
 
 
 class Angles(Graded, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -139,6 +146,10 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     disordered: Rule
     lossy_tap: Rule
     holes: Rule
+    began_late: Ends
+    ended_early: Ends
+    writer_gap: Seconds
+    server_died: Graded
     not_mirrored: Graded
     deleted: Rule
     gap: Seconds
@@ -147,6 +158,10 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     bus_silent: Rule
     bus_lost: Rule
     bus_refused: Rule
+    no_pictures: Rule
+    camera_began_late: Ends
+    camera_ended_early: Ends
+    camera_lost: Rule
     camera_drops: Shares
     camera_gap: Seconds
     camera_slow: LeastShare

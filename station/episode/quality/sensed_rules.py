@@ -11,7 +11,7 @@ from station.episode.quality.rule_file import Limits
 Finder = Callable[[Quality, Limits], Iterator[tuple[Verdict, str]]]
 """Finds what a rule speaks of: verdict by its limits, and the fact in a sentence."""
 
-_GAP_PERIODS = 3  # a camera that is set to few pictures a second gives none for long
+GAP_PERIODS = 3  # a camera that is set to few pictures a second gives none for long
 _ANY_HZ = 1e9
 
 
@@ -26,7 +26,7 @@ def _camera_drops(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, s
 def _camera_gap(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for camera in quality.cameras:
         gap_s = camera.longest_gap_s or 0.0
-        if gap_s > max(limits.camera_gap.usable_above_s, _GAP_PERIODS / (camera.nominal_hz or _ANY_HZ)):
+        if gap_s > max(limits.camera_gap.usable_above_s, GAP_PERIODS / (camera.nominal_hz or _ANY_HZ)):
             verdict: Verdict = "reject" if gap_s > limits.camera_gap.reject_above_s else "usable"
             yield verdict, f"camera {camera.name}: no picture for {gap_s:.2f} s"
 

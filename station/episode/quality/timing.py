@@ -13,6 +13,7 @@ IMPORTED = "imported"
 _LOCK_STEP = "in lock-step commands wait for states"
 _POLLED = "its recorder polled the keys, so no time is that of a write"
 _NOMINAL = "its recorder wrote no times down; they are nominal"
+_ENDS = ("began-late", "ended-early", "writer-gap")
 _OF_THE_CONTROL = ("slow", "old-command", "misaligned", "jerky", "jerky-command")
 
 
@@ -29,7 +30,7 @@ def not_judged(quality: Quality) -> dict[str, str]:
     """Return the rules that the times of an episode cannot answer, and why, in a few words."""
     found: dict[str, str] = {}
     if quality.lock_step:
-        found |= dict.fromkeys(("gap", *_OF_THE_CONTROL), _LOCK_STEP)
+        found |= dict.fromkeys(("gap", *_ENDS, *_OF_THE_CONTROL), _LOCK_STEP)
     if quality.times_of == "polled":
         found |= dict.fromkeys(_OF_THE_CONTROL, _POLLED)
     if quality.times_of == "nominal":

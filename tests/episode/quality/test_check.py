@@ -270,8 +270,8 @@ def _plain(**options: Any) -> Callable[[EpisodeBuilder], None]:
 
 def _disorder(builder: EpisodeBuilder) -> None:
     walk(builder, **FAST)
-    builder.repeat(keys.T_STATE, b"1", at_s=0.1, seq=1)
-    builder.repeat(keys.T_STATE, b"1", at_s=0.12, seq=1)
+    builder.repeat(keys.MOTION_CONTROL, b"1", at_s=0.1, seq=1)
+    builder.repeat(keys.MOTION_CONTROL, b"1", at_s=0.12, seq=1)
 
 
 def _only_events(builder: EpisodeBuilder) -> None:

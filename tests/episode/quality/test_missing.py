@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,7 +13,7 @@ from station.episode.quality.check import check
 from station.episode.quality.findings import Quality
 from station.episode.reading import steps
 from station.episode.reading.reader import open_episode
-from tests.episode.synthetic import ROBOT, EpisodeBuilder, walk
+from tests.episode.synthetic import ROBOT, WALL_START_NS, EpisodeBuilder, tick, walk
 
 BODY = keys.action_body()
 
@@ -73,3 +74,219 @@ def test_a_deleted_stamp_makes_no_robot_and_a_deleted_key_no_step(
     quality = check(open_episode(builder.finish()))
     assert [(one.robot, one.steps) for one in quality.steps] == [(ROBOT, 100)]
     assert said(quality) == [("deleted", "usable")]
+
+
+SERVERS = {"g1": {"role": "low-level"}, "motion": {"role": "command"}}
+LENGTH_S = 6.0
+
+
+def run(
+    builder: EpisodeBuilder,
+    *,
+    robot: tuple[float, float] = (0.0, LENGTH_S),
+    commander: tuple[float, float] | None = None,
+) -> None:
+    """Ticks of a robot from one instant to another [s], commanded all the time unless told otherwise."""
+    first_s, last_s = commander or robot
+    for number in range(round(robot[0] * 50), round(robot[1] * 50)):
+        at_s = number / 50
+        is_commanded = first_s <= at_s < last_s
+        gate = "tracking" if is_commanded else "waiting"
+        tick(builder, number, at_s=at_s, is_commanded=is_commanded, gate=gate)
+
+
+def finished(builder: EpisodeBuilder, **manifest: Any) -> Quality:
+    """The quality of an episode that was recorded from 0 to `LENGTH_S`."""
+    timing = {"duration_s": LENGTH_S}
+    return check(open_episode(builder.finish({"timing": timing, "servers": SERVERS, **manifest})))
+
+
+def test_a_robot_that_was_killed_at_half_rejects_with_its_share_and_seconds(builder: EpisodeBuilder) -> None:
+    run(builder, robot=(0.0, 3.0), commander=(0.0, 3.0))
+    quality = finished(builder)
+    assert set(said(quality)) == {("ended-early", "reject")} | {("ended-early", "usable")}  # robot, and its commander
+    text = next(reason.text for reason in quality.reasons if reason.verdict == "reject")
+    assert "by g1: nothing in the last 3.0 s (50% of the episode); so or less of 8 other keys of it" in text
+
+
+def test_a_robot_that_was_frozen_at_first_rejects(builder: EpisodeBuilder) -> None:
+    run(builder, robot=(2.5, LENGTH_S))
+    quality = finished(builder)
+    assert said(quality) == [("began-late", "reject")]
+    assert "nothing in the first 2.5 s (42% of the episode)" in quality.reasons[0].text
+
+
+@pytest.mark.parametrize("family", [keys.target, keys.robot_state, keys.policy_obs])
+def test_one_key_of_a_robot_that_ends_at_half_rejects(builder: EpisodeBuilder, family: steps.Family) -> None:
+    run(builder, robot=(0.0, LENGTH_S))
+    whole, half = open_episode(builder.finish({"timing": {"duration_s": LENGTH_S}})), EpisodeBuilder(builder.folder)
+    for message in whole.messages():
+        at_s = (message.publish_ns - WALL_START_NS) * 1e-9
+        if message.topic != family(ROBOT) or at_s < 3.0:
+            half.write({message.topic: message.data}, at_s=at_s, writer=message.channel.writer)
+    assert said(finished(half)) == [("ended-early", "reject")]
+
+
+def test_an_end_that_lacks_a_little_leaves_the_episode_usable(builder: EpisodeBuilder) -> None:
+    run(builder, robot=(0.0, LENGTH_S - 0.55), commander=(0.0, LENGTH_S - 0.55))
+    assert set(said(finished(builder))) == {("ended-early", "usable")}
+
+
+@pytest.mark.parametrize("name", ["motion-end", "operator-exit", "teleop-commands-end"])
+def test_commands_that_end_because_their_server_says_so_are_no_fault(builder: EpisodeBuilder, name: str) -> None:
+    run(builder, commander=(1.0, 5.0))
+    builder.event(name, at_s=3.0, source="motion")  # and then a blend to standing
+    assert said(finished(builder)) == []
+
+
+def test_commands_that_end_because_their_server_was_asked_to_are_no_fault(builder: EpisodeBuilder) -> None:
+    run(builder, commander=(0.0, 5.0))
+    builder.write({keys.server("motion"): b'{"state": "finalized"}'}, at_s=5.1, writer="motion")
+    assert said(finished(builder)) == []
+
+
+@pytest.mark.parametrize("ends_at_s", [None, -2.0])
+def test_commands_that_end_without_a_word_leave_the_episode_usable(
+    builder: EpisodeBuilder, ends_at_s: float | None
+) -> None:
+    run(builder, commander=(0.0, 4.0))
+    if ends_at_s is not None:  # of a motion before this one
+        builder.event("motion-end", at_s=ends_at_s, source="motion")
+    quality = finished(builder)
+    assert said(quality) == [("ended-early", "usable")]
+    assert "by motion: nothing in the last 2.0 s (34% of the episode)" in quality.reasons[0].text
+
+
+def test_commands_of_the_preroll_alone_are_no_fault_and_a_robot_of_the_preroll_alone_is(
+    builder: EpisodeBuilder,
+) -> None:
+    run(builder)
+    builder.write({keys.action_neck(): b"[0, 0]"}, at_s=-1.0, writer="pico")
+    builder.write({keys.state_neck(): b"[0, 0]"}, at_s=-1.0)
+    quality = finished(builder)
+    assert said(quality) == [("ended-early", "reject")]
+    assert "state_neck" in quality.reasons[0].text
+
+
+def test_a_robot_whose_server_was_started_again_is_told_of_by_the_silence_between(builder: EpisodeBuilder) -> None:
+    for number in range(300):
+        if not 100 <= number < 150:
+            builder.write({keys.T_STATE: b"1"}, at_s=number / 50, writer="g1" if number < 100 else "g1again")
+    quality = finished(builder)
+    assert said(quality) == [("writer-gap", "reject"), ("no-steps", "usable")]
+    assert any("t_state: silent for 1.02 s until another process wrote it" in one.text for one in quality.reasons)
+
+
+def test_a_robot_that_writes_rarely_by_its_contract_is_not_asked_for_its_ends(builder: EpisodeBuilder) -> None:
+    run(builder)
+    builder.write({keys.MOTION_CONTROL: b"{}", keys.ESTOP: b"0"}, at_s=5.0)
+    assert said(finished(builder)) == []
+
+
+def test_ends_are_not_asked_of_lock_step(builder: EpisodeBuilder) -> None:
+    run(builder, robot=(1.0, 4.0))
+    quality = finished(builder, servers={"g1": {"role": "low-level", "pace": "command"}})
+    assert "ended-early" in quality.not_judged
+    assert said(quality) == []
+
+
+def test_a_bus_that_did_not_come_back_ended_the_episode_not_the_robot(builder: EpisodeBuilder) -> None:
+    run(builder, robot=(0.0, 3.0))
+    recorder = {"backend": "replication", "is_lossless": True, "ended_by": "bus-lost"}
+    assert said(finished(builder, recorder=recorder)) == [("bus-lost", "usable")]
+
+
+@pytest.mark.parametrize(
+    ("name", "server", "verdict"),
+    [
+        ("server-died", "g1", "reject"),
+        ("server-silent", "g1", "reject"),
+        ("server-restarted", "gamepad", "usable"),
+        ("server-given-up", "gamepad", "usable"),
+        ("server-died", "motion", "usable"),
+    ],
+)
+def test_a_death_that_the_supervisor_tells_of_is_a_finding(
+    builder: EpisodeBuilder, name: str, server: str, verdict: str
+) -> None:
+    run(builder)
+    reason = "was killed by SIGKILL; its last words: ready"
+    builder.event(name, at_s=5.9, source="supervisor", severity="error", server=server, reason=reason)
+    quality = finished(builder)
+    assert said(quality) == [("server-died", verdict)]
+    assert quality.reasons[0].text == f"server {server} at 5.90 s: {name}, {reason}"
+
+
+def test_a_recorder_that_was_started_again_and_what_died_before_the_start_are_no_findings(
+    builder: EpisodeBuilder,
+) -> None:
+    run(builder)
+    servers = {**SERVERS, "mirror": {"role": "recorder"}}
+    builder.event("server-died", at_s=-0.5, source="supervisor", server="g1", reason="was killed")
+    for server in ("recorder", "mirror"):
+        builder.event("server-restarted", at_s=5.0, source="supervisor", server=server, reason="was killed")
+    assert said(finished(builder, servers=servers)) == []
+
+
+HEAD = keys.camera_image("head")
+CAMERA = {"head": {"role": "sensor", "key": HEAD, "camera": "head", "fps": 30}}
+
+
+def film(builder: EpisodeBuilder, from_s: float, to_s: float) -> None:
+    for number in range(round(from_s * 30), round(to_s * 30)):
+        builder.write({HEAD: b"\xff\xd8 %d" % number}, at_s=number / 30, writer="head")
+
+
+@pytest.mark.parametrize(
+    ("from_s", "to_s", "expected"),
+    [
+        (0.0, LENGTH_S, []),
+        (0.3, LENGTH_S - 0.3, []),
+        (0.0, 3.0, [("camera-ended-early", "reject")]),
+        (1.5, LENGTH_S, [("camera-began-late", "reject")]),
+        (0.0, LENGTH_S - 0.7, [("camera-ended-early", "usable")]),
+    ],
+)
+def test_a_camera_is_asked_for_both_ends(
+    builder: EpisodeBuilder, from_s: float, to_s: float, expected: list[tuple[str, str]]
+) -> None:
+    run(builder)
+    film(builder, from_s, to_s)
+    quality = finished(builder, servers=SERVERS | CAMERA)
+    assert said(quality) == expected
+    assert all("camera head: no picture in the" in reason.text for reason in quality.reasons)
+
+
+def test_a_camera_of_few_pictures_a_second_may_be_three_periods_away(builder: EpisodeBuilder) -> None:
+    run(builder)
+    for at_s in (1.0, 3.0, 5.0):
+        builder.write({HEAD: b"\xff\xd8"}, at_s=at_s, writer="head")
+    assert said(finished(builder, servers=SERVERS | {"head": CAMERA["head"] | {"fps": 0.5}})) == []
+
+
+@pytest.mark.parametrize(
+    ("beats", "expected"),
+    [
+        ({"g1": "active", "head": "active"}, [("no-pictures", "reject")]),
+        ({}, [("no-pictures", "reject")]),  # nothing says who lived
+        ({"g1": "active", "head": "finalized"}, []),
+        ({"g1": "active"}, []),  # the configuration of an earlier session
+    ],
+)
+def test_a_camera_whose_server_lived_and_that_gave_no_picture_rejects(
+    builder: EpisodeBuilder, beats: dict[str, str], expected: list[tuple[str, str]]
+) -> None:
+    run(builder)
+    for name, state in beats.items():
+        builder.write({keys.server(name): json.dumps({"state": state}).encode()}, at_s=5.0, writer=name)
+    assert said(finished(builder, servers=SERVERS | CAMERA)) == expected
+
+
+def test_a_camera_that_was_lost_is_told_with_its_time_and_reason(builder: EpisodeBuilder) -> None:
+    run(builder)
+    film(builder, 0.0, LENGTH_S)
+    builder.event("camera-lost", at_s=5.0, source="head", severity="warning", key=HEAD, reason="unplugged")
+    quality = finished(builder, servers=SERVERS | CAMERA)
+    assert [(r.rule, r.verdict, r.text) for r in quality.reasons] == [
+        ("camera-lost", "usable", "camera head lost at 5.00 s: unplugged")
+    ]

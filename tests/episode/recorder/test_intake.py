@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -330,12 +331,20 @@ def killed_recorder(g1: Bus, address: BusAddress, data: Path, meanwhile: Callabl
         folder = Path(remote.ask(g1, "start", task="walk", timeout_s=60.0).path or "")
         meanwhile()
         g1.publish({"own": b"first"})
-        wait_until(lambda: (point := load_resume_point(folder)) is not None and point.messages)
+        written = offset(g1)
+        wait_until(lambda: (point := load_resume_point(folder)) and point.position and point.position.offset >= written)
     finally:
         os.kill(recorder.pid, signal.SIGKILL)
         recorder.wait()
     wait_until(lambda: left_open(data) == [folder])
     return folder
+
+
+def offset(g1: Bus) -> int:
+    """Return how many bytes of its stream of writes the server has."""
+    found = re.search(rb"master_repl_offset:(\d+)", g1.call("INFO", "replication"))
+    assert found is not None
+    return int(found[1])
 
 
 def begun_recording(address: BusAddress, data: Path) -> Path:

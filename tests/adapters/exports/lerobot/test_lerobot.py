@@ -27,7 +27,7 @@ from station.export.kind import Source
 from station.export.run import Exported, Where, export, preview
 from tests.episode.arm_run import ArmRun
 from tests.episode.synthetic import ROBOT, EpisodeBuilder, tick
-from tests.export.pictured import HEAD, number_in, walked
+from tests.export.pictured import HEAD, number_in, shoot, walked
 
 pytestmark = pytest.mark.usefixtures("processes")
 
@@ -164,6 +164,21 @@ def test_cameras_that_only_later_episodes_have_are_told_of_unless_others_were_as
     assert note.startswith("1 of 2 episodes (2026-11-21-g1-walk-0002 first) have cameras that the first one has not")
     assert "not in the data set: head; with --camera" in note
     assert exported(sources, tmp_path / "b", camera=("none",)).facts["notes"] == []
+
+
+def test_episodes_that_are_cut_at_their_ends_are_told_with_how_much(tmp_path: Path) -> None:
+    builder = EpisodeBuilder(tmp_path / "data")
+    for number in range(150):
+        tick(builder, number, at_s=0.02 * number)
+    for number in range(45):
+        shoot(builder, number, at_s=0.03 + number / 30)  # and gone at half
+    folder = builder.finish({"robot": {"suffix": ROBOT}})
+    whole = walked(tmp_path / "data", 2, seconds=1.0)
+    sources = [Source(episode_id=folder.name, folder=str(folder)), whole]
+    (note,) = exported(sources, tmp_path / "set").facts["notes"]
+    assert note.startswith("1 of 2 episodes have rows for a part of what was recorded only")
+    assert f"cut are {folder.name} 1.5 s (0.0 at its beginning, 1.5 at its end); `station check` says" in note
+    assert exported([whole], tmp_path / "alone").facts["notes"] == []
 
 
 def test_rows_without_an_action_of_their_own_are_told_and_hashes_are_those_of_the_recording(tmp_path: Path) -> None:
