@@ -137,7 +137,9 @@ def test_a_text_that_would_steer_a_reader_is_shown_as_what_it_is() -> None:
 
 
 def test_many_episodes_have_pictures_where_they_are_needed(tmp_path: Path) -> None:
-    folders = [episode(tmp_path, number, fall=number == 3, manifest=timed(number)) for number in range(1, 7)]
+    folders = [
+        episode(tmp_path, number, fall=number == 3, manifest=timed(number, seconds=1.1)) for number in range(1, 7)
+    ]
     page = report(folders, tmp_path / "few.html", named=False, pictured=2)
     assert len(page.all("src")) == 2
     drawn = re.findall(
