@@ -17,7 +17,8 @@ _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 # What the constructor of tagged and of odd values raises beside YAMLError: "!!bool maybe", a month 13, 5000 digits.
 _ODD = (ValueError, KeyError, IndexError, AttributeError, TypeError, OverflowError, RecursionError)
 _PLAIN_TAG = "tag:yaml.org,2002:"
-_ENDLESS_NUMBER = re.compile(r"[-+0-9a-fA-FxX:_.]{200,}")  # hours of arithmetic in base 60; a SHA-512 has 128
+_NUMBER_TAGS = (_PLAIN_TAG + "int", _PLAIN_TAG + "float")
+_ENDLESS = re.compile(r"[-+0-9a-fA-FxX:_.]{200,}")  # hours of arithmetic in base 60; a SHA-512 has 128
 
 
 class Bounds(msgspec.Struct, frozen=True, kw_only=True):
@@ -113,9 +114,16 @@ def _check_value(event: Any) -> None:
     tag = event.tag
     if tag is not None and tag != "!" and (not tag.startswith(_PLAIN_TAG) or tag.startswith(_PLAIN_TAG + "python")):
         raise BadYaml(f"tag {_short(tag)!r}, expected plain data")
-    is_text = not isinstance(event, yaml.ScalarEvent) or (tag is None and not event.implicit[0])
-    if not is_text and _ENDLESS_NUMBER.fullmatch(event.value):
+    if not isinstance(event, yaml.ScalarEvent) or not _ENDLESS.fullmatch(event.value):
+        return
+    if tag in _NUMBER_TAGS or (event.implicit[0] and _looks_like_a_number(event.value)):
         raise BadYaml(f"a number of {len(event.value)} characters")
+
+
+def _looks_like_a_number(text: str) -> bool:
+    """Whether a plain scalar is one to the loader; a hash, however long, is not."""
+    known = _Loader.yaml_implicit_resolvers.get(text[0], ())
+    return any(pattern.match(text) for tag, pattern in known if tag in _NUMBER_TAGS)
 
 
 def _short(text: str) -> str:

@@ -69,6 +69,9 @@ def listing(
         )  # fmt: skip
         return
     _print_rows(rows)
+    for row in rows:
+        if row.problem:
+            click.echo(f"{printable(row.episode_id)}: {printable(row.problem)}")
 
 
 def _print_rows(rows: Sequence[EpisodeRow]) -> None:
@@ -83,7 +86,7 @@ def _print_rows(rows: Sequence[EpisodeRow]) -> None:
         (
             plain(row.episode_id),
             "discarded" if row.is_discarded else row.state,
-            plain(row.problem or row.verdict or "unchecked"),
+            plain("–" if row.state == "broken" else row.verdict or "unchecked"),
             "" if row.seconds is None else f"{row.seconds:.1f} s",
             str(row.messages),
             f"{row.lost}, {row.dropped} dropped" if row.dropped else str(row.lost),
@@ -105,7 +108,7 @@ def show(episode: str, data: Path | None, as_json: bool) -> None:
     """Show what EPISODE says of itself, and count its streams from its files."""
     from station.episode.reading.reader import open_episode
     from station.episode.reading.show import show as facts_of
-    from station.episode.storage.manifest import dump_manifest
+    from station.episode.storage.manifest import dump_manifest, words_of_shortened
 
     facts = facts_of(open_episode(episode, data))
     if as_json:
@@ -115,6 +118,8 @@ def show(episode: str, data: Path | None, as_json: bool) -> None:
     click.echo(f"# {facts.path}: {facts.messages} messages, {files}")
     if facts.torn:
         click.echo(f"# torn: {facts.torn}")
+    if facts.manifest.shortened:
+        click.echo(f"# {words_of_shortened(facts.manifest.shortened)}")
     facts.manifest.streams = facts.streams
     lines = dump_manifest(facts.manifest).decode().rstrip().split("\n")
     click.echo("\n".join(printable(line, _LONGEST) for line in lines))

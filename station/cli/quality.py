@@ -8,6 +8,7 @@ from station.cli.tables import Column, plain, print_table
 from station.episode.quality import timing
 from station.episode.quality.finding_parts import Alignment, ArmQuality, CameraQuality, MotionQuality
 from station.episode.quality.findings import Interruption, Quality, Spread, StepQuality, StreamQuality
+from station.episode.storage.manifest import words_of_shortened
 
 _MOST_ROWS = 20
 _KINDS = {
@@ -35,6 +36,8 @@ def print_quality(quality: Quality) -> None:
         )
     for line in timing.told(quality.not_judged):
         console.print(f"  [dim]not judged: {plain(line)}[/]", soft_wrap=True)
+    if quality.shortened:
+        console.print(f"  [dim]{plain(words_of_shortened(quality.shortened))}[/]", soft_wrap=True)
     _print_interruptions(console, quality)
     console.print()
     _print_streams(quality.streams)

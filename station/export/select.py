@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from station.episode.storage.folder import data_folder, find_episodes, resolve, slug
-from station.episode.storage.manifest import load_manifest
+from station.episode.storage.manifest_copy import find_manifest
 from station.errors import EpisodeError, UsageError
 from station.export.kind import Source
 
@@ -66,7 +66,7 @@ def _named(name: str, base: Path) -> Iterable[Path]:
 def _is_of(folder: Path, task: str) -> bool:
     """Whether an episode is of a task; the folder that it lies in rules most others out without reading them."""
     try:
-        return folder.parent.name == slug(task) and load_manifest(folder).task.name == task
+        return folder.parent.name == slug(task) and find_manifest(folder).manifest.task.name == task
     except EpisodeError:  # told when it is opened
         return True
 

@@ -19,6 +19,7 @@ from station.episode.storage.anchor import Anchor, iso
 from station.episode.storage.atomic import sync_folder
 from station.episode.storage.folder import slug
 from station.episode.storage.manifest import Manifest, Operator, Recorder, Robot, Task, Timing, load_manifest
+from station.episode.storage.manifest_copy import find_manifest
 from station.episode.storage.progress import Totals
 from station.episode.writing.closing import close_manifest
 from station.errors import EpisodeError, StationError
@@ -110,7 +111,7 @@ def _there(data: Path, kind: ForeignKind, recording: Recording) -> Path | None:
     """Return the episode that was made of the same recording before, whatever its task is called."""
     for folder in sorted(data.glob(f"*/{kind.name}-*-{recording.sha256[:_SHORT]}")):
         try:
-            found = load_manifest(folder).foreign.get(IMPORTED)
+            found = find_manifest(folder).manifest.foreign.get(IMPORTED)
         except EpisodeError:
             continue
         if isinstance(found, dict) and found.get("sha256") == recording.sha256:

@@ -18,7 +18,8 @@ from station.episode.quality.rules import judge
 from station.episode.quality.streams import rivals
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.drops import Drops
-from station.episode.storage.manifest import MAX_STREAMS, Manifest, load_manifest, save_manifest
+from station.episode.storage.manifest import MAX_STREAMS, Manifest, save_manifest
+from station.episode.storage.manifest_copy import manifest_to_change
 from station.episode.storage.manifest_parts import Recorder
 from station.errors import EpisodeError
 
@@ -49,7 +50,7 @@ def write_measured(folder: Path, quality: Quality) -> Manifest:
             f"episode {quality.episode_id}: not finished, its recorder still owns the manifest; "
             "stop the recording and check again (an episode whose recorder was killed keeps its manifest as it is)"
         )
-    manifest = load_manifest(folder)
+    manifest = manifest_to_change(folder)
     listed = msgspec.structs.replace(  # as the manifest's own
         quality,
         streams=quality.streams[:MAX_STREAMS],
@@ -105,6 +106,7 @@ def _assemble(reader: EpisodeReader, measured: Measuring) -> Quality:
         torn=reader.torn,
         success=flags.success,
         discarded=flags.discarded,
+        shortened=manifest.shortened,
     )
 
 

@@ -236,6 +236,7 @@ class Quality(msgspec.Struct, kw_only=True):
         torn: What was cut off, in a line; None for a whole file.
         success: What the operator said; None when nobody did.
         discarded: Whether it was marked as not to be used.
+        shortened: What did not fit into the manifest, see `station.episode.storage.manifest.Manifest`.
     """
 
     episode_id: str
@@ -279,3 +280,4 @@ class Quality(msgspec.Struct, kw_only=True):
     torn: str | None = None
     success: bool | None = None
     discarded: bool = False
+    shortened: dict[str, int] = {}

@@ -13,7 +13,8 @@ from station import config
 from station.episode.storage import layout
 from station.episode.storage.claim import is_claimed
 from station.episode.storage.folder import data_folder, find_episodes
-from station.episode.storage.manifest import Manifest, load_manifest
+from station.episode.storage.manifest import Manifest
+from station.episode.storage.manifest_copy import find_manifest
 from station.episode.storage.progress import load_resume_point
 from station.errors import ConfigError, EpisodeError
 
@@ -29,15 +30,15 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         episode_id, path: Its id and folder.
-        state: ``recording`` now; ``unfinished``: its recorder was killed; ``failed``: the disk refused; ``broken``: the
-            manifest cannot be read.
+        state: ``recording`` now; ``unfinished``: its recorder was killed; ``failed``: the disk refused; ``broken``: no
+            manifest can be read.
         task, robot, operator, started: As in the manifest; "" where unknown.
         seconds: Length from start to stop; None while unknown.
         messages, lost, size_bytes: Messages, sequence numbers lost over all streams, and size of signals and pictures.
         dropped: Writes that the recorder could not keep; not among the lost.
         success, falls, is_discarded: Quality flags.
         verdict: What the last check said, "" before one.
-        problem: Why it is broken, "" otherwise.
+        problem: Why its manifest cannot be read, also where the copy inside the signals can be; "" otherwise.
     """
 
     episode_id: str
@@ -110,7 +111,8 @@ def list_episodes(
 ) -> list[EpisodeRow]:
     """Return a row for each episode of a data folder that is wanted, oldest first; of one task where one is named.
 
-    A folder that does not exist holds no episodes. An episode whose manifest cannot be read has a row that says so.
+    A folder that does not exist holds no episodes. Where a manifest cannot be read, its row says so, and is filled from
+    the copy inside the signals where there is one.
     """
     base = data_folder(data)
     folders = find_episodes(base)
@@ -132,7 +134,7 @@ def _row(folder: Path, *, is_live: bool) -> EpisodeRow:
     files = (file for name in (layout.SIGNALS, layout.CAMERAS) for file in folder.glob(name + "*"))
     size = sum(file.stat().st_size for file in files)
     try:
-        manifest = load_manifest(folder)
+        manifest, problem = find_manifest(folder)
     except EpisodeError as error:
         return EpisodeRow(episode_id=folder.name, path=str(folder), state="broken", size_bytes=size, problem=str(error))
     flags, point = manifest.quality_flags, load_resume_point(folder)
@@ -153,6 +155,7 @@ def _row(folder: Path, *, is_live: bool) -> EpisodeRow:
         falls=flags.falls,
         is_discarded=flags.discarded,
         verdict=str(manifest.quality.get("verdict", "")),
+        problem=problem,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Literal
@@ -13,10 +14,13 @@ from station.episode.reading.vectors import numbers
 from station.episode.storage import layout
 from station.episode.storage.drops import Drops, drops_of
 from station.episode.storage.folder import resolve, signals_file
-from station.episode.storage.manifest import Manifest, load_manifest, parse_manifest
+from station.episode.storage.manifest import Manifest
+from station.episode.storage.manifest_copy import choose_manifest
 from station.errors import EpisodeError
 
 __all__ = ["Channel", "EpisodeReader", "Message", "Order", "StreamInfo", "Vectors", "open_episode"]
+
+log = logging.getLogger(__name__)
 
 Order = Literal["file", "log"]
 
@@ -168,11 +172,10 @@ class EpisodeReader:
         return [f"{layout.CAMERAS} is not there, with {count} pictures that the manifest lists; bring it back"]
 
     def _read_manifest(self) -> Manifest:
-        file = self.folder / layout.MANIFEST
-        inside = self._contents.attachments.get(layout.MANIFEST)
-        if file.exists() or inside is None:
-            return load_manifest(file)
-        return parse_manifest(inside, f"{self.path}, attachment {layout.MANIFEST}")
+        manifest, problem = choose_manifest(self.folder, self.path, self._contents.attachments)
+        if problem:
+            log.warning("%s", problem)
+        return manifest
 
 
 def open_episode(episode: str | Path, data: Path | None = None) -> EpisodeReader:

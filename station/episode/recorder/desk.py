@@ -19,7 +19,8 @@ from station.episode.recorder.take import Take
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage.anchor import Anchor, iso, take_anchor
 from station.episode.storage.folder import new_folder
-from station.episode.storage.manifest import Manifest, Recorder, Task, Timing, load_manifest, save_manifest
+from station.episode.storage.manifest import Manifest, Recorder, Task, Timing, save_manifest
+from station.episode.storage.manifest_copy import manifest_to_change
 from station.episode.storage.request import RecordAnswer, RecorderState, RecordRequest, parse_request, request_id
 from station.episode.writing.heard import Heard
 from station.errors import EpisodeError, Refused
@@ -216,7 +217,7 @@ class Desk:
         folder = self._last_folder
         if folder is None:
             raise Refused("nothing to discard: this recorder has recorded no episode yet")
-        manifest = load_manifest(folder)
+        manifest = manifest_to_change(folder)
         manifest.quality_flags.discarded = True
         save_manifest(manifest, folder)
         self._notice("record-discard", "info", episode_id=folder.name)

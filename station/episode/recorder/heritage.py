@@ -17,7 +17,7 @@ from station.episode.recorder.resume import Unfinished, last_requests, newest, n
 from station.episode.storage import layout
 from station.episode.storage.atomic import remove_leftovers
 from station.episode.storage.left_open import has_signals, left_open, offer
-from station.episode.storage.manifest import load_manifest
+from station.episode.storage.manifest_copy import find_manifest
 from station.episode.storage.progress import ResumePoint, load_resume_point
 from station.episode.storage.request import RecordAnswer, request_id
 from station.episode.writing.closing import summary_of
@@ -146,7 +146,7 @@ class Heritage:
 
 def _ended_before(recording: Recording, folder: Path, requests: list[str]) -> dict[str, Any]:
     """Have whoever ended an episode answered as its own recorder would have; returns the summary."""
-    manifest = load_manifest(folder)
+    manifest = find_manifest(folder).manifest
     summary = summary_of(manifest)
     answer = RecordAnswer(id="", ok=True, episode_id=manifest.episode_id, path=str(folder), summary=summary)
     recording.ended_before(answer, requests)

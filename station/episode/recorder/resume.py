@@ -21,8 +21,8 @@ from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage import layout
 from station.episode.storage.anchor import iso
 from station.episode.storage.atomic import remove_leftovers
-from station.episode.storage.left_open import manifest_of
 from station.episode.storage.manifest import Hole, Manifest, facts_of, note_hole, note_recovery
+from station.episode.storage.manifest_copy import find_manifest
 from station.episode.storage.progress import ResumePoint, Totals, load_resume_point
 from station.episode.storage.records import parse_chunk, read_chunk, walk
 from station.episode.storage.request import request_id
@@ -78,7 +78,7 @@ def newest(folders: Sequence[Path], bus: str) -> Unfinished | None:
     if point is None or point.anchor.boot != stamps.boot_id():
         return None
     try:
-        manifest = manifest_of(folder)
+        manifest = find_manifest(folder).manifest
     except EpisodeError:
         return None
     if manifest.state != "recording" or manifest.recorder.bus not in ("", bus):

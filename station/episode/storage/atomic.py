@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
 from pathlib import Path
@@ -32,11 +33,30 @@ def write_atomic(path: Path, data: bytes, *, sync: bool = True) -> None:
         sync_folder(path.parent)
 
 
+def refuse_special(path: Path) -> None:
+    """Refuse a path that is there and no regular file: whoever opens a pipe waits for its writer.
+
+    Raises:
+        OSError: it is none.
+    """
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "no regular file", str(path))
+
+
 def remove_leftovers(*paths: Path) -> None:
     """Remove the temporary files that a process left which was killed in `write_atomic`."""
     for path in paths:
         for leftover in path.parent.glob(f".{path.name}.*"):
             leftover.unlink(missing_ok=True)
+
+
+def free_path(path: Path) -> Path:
+    """Return a path that does not exist: the given one, or with a number behind it."""
+    number, free = 1, path
+    while free.exists():
+        number += 1
+        free = path.with_name(f"{path.name}.{number}")
+    return free
 
 
 def write_all(descriptor: int, data: bytes) -> None:

@@ -125,7 +125,7 @@ def give_back(folder: Path) -> None:
 def is_locked(path: Path) -> bool:
     """Whether a living process holds a file, as its `Disk` or as a lock; the kernel knows, and nobody else need."""
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # a pipe is no reason to wait
     except OSError:
         return False
     try:

@@ -7,9 +7,6 @@ from pathlib import Path
 from station.episode.storage import layout
 from station.episode.storage.disk import is_locked
 from station.episode.storage.folder import started_ns
-from station.episode.storage.manifest import Manifest, load_manifest, parse_manifest
-from station.episode.storage.records import walk
-from station.errors import EpisodeError
 
 
 def left_open(data: Path) -> list[Path]:
@@ -37,20 +34,3 @@ def offer(data: Path) -> str | None:
         return None
     what = f"episode {found[0].name} was" if len(found) == 1 else f"{len(found)} episodes, {found[0].name} first, were"
     return f"{what} left open by a recorder that died; repair with: station episodes repair --all --data {data}"
-
-
-def manifest_of(folder: Path) -> Manifest:
-    """Return the manifest of an unfinished episode: the file's, else the one at the head of the signals.
-
-    Raises:
-        EpisodeError: there is neither.
-    """
-    try:
-        return load_manifest(folder)
-    except EpisodeError as error:
-        for name in (layout.SIGNALS, layout.ACTIVE, layout.TORN):
-            file = folder / name
-            inside = walk(file).attachments.get(layout.MANIFEST) if file.exists() else None
-            if inside is not None:
-                return parse_manifest(inside, f"{file}, attachment {layout.MANIFEST}")
-        raise error

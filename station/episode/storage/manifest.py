@@ -7,6 +7,7 @@ tool added survives us. What we write ourselves is typed: a misspelt field canno
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +15,8 @@ import msgspec
 import yaml
 
 from station import safe_yaml
-from station.episode.storage.atomic import write_atomic
+from station.episode.storage import bounds
+from station.episode.storage.atomic import refuse_special, write_atomic
 from station.episode.storage.layout import MANIFEST
 from station.episode.storage.manifest_parts import (
     Event,
@@ -53,9 +55,12 @@ __all__ = [
     "parse_manifest",
     "save_manifest",
     "snapshot",
+    "words_of_shortened",
 ]
 
 VERSION = 1
+MAX_BYTES = 4_000_000
+"""As `bounds.size_of` estimates it: half of what a reader takes; an hour of a station has 0.2 MB."""
 MAX_EVENTS = 500
 MAX_MARKS = 500
 MAX_STREAMS = 2000  # a reader takes 200 000 values of YAML
@@ -82,6 +87,8 @@ class Manifest(msgspec.Struct, kw_only=True):
         recovery: A note for each time that a recorder took the episode up again (``kind: resumed``), or that a repair
             closed it (``kind: repaired``): when, how long nobody recorded, what was cut. The newest ones; how many
             older ones there were is counted beside them.
+        shortened: By section, how many texts, numbers and members others wrote that were too large or too many for a
+            manifest: cut, or left out. The signals hold them whole.
         foreign: Keys of the document that we do not know; kept, and given back where they were.
     """
 
@@ -109,6 +116,7 @@ class Manifest(msgspec.Struct, kw_only=True):
     quality: dict[str, Any] = {}
     recovery: list[dict[str, Any]] = []
     recovery_not_listed: int = 0
+    shortened: dict[str, int] = {}
     foreign: dict[str, Any] = {}
 
 
@@ -119,6 +127,12 @@ def note_hole(manifest: Manifest, hole: Hole) -> None:
     else:
         manifest.holes[-1].to_s = hole.to_s
         manifest.holes_not_listed += 1
+
+
+def words_of_shortened(shortened: Mapping[str, int]) -> str:
+    """Say in a line how much did not fit into a manifest."""
+    sections = ", ".join(f"{count} of {name}" for name, count in shortened.items())
+    return f"cut or left out of the manifest as too long or too many, whole in the signals: {sections}"
 
 
 def note_recovery(manifest: Manifest, note: dict[str, Any]) -> None:
@@ -145,6 +159,7 @@ def load_manifest(path: Path) -> Manifest:
     """
     file = path / MANIFEST if path.is_dir() else path
     try:
+        refuse_special(file)
         data = safe_yaml.read_bytes(file)
     except OSError as error:
         raise EpisodeError(
@@ -189,11 +204,36 @@ def save_manifest(manifest: Manifest, folder: Path) -> bytes:
 
 
 def dump_manifest(manifest: Manifest) -> bytes:
-    """Return a manifest as YAML."""
-    document = msgspec.to_builtins(manifest)
-    _merge(document, document.pop("foreign"))
-    text = yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None)
-    return bytes(text, "utf-8")
+    """Return a manifest as YAML that `parse_manifest` takes: what would be too large is cut, and counted."""
+    most = MAX_BYTES
+    while True:
+        document = msgspec.to_builtins(_bounded(manifest, most))
+        _merge(document, document.pop("foreign"))
+        text = yaml.dump(
+            document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None
+        )
+        data = bytes(text, "utf-8")
+        if len(data) <= safe_yaml.DEFAULT.size:
+            return data
+        most //= 2  # lines that are indented deep take more than was estimated
+
+
+def _bounded(manifest: Manifest, most: int) -> dict[str, Any]:
+    """Return the fields of a manifest, cut to a size [bytes of YAML]."""
+    sections = {name: getattr(manifest, name) for name in manifest.__struct_fields__}
+    found = bounds.cut_each(sections, most, may_drop=False)
+    document = {name: section.value for name, section in found.items()}
+    shortened = dict(manifest.shortened)
+    for name, (value, count) in found.items():
+        counter, left_out = f"{name}_not_listed", 0
+        if counter in document:
+            left_out = len(sections[name]) - len(value)
+            document[counter] += left_out
+        if count > left_out:
+            shortened[name] = shortened.get(name, 0) + count - left_out
+    if len(document["holes"]) < len(manifest.holes):
+        document["holes"][-1]["to_s"] = manifest.holes[-1].to_s
+    return {**document, "shortened": shortened}
 
 
 def snapshot(manifest: Manifest) -> Manifest:

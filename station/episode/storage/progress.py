@@ -10,7 +10,7 @@ import msgspec
 from station.bus.tap import Position
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor
-from station.episode.storage.atomic import write_atomic
+from station.episode.storage.atomic import refuse_special, write_atomic
 from station.episode.storage.drops import Dropped
 from station.episode.storage.manifest import Stream
 
@@ -103,6 +103,7 @@ def save_resume_point(point: ResumePoint, folder: Path) -> None:
 def load_resume_point(folder: Path) -> ResumePoint | None:
     """Return how far an unfinished episode is safe; None where nothing readable says so (a finished one has none)."""
     try:
+        refuse_special(folder / layout.RESUME)
         return msgspec.json.decode((folder / layout.RESUME).read_bytes(), type=ResumePoint)
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None

@@ -14,7 +14,7 @@ import mcap.records
 import msgspec
 
 from station.episode.storage import layout
-from station.episode.storage.atomic import write_atomic
+from station.episode.storage.atomic import refuse_special, write_atomic
 from station.episode.storage.channels import Channel, channel_from
 from station.episode.storage.manifest import Event, Mark, QualityFlags
 from station.episode.storage.progress import Gap
@@ -31,6 +31,7 @@ class Told(msgspec.Struct, kw_only=True):
         events, events_not_listed, marks, motions, quality_flags, servers: As in the manifest.
         not_mirrored, not_mirrored_by: As in the manifest's `Recorder`.
         requests: Ids of the requests to the recorder in the file, in order.
+        shortened: As in the manifest, for those of its sections.
         ending: The request that ended the episode, when it is in the file.
     """
 
@@ -43,6 +44,7 @@ class Told(msgspec.Struct, kw_only=True):
     not_mirrored: int = 0
     not_mirrored_by: dict[str, int] = {}
     requests: list[str] = []
+    shortened: dict[str, int] = {}
     ending: RecordRequest | None = None
 
 
@@ -116,6 +118,7 @@ def save_checkpoints(checkpoints: Mapping[str, Checkpoint], folder: Path) -> Non
 def load_checkpoint(folder: Path, file: str, size: int) -> Checkpoint | None:
     """Return the checkpoint of a file of an episode, of which `size` bytes are safe; None where none fits."""
     try:
+        refuse_special(folder / layout.CHECKPOINT)
         found = msgspec.json.decode((folder / layout.CHECKPOINT).read_bytes(), type=dict[str, Checkpoint]).get(file)
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None

@@ -26,6 +26,7 @@ from station.episode.writing.salvage import Salvaged, salvage
 from station.errors import EpisodeError
 
 _SEQUENCE_MASK = 0xFFFFFFFF
+_LARGEST_SEQUENCE = 1 << 48  # nine thousand years at 1 kHz: what counts further is no stamp of ours
 _BOOKKEEPING = {"source": "", "writer": "recorder", "contract": layout.NO_CONTRACT}
 
 
@@ -208,7 +209,7 @@ class EpisodeFile:
         except ValueError:
             return False
         publish_ns = self._anchor.at(written_ns) if channel.shares_clock else written_ns
-        if not is_storable(publish_ns) or b"\n" in stamp:
+        if not is_storable(publish_ns) or b"\n" in stamp or abs(sequence) > _LARGEST_SEQUENCE:
             return False
         self._stamps.append(b"%d %b" % (channel.id, stamp))
         self._put(channel, sequence, value, log_ns, publish_ns, stamp)

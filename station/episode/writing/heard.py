@@ -8,6 +8,7 @@ import msgspec
 
 from station.bus import codec, keys
 from station.bus import stamp as stamps
+from station.episode.storage.bounds import Cut, cut
 from station.episode.storage.manifest import Manifest, Policy, Robot
 
 SILENT_AFTER_S = 3.0
@@ -15,9 +16,11 @@ SILENT_AFTER_S = 3.0
 
 MAX_MOTIONS = 200
 MAX_SERVERS = 200
-MAX_BYTES = 1 << 20
-"""Of a value that goes into the manifest; a G1 server states 3 kB."""
-_LARGEST_MOTION = 64 * 1024
+_LARGEST_VALUE = 1 << 20  # bytes that are looked into; a G1 server states 3 kB
+LARGEST_CONFIGURATION = 200_000
+"""As `bounds.size_of` estimates it, which is 2500 numbers with their names."""
+_LARGEST_MOTION = 20_000
+_MOTION_IDENTITY = ("key", "file", "sha256")
 _SOURCE_PREFIX = keys.command_source("")
 _ROBOTS = (keys.TWIST2_ROBOT, keys.TWIST_ROBOT)
 
@@ -32,10 +35,11 @@ class Server(msgspec.Struct):
 
 
 class Configuration(msgspec.Struct):
-    """What a server stated that it runs, and the process that stated it."""
+    """What a server stated that it runs, the process that stated it, and how much of it was cut."""
 
     source: str
     facts: dict[str, Any]
+    cut: int
 
 
 class Heard:
@@ -45,6 +49,7 @@ class Heard:
         self._servers: dict[str, Server] = {}
         self._configurations: dict[str, Configuration] = {}
         self._robots_seen: set[str] = set()
+        self._left_out = 0  # configurations of more servers than a manifest lists
 
     def is_of_interest(self, key: str) -> bool:
         """Whether `hear` wants the values of a key; also takes note of the key itself."""
@@ -53,18 +58,22 @@ class Heard:
 
     def hear(self, key: str, value: bytes, stamp: bytes | None, mono_ns: int) -> None:
         """Take note of one value; one that is not a JSON object says nothing."""
-        facts = json_object(value)
+        stated = statement(value, LARGEST_CONFIGURATION)
         decoded = stamps.decode(stamp) if stamp is not None else None
         source = decoded.source if decoded else ""
         name = key.removeprefix(keys.SERVER_PREFIX).removeprefix(keys.CONFIG_PREFIX)
         is_full = len(self._servers) + len(self._configurations) >= 2 * MAX_SERVERS
-        if facts is None or (is_full and name not in self._servers and name not in self._configurations):
+        if stated is None:
             return
+        if is_full and name not in self._servers and name not in self._configurations:
+            self._left_out += key.startswith(keys.CONFIG_PREFIX)
+            return
+        facts, count = stated
         if key.startswith(keys.SERVER_PREFIX):
             server = Server(str(facts.get("role", "")), str(facts.get("state", "")), source, mono_ns)
             self._servers[key.removeprefix(keys.SERVER_PREFIX)] = server
         elif key.startswith(keys.CONFIG_PREFIX):
-            self._configurations[key.removeprefix(keys.CONFIG_PREFIX)] = Configuration(source, facts)
+            self._configurations[key.removeprefix(keys.CONFIG_PREFIX)] = Configuration(source, facts, count)
 
     def missing_configuration(self, now_ns: int) -> str | None:
         """Return why recording may not start: a low-level server that lives and has not said what it runs."""
@@ -91,6 +100,8 @@ class Heard:
     def fill(self, manifest: Manifest) -> None:
         """Write what is known into a manifest; what it says already of robot, policy and operator stays."""
         manifest.servers = {name: stated.facts for name, stated in sorted(self._configurations.items())}
+        manifest.shortened.pop("servers", None)
+        count_shortened(manifest, "servers", self._left_out + sum(one.cut for one in self._configurations.values()))
         for name, facts in self._low_level().items():
             if not manifest.robot.facts:
                 manifest.robot = Robot(suffix=self.robot, facts=_mapping(facts.get("robot_facts")))
@@ -114,21 +125,36 @@ class Heard:
         return server is not None and server.source == self._configurations[name].source
 
 
-class HasMotions(Protocol):
-    """A manifest, or what will be part of one."""
+class Counts(Protocol):
+    """A manifest, or what will be part of one, that counts what did not fit into it."""
+
+    shortened: dict[str, int]
+
+
+class HasMotions(Counts, Protocol):
+    """The same with motions."""
 
     motions: list[dict[str, Any]]
 
 
+def count_shortened(manifest: Counts, section: str, count: int) -> None:
+    """Count what did not fit into a section of a manifest."""
+    if count:
+        manifest.shortened[section] = manifest.shortened.get(section, 0) + count
+
+
 def note_motion(manifest: HasMotions, key: str, value: bytes) -> bool:
-    """Add what a ``command_source`` key says, once per motion file; return whether it was new."""
-    facts = json_object(value) if len(value) <= _LARGEST_MOTION else None
-    if facts is None or len(manifest.motions) >= MAX_MOTIONS:
+    """Add what a ``command_source`` key says, once per motion file; return whether that changed the manifest."""
+    stated = statement(value, _LARGEST_MOTION)
+    if stated is None:
         return False
-    identity = (key, facts.get("file"), facts.get("sha256"))
-    if any((known.get("key"), known.get("file"), known.get("sha256")) == identity for known in manifest.motions):
+    motion, count = cut({"key": key, **stated.value}, _LARGEST_MOTION)
+    if any(all(known.get(name) == motion.get(name) for name in _MOTION_IDENTITY) for known in manifest.motions):
         return False
-    manifest.motions.append({"key": key, **facts})
+    is_full = len(manifest.motions) >= MAX_MOTIONS
+    if not is_full:
+        manifest.motions.append(motion)
+    count_shortened(manifest, "motions", 1 if is_full else stated.cuts + count)
     return True
 
 
@@ -137,15 +163,21 @@ def is_motion(key: str) -> bool:
     return key.startswith(_SOURCE_PREFIX)
 
 
-def json_object(value: bytes) -> dict[str, Any] | None:
-    """Return a JSON object from the bus, or None when the bytes are no such thing, or too much for a manifest."""
-    if len(value) > MAX_BYTES:
-        return None
+def statement(value: bytes, most: int) -> Cut | None:
+    """Return a JSON object from the bus, cut to a size that a manifest has room for; None where it is no such thing.
+
+    Args:
+        value: From the bus.
+        most: The size [bytes, as `bounds.size_of` estimates it].
+    """
+    too_large = Cut({"bytes": len(value)}, 1)
+    if len(value) > _LARGEST_VALUE:
+        return too_large
     try:
         found = msgspec.json.decode(value, type=dict[str, Any])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None
-    return found if codec.is_modest(found) else None
+    return cut(found, most) if codec.is_modest(found) else too_large
 
 
 def _policy(server: str, facts: dict[str, Any]) -> Policy:

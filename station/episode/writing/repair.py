@@ -12,11 +12,11 @@ import msgspec
 
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, iso
-from station.episode.storage.atomic import remove_leftovers, sync_folder
+from station.episode.storage.atomic import free_path, remove_leftovers, sync_folder
 from station.episode.storage.disk import is_locked
 from station.episode.storage.drops import Drops
 from station.episode.storage.folder import signals_file
-from station.episode.storage.left_open import is_left_open, manifest_of
+from station.episode.storage.left_open import is_left_open
 from station.episode.storage.manifest import (
     Manifest,
     dump_manifest,
@@ -25,6 +25,7 @@ from station.episode.storage.manifest import (
     parse_manifest,
     save_manifest,
 )
+from station.episode.storage.manifest_copy import find_manifest, manifest_to_change
 from station.episode.storage.progress import ResumePoint, load_resume_point
 from station.episode.storage.records import MAGIC, metadata_at_head, walk
 from station.episode.writing.checkpoint import Told
@@ -151,6 +152,8 @@ def _say_last_words(folder: Path, manifest: Manifest) -> None:
 
 
 def _save_final(folder: Path, manifest: Manifest) -> None:
+    if (folder / layout.MANIFEST).exists():
+        manifest_to_change(folder)  # one that cannot be read is kept beside the new one
     files = (folder / names.final for names in _FILES)
     manifest.recorder.bytes = sum(file.stat().st_size for file in files if file.exists())
     save_manifest(manifest, folder)
@@ -161,7 +164,7 @@ def _put_aside(folder: Path) -> dict[str, Path]:
     aside = {}
     for names in reversed(_FILES):
         if (folder / names.active).exists():
-            aside[names.final] = (folder / names.active).rename(_free(folder / names.torn))
+            aside[names.final] = (folder / names.active).rename(free_path(folder / names.torn))
     return aside
 
 
@@ -173,7 +176,7 @@ def _tidy(folder: Path) -> None:
 
 
 def _repair(folder: Path, target: Path) -> Repaired:
-    manifest, point = manifest_of(folder), load_resume_point(folder)
+    manifest, point = find_manifest(folder).manifest, load_resume_point(folder)
     # The unfinished file comes first: where both are there, a repair that was killed has made the other one of it.
     found = [(names, _present(folder, names.active, names.final)) for names in _FILES]
     sources = [(names, source) for names, source in found if source is not None]
@@ -260,7 +263,7 @@ def _swap(mended: Sequence[Mended], folder: Path, manifest: Manifest) -> dict[st
             source.rename(final)
             continue
         if source == final and not salvaged.is_finished:
-            aside[names.final] = _free(folder / names.torn)
+            aside[names.final] = free_path(folder / names.torn)
             os.link(source, aside[names.final])
         if file is not None:
             copy.replace(final)
@@ -280,15 +283,6 @@ def _place(mended: Sequence[Mended], target: Path, manifest: Manifest) -> dict[s
             (target / names.repairing).rename(target / names.final)
     _save_final(target, manifest)
     return {one.names.final: one.source for one in mended}
-
-
-def _free(path: Path) -> Path:
-    """Return a path that does not exist: the given one, or with a number behind it."""
-    number, free = 1, path
-    while free.exists():
-        number += 1
-        free = path.with_name(f"{path.name}.{number}")
-    return free
 
 
 def _present(folder: Path, *names: str) -> Path | None:

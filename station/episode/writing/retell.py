@@ -16,30 +16,46 @@ from station.bus.tap import not_mirrored
 from station.episode.storage import layout
 from station.episode.storage import manifest as manifests
 from station.episode.storage.anchor import Anchor
+from station.episode.storage.bounds import cut
 from station.episode.storage.manifest import Event, Manifest, Mark, Recorder
 from station.episode.storage.records import RawMessage
 from station.episode.storage.request import RecordRequest, parse_request, request_id
 from station.episode.writing.checkpoint import Told
-from station.episode.writing.heard import MAX_SERVERS, is_motion, json_object, note_motion
+from station.episode.writing.heard import (
+    LARGEST_CONFIGURATION,
+    MAX_SERVERS,
+    count_shortened,
+    is_motion,
+    note_motion,
+    statement,
+)
 from station.errors import Refused
 
+_LARGEST_EVENT = 20_000  # as `bounds.size_of` estimates it
 _LONGEST_EVENT = 8192  # bytes; a longer one stands in the signals, the manifest says how long
-_MOST_NUMBERS = 100  # likewise: a manifest that holds too many values cannot be read any more
 _MOST_NOT_MIRRORED = 100
 _LONGEST_KEY = 200
+_MOST_NUMBERS = 100  # likewise
+_LONGEST_TEXT = 2000  # of a name or a label, as `bounds.size_of` estimates it
 _MOST_REQUESTS = 256  # the newest; a request is sent again for some seconds at most
+_TOLD = ("events", "marks", "motions")  # sections that follow from the messages alone
 _EVENT_FIELDS = ("name", "severity", "source", "wall_ns", "detail")
 
 
 def note_event(manifest: Manifest | Told, value: bytes, at_s: float) -> None:
     """Put an event into a manifest; `at_s` is its arrival from the start of the episode [s]."""
-    facts = json_object(value) or {"name": "undecodable", "severity": "warning"}
+    stated = statement(value, _LARGEST_EVENT)
+    facts = stated.value if stated else {"name": "undecodable", "severity": "warning"}
     is_short = len(value) <= _LONGEST_EVENT and codec.is_modest(facts, values=_MOST_NUMBERS)
+    name, severity, source = (
+        cut(str(facts.get(field, default)), _LONGEST_TEXT)
+        for field, default in (("name", "unnamed"), ("severity", "info"), ("source", ""))
+    )
     event = Event(
         at_s=at_s,
-        name=str(facts.get("name", "unnamed")),
-        severity=str(facts.get("severity", "info")),
-        source=str(facts.get("source", "")),
+        name=name.value,
+        severity=severity.value,
+        source=source.value,
         numbers=_numbers(facts) if is_short else {"bytes": len(value)},
     )
     if at_s >= 0:
@@ -47,17 +63,21 @@ def note_event(manifest: Manifest | Told, value: bytes, at_s: float) -> None:
         flags.falls += event.name == "fall"
         flags.operator_reset |= event.name == "operator-reset"
         flags.estop |= event.name == "estop"
-    if len(manifest.events) < manifests.MAX_EVENTS:
-        manifest.events.append(event)
-    else:
+    if len(manifest.events) >= manifests.MAX_EVENTS:
         manifest.events_not_listed += 1
+        return
+    manifest.events.append(event)
+    in_it = stated.cuts if stated and is_short else 0
+    count_shortened(manifest, "events", in_it + (not is_short) + name.cuts + severity.cuts + source.cuts)
 
 
 def note_mark(manifest: Manifest | Told, label: str, at_s: float, success: bool | None) -> bool:
     """Put a mark into a manifest; False when there are too many already."""
     if len(manifest.marks) >= manifests.MAX_MARKS:
         return False
-    manifest.marks.append(Mark(at_s=at_s, label=label))
+    text, count = cut(label, _LONGEST_TEXT)
+    manifest.marks.append(Mark(at_s=at_s, label=text))
+    count_shortened(manifest, "marks", count)
     if success is not None:
         manifest.quality_flags.success = success
     return True
@@ -104,10 +124,10 @@ class Retelling:
             note_not_mirrored(self.told, value)
         elif is_motion(key):
             note_motion(self.told, key, value)
-        elif (facts := json_object(value)) is not None:
+        elif (stated := statement(value, LARGEST_CONFIGURATION)) is not None:
             name = key.removeprefix(keys.CONFIG_PREFIX)
             if name in self.told.servers or len(self.told.servers) < MAX_SERVERS:
-                self.told.servers[name] = facts
+                self.told.servers[name] = stated.value
 
     def apply(self, manifest: Manifest, first_ns: int) -> None:
         """Have a manifest say what the messages say: it was saved before, or after, what the file holds.
@@ -119,6 +139,8 @@ class Retelling:
         told = self.told
         manifest.events, manifest.marks, manifest.motions = list(told.events), list(told.marks), list(told.motions)
         manifest.events_not_listed = told.events_not_listed
+        others = {name: count for name, count in manifest.shortened.items() if name not in _TOLD}
+        manifest.shortened = {**others, **told.shortened}
         manifest.quality_flags = msgspec.structs.replace(told.quality_flags)
         manifest.recorder.not_mirrored = told.not_mirrored
         manifest.recorder.not_mirrored_by = dict(told.not_mirrored_by)
