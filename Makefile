@@ -32,10 +32,11 @@ hunt: $(VENV)/.installed-test $(VENV)/.installed-kord   ## station tests N times
 mutants: $(VENV)/.installed-test $(VENV)/.installed-kord   ## small wrong patches of the product, each of which a test must notice
 	@$(BIN)/python -m tests.mutants
 
-check: $(VENV)/.installed-test   ## formatting, lint, types
+check: $(VENV)/.installed-test   ## formatting, lint, types, which part imports which
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
 
 format: $(VENV)/.installed-test
 	$(BIN)/ruff format .
