@@ -58,6 +58,7 @@ def test_whole_numbers_and_other_white_space_are_accepted() -> None:
         (b"[true]", "element 0 is 'true'"),
         (b"[1e999]", "element 0 is inf"),
         (b"[1, 2, 3]", "3 values, expected 35"),
+        (b"[" + b"1, " * 35 + b"1]", "36 values, expected 35"),
         (b"[" * 100_000, "not JSON"),
     ],
 )

@@ -62,6 +62,12 @@ def test_a_command_that_was_there_before_we_looked_moves_nothing() -> None:
     np.testing.assert_array_equal(decision.vector, DEFAULT)
 
 
+def test_a_command_that_seems_to_come_from_the_future_has_no_known_age_and_moves_nothing() -> None:
+    gate = Gate(DEFAULT)
+    assert gate.step(0.0, COMMAND, -0.5).state == "waiting"
+    assert gate.step(0.02, COMMAND, -0.01).state == "entering", "the clock may be read just before it arrives"
+
+
 def test_the_first_command_is_entered_over_one_second_and_then_tracked() -> None:
     run = Run()
     decisions = run.steps(51, COMMAND)

@@ -243,6 +243,12 @@ def test_a_command_that_jumps_is_caught_up_with_at_the_speed_of_its_joints() -> 
     assert np.diff(vectors, axis=0).max() <= 20.0 * DT + ROUNDING
 
 
+def test_after_a_stall_nothing_moves_further_than_in_40_ms() -> None:
+    moved = Bounds.of(FORM).step(FORM.default, FORM.upper, 1.0) - FORM.default
+    np.testing.assert_allclose(moved, np.minimum(FORM.upper - FORM.default, FORM.rate * LONGEST_TICK_S))
+    assert LONGEST_TICK_S <= 2 * DT
+
+
 def test_another_writer_is_entered_from_the_present_output() -> None:
     gate, other = bounded(), end_to_end(7)
     for tick in range(60):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -13,7 +14,7 @@ from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.folder import signals_file
 from station.errors import EpisodeError
 from station.export import clock, tracks
-from station.export.columns import KeyColumns, key_columns, unique_names
+from station.export.columns import KeyColumns, expect_same, key_columns, unique_names
 from station.export.resample import Table, nearest, resample, rule_of
 from tests.episode.synthetic import ROBOT, EpisodeBuilder
 from tests.export.pictured import HEAD, walked
@@ -113,6 +114,15 @@ def test_a_key_without_a_contract_is_refused_with_what_to_do(tmp_path: Path) -> 
         key_columns(reader, keys.policy_obs(ROBOT))
     with pytest.raises(EpisodeError, match=r"no key 'my_farce'.*did you mean 'my_force'"):
         key_columns(reader, "my_farce")
+
+
+def test_an_episode_whose_elements_have_other_names_or_another_order_is_refused(tmp_path: Path) -> None:
+    reader = EpisodeReader(signals_file(Path(walked(tmp_path, camera_hz=0).folder)))
+    own = key_columns(reader, STATE)
+    expect_same(reader, [own])
+    for names, odd in (((*own.names[:-1], "tail_pos"), "tail_pos"), (own.names[::-1], "in another order")):
+        with pytest.raises(EpisodeError, match=f"{odd}.*one robot at a time"):
+            expect_same(reader, [msgspec.structs.replace(own, names=names)])
 
 
 def test_names_are_the_contracts_and_get_the_key_only_where_two_agree() -> None:

@@ -65,6 +65,16 @@ def test_the_last_words_of_a_child_that_dies_are_in_the_error(supervisor: Superv
         supervisor.wait_for("motion", "inactive", DEADLINE_S)
 
 
+def test_a_child_that_is_frozen_is_killed_when_it_is_stopped(supervisor: Supervisor) -> None:
+    supervisor.spawn("motion", WAVE)
+    supervisor.wait_for("motion", "inactive", DEADLINE_S)
+    process = supervisor.children["motion"].process
+    os.kill(process.pid, signal.SIGSTOP)
+    assert supervisor.stop("motion", timeout_s=0.1) == -signal.SIGKILL
+    assert is_gone(process.pid)
+    assert "motion" not in supervisor.children
+
+
 def test_a_child_that_does_not_get_ready_in_time_is_told_of(supervisor: Supervisor) -> None:
     supervisor.spawn("motion", WAVE)
     with pytest.raises(NotReady, match=r"is (inactive|unconfigured), not active"):

@@ -53,6 +53,22 @@ def test_write_arrives_within_its_stamp_of_arrival(tap: ReplicationTap, writer: 
     assert before_ns <= write.mono_ns <= time.monotonic_ns()
 
 
+def test_what_is_written_while_the_tap_is_armed_is_not_lost(
+    bus_server: BusAddress, writer: Connection, collect: Collect, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_probe = ReplicationTap._write_probe
+
+    def after_another(tap: ReplicationTap) -> bytes:
+        writer.call("SET", "early", "1")
+        return write_probe(tap)
+
+    monkeypatch.setattr(ReplicationTap, "_write_probe", after_another)
+    tap = ReplicationTap(bus_server)
+    writer.call("SET", "late", "1")
+    assert [write.key for write in collect(tap)] == ["early", "late"]
+    tap.close()
+
+
 def test_what_was_there_before_is_not_a_write(bus_server: BusAddress, writer: Connection, collect: Collect) -> None:
     writer.call("SET", "old", b"\0" * 3_000_000)
     tap = ReplicationTap(bus_server)

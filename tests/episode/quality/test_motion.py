@@ -103,8 +103,8 @@ def test_a_command_that_jitters_is_told_though_the_robot_smooths_it(builder: Epi
 def test_joints_at_their_ends_are_counted_by_the_limits_that_the_robots_command_format_registers(
     builder: EpisodeBuilder,
 ) -> None:
-    def pushed(at_s: float) -> float:  # the ankle ends at 0.2618 rad
-        return 0.27 if 1.0 <= at_s < 1.5 or at_s >= 3.0 else 0.0
+    def pushed(at_s: float) -> float:  # the ankle ends at 0.2618 rad; within 1 mrad of that it is at its end
+        return 0.27 if 1.0 <= at_s < 1.5 else 0.2615 if at_s >= 3.0 else 0.26 if at_s >= 2.5 else 0.0
 
     quality = run(builder, 4.0, pushed, joint=ANKLE)
     (moved,) = quality.motion

@@ -104,6 +104,14 @@ def test_a_disk_of_20_mb_a_second_under_300_mb_of_images_keeps_every_signal_and_
     assert longest < 45 * 10  # a tenth of a second; without thinning, half of one
 
 
+def test_signals_alone_are_dropped_and_counted_beyond_the_bytes_of_the_queue() -> None:
+    queue = WriteQueue(1000, 100 * KB)
+    drops = queue.put(Batch([write(BODY, 5 * KB, n) for n in range(30)]))
+    assert drops is not None
+    assert (drops.by_key(9), drops.bulky) == ({BODY: 10}, 0)
+    assert (queue.writes, queue.size) == (20, 100 * KB)
+
+
 def test_a_single_value_as_large_as_the_queue_is_taken_when_nothing_else_waits() -> None:
     queue = WriteQueue(10, 100 * KB)
     assert queue.put(Batch([write("cloud", 100 * KB)])) is None or queue.writes == 1

@@ -114,13 +114,14 @@ def test_the_library_and_rerun_read_the_file_and_channels_tell_contract_and_writ
 def test_gaps_in_sequence_numbers_count_as_lost(tmp_path: Path) -> None:
     g1 = Native()
     writes = [g1.write(BODY, b"[0]")]
-    g1.skip(BODY)
-    g1.skip(BODY)
-    writes += [g1.write(BODY, b"[0]"), g1.write(BODY, b"[0]")]
+    for missing in (1, 2):
+        for _ in range(missing):
+            g1.skip(BODY)
+        writes.append(g1.write(BODY, b"[0]"))
     writer = writer_in(tmp_path)
     writer.put([*writes, writes[-1]])
     (stream,) = closed(writer).streams
-    assert (stream.count, stream.lost, stream.repeated) == (4, 2, 1)
+    assert (stream.count, stream.lost, stream.repeated) == (4, 3, 1)
 
 
 def test_what_only_looks_like_a_stamp_is_kept_beside_the_value(tmp_path: Path) -> None:

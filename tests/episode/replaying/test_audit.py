@@ -144,6 +144,13 @@ def test_episode_without_steps_is_refused_in_one_line(builder: EpisodeBuilder) -
     assert "\n" not in str(caught.value)
 
 
+def test_an_episode_of_which_nothing_can_be_compared_is_not_equal(builder: EpisodeBuilder) -> None:
+    builder.write({keys.policy_obs(ROBOT): bytes(4), keys.policy_action(ROBOT): bytes(4)}, at_s=0.1)
+    found = audited(builder)
+    assert (found.steps, found.different, found.incomplete) == (0, 0, 1)
+    assert not found.is_equal
+
+
 def test_episode_that_does_not_name_its_policy_is_refused(builder: EpisodeBuilder) -> None:
     LinearRun(builder).step()
     with pytest.raises(EpisodeError, match="does not name the policy"):

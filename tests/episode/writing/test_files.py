@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -9,8 +10,10 @@ from pathlib import Path
 import msgspec
 import pyarrow
 import pytest
+import zstandard
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Chunk
+from mcap.records import Chunk, MessageIndex
 from mcap.stream_reader import StreamReader
 from rerun.chunk import McapReader
 
@@ -108,6 +111,25 @@ def test_pictures_are_not_compressed_and_signals_are(episode: Path) -> None:
         with (episode / name).open("rb") as file:
             chunks = [r for r in StreamReader(file, emit_chunks=True).records if isinstance(r, Chunk)]
         assert {chunk.compression for chunk in chunks} == {compression}
+
+
+def test_the_index_of_each_chunk_leads_to_its_messages(episode: Path) -> None:
+    wrong, found = [], 0
+    for name in ("signals.mcap", "cameras.mcap"):
+        with (episode / name).open("rb") as file:
+            records = list(StreamReader(file, emit_chunks=True).records)
+        data = b""
+        for record in records:
+            if isinstance(record, Chunk):
+                data = zstandard.decompress(record.data) if record.compression else record.data
+            elif isinstance(record, MessageIndex):
+                for log_ns, at in record.records:
+                    opcode, _, channel, _, logged_ns, _ = struct.unpack_from("<BQHIQQ", data, at)
+                    found += 1
+                    if (opcode, channel, logged_ns) != (Opcode.MESSAGE, record.channel_id, log_ns):
+                        wrong.append((name, record.channel_id, log_ns))
+    assert wrong == []
+    assert found >= 123
 
 
 def test_without_pictures_there_is_no_file_of_them(tmp_path: Path) -> None:

@@ -152,6 +152,15 @@ def test_two_leaders_are_one_sample_left_before_right(play: Play, opened: Open) 
     assert facts["joints"][14:] == ["left_gripper", "right_gripper"]
 
 
+def test_a_sample_of_two_leaders_is_as_old_as_the_older_one(play: Play, opened: Open) -> None:
+    fake = play({"at_s": 0, "left": POSE, "right": OTHER})
+    device = opened(fake, patience_s=DEADLINE_S)
+    sample(device)
+    fake.leaders[1].servos[3].is_silent = True
+    captured = [sample(device).capture_ns for _ in range(5)]
+    assert captured[-1] == captured[-2], "only the left one is still read"
+
+
 def test_servos_that_lost_count_of_their_turns_are_brought_back(play: Play, opened: Open, clock: HandClock) -> None:
     held = [2.5, -2.5, 2.5, -2.5, 2.5, -2.5, 2.5, 0.5]
     fake = play({"at_s": 0, "left": held}, {"at_s": 1, "power_cycled": True})
