@@ -29,9 +29,6 @@ N ?= 20
 hunt: $(VENV)/.installed-test $(VENV)/.installed-kord   ## station tests N times on a loaded machine; lists what fails
 	@$(BIN)/python -m tests.hunt --runs $(N)
 
-mutants: $(VENV)/.installed-test $(VENV)/.installed-kord   ## small wrong patches of the product, each of which a test must notice
-	@$(BIN)/python -m tests.mutants
-
 check: $(VENV)/.installed-test   ## formatting, lint, types, which part imports which
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -48,6 +45,9 @@ bench: $(VENV)/.installed-test   ## measure, and write docs/performance.md's tab
 MINUTES ?= 60
 soak: $(VENV)/.installed-test   ## break a whole station for an hour, under load; prints figures as JSON
 	$(BIN)/python -m tests.faults.soak --minutes $(MINUTES)
+
+mutants: $(VENV)/.installed-test $(VENV)/.installed-kord   ## small wrong patches of the product, each of which a test must notice
+	$(BIN)/python -m tests.mutants --jobs 2
 
 kord: $(VENV)/.installed-kord   ## the bridge to a Kassow controller, with a simulated one; needs a C++ compiler
 
