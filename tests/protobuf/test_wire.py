@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from station.episode.storage.pictures import compressed_image, picture_in
@@ -52,6 +52,9 @@ def test_a_torn_message_is_refused(message: bytes) -> None:
 
 
 @given(number=st.integers(0, (1 << 64) - 1))
+@example(number=127)
+@example(number=128)
+@example(number=(1 << 14))
 def test_a_number_takes_seven_bits_a_byte(number: int) -> None:
     written = varint(number)
     assert len(written) == max(1, -(-number.bit_length() // 7))
