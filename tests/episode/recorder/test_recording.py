@@ -316,6 +316,15 @@ def test_an_episode_whose_start_a_hole_has_swallowed_goes_on_and_can_be_ended(ma
     assert [message.data for message in open_episode(folder).messages([BODY])] == [b"[0]"]
 
 
+def test_a_request_that_the_recorder_before_has_done_is_answered_and_not_done_again(make: Make, tmp_path: Path) -> None:
+    recording, cli = make(), Native("record")
+    folder, manifest = new_folder(tmp_path, "walk", "g1"), Manifest(episode_id="e")
+    take = Take(EpisodeWriter(folder, anchor=take_anchor(), manifest=manifest), manifest, start_id=None)
+    recording.take_up(take, ["marked"])
+    recording.feed([cli.request("mark", "marked", label="again")])
+    assert (answer(recording).id, manifest.marks) == ("marked", [])
+
+
 def test_a_disk_that_goes_away_is_an_event_and_a_state_and_the_next_episode_works(make: Make) -> None:
     recording, cli, g1 = make(writer=WriterOptions(flush_s=0.01)), Native("record"), Native()
     recording.feed([cli.request("start", "1", task="a")])
