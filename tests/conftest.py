@@ -159,8 +159,3 @@ def kord() -> Any:
             pytest.fail(message)
         pytest.skip(message)
     return station_kord
-
-
-@pytest.fixture
-def proof() -> None:
-    """Mark a test of figures and statistics, which runs alone on a quiet machine."""
