@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from station import registry
 from station.bus import keys
 from station.cli.main import VERBS, module_of
@@ -118,6 +120,7 @@ QUICK = {
 }
 
 
+@pytest.mark.usefixtures("processes")
 def test_what_is_quick_loads_nothing_heavy() -> None:
     """One process does all of it, so what one step loads stands beside those after it as well."""
     program = f"""
@@ -128,15 +131,16 @@ for what, code in {QUICK}.items():
     heavy[what] = [name for name in {HEAVY} if name in sys.modules]
 print(json.dumps(heavy))
 """
-    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    said = subprocess.run([sys.executable, "-B", "-c", program], capture_output=True, text=True, check=True).stdout
     assert {what: loaded for what, loaded in json.loads(said).items() if loaded} == {}
 
 
+@pytest.mark.usefixtures("processes")
 def test_help_of_all_verbs_imports_none_of_them() -> None:
     code = (
         "import sys; from station.cli import main; sys.argv = ['station', '--help']\n"
         "try: main.main()\n"
         "except SystemExit: print(*sys.modules)"
     )
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    loaded = subprocess.run([sys.executable, "-B", "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert not [verb for verb in VERBS if module_of(verb) in loaded]

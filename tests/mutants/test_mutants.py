@@ -15,6 +15,8 @@ from tests.mutants.__main__ import FOLDER, ROOT, main
 from tests.mutants.mutant import LINT_IMPORTS, load
 from tests.waiting import DEADLINE_S, wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 MUTANT = """
 - name: {name}
   why: The sum would be wrong.
