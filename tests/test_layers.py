@@ -142,5 +142,7 @@ def test_help_of_all_verbs_imports_none_of_them() -> None:
         "try: main.main()\n"
         "except SystemExit: print(*sys.modules)"
     )
-    loaded = subprocess.run([sys.executable, "-B", "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    loaded = subprocess.run(
+        [sys.executable, "-B", "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
     assert not [verb for verb in VERBS if module_of(verb) in loaded]
