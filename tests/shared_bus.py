@@ -25,6 +25,7 @@ class SharedBus:
         self._folder, self._count = folder, 0
         self._server: RedisServer | None = None
         self._settings: dict[bytes, bytes] = {}
+        self._users: list[bytes] = []
 
     def empty(self) -> BusAddress:
         """Return the address of a server without keys, clients and changed settings; a new one where needed."""
@@ -36,7 +37,7 @@ class SharedBus:
             self._server = RedisServer.start(ServerOptions(folder=folder, socket=folder / "bus.sock"))
             LASTING.add(self._server.pid)
             with contextlib.closing(Connection(self._server.address, timeout_s=_ANSWERS_S)) as line:
-                self._settings = _settings(line)
+                self._settings, self._users = _settings(line), line.call("ACL", "LIST")
         return self._server.address
 
     def close(self) -> None:
@@ -62,7 +63,7 @@ class SharedBus:
                 line.call("FLUSHALL")
                 line.call("SCRIPT", "FLUSH")
                 line.call("CONFIG", "RESETSTAT")
-                return len(line.call("ACL", "LIST")) == 1
+                return bool(line.call("ACL", "LIST") == self._users)
         except BusError:
             return False
 

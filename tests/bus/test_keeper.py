@@ -19,6 +19,8 @@ from station.errors import BusError
 from tests.cli.running import are_gone, new_home
 from tests.waiting import wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 KEEP = """
 import sys, threading
 from pathlib import Path

@@ -27,6 +27,8 @@ from tests.bus.proxy import Proxy
 from tests.faults.bus_station import frozen, pause, pid_of
 from tests.waiting import wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 
 @pytest.fixture(autouse=True)
 def _told_at_once(monkeypatch: pytest.MonkeyPatch) -> None:

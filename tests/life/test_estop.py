@@ -17,6 +17,8 @@ from station.life.estop import read, restate
 from station.supervision.stop_memory import StopMemory
 from tests.faults.bus_station import soon
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 
 @pytest.mark.parametrize("data", [b"", b"0", b" 0\n", b'{"stop": false}', b'{"stop": false, "who": "anna"}'])
 def test_these_values_reset(data: bytes) -> None:

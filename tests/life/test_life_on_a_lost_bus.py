@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 
 import msgspec
+import pytest
 
 from station.bus import codec, keys
 from station.bus.client import Bus
@@ -16,6 +17,8 @@ from station.life.server import Life, ServerKind
 from tests.faults.bus_station import soon
 from tests.servers.g1_station import Log, logged
 from tests.waiting import wait_until
+
+pytestmark = pytest.mark.usefixtures("processes")
 
 KIND = ServerKind(name="arm", role="low-level", summary="", config=msgspec.Struct, main=lambda _config, _life: 0)
 

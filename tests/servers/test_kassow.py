@@ -142,7 +142,9 @@ def test_silence_leaves_the_arm_where_it_is_and_who_returns_begins_from_there(ar
         np.testing.assert_allclose(arm.joints(), at, atol=1e-9)
 
 
-def test_an_emergency_stop_stops_it_and_a_reset_waits_for_a_command_that_begins_anew(kord: Any, tmp_path: Path) -> None:
+def test_an_emergency_stop_stops_it_and_a_reset_waits_for_a_command_that_begins_anew(
+    kord: Any, processes: None, tmp_path: Path
+) -> None:
     with ArmStation(tmp_path, gate=PATIENT) as arm:
         assert stop_and_release(arm).sent_hz == 0.0
 

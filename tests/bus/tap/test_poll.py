@@ -18,6 +18,8 @@ from tests.bus.tap.conftest import Collect
 from tests.bus.tap.traffic import read, read_until_lost
 from tests.waiting import wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 
 @pytest.fixture
 def tap(bus_server: BusAddress) -> Iterator[PollTap]:

@@ -30,6 +30,8 @@ from tests.bus.tap.traffic import (
 )
 from tests.waiting import wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 
 @pytest.fixture
 def tap(bus_server: BusAddress) -> Iterator[ReplicationTap]:
