@@ -33,6 +33,7 @@ class ArmRun:
         beats: Heartbeats per tick that the session hears: 1, or less for one that misses some.
         floods: Whether targets are sent though they stand.
         writer: Name of its server.
+        delay_s: Time from the writing of a command to its arrival [s].
         latency_s: 99th percentile of the time from a heartbeat to the sending of a command [s].
     """
 
@@ -45,6 +46,7 @@ class ArmRun:
     sends: int = 0
     faults: int = 0
     writer: str = "kassow"
+    delay_s: float = 0.0002
     latency_s: float = 3e-6
 
     def __post_init__(self) -> None:
@@ -100,14 +102,15 @@ class ArmRun:
         return self.builder.finish({"servers": {"kassow": facts}})
 
     def _hear(self, command: Floats) -> None:
-        value, at_s = codec.json_vector(command), self.at_s - 0.001
+        value, at_s = codec.json_vector(command), self.at_s - 0.0008
         self.seq += 1
         self.builder.write({keys.action_joints(ROBOT): value}, at_s=at_s, writer="teleop")
-        written_ns = MONO_START_NS + round(at_s * 1e9)
-        arrived_ns = written_ns + 200_000
+        arrived_ns = MONO_START_NS + round(at_s * 1e9)
+        written_ns = arrived_ns - round(self.delay_s * 1e9)
+        delay_s = (arrived_ns - written_ns) * 1e-9
         self._sample = CommandSample(
-            value, arrived_s=arrived_ns * 1e-9, written_ns=written_ns, arrived_ns=arrived_ns, seq=self.seq,
-            source="teleop.100.boot.beef",
+            value, arrived_s=arrived_ns * 1e-9, delay_s=delay_s, written_ns=written_ns, arrived_ns=arrived_ns,
+            seq=self.seq, source="teleop.100.boot.beef",
         )  # fmt: skip
 
     def _write_state(self, q: Floats) -> None:

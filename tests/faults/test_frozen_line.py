@@ -39,6 +39,7 @@ def test_commands_that_a_frozen_line_kept_move_nothing_when_it_goes_on(bus_serve
             return bool(log.of(keys.command_gate(ROBOT))) and log.gate()["state"] == "tracking"
 
         wait_until(follows)
+        wait_until(lambda: follows() and b'"command_age_by":"stamp and arrival"' in log.last(keys.server("g1")))
         line.freeze()
         for number in range(30):
             publish(operator, turned(0.5 + number / 1000))

@@ -36,6 +36,7 @@ def test_a_stock_commander_is_followed_and_when_it_falls_silent_the_robot_stands
         assert log.gate()["state"] == "waiting"
         with StockCommander(bus_server):
             wait_until(lambda: log.gate()["state"] == "tracking")
+            wait_until(lambda: b'"command_age_by":"arrival alone"' in log.last(keys.server("g1")))
         # The event of a change is written after the tick that shows it.
         wait_until(lambda: [event.detail["to"] for event in log.events("gate")][-1:] == ["waiting"])
     changes = [(event.detail["from"], event.detail["to"]) for event in log.events("gate")]

@@ -51,6 +51,16 @@ def test_an_untouched_episode_is_equal_to_the_last_bit(tmp_path: Path) -> None:
     assert (found.segments, found.incomplete) == (2, 0)
 
 
+def test_commands_that_came_late_are_held_as_early_as_they_were(tmp_path: Path) -> None:
+    made = run(tmp_path)
+    made.delay_s = 0.2
+    full(made)
+    found = audited(made)
+    assert found.is_equal, found
+    assert made.control.commanded.inlet.refused.total() == 0
+    assert found.followed > 1000
+
+
 def test_a_target_that_the_session_refused_is_no_difference_and_the_one_before_holds(tmp_path: Path) -> None:
     made = run(tmp_path)
     made.be_silent(0.1)
