@@ -147,3 +147,13 @@ def test_requests_to_another_arm_and_what_is_none_are_not_answered(desk: Desk) -
     for data in (b"hello", codec.json_object(ControllerRequest(action="clear", id="a", robot="kassow_other"))):
         desk.hear(data)
     assert desk.look() is None
+
+
+@pytest.mark.parametrize("ticks", [0, 251, 1 << 31, -(1 << 31) - 1, (1 << 63) - 1])
+def test_a_throttle_that_is_no_number_of_ticks_is_refused_however_large_it_is(
+    arm: DrivenArm, desk: Desk, ticks: int
+) -> None:
+    before = arm.bridge.get_state().throttle
+    desk.hear(request("throttle", "a", throttle=ticks))
+    assert "throttle" in answer_to(desk, "a").refused
+    assert arm.bridge.get_state().throttle == before

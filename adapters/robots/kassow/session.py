@@ -28,6 +28,7 @@ Preset = Literal["final", "narrative"]
 CLEAR_WITHIN_S = 5.0
 """Longest time for clearing a controller's faults [s]; a token's answer takes about 40 ms."""
 
+_MOST_TICKS = 1 << 30  # the bridge counts in 32 bits, and says itself how many it takes
 _OVER_S = 2.0  # rates are taken over so long
 
 _CLEAR = "station kassow clear"
@@ -111,6 +112,8 @@ class KordSession:
 
     def throttle(self, ticks: int) -> str:
         """Send targets on every so-manieth tick; return why not, or ""."""
+        if abs(ticks) > _MOST_TICKS:
+            return f"throttle {ticks}: expected a small number of ticks"
         return self._try(self._bridge.set_throttle, ticks)
 
     def health(self) -> dict[str, Any]:
