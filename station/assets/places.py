@@ -55,6 +55,14 @@ def find(reference: str | os.PathLike[str]) -> Found:
         AssetMissing, BadFile: as in `resolve`.
     """
     text = os.fspath(reference)
+    try:
+        return _find(text)
+    except (OSError, RuntimeError) as error:  # too long for a path, not to be read, or ~ of a user that is not here
+        why = error.strerror if isinstance(error, OSError) else str(error)
+        raise BadFile(f"{text[:100]}{'…' * (len(text) > 100)}: {why}") from None
+
+
+def _find(text: str) -> Found:
     parts = split(text)
     if parts is None:
         path = Path(text).expanduser().absolute()  # it ends in manifests, which are read from other folders

@@ -1,12 +1,18 @@
 """Values of the bus as bytes, and back.
 
 TWIST's vectors are JSON text exactly as Python's own encoder writes it; ours are raw little-endian numbers.
+
+Any client may write any bytes, so every decoder here bounds what it returns, and whatever lies beyond is a `BadValue`:
+an integer fits in 64 bits (a larger one is no float, no column and no argument of a system call), values nest at most
+`MAX_DEPTH` deep (what decodes at a depth of 900 may not encode again) and JSON is at most `MAX_BYTES` long.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import re
+import sys
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
@@ -19,9 +25,25 @@ T = TypeVar("T")
 _decode_list = msgspec.json.Decoder(list[float]).decode
 _encode = msgspec.json.Encoder().encode
 
+MAX_BYTES = 1 << 20
+"""Of a JSON value; the longest of ours, what a G1's server states, has 3 kB."""
+
+MAX_DEPTH = 64
+"""Of lists and objects within each other; the deepest of ours has 6."""
+
+LARGEST_INTEGER = (1 << 63) - 1
+"""The smallest integer is its negative, less one."""
+
+_LONG_NUMBER = re.compile(rb"\d{19}")  # 9223372036854775807 has 19 digits
+_LONGEST_REASON = 200
+
 
 class BadValue(ValueError):
     """Bytes that do not hold what the key's contract says; the message says what came."""
+
+
+class BadNumber(BadValue):
+    """A number that is none to calculate with: not finite, or an integer of more than 64 bits."""
 
 
 def json_vector(values: Sequence[float] | NDArray[Any]) -> bytes:
@@ -39,12 +61,14 @@ def parse_json_vector(data: bytes, length: int | None = None) -> NDArray[np.floa
     """Decode a flat JSON list of finite numbers, shape (length,).
 
     Raises:
-        BadValue: not JSON, not a flat list of numbers, wrong length, or not finite.
+        BadNumber: one of the numbers is not finite, or too large.
+        BadValue: not JSON, not a flat list of numbers, or wrong length.
     """
+    _check_length(data)
     try:
         numbers = _decode_list(data)
-    except msgspec.DecodeError:
-        raise BadValue(_why_not_a_vector(data)) from None
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        raise _why_not_a_vector(data) from None
     if length is not None and len(numbers) != length:
         raise BadValue(f"{len(numbers)} values, expected {length}")
     return np.array(numbers, dtype=np.float64)
@@ -79,27 +103,54 @@ def parse_json(data: bytes) -> Any:
     """Decode any JSON, with Python's ``NaN`` and ``Infinity`` tokens.
 
     Raises:
-        BadValue: not JSON, or text in it that no file could hold (half a surrogate pair).
+        BadNumber: an integer of more than 64 bits.
+        BadValue: not JSON in UTF-8, text in it that no file could hold (half a surrogate pair), too long or too deep.
     """
+    _check_length(data)
     try:
-        value = json.loads(data)
+        value = _decode(data.decode())
         if b"\\u" in data:
             json.dumps(value, ensure_ascii=False).encode()
-        return value
+    except BadNumber:
+        raise
     except (ValueError, RecursionError) as error:
         raise BadValue(f"not JSON: {_short(data)}") from error
+    if _may_be_deep(data) and not is_modest(value, values=len(data), depth=MAX_DEPTH):
+        raise BadValue(f"lists and objects nest deeper than {MAX_DEPTH}: {_short(data)}")
+    return value
 
 
 def parse_struct(data: bytes, kind: type[T]) -> T:
     """Decode JSON into a type that msgspec knows.
 
     Raises:
-        BadValue: not JSON, or not of that type.
+        BadNumber: an integer of more than 64 bits.
+        BadValue: not JSON, not of that type, too long or too deep.
     """
+    _check_length(data)
     try:
-        return msgspec.json.decode(data, type=kind)
+        value = msgspec.json.decode(data, type=kind)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise BadValue(str(error)) from error
+        raise BadValue(str(error)[:_LONGEST_REASON]) from error
+    if _may_be_deep(data) or _LONG_NUMBER.search(data):
+        parse_json(data)  # the other decoder knows no bounds, so this one judges what may be beyond them
+    return value
+
+
+def parse_facts(data: bytes | None) -> dict[str, Any]:
+    """Decode a JSON object for a reader to whom other bytes, or none, say nothing: it is empty for those."""
+    try:
+        value = parse_json(data) if data is not None else None
+    except BadValue:
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
+def number(value: object) -> float | None:
+    """Return a decoded value as a finite float; None where it is no number, as true and false are none."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    return float(value) if abs(value) <= sys.float_info.max else None
 
 
 def is_modest(value: Any, *, values: int = 20_000, depth: int = 32) -> bool:
@@ -121,19 +172,40 @@ def _parse_raw(data: bytes, layout: str, kind: Any) -> NDArray[Any]:
     return np.frombuffer(data, dtype=layout).astype(kind)
 
 
-def _why_not_a_vector(data: bytes) -> str:
+def _why_not_a_vector(data: bytes) -> BadValue:
     try:
-        value = json.loads(data)
-    except (ValueError, RecursionError):
-        return f"not JSON: {_short(data)}"
+        value = parse_json(data)
+    except BadValue as error:
+        return error
     if not isinstance(value, list):
-        return f"a JSON {type(value).__name__}, expected a list of numbers"
+        return BadValue(f"a JSON {type(value).__name__}, expected a list of numbers")
     for index, item in enumerate(value):
         if isinstance(item, bool) or not isinstance(item, (int, float)):
-            return f"element {index} is {_short(json.dumps(item).encode())}, expected a number"
+            return BadValue(f"element {index} is {_short(json.dumps(item).encode())}, expected a number")
         if not math.isfinite(item):
-            return f"element {index} is {item}, expected a finite number"
-    return f"not a list of numbers: {_short(data)}"
+            return BadNumber(f"element {index} is {item}, expected a finite number")
+    return BadValue(f"not a list of numbers: {_short(data)}")
+
+
+def _check_length(data: bytes) -> None:
+    if len(data) > MAX_BYTES:
+        raise BadValue(f"{len(data)} bytes of JSON, expected at most {MAX_BYTES}")
+
+
+def _may_be_deep(data: bytes) -> bool:
+    return data.count(b"[") + data.count(b"{") > MAX_DEPTH
+
+
+def _integer(digits: str) -> int:
+    if len(digits) > len(str(-LARGEST_INTEGER)):
+        raise BadNumber(f"an integer of {len(digits)} digits, expected at most 64 bits")
+    value = int(digits)
+    if not -LARGEST_INTEGER - 1 <= value <= LARGEST_INTEGER:
+        raise BadNumber(f"the integer {value}, expected at most 64 bits")
+    return value
+
+
+_decode = json.JSONDecoder(parse_int=_integer).decode
 
 
 def _short(data: bytes) -> str:

@@ -15,6 +15,8 @@ import msgspec
 
 SUFFIX = "@"
 
+_INT64 = 1 << 63
+
 
 class Stamp(msgspec.Struct, frozen=True):
     """One write.
@@ -39,6 +41,11 @@ class Stamp(msgspec.Struct, frozen=True):
         return self.source.split(".", 1)[0]
 
     @property
+    def pid(self) -> str:
+        """Number of the process that wrote it; "?" where its source names none."""
+        return next(iter(self.source.split(".")[1:2]), "?")
+
+    @property
     def is_from_this_boot(self) -> bool:
         """Whether `mono_ns` is comparable with this process's monotonic clock."""
         return self.source.split(".")[2:3] == [boot_id()]
@@ -55,10 +62,22 @@ def decode(data: bytes) -> Stamp | None:
     if len(fields) not in (4, 5):
         return None
     try:
-        capture = int(fields[4]) if len(fields) == 5 else None
-        return Stamp(int(fields[0]), int(fields[1]), int(fields[2]), fields[3].decode("ascii"), capture)
+        capture = integer(fields[4]) if len(fields) == 5 else None
+        return Stamp(integer(fields[0]), integer(fields[1]), integer(fields[2]), fields[3].decode("ascii"), capture)
     except ValueError:
         return None
+
+
+def integer(digits: bytes) -> int:
+    """Return the number that a field holds.
+
+    Raises:
+        ValueError: it holds none, or one of more than 64 bits.
+    """
+    value = int(digits)
+    if not -_INT64 <= value < _INT64:
+        raise ValueError(f"a number of {len(digits)} digits, expected at most 64 bits")
+    return value
 
 
 def new_source(name: str) -> str:

@@ -164,12 +164,7 @@ def _source(line: Bus, server: str) -> str:
     """Return in words what the server reads: its library and service, or the script of its fake."""
     from station.bus import codec, keys
 
-    stated = line.get(keys.server_config(server))
-    try:
-        facts = codec.parse_json(stated) if stated is not None else {}
-    except codec.BadValue:
-        facts = {}
-    facts = facts if isinstance(facts, dict) else {}
+    facts = codec.parse_facts(line.get(keys.server_config(server)))
     config, told = facts.get("config"), facts.get("device")
     if isinstance(config, dict) and config.get("fake"):
         return f"a fake that plays {Path(str(config['fake'])).name}"

@@ -50,8 +50,8 @@ def check_command(data: bytes, form: CommandFormat) -> Checked | Refusal:
         return Refusal("wrong-length", f"{len(data)} bytes, expected a JSON list of {size} numbers")
     try:
         vector = codec.parse_json_vector(data)
-    except codec.BadValue as error:
-        return Refusal(_kind_of_unreadable(data), str(error))
+    except codec.BadValue as error:  # Python writes NaN and Infinity, which JSON does not know
+        return Refusal("not-finite" if isinstance(error, codec.BadNumber) else "not-json", str(error))
     if len(vector) != size:
         return Refusal("wrong-length", f"{len(vector)} values, expected {size}")
     if not np.isfinite(vector).all():
@@ -180,16 +180,6 @@ class Inlet:
         if delay_s > longest_s:
             return Refusal("stale", f"written {delay_s:.3g} s before it came, allowed are {longest_s:g} s")
         return Refusal("wrong-clock", f"stamped {-delay_s:.3g} s after it came: not by this machine's monotonic clock")
-
-
-def _kind_of_unreadable(data: bytes) -> RefusalKind:
-    """Tell a list with NaN or Infinity, which Python writes and JSON does not know, from other text."""
-    try:
-        value = codec.parse_json(data)
-    except codec.BadValue:
-        return "not-json"
-    is_numbers = isinstance(value, list) and all(type(item) in (int, float) for item in value)
-    return "not-finite" if is_numbers else "not-json"
 
 
 def element_name(form: CommandFormat, index: int) -> str:

@@ -33,6 +33,7 @@ Part = Literal[
 
 _MOST_CONTROLS = 256
 _UNIT_TOLERANCE = 1e-3  # of a quaternion's length
+_LARGEST = 1e4  # [m], [rad] or of an axis: no operator is farther away, and the square of 1e200 is infinite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,8 +255,8 @@ def _decoded(part: Part, sample: Sample) -> Floats:
     count = int(np.prod(shape))
     if count > 0 and len(values) != count:
         raise codec.BadValue(f"{sample.key}: {len(values)} values, expected {count}")
-    if not np.isfinite(values).all():
-        raise codec.BadValue(f"{sample.key}: not finite")
+    if not (np.abs(values) <= _LARGEST).all():
+        raise codec.BadValue(f"{sample.key}: not finite, or beyond {_LARGEST:g}")
     array = values.reshape(shape)
     if shape[-1] in (4, 7) and (np.abs(np.linalg.norm(array[..., -4:], axis=-1) - 1.0) > _UNIT_TOLERANCE).any():
         raise codec.BadValue(f"{sample.key}: a quaternion is not of unit length")
@@ -269,6 +270,8 @@ def _decoded_controls(sample: Sample) -> dict[str, float]:
         raise codec.BadValue(f"{sample.key}: {error}") from error
     if len(controls) > _MOST_CONTROLS:
         raise codec.BadValue(f"{sample.key}: {len(controls)} controls, expected at most {_MOST_CONTROLS}")
+    if not all(abs(value) <= _LARGEST for value in controls.values()):
+        raise codec.BadValue(f"{sample.key}: a control is beyond {_LARGEST:g}")
     return controls
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import msgspec
+import numpy as np
 
 from station.bus import codec, keys
 from station.bus.sample import Sample
@@ -115,7 +116,7 @@ class RobotSide:
             vector = codec.parse_f64(sample.value)
         except codec.BadValue:  # what is none tells nothing; the gate judges commands, not we
             return None
-        return vector if len(vector) == self._size else None
+        return vector if len(vector) == self._size and np.isfinite(vector).all() else None
 
 
 def _gate(sample: Sample | None) -> _Gate:

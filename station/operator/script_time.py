@@ -32,9 +32,5 @@ def now_s(life: Life) -> float:
     """Return where the script stands [s]: 0, or after a restart of this server the time since it began."""
     if os.environ.get(RESTARTS_VARIABLE, "0") == "0":
         return 0.0
-    stated = life.bus.get(keys.server_config(life.name))
-    try:
-        began_ns = codec.parse_json(stated).get(_BEGAN) if stated is not None else None
-    except (codec.BadValue, AttributeError):  # somebody else's words
-        return 0.0
-    return max(0.0, (time.time_ns() - began_ns) * 1e-9) if isinstance(began_ns, int) else 0.0
+    began_ns = codec.number(codec.parse_facts(life.bus.get(keys.server_config(life.name))).get(_BEGAN))
+    return 0.0 if began_ns is None else max(0.0, (time.time_ns() - began_ns) * 1e-9)

@@ -25,6 +25,7 @@ POINTS = 1200
 MOST_SPANS, MOST_EVENTS = 400, 400
 _JOINT = "_pos"
 _LONGEST_TEXT, _LONGEST_STATE = 300, 40
+_LARGEST_RAD = 1e6  # of a joint's error: what is beyond it, or not finite, was never measured and cannot be drawn
 
 
 class Happened(NamedTuple):
@@ -118,12 +119,12 @@ class _Teller:
     def feed(self, message: Message) -> None:
         at_s = (message.log_ns - self._begin_ns) * 1e-9
         if message.topic == keys.EVENT:
-            self._note_event(at_s, _object(message.data))
+            self._note_event(at_s, codec.parse_facts(message.data))
         elif message.topic == self._source_key:
-            self._phases.add(at_s, self._phase_of(_object(message.data)))
+            self._phases.add(at_s, self._phase_of(codec.parse_facts(message.data)))
         else:
             if message.topic == self._gate_key:
-                self._gate.add(at_s, str(_object(message.data).get("state", ""))[:_LONGEST_STATE])
+                self._gate.add(at_s, str(codec.parse_facts(message.data).get("state", ""))[:_LONGEST_STATE])
             step = self._joiner.feed(message)
             if step is not None:
                 self._tracker.feed(step)
@@ -173,10 +174,10 @@ class _Tracker:
         q, wanted = codec.parse_f64(state)[self._columns[0]], codec.parse_f64(asked)[self._columns[1]]
         with np.errstate(all="ignore"):
             errors = np.abs(q - wanted)
-        if not np.isfinite(errors).all():
+        if not (errors <= _LARGEST_RAD).all():
             return
         self._held.append((float(errors.mean()), float(errors.max())))
-        if _object(step.values.get(self._gate_key, b"")).get("state") == TRACKING:
+        if codec.parse_facts(step.values.get(self._gate_key, b"")).get("state") == TRACKING:
             self._sum += errors
             self._tracked += 1
         if len(self._held) >= self._stride:
@@ -192,10 +193,6 @@ class _Tracker:
         measured, asked = (np.array(column) for column in zip(*self._curves, strict=True))
         mean = self._sum / self._tracked if self._tracked else np.full(len(self._joints), np.nan)
         return Tracks(times, means, mosts, self._joints, asked, measured, mean)
-
-
-def _object(data: bytes) -> dict[str, Any]:
-    return phases.parsed(data) or {}
 
 
 def lasting(spans: Iterable[Span]) -> list[Span]:

@@ -125,8 +125,9 @@ def _servers(servers: list[Health], logs: Path) -> Iterator[Finding]:
                           f"{health.state} (pid {health.pid})", remedy)  # fmt: skip
         elif health.state != "finalized":
             log = logs / f"{health.name}.log"
+            is_there = log in logs.glob("*.log")  # of a name from the bus, which may be no name of a file at all
             yield Finding("broken", f"server {health.name}", f"fell silent without a farewell (pid {health.pid})",
-                          (f"see {log}; " if log.exists() else "") + "start it, or its station, again")  # fmt: skip
+                          (f"see {log}; " if is_there else "") + "start it, or its station, again")  # fmt: skip
     if alive and not any(health.role == "low-level" for health in alive):
         yield Finding("broken", "low-level server", "none of ours runs: nothing turns commands into motion",
                       "station serve g1 (or start your stock low-level script)")  # fmt: skip
@@ -215,7 +216,7 @@ def _who(sample: Sample) -> str:
     """Say who wrote a value: name and process, or that it was somebody without stamps."""
     if sample.stamp is None:
         return "a foreign writer"
-    return f"{sample.stamp.writer} (pid {sample.stamp.source.split('.')[1]})"
+    return f"{sample.stamp.writer} (pid {sample.stamp.pid})"
 
 
 def _gate(watch: Watch, key: str) -> Iterator[Finding]:

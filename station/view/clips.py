@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Any, NamedTuple
+
+from station.bus import codec
 
 
 class Clip(NamedTuple):
@@ -25,11 +28,16 @@ def clips(facts: Mapping[str, Any]) -> list[Clip]:
     listed = facts.get("clips")
     if not isinstance(listed, Sequence) or isinstance(listed, str):
         return []
-    named = [part for part in listed if isinstance(part, Mapping) and {"name", "start_s"} <= part.keys()]
-    ends = [*(part["start_s"] for part in named), facts.get("duration_s", float("inf"))][1:]
+    named = [
+        (str(part["name"]), start_s, codec.number(part.get("end_s")))
+        for part in listed
+        if isinstance(part, Mapping) and "name" in part and (start_s := codec.number(part.get("start_s"))) is not None
+    ]
+    duration_s = codec.number(facts.get("duration_s"))
+    ends = [*(start_s for _, start_s, _ in named), math.inf if duration_s is None else duration_s][1:]
     return [
-        Clip(str(part["name"]), float(part["start_s"]), float(part.get("end_s", end)))
-        for part, end in zip(named, ends, strict=True)
+        Clip(name, start_s, end_s if own_s is None else own_s)
+        for (name, start_s, own_s), end_s in zip(named, ends, strict=False)
     ]
 
 

@@ -61,7 +61,7 @@ def _present(servers: Iterable[Mapping[str, Any]], robot: str, problems: list[st
     Of a robot whose server says nothing of a model, one that is built in under the name of its keys' suffix is taken.
     """
     facts: Mapping[str, Any] = next(
-        (f["robot_facts"] for f in servers if f.get("robot") == robot and "robot_facts" in f), {}
+        (found for f in servers if f.get("robot") == robot and isinstance(found := f.get("robot_facts"), Mapping)), {}
     )
     stated = str(facts.get("model") or "")
     usual = DEFAULT_ROBOT_MODEL if robot in _STOCK else f"builtin:{robot}.xml"

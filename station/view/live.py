@@ -136,10 +136,10 @@ class LiveView:
         scene.log_pose(self._recording, root, self._model, positions[0], quats[0])
 
     def _tell(self, fresh: dict[str, Sample]) -> None:
-        if keys.EVENT in fresh and (event := _json(fresh[keys.EVENT].value)):
+        if keys.EVENT in fresh and (event := codec.parse_facts(fresh[keys.EVENT].value)):
             self._recording.log(layout.EVENTS, rr.TextLog(line(event), level=level(event)))
         for key, (entity, state_of) in self._shown.items():
-            state = state_of(_json(fresh[key].value)) if key in fresh else ""
+            state = state_of(codec.parse_facts(fresh[key].value)) if key in fresh else ""
             if state and state != self._states.get(entity):
                 self._states[entity] = state
                 self._recording.log(entity, rr.StateChange(state=state))
@@ -172,11 +172,4 @@ def _present_robot(bus: Bus) -> str:
 
 def _stated(bus: Bus) -> list[dict[str, Any]]:
     names = bus.names(f"{keys.CONFIG_PREFIX}*")
-    return [_json(sample.value) for sample in bus.read(names).values()]
-
-
-def _json(data: bytes) -> dict[str, Any]:
-    try:
-        return codec.parse_struct(data, dict[str, Any])
-    except codec.BadValue:
-        return {}
+    return [codec.parse_facts(sample.value) for sample in bus.read(names).values()]

@@ -95,20 +95,17 @@ class PhaseNames:
 
     def __init__(self, facts: Mapping[str, Any]) -> None:
         self.motion = clips.short_name(str(facts.get("file", "")))[:_LONGEST_NAME]
-        try:
-            self._clips = clips.clips(facts)
-        except (TypeError, ValueError):  # a stranger's manifest; the phases are told all the same
-            self._clips = []
+        self._clips = clips.clips(facts)
 
     def __call__(self, source: Mapping[str, Any]) -> str:
         """Return the phase that a value of `keys.command_source` tells, "" for none."""
         return self._name(source)[:_LONGEST_NAME]
 
     def _name(self, source: Mapping[str, Any]) -> str:
-        phase, time_s = driven_by(source), source.get("time_s")
+        phase, time_s = driven_by(source), codec.number(source.get("time_s"))
         if phase != PLAYING:
             return phase if phase != RELEASED else ""
-        clip = clips.name_at(self._clips, float(time_s)) if isinstance(time_s, (int, float)) else ""
+        clip = clips.name_at(self._clips, time_s) if time_s is not None else ""
         return clip or self.motion or phase
 
 

@@ -127,7 +127,7 @@ class ProgressReader:
         for key, sample in found.items():
             known = self._stated.get(key)
             if known is None or known[0] != sample.value:
-                self._stated[key] = (sample.value, _object(sample.value))
+                self._stated[key] = (sample.value, codec.parse_facts(sample.value))
         return {name: self._stated[key][1] for name in names if (key := keys.server_config(name)) in found}
 
     def _policy(
@@ -167,17 +167,16 @@ def _wanted(suffix: str) -> Iterator[str]:
 
 
 def _motion(facts: Mapping[str, Any], sample: Sample | None) -> MotionProgress | None:
-    stated, now = facts.get("motion"), _object(sample.value) if sample is not None else {}
+    stated, now = facts.get("motion"), codec.parse_facts(sample.value) if sample is not None else {}
     if not isinstance(stated, Mapping):
         return None
-    time_s = now.get("time_s")
-    at_s = float(time_s) if isinstance(time_s, (int, float)) else 0.0
+    at_s = codec.number(now.get("time_s")) or 0.0
     return MotionProgress(
         name=clips.short_name(str(stated.get("file", ""))),
         clip=clips.name_at(clips.clips(stated), at_s),
         phase=str(now.get("phase", "")),
         time_s=at_s,
-        duration_s=float(stated.get("duration_s", 0.0)),
+        duration_s=codec.number(stated.get("duration_s")) or 0.0,
     )
 
 
@@ -190,8 +189,8 @@ def _robot(health: Health, suffix: str, held: Mapping[str, Sample]) -> RobotProg
             return RobotProgress(
                 tilt_rad=float(rotations.tilt(quat)),
                 height_m=values.get("root_z"),
-                falls=int(health.detail.get("falls", 0)),
-                gate=str(_object(gate.value).get("state", "")) if gate is not None else "",
+                falls=int(codec.number(health.detail.get("falls")) or 0),
+                gate=str(codec.parse_facts(gate.value).get("state", "")) if gate is not None else "",
             )
     return None
 
@@ -205,13 +204,9 @@ def _arm(health: Health) -> ArmProgress | None:
         reason=str(said.get("gate_reason", "")),
         backend=str(said["backend"]),
         profile=str(said.get("profile", "")),
-        sync_hz=_rate(said.get("sync_hz")),
-        send_hz=_rate(said.get("send_hz")),
+        sync_hz=codec.number(said.get("sync_hz")),
+        send_hz=codec.number(said.get("send_hz")),
     )
-
-
-def _rate(value: Any) -> float | None:
-    return float(value) if isinstance(value, (int, float)) else None
 
 
 def _named(key: str, sample: Sample | None) -> dict[str, float]:
@@ -230,11 +225,3 @@ def _recorder(sample: Sample | None) -> RecorderState | None:
         return codec.parse_struct(sample.value, RecorderState)
     except codec.BadValue:
         return None
-
-
-def _object(data: bytes) -> Mapping[str, Any]:
-    try:
-        value = codec.parse_json(data)
-    except codec.BadValue:
-        return {}
-    return value if isinstance(value, dict) else {}

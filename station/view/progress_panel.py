@@ -106,10 +106,11 @@ def _word(health: Health | None) -> str:
 
 def _motion(motion: MotionProgress) -> RenderableType:
     row = Table.grid(padding=(0, 2))
-    whole = motion.duration_s or 1.0
-    bar = ProgressBar(total=whole, completed=min(motion.time_s, whole), width=_BAR, complete_style="cyan",
+    share = min(max(motion.time_s / (motion.duration_s or 1.0), 0.0), 1.0)
+    bar = ProgressBar(total=1.0, completed=share, width=_BAR, complete_style="cyan",
                       finished_style="green")  # fmt: skip
-    row.add_row(bar, f"{motion.time_s:4.1f} / {motion.duration_s:.1f} s", f"[bold cyan]{escape(doing(motion))}[/]")
+    said = escape(printable(doing(motion)))
+    row.add_row(bar, f"{motion.time_s:4.1f} / {motion.duration_s:.1f} s", f"[bold cyan]{said}[/]")
     return row
 
 
@@ -118,7 +119,7 @@ def _robot(robot: RobotProgress) -> str:
     colour = {"upright": "green", "leaning": "yellow", "fallen": "red"}[posture]
     height = "" if robot.height_m is None else f"   pelvis {robot.height_m:.2f} m"
     falls = f"   [red]{robot.falls} {'fall' if robot.falls == 1 else 'falls'}[/]" if robot.falls else ""
-    gate = f"   gate {robot.gate}" if robot.gate else ""
+    gate = f"   gate {escape(printable(robot.gate))}" if robot.gate else ""
     return f"[{colour}]● {posture:<8}[/] lean {math.degrees(robot.tilt_rad):4.1f}°{height}{gate}{falls}"
 
 
@@ -136,7 +137,7 @@ def _posture(tilt_rad: float) -> str:
 
 
 def _policy(policy: PolicyProgress) -> str:
-    parts = [policy.name]
+    parts = [escape(printable(policy.name))]
     if policy.rate_hz is not None:
         parts.append(f"{policy.rate_hz:.1f} Hz")
     if policy.inference_s is not None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -73,6 +75,70 @@ def test_anything_else_is_refused_with_what_came(data: bytes, reason: str) -> No
 def test_whatever_is_no_struct_is_a_bad_value(data: bytes) -> None:
     with pytest.raises(codec.BadValue):
         codec.parse_struct(data, dict[str, int])
+
+
+HUGE = b"1" + b"0" * 400
+DEEP = b"[" * 100 + b"]" * 100
+
+
+class Told(msgspec.Struct):
+    count: int = 0
+    rate: float = 0.0
+    detail: dict[str, Any] = {}
+
+
+@pytest.mark.parametrize("number", [HUGE, b"-" + HUGE, b"9223372036854775808", b"-9223372036854775809", b"9" * 5000])
+@pytest.mark.parametrize("text", [b'{"count": %b}', b'{"rate": %b}', b'{"detail": {"a": [%b]}}', b'{"unknown": %b}'])
+def test_an_integer_of_more_than_64_bits_is_refused_wherever_it_stands(text: bytes, number: bytes) -> None:
+    data = text.replace(b"%b", number)
+    with pytest.raises(codec.BadValue):
+        codec.parse_struct(data, Told)
+    with pytest.raises(codec.BadValue):
+        codec.parse_json(data)
+    assert codec.parse_facts(data) == {}
+
+
+def test_the_largest_and_the_smallest_integer_of_64_bits_are_read_exactly() -> None:
+    data = b'{"count": 9223372036854775807, "detail": {"a": -9223372036854775808}}'
+    read = codec.parse_struct(data, Told)
+    assert (read.count, read.detail["a"]) == (2**63 - 1, -(2**63))
+    assert codec.parse_json(data) == {"count": 2**63 - 1, "detail": {"a": -(2**63)}}
+
+
+def test_a_vector_of_huge_integers_is_refused_with_the_number_of_digits() -> None:
+    with pytest.raises(codec.BadNumber, match="an integer of 401 digits, expected at most 64 bits"):
+        codec.parse_json_vector(b"[" + b", ".join([HUGE] * 35) + b"]", 35)
+
+
+@pytest.mark.parametrize("data", [b'{"detail": {"a": ' + DEEP + b"}}", b'{"a":' * 65 + b"1" + b"}" * 65])
+def test_what_nests_deeper_than_can_be_written_again_everywhere_is_refused(data: bytes) -> None:
+    with pytest.raises(codec.BadValue, match="nest deeper than 64"):
+        codec.parse_json(data)
+    with pytest.raises(codec.BadValue, match="nest deeper than 64"):
+        codec.parse_struct(data, Told)
+
+
+def test_many_lists_beside_each_other_are_not_deep() -> None:
+    data = b'{"detail": {"a": [' + b", ".join([b"[1]"] * 200) + b"]}}"
+    assert codec.parse_struct(data, Told).detail == codec.parse_json(data)["detail"] == {"a": [[1]] * 200}
+
+
+def test_json_of_more_than_a_megabyte_is_refused() -> None:
+    data = b'{"detail": {"a": "' + b"x" * codec.MAX_BYTES + b'"}}'
+    for parse in (codec.parse_json, codec.parse_json_vector, lambda data: codec.parse_struct(data, Told)):
+        with pytest.raises(codec.BadValue, match="bytes of JSON, expected at most 1048576"):
+            parse(data)
+
+
+@pytest.mark.parametrize("data", [b'{"a": "\xed\xa0\x80"}', b'{"a": "\\ud800"}', '{"a": 1}'.encode("utf-16")])
+def test_text_that_is_not_utf_8_is_refused_however_it_is_spelled(data: bytes) -> None:
+    with pytest.raises(codec.BadValue, match="not JSON"):
+        codec.parse_json(data)
+
+
+def test_numbers_are_finite_and_no_booleans() -> None:
+    found = [codec.number(value) for value in (1, 2.5, -0.0, True, "1", None, math.inf, math.nan, 10**400, -(10**400))]
+    assert found == [1.0, 2.5, 0.0, *[None] * 7]
 
 
 def test_a_struct_comes_back() -> None:

@@ -61,6 +61,7 @@ def test_an_element_a_little_outside_its_range_is_clamped_and_counted() -> None:
         (_text(_7=math.nan), "not-finite", "nan"),
         (_text(_7=-math.inf), "not-finite", "-inf"),
         (_text(_6="X").replace(b'"X"', b"1e999"), "not-finite", "inf"),
+        (_text(_6="X").replace(b'"X"', b"1" + b"0" * 400), "not-finite", "an integer of 401 digits"),
         (_text(_6=9.0), "out-of-range", "left_hip_pitch_pos is 9, allowed"),
         (_text(_2=-0.5), "out-of-range", "root_height is -0.5, allowed"),
         (_text(_0=1e300), "out-of-range", "root_vel_x"),

@@ -19,7 +19,7 @@ import numpy as np
 from station.bus import codec, contracts, keys
 from station.control.gate_state import MOVING
 from station.episode.quality.finding_parts import Alignment
-from station.episode.reading.steps import Step
+from station.episode.reading.steps import Step, timing_row
 from station.protocols import Floats
 
 _STAGES = contracts.TIMING_STAGES
@@ -79,7 +79,7 @@ class AlignmentMeter:
         )
 
     def _take_timing(self, step: Step) -> None:
-        row = _row(step.values.get(keys.policy_timing(self.robot)))
+        row = timing_row(step.values.get(keys.policy_timing(self.robot)))
         if row is None:
             return
         instants = dict(zip(_STAGES, row[_FIRST_STAGE:], strict=True))
@@ -181,14 +181,3 @@ def _pairs(state: tuple[str, ...], command: tuple[str, ...]) -> tuple[list[int],
     """Return the columns of the joints that state and command share."""
     shared = [name for name in state if name.endswith("_pos") and name in command]
     return [state.index(name) for name in shared], [command.index(name) for name in shared]
-
-
-def _row(data: bytes | None) -> list[int] | None:
-    """Return a row of `keys.policy_timing`, or None for what is none."""
-    try:
-        row = codec.parse_json(data) if data is not None else None
-    except codec.BadValue:
-        return None
-    if not isinstance(row, list) or len(row) != _FIRST_STAGE + len(_STAGES):
-        return None
-    return row if all(type(number) is int and abs(number) < _LARGEST for number in row) else None

@@ -166,15 +166,12 @@ class ArmMeter:
         self._span, self._targets, self._moved = (at_ns, values), 0, 0
 
     def _take_word(self, data: bytes) -> None:
-        try:
-            word = codec.parse_json(data)
-        except codec.BadValue:  # a stranger's; the counters say the rest
+        if not (word := codec.parse_facts(data)):  # not one of ours; the counters say the rest
             return
-        if isinstance(word, dict):
-            self._backend = str(word.get("backend", ""))[:40]
-            profile = str(word.get("profile", ""))[:40]
-            if profile and profile not in self._profiles and len(self._profiles) < 10:
-                self._profiles.append(profile)
+        self._backend = str(word.get("backend", ""))[:40]
+        profile = str(word.get("profile", ""))[:40]
+        if profile and profile not in self._profiles and len(self._profiles) < 10:
+            self._profiles.append(profile)
 
 
 def _known(value: float) -> float | None:

@@ -8,12 +8,12 @@ neither one that is late nor a clock that drifts is taken for a hole.
 
 from __future__ import annotations
 
-import math
 from array import array
 from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from station.bus import codec
 from station.episode.quality.finding_parts import CameraQuality
 from station.episode.quality.findings import StreamQuality
 from station.episode.reading import frames
@@ -25,11 +25,7 @@ from station.protocols import Floats
 def stated_hz(manifest: Manifest) -> dict[str, float]:
     """Return the rate that each camera gives by the word of its server, by its key [Hz]."""
     stated = ((facts.get("key"), facts.get("fps")) for facts in (*manifest.cameras, *manifest.servers.values()))
-    return {
-        key: float(fps)
-        for key, fps in stated
-        if isinstance(key, str) and isinstance(fps, (int, float)) and math.isfinite(fps) and fps > 0
-    }
+    return {key: hz for key, fps in stated if isinstance(key, str) and (hz := codec.number(fps)) is not None and hz > 0}
 
 
 _FOLLOWED = 0.1

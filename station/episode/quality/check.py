@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from station.bus import codec
 from station.episode.quality import falls, interruptions, pauses, presence, rule_file, timing
 from station.episode.quality.findings import FallSeen, Quality
 from station.episode.quality.measuring import Measuring
@@ -23,6 +24,7 @@ from station.episode.storage.manifest_copy import manifest_to_change
 from station.episode.storage.manifest_parts import Recorder
 from station.errors import EpisodeError
 
+_LONGEST_NAME, _MOST_CONTACTS = 60, 20  # of what an event tells of a fall; anybody may write events
 _LOCK_STEP_PACE = "command"  # of a low-level server: it waits for a command after each state
 
 
@@ -143,10 +145,11 @@ def _recorded(recorder: Recorder, drops: Drops) -> dict[str, Any]:
 def _fall(at_s: float, event: Mapping[str, Any]) -> FallSeen:
     detail = {**event, **(event["detail"] if isinstance(event.get("detail"), dict) else {})}
     tilt, contacts = detail.get("tilt_rad"), detail.get("contacts")
+    listed = contacts if isinstance(contacts, list) else []
     return FallSeen(
         at_s=at_s,
-        robot=str(detail.get("robot", "")),
-        tilt_rad=float(tilt) if isinstance(tilt, (int, float)) else None,
+        robot=str(detail.get("robot", ""))[:_LONGEST_NAME],
+        tilt_rad=codec.number(tilt),
         seen_by="event",
-        contacts=[str(name) for name in contacts] if isinstance(contacts, (list, tuple)) else [],
+        contacts=[str(name)[:_LONGEST_NAME] for name in listed[:_MOST_CONTACTS]],
     )

@@ -75,7 +75,7 @@ class Measuring:
         self.alignment[robot].feed(step, self.steps[robot].feed(step))
 
     def _feed_event(self, message: Message) -> None:
-        event = _event(message)
+        event = codec.parse_facts(message.data)
         self.events.append(((message.log_ns - self.start_ns) * 1e-9 - interruptions.late_s(event), event))
         if (end := pauses.end_of(message, event)) is not None and len(self.ends) < pauses.MOST_ENDS:
             self.ends.append(end)
@@ -86,11 +86,3 @@ def start_ns(reader: EpisodeReader) -> int:
     if reader.anchor is not None:
         return int(reader.anchor.wall_ns)
     return int(min((stream.first_ns for stream in reader.streams() if stream.count), default=0))
-
-
-def _event(message: Message) -> dict[str, Any]:
-    try:
-        value = codec.parse_json(message.data)
-    except codec.BadValue:
-        return {}
-    return value if isinstance(value, dict) else {}

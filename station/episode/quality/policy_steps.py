@@ -20,12 +20,11 @@ from station.control.tracking import TrackingError
 from station.episode.quality import falls
 from station.episode.quality.findings import FallSeen, Spread, StepQuality
 from station.episode.quality.pauses import Span
-from station.episode.reading.steps import Step
+from station.episode.reading.steps import Step, timing_row
 from station.protocols import Floats
 
 _STAGES = contracts.TIMING_STAGES
 _FIRST_STAGE = 2  # after tick and command_seq
-_LARGEST = 1 << 62  # so that the difference of two times fits 64 bits too
 _TRACKING = "tracking"
 _PLAYING = "playing"
 
@@ -64,7 +63,7 @@ class StepMeter:
         """Take a step, and return the state that the gate was in, "" where nothing says."""
         self._times.append(step.at_ns)
         self._numbers[step.source].append(step.number)
-        gate = _object(step.values.get(keys.command_gate(self.robot)))
+        gate = codec.parse_facts(step.values.get(keys.command_gate(self.robot)))
         self._gates.append(sys.intern(str(gate.get("state", ""))))
         for name in ("clamped", "refused"):
             if isinstance(gate.get(name), int):
@@ -117,9 +116,7 @@ class StepMeter:
         return []
 
     def _take_timing(self, step: Step) -> None:
-        numbers = _json(step.values.get(keys.policy_timing(self.robot)))
-        is_whole = isinstance(numbers, list) and len(numbers) == _FIRST_STAGE + len(_STAGES)
-        if is_whole and all(type(number) is int and abs(number) < _LARGEST for number in numbers):
+        if (numbers := timing_row(step.values.get(keys.policy_timing(self.robot)))) is not None:
             self._timings.extend(numbers)
             self._timed.append(len(self._gates) - 1)
 
@@ -132,7 +129,7 @@ class StepMeter:
                 self._pose_times[key].append(step.at_ns)
 
     def _is_playing(self, step: Step) -> bool:
-        source = _object(step.before.get(keys.command_source(self.robot)))
+        source = codec.parse_facts(step.before.get(keys.command_source(self.robot)))
         # A foreign writer states no phase; its commands are meant from the first to the last.
         return not source or source.get("phase", _PLAYING) == _PLAYING
 
@@ -224,17 +221,3 @@ def _gate_shares(
 
 def _missing(numbers: array[int]) -> int:
     return max(numbers) - min(numbers) + 1 - len(set(numbers))
-
-
-def _object(data: bytes | None) -> dict[str, Any]:
-    value = _json(data)
-    return value if isinstance(value, dict) else {}
-
-
-def _json(data: bytes | None) -> Any:
-    if data is None:
-        return {}
-    try:
-        return codec.parse_json(data)
-    except codec.BadValue:
-        return {}

@@ -20,6 +20,8 @@ from station.protocols import RobotState
 
 Family = Callable[[str], str]
 
+_LARGEST = 1 << 62  # of a time [ns], so that the difference of two fits 64 bits too
+
 RESULTS: tuple[Family, ...] = (
     keys.policy_obs,
     keys.policy_action,
@@ -132,6 +134,17 @@ def robot_state(robot: str, data: bytes) -> RobotState | None:
         return None
     values = codec.parse_f64(data)
     return RobotState(mono_ns=0, **{name: values[indices] for name, indices in columns.items()})
+
+
+def timing_row(data: bytes | None) -> list[int] | None:
+    """Return a row of `keys.policy_timing` (tick, command_seq, the stages [ns]), or None for what is none."""
+    try:
+        row = codec.parse_struct(data or b"", list[int])
+    except codec.BadValue:
+        return None
+    if len(row) != 2 + len(contracts.TIMING_STAGES):
+        return None
+    return row if all(abs(number) < _LARGEST for number in row) else None
 
 
 @cache

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass, field
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -27,7 +26,7 @@ from station.control.inlet import Checked, check_command
 from station.control.slew import Bounds
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
-from station.episode.reading.steps import Step, StepJoiner
+from station.episode.reading.steps import Step, StepJoiner, timing_row
 from station.episode.replaying.audit import Comparison
 from station.errors import ConfigError, EpisodeError
 from station.protocols import Floats
@@ -144,11 +143,11 @@ class _Run:
         found, robot = self.found, self.found.robot
         found.steps += 1
         number = found.steps - 1
-        row, gate = _json(step, keys.policy_timing(robot)), _json(step, keys.command_gate(robot))
+        row = timing_row(step.values.get(keys.policy_timing(robot)))
+        gate = codec.parse_facts(step.values.get(keys.command_gate(robot)))
         used, target = _vector(step, keys.command_used(robot)), _vector(step, keys.target(robot))
-        state, refusal = (gate.get("state"), gate.get("target_refused")) if isinstance(gate, dict) else (None, None)
-        is_row = isinstance(row, list) and len(row) == 2 + len(TIMING_STAGES) and all(type(n) is int for n in row)
-        if used is None or target is None or not is_row:
+        state, refusal = gate.get("state"), gate.get("target_refused")
+        if used is None or target is None or row is None:
             self._before, self._held, found.incomplete = None, None, found.incomplete + 1
             return
         now_s = row[_OBSERVED] * 1e-9
@@ -202,8 +201,7 @@ class _Run:
     ) -> None:
         robot = self.found.robot
         joints = _vector(step, keys.state_joints(robot), size=21)
-        word = _parsed(step.before.get(keys.state_controller(robot)))
-        lead = word.get("lead_rad") if isinstance(word, dict) else None
+        lead = codec.parse_facts(step.before.get(keys.state_controller(robot))).get("lead_rad")
         if joints is None or not isinstance(lead, float):
             return
         q = joints[:7]
@@ -214,16 +212,3 @@ class _Run:
 def _vector(step: Step, key: str, size: int = 7) -> Floats | None:
     data = step.values.get(key)
     return codec.parse_f64(data) if data is not None and len(data) == 8 * size else None
-
-
-def _json(step: Step, key: str) -> Any:
-    return _parsed(step.values.get(key))
-
-
-def _parsed(data: bytes | None) -> Any:
-    if data is None:
-        return None
-    try:
-        return codec.parse_json(data)
-    except codec.BadValue:
-        return None

@@ -19,7 +19,7 @@ from station.control.control import ControlStep, StepRecord
 from station.control.inlet import CommandSample
 from station.control.rig import Rig, build
 from station.episode.reading.reader import EpisodeReader, Message
-from station.episode.reading.steps import Step, StepJoiner
+from station.episode.reading.steps import Step, StepJoiner, timing_row
 from station.episode.replaying.recorded_policy import recorded_policy
 from station.episode.replaying.recorded_server import configuration, facts_of
 from station.errors import EpisodeError
@@ -162,10 +162,7 @@ class _Run:
 
     def ends_with(self, message: Message) -> bool:
         """Whether an event is one that no command explains; counts the recorded falls."""
-        try:
-            name = codec.parse_json(message.data).get("name")
-        except (codec.BadValue, AttributeError):
-            return False
+        name = codec.parse_facts(message.data).get("name")
         self.report.recorded_falls += name == "fall"
         if name in _ENDS:
             self.report.ended_by = str(name)
@@ -173,12 +170,12 @@ class _Run:
 
     def take(self, step: Step) -> None:
         """Run one step on what the recorded one was given, and compare the states before it."""
-        timing = _integers(step.values.get(keys.policy_timing(self.report.robot)))
+        timing = timing_row(step.values.get(keys.policy_timing(self.report.robot)))
         if timing is None:
             return
         if self._count == 0:
             self._warm_up(timing[_TICK] - 1)
-        now_s = self._now_s(timing, _gate(step.values.get(keys.command_gate(self.report.robot))))
+        now_s = self._now_s(timing, codec.parse_facts(step.values.get(keys.command_gate(self.report.robot))))
         state = self.control.sense()
         record = self.control.step(state, self._heard(timing, now_s), now_s)
         self._note(step, record)
@@ -222,7 +219,7 @@ class _Run:
     def _note(self, step: Step, record: StepRecord) -> None:
         report, robot = self.report, self.report.robot
         report.fell = report.fell or record.fall is not None
-        gate = _gate(step.values.get(keys.command_gate(robot)))
+        gate = codec.parse_facts(step.values.get(keys.command_gate(robot)))
         report.gates_different += gate.get("state") != record.decision.state
         recorded = step.values.get(keys.robot_state(robot))
         if recorded is None:
@@ -237,21 +234,3 @@ class _Run:
         if truth is not None and record.state.root_pos is not None:
             gap = float(np.abs(codec.parse_f64(truth)[:3] - record.state.root_pos).max())
             report.max_root_difference_m = max(report.max_root_difference_m or 0.0, gap)
-
-
-def _integers(data: bytes | None) -> list[int] | None:
-    if data is None:
-        return None
-    try:
-        numbers = msgspec.json.decode(data, type=list[int])
-    except msgspec.DecodeError:
-        return None
-    return numbers if len(numbers) > _READ else None
-
-
-def _gate(data: bytes | None) -> dict[str, Any]:
-    try:
-        value = codec.parse_json(data or b"{}")
-    except codec.BadValue:
-        return {}
-    return value if isinstance(value, dict) else {}

@@ -10,7 +10,6 @@ from station.bus import codec
 from station.episode.storage.manifest_parts import Operator
 from station.errors import Refused
 
-_MAX_BYTES = 1 << 20  # the answers of a long runbook take some kB
 _LONGEST_S = 30 * 24 * 3600.0
 
 Action = Literal["start", "stop", "mark", "discard"]
@@ -108,11 +107,9 @@ def parse_request(data: bytes) -> RecordRequest:
     Raises:
         Refused: it is none; says why.
     """
-    if len(data) > _MAX_BYTES:
-        raise Refused(f"not a record request: {len(data)} bytes, expected at most {_MAX_BYTES}")
     try:
-        request = msgspec.json.decode(data, type=RecordRequest)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        request = codec.parse_struct(data, RecordRequest)
+    except codec.BadValue as error:
         raise Refused(f"not a record request: {error}") from error
     if not (codec.is_modest(request.operator) and codec.is_modest(request.runbook)):
         raise Refused("not a record request: operator and runbook hold more than a manifest takes")
@@ -123,9 +120,9 @@ def parse_request(data: bytes) -> RecordRequest:
 
 def request_id(data: bytes) -> str | None:
     """Return the id of what may be no valid request otherwise, so that even a refusal finds its asker."""
-    if len(data) > _MAX_BYTES:
+    if len(data) > codec.MAX_BYTES:
         return None
-    try:
+    try:  # past the codec, whose bounds hold for all of a value: of this one nothing but the id is built
         return msgspec.json.decode(data, type=_OnlyId).id
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None

@@ -8,6 +8,7 @@ from pathlib import Path
 import mcap.records
 from msgspec.structs import asdict
 
+from station.bus import stamp as stamps
 from station.bus.tap.base import Write
 from station.episode.storage import layout, pictures
 from station.episode.storage.anchor import Anchor, is_storable
@@ -205,7 +206,8 @@ class EpisodeFile:
             if channel is None:
                 return False
         try:
-            sequence, written_ns = int(fields[0]), int(fields[1] if channel.shares_clock else fields[2])
+            sequence = stamps.integer(fields[0])
+            written_ns = stamps.integer(fields[1] if channel.shares_clock else fields[2])
         except ValueError:
             return False
         publish_ns = self._anchor.at(written_ns) if channel.shares_clock else written_ns

@@ -16,7 +16,6 @@ SILENT_AFTER_S = 3.0
 
 MAX_MOTIONS = 200
 MAX_SERVERS = 200
-_LARGEST_VALUE = 1 << 20  # bytes that are looked into; a G1 server states 3 kB
 LARGEST_CONFIGURATION = 200_000
 """As `bounds.size_of` estimates it, which is 2500 numbers with their names."""
 _LARGEST_MOTION = 20_000
@@ -171,21 +170,20 @@ def statement(value: bytes, most: int) -> Cut | None:
         most: The size [bytes, as `bounds.size_of` estimates it].
     """
     too_large = Cut({"bytes": len(value)}, 1)
-    if len(value) > _LARGEST_VALUE:
+    if len(value) > codec.MAX_BYTES:
         return too_large
     try:
-        found = msgspec.json.decode(value, type=dict[str, Any])
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        found = codec.parse_struct(value, dict[str, Any])
+    except codec.BadValue:
         return None
     return cut(found, most) if codec.is_modest(found) else too_large
 
 
 def _policy(server: str, facts: dict[str, Any]) -> Policy:
     names = ("name", "checkpoint", "sha256", "runtime", "command")
-    rate = facts.get("rate_hz")
     return Policy(
         server=server,
-        rate_hz=float(rate) if isinstance(rate, (int, float)) else None,
+        rate_hz=codec.number(facts.get("rate_hz")),
         facts=facts,
         **{name: str(facts.get(name, "")) for name in names},
     )
