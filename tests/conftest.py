@@ -159,3 +159,8 @@ def kord() -> Any:
             pytest.fail(message)
         pytest.skip(message)
     return station_kord
+
+
+@pytest.fixture
+def proof() -> None:
+    """Mark a test of the proof tier: a promise in milliseconds, a soak, a statistic."""

@@ -1,0 +1,509 @@
+"""Every parser of values of the bus that runs while a station does, as a function of the bytes of one value.
+
+`modules` of a parser are those whose reading of the bus it runs; tests/fuzz/test_fuzz.py sees that none is missing.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import socket
+import time
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Console, RenderableType
+
+from adapters.cameras.mujoco_g1 import MujocoCamera
+from adapters.commands import twist, twist2
+from adapters.commands.arm import arm_command
+from adapters.motions.clip import Clip
+from adapters.robots import arm_limits
+from station.bus import codec, contracts, keys, stamp
+from station.bus.sample import Sample
+from station.camera.source import Drops
+from station.control.inlet import CommandSample, Inlet, check_command
+from station.enrich.scalars import Shape
+from station.enrich.siblings import siblings
+from station.episode.reading import vectors
+from station.episode.reading.messages import Channel, Message
+from station.episode.reading.steps import robot_state, timing_row
+from station.episode.recorder.remote import _decode as record_answer
+from station.episode.storage import pictures
+from station.episode.storage.channels import encoding_of, source_of
+from station.episode.storage.manifest import Manifest, Timing, dump_manifest
+from station.episode.storage.request import parse_request, request_id
+from station.episode.writing import heard, retell
+from station.errors import NotReady, Refused, UnknownName
+from station.life import arm_request, controller_request, estop, events, stop_button
+from station.life.server import Health, decode_health
+from station.motion.playback import Playback
+from station.motion.playback_requests import Requests
+from station.operator import reading as readings
+from station.operator.ear import Ear
+from station.operator.onlooker import Onlooker, Vigil
+from station.operator.phrases import Phrases
+from station.operator.reading import Body, Pose, Reading, Status
+from station.operator.requests import RecordButtons
+from station.operator.robot_side import RobotSide
+from station.operator.script_time import now_s
+from station.protobuf import foxglove
+from station.supervision import doctor
+from station.view import episode_story, find_model, phases, progress_panel, status
+from station.view.progress import ProgressReader
+from tests.adapters.motions.made import smooth
+from tests.fuzz.shelf import Shelf
+
+ROBOT, ARM = keys.TWIST2_ROBOT, "kassow_kr810"
+Parse = Callable[[bytes], object]
+
+
+class Parser(NamedTuple):
+    """A parser.
+
+    Attributes:
+        name: What it reads, for a report.
+        parse: Does with a value all that the process does that reads it.
+        valid: Good values.
+        modules: Whose reading it runs.
+        promise: What it may raise.
+    """
+
+    name: str
+    parse: Parse
+    valid: tuple[bytes, ...]
+    modules: tuple[str, ...]
+    promise: tuple[type[Exception], ...] = ()
+
+
+def _shown(*pages: RenderableType) -> None:
+    Console(file=io.StringIO(), width=120).print(*pages)
+
+
+# ---- values ----
+
+NOW_NS = time.time_ns()
+EVENT = events.make("g1", "fall", "warning", tilt_rad=1.2, contacts=["hand"], reason="so; it is", episode_id="a-0007")
+_CLIPS = [{"name": "wave", "start_s": 0.0, "end_s": 6.0}, {"name": "bow", "start_s": 6.0}]
+CONFIG: dict[str, Any] = {
+    "kind": "g1", "role": "low-level", "robot": ROBOT, "rate_hz": 50.0, "fake_began_wall_ns": NOW_NS,
+    "policy": {"name": "tracker", "checkpoint": "a.onnx", "sha256": "ab", "command": "twist2", "rate_hz": 50},
+    "robot_facts": {"model": "builtin:g1.xml", "model_sha256": "ab"},
+    "motion": {"file": "builtin:tour", "duration_s": 20.0, "clips": _CLIPS},
+    "config": {"fake": "here/script.json"}, "device": {"library": "none"}, "fps": 30, "key": "camera_image_a",
+}  # fmt: skip
+SOURCE = {"kind": "motion", "file": "a.pkl", "sha256": "ab", "phase": "playing", "time_s": 1.5, "engaged": True}
+GATE: dict[str, Any] = {
+    "state": "tracking", "reason": "", "arming": "armed", "age_s": 0.01, "clamped": 0, "refused": 3,
+    "arm": {"id": "1", "action": "arm", "refused": ""}, "controller": {"id": "1", "action": "clear", "refused": ""},
+}  # fmt: skip
+RECORDER = {"state": "recording", "episode_id": "e-1", "path": "/d/t/e-1", "messages": 3, "bytes": 9, "free_mb": 2.5}
+REQUEST: dict[str, Any] = {
+    "id": "7", "action": "start", "task": "walk", "instruction": "go", "operator": {"id": "ada", "interface": "pico"},
+    "runbook": {"steps": [1, "x"]}, "planned_s": 60.0, "label": "m", "success": True,
+}  # fmt: skip
+ANSWER = {"id": "7", "ok": True, "episode_id": "e-1", "path": "/d", "reason": "", "summary": {"seconds": 3.5}}
+STAMP = stamp.Stamp(7, time.monotonic_ns(), NOW_NS, stamp.new_source("g1"), 5).encode()
+TIMING = codec.json_vector([3, 7, *range(10**12, 10**12 + len(contracts.TIMING_STAGES))])
+
+
+def dumped(value: Any) -> bytes:
+    """JSON text."""
+    return json.dumps(value).encode()
+
+
+def health(name: str = "g1", role: str = "low-level") -> bytes:
+    """A heartbeat of now, of a server that runs in this process."""
+    said = Health(
+        name=name, role=role, state="active", pid=os.getpid(), host=socket.gethostname(),  # type: ignore[arg-type]
+        boot=stamp.boot_id(),
+        source="g1.1.ab.cd", started_wall_ns=NOW_NS, wall_ns=time.time_ns(), rate_hz=50.0, jitter_p50_ms=0.1,
+        jitter_p99_ms=0.3, overruns=1, events=[EVENT], reason="",
+        detail={"falls": 1, "refused": {"not-json": 2}, "gate": "tracking", "profile": "a", "engaged": True,
+                "mode": "m", "sync_hz": 250.0, "why_not": ""},
+    )  # fmt: skip
+    return codec.json_object(said)
+
+
+# ---- commands and requests ----
+
+
+def _command(form: Any, data: bytes) -> None:
+    inlet = Inlet(form)
+    inlet.take(CommandSample(data, 1.0))
+    inlet.is_refusing(1.0, 1.0)
+    if inlet.vector is not None:
+        assert np.isfinite(inlet.vector).all()
+        assert ((inlet.vector >= form.lower) & (inlet.vector <= form.upper)).all()
+    check_command(data, form)
+
+
+@cache
+def _playback() -> Playback:
+    return Playback(Clip(smooth()), twist2.FORMAT)
+
+
+def _motion_control(data: bytes) -> None:
+    shelf = Shelf({})
+    requests = Requests(shelf, shelf, _playback())  # type: ignore[arg-type]
+    shelf.values = dict.fromkeys((keys.MOTION_CONTROL, keys.MOTION_START_SIGNAL, keys.MOTION_EXIT_SIGNAL), data)
+    requests.obey()
+    assert np.isfinite(_playback().step(0.02).command).all()
+
+
+def _stop(data: bytes) -> None:
+    request = estop.read(data)
+    codec.json_object({"reason": request.reason, "stop": request.stop})
+
+
+def _robot_of(key: str, data: bytes) -> None:
+    shelf: Any = Shelf({keys.server("g1"): health(), keys.server_config("g1"): dumped(CONFIG), key: data})
+    arm_request.server_of(shelf, ROBOT)
+
+
+# ---- what servers say ----
+
+
+def _event(data: bytes) -> None:
+    event = events.decode(data)
+    if event is None:
+        return
+    late = events.late(event)
+    codec.json_object([event, late])
+    Phrases().cue(event)
+    Vigil().hear(event)
+    foxglove.log(event, NOW_NS)
+    str(event)
+
+
+def _heartbeat(data: bytes) -> None:
+    said = decode_health(data)
+    if said is None:
+        return
+    found = status.Status("bus", [said], [])
+    json.dumps(found.to_plain())
+    _shown(status.render(found))
+    list(doctor._servers([said], Path("logs")))
+    list(doctor._troubles(said, "key"))
+    vigil = Vigil()
+    for now in (1.0, 2.0):
+        for event in vigil.step([said], now):
+            codec.json_object(event)
+    codec.json_object(said)
+
+
+def _stamped(data: bytes) -> None:
+    mark = stamp.decode(data)
+    if mark is None:
+        return
+    assert stamp.decode(mark.encode()) == mark
+    age_s = (time.time_ns() - mark.wall_ns) * 1e-9
+    item = status.KeyStatus(key="k", role="state", writer=mark.writer, rate_hz=1.0, age_s=age_s)
+    _shown(status.render(status.Status("bus", [], [item])))
+    json.dumps({"writer": mark.writer, "pid": mark.pid, "boot": mark.is_from_this_boot, "source": source_of(data)})
+    np.array([mark.seq, mark.mono_ns, mark.wall_ns, mark.capture_ns or 0], dtype=np.int64)
+    pictures.around("camera_image_a", 9, NOW_NS, data)
+
+
+def _progress(key: str, data: bytes) -> None:
+    """What `station up` shows, with one of the values that it reads replaced."""
+    qpos = np.concatenate([[0, 0, 0.8, 1, 0, 0, 0], np.zeros(29)])
+    shelf: Any = Shelf({
+        keys.server("g1"): health(), keys.server("motion"): health("motion", "command"),
+        keys.server_config("g1"): dumped(CONFIG), keys.server_config("motion"): dumped(CONFIG),
+        keys.command_source(ROBOT): dumped(SOURCE), keys.command_gate(ROBOT): dumped(GATE),
+        keys.policy_timing(ROBOT): TIMING, keys.sim_qpos(ROBOT): codec.f64(qpos), keys.RECORDER: dumped(RECORDER),
+    } | {key: data})  # fmt: skip
+    seen = ProgressReader(shelf, ("g1", "motion")).look()
+    _shown(progress_panel.panel(seen, ("g1", "motion", "recorder")))
+    progress_panel.line(seen)
+
+
+def _arm_progress(data: bytes) -> None:
+    said = json.loads(health())
+    said["detail"] |= {"backend": "sim", "send_hz": 125.0}
+    if data.startswith(b"{") and data.endswith(b"}"):  # the mutant stands where a server puts its own facts
+        _progress(keys.server("g1"), dumped(said).replace(b'"detail": {', b'"detail": {"mutant": ' + data + b", ", 1))
+    _progress(keys.server("g1"), data)
+
+
+def _doctor(key: str, data: bytes) -> None:
+    shelf: Any = Shelf({
+        keys.server("g1"): health(), keys.server_config("g1"): dumped(CONFIG), keys.RECORDER: dumped(RECORDER),
+        keys.command_gate(ROBOT): dumped(GATE), keys.ESTOP: b"0",
+    } | {key: data})  # fmt: skip
+    said = decode_health(health())
+    assert said is not None
+    findings = [
+        doctor._estop(shelf), *doctor._gate(shelf, keys.command_gate(ROBOT)), *doctor._recorder(shelf, [said]),
+    ]  # fmt: skip
+    try:
+        codec.parse_struct(shelf.get(keys.server_config("g1")), doctor._Stated).obeys()
+    except (codec.BadValue, UnknownName) as error:
+        findings.append(doctor.Finding("broken", "server", str(error)))
+    _shown(*(doctor_text(item) for item in findings))
+
+
+def doctor_text(item: doctor.Finding) -> str:
+    """A finding as the command prints it."""
+    from station.cli.tables import plain
+
+    return f"[bold]{plain(item.subject)}[/]: {plain(item.found)} {plain(item.remedy)}"
+
+
+def _drawn(data: bytes) -> None:
+    """What a viewer makes of configurations, gate, source and event."""
+    facts = codec.parse_facts(data)
+    find_model.find_path([facts], ROBOT)
+    episode_story.line(facts)
+    episode_story.level(facts)
+    episode_story.gate_state(facts)
+    phases.driven_by(facts)
+    motion = facts.get("motion")
+    phases.PhaseNames(motion if isinstance(motion, dict) else facts)(facts)
+    phases.parsed(data)
+
+
+def _look_on(data: bytes) -> None:
+    shelf: Any = Shelf({})
+    onlooker = Onlooker.__new__(Onlooker)
+    onlooker._watch, onlooker._stop_seen = shelf, None
+    shelf.values[keys.ESTOP] = data
+    onlooker._stop()
+
+
+# ---- the recorder ----
+
+
+def _manifest() -> Manifest:
+    return Manifest(episode_id="e-1", timing=Timing(started="now"))
+
+
+def _heard(key: str, data: bytes) -> None:
+    listens = heard.Heard()
+    manifest = _manifest()
+    listens.hear(keys.server("g1"), health(), STAMP, 1)
+    listens.hear(keys.server_config("g1"), dumped(CONFIG), STAMP, 1)
+    listens.hear(key, data, STAMP, 2)
+    listens.missing_configuration(3)
+    listens.fill(manifest)
+    heard.note_motion(manifest, keys.command_source(ROBOT), data)
+    dump_manifest(manifest)
+
+
+def _noted(data: bytes) -> None:
+    manifest = _manifest()
+    retell.note_event(manifest, data, 1.0)
+    dump_manifest(manifest)
+
+
+def _record_request(data: bytes) -> None:
+    asker = request_id(data)
+    codec.json_object({"id": asker})
+    request = parse_request(data)
+    manifest = _manifest()
+    manifest.operator, manifest.runbook = request.who(), request.runbook
+    retell.note_mark(manifest, request.label, 1.0, request.success)
+    dump_manifest(manifest)
+
+
+def _record_state(data: bytes) -> None:
+    buttons = RecordButtons.__new__(RecordButtons)
+    buttons._watch, buttons._own = Shelf({keys.RECORDER: data}), None  # type: ignore[assignment]
+    buttons._is_recording()
+    buttons._last_task()
+
+
+# ---- operators ----
+
+_IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+_POSE = Pose(np.array([0.1, 0.2, 1.0]), _IDENTITY)
+_HAND = np.concatenate([np.zeros((26, 3)), np.tile(_IDENTITY, (26, 1))], axis=1)
+_READING = Reading(
+    capture_ns=5, controls={"left_trigger": 0.5, "right_stick_x": -0.2}, head=_POSE, left=_POSE, right=_POSE,
+    body=Body(np.zeros((24, 3)), np.tile(_IDENTITY, (24, 1))), hands={"left": _HAND, "right": _HAND},
+    twist=np.zeros(6), joints=np.zeros(7),
+)  # fmt: skip
+_STATUS = Status(state="live", capture_ns=5, new=7, parts=readings.parts(_READING))
+_SAMPLE = readings.encode("pico", _READING) | readings.encode_status("pico", _STATUS)
+
+
+def _device(key: str, data: bytes) -> None:
+    """What teleoperation makes of a device's sample with one of its parts replaced; for every device alike."""
+    ear = Ear(Shelf(_SAMPLE | {key: data}), "pico")  # type: ignore[arg-type]
+    heard_of = ear.hear()
+    codec.json_object({"why_not": heard_of.flaw, "sample": heard_of.sample})
+    if heard_of.reading is not None:
+        for array in readings._arrays(heard_of.reading).values():
+            assert np.isfinite(array @ array.T).all(), "too large to calculate with"
+        assert all(np.isfinite(value * value) for value in heard_of.reading.controls.values())
+
+
+def _robot_side(key: str, data: bytes) -> None:
+    shelf = Shelf({
+        keys.command_gate(ROBOT): dumped(GATE), keys.command_used(ROBOT): codec.f64(np.zeros(35)), keys.ESTOP: b"0",
+    } | {key: data})  # fmt: skip
+    side = RobotSide(shelf, ROBOT, 35)  # type: ignore[arg-type]
+    for _ in range(2):
+        side.look(time.monotonic_ns())
+        side.begin(time.monotonic_ns())
+    codec.json_object({"why_not": side.obstacle, "left": side.left, "arming": side.arming})
+    if side.used is not None:
+        assert np.isfinite(side.used).all(), "no command begins where the robot cannot be"
+
+
+# ---- numbers ----
+
+
+def _row(data: bytes) -> None:
+    row = timing_row(data)
+    if row is not None:
+        np.array(row, dtype=np.int64)
+
+
+def _columns(kind: Any, data: bytes) -> None:
+    numbers = vectors.decoder(kind)(data)
+    if numbers is not None:
+        np.array([numbers], dtype=np.int64 if kind == "integer" else np.float64)
+
+
+def _typed(data: bytes) -> None:
+    shape = Shape()
+    for value in (json.loads(dumped(GATE)), codec.parse_facts(data)):
+        shape.learn(value)
+    contract = contracts.contract(keys.command_gate(ROBOT))
+    assert contract is not None
+    channel = Channel(id=1, topic=contract.key, source="", writer="foreign", encoding="json", contract=contract)
+    found = siblings(contract, shape, "station.Fuzz")
+    if not isinstance(found, str):
+        found.encode(Message(contract.key, data, 1, 1, 1, channel))
+
+
+def _script_time(data: bytes) -> None:
+    before = os.environ.get("STATION_RESTARTS")
+    os.environ["STATION_RESTARTS"] = "1"
+    try:
+        now_s(Shelf({keys.server_config("fake"): data}))  # type: ignore[arg-type]
+    finally:
+        if before is None:
+            del os.environ["STATION_RESTARTS"]
+
+
+def _pictured(data: bytes) -> None:
+    camera = MujocoCamera.__new__(MujocoCamera)
+    camera._key, camera.drops = keys.sim_qpos(ROBOT), Drops()
+    qpos = camera._parsed(Sample(camera._key, data, None, 1))
+    assert qpos is None or np.isfinite(qpos).all()
+
+
+def _calibrated(data: bytes) -> None:
+    from station.cli.calibrate_operator import _source
+
+    _source(Shelf({keys.server_config("pico"): data}), "pico")  # type: ignore[arg-type]
+
+
+# ---- all of them ----
+
+FORMS = (twist.FORMAT, twist2.FORMAT, arm_command("kassow", arm_limits.load("kassow", "kr810")))
+_BODY, _LIFE, _OPERATOR, _EPISODE = "station.bus.", "station.life.", "station.operator.", "station.episode."
+
+
+def _all() -> list[Parser]:
+    found = [
+        Parser(f"command {form.key}", partial(_command, form), (codec.json_vector(form.default),),
+               ("station.control.inlet", _BODY + "codec"))
+        for form in FORMS
+    ]  # fmt: skip
+    found += [
+        Parser("json", codec.parse_json, (dumped(CONFIG), dumped(GATE)), (_BODY + "codec",), (codec.BadValue,)),
+        Parser("facts", codec.parse_facts, (dumped(CONFIG),), (_BODY + "codec",)),
+        Parser("vector f64", codec.parse_f64, (codec.f64(np.ones(7)),), (_BODY + "codec",), (codec.BadValue,)),
+        Parser("vector f32", codec.parse_f32, (codec.f32(np.ones(7)),), (_BODY + "codec",), (codec.BadValue,)),
+        Parser("stamp", _stamped, (STAMP, b"1 2 3 a.b.c.d"), (
+            _BODY + "stamp", _BODY + "client", _BODY + "watch", "station.view.status", _EPISODE + "storage.channels",
+            _EPISODE + "storage.pictures", _EPISODE + "recorder.intake", _EPISODE + "recorder.resume")),
+        Parser("stop", _stop, (b"0", b'{"stop": true, "who": "ada", "reason": "so", "arm": true}', b"1"), (
+            _LIFE + "estop", "station.control.inbox", "station.control.low_level", "station.supervision.stop_memory")),
+        Parser("stop, told", _look_on, (b'{"stop": true, "reason": "so"}',), (_OPERATOR + "onlooker",)),
+        Parser("arm request", arm_request.read, (b'{"action": "arm", "id": "1", "server": "g1", "who": "ada"}',),
+               (_LIFE + "arm_request",)),
+        Parser("arm answer", arm_request._gate, (dumped(GATE),), (_LIFE + "arm_request",)),
+        Parser("arm, which robot", partial(_robot_of, keys.server_config("g1")), (dumped(CONFIG),),
+               (_LIFE + "arm_request",), (NotReady,)),
+        Parser("controller request", controller_request.read,
+               (b'{"action": "throttle", "id": "1", "robot": "a", "profile": "b", "throttle": 3, "who": "ada"}',),
+               (_LIFE + "controller_request",)),
+        Parser("controller answer", lambda data: controller_request._answer(
+                   Shelf({"gate": data}), "gate", "1", time.monotonic() + 1e-4),  # type: ignore[arg-type]
+               (dumped(GATE),), (_LIFE + "controller_request",)),
+        Parser("stop, obeyed", stop_button._gate, (dumped(GATE),), (_LIFE + "stop_button",)),
+        Parser("motion request", _motion_control, (b'{"action": "seek", "time_s": 1.5, "on": true}', b"1"),
+               ("station.motion.playback_requests",)),
+        Parser("event", _event, (EVENT.encode(),), (_LIFE + "events", _LIFE + "event_feed", "station.enrich.siblings")),
+        Parser("heartbeat", _heartbeat, (health(),), (
+            _LIFE + "server", "station.supervision.supervisor", "station.supervision.doctor", "station.view.status")),
+        Parser("record request", _record_request, (dumped(REQUEST),), (_EPISODE + "storage.request",), (Refused,)),
+        Parser("record answer", record_answer, (dumped(ANSWER),), (_EPISODE + "recorder.remote",)),
+        Parser("recorder's state", _record_state, (dumped(RECORDER),), (_OPERATOR + "requests",)),
+        Parser("recorded event", _noted, (EVENT.encode(),), (_EPISODE + "writing.retell",)),
+        Parser("recorded value", encoding_of, (dumped(GATE), b"x"), (_EPISODE + "storage.channels",)),
+        Parser("timing", _row, (TIMING,), (_EPISODE + "reading.steps",)),
+        Parser("typed fields", _typed, (dumped(GATE), dumped(CONFIG)),
+               ("station.enrich.enrich", "station.enrich.siblings")),
+        Parser("robot's state", partial(robot_state, ROBOT), (codec.f64(np.ones(65)),), (_EPISODE + "reading.steps",)),
+        Parser("drawn", _drawn, (dumped(CONFIG), EVENT.encode(), dumped(SOURCE), dumped(GATE)),
+               ("station.view.phases", "station.view.live")),
+        Parser("a fake's time", _script_time, (dumped(CONFIG),), (_OPERATOR + "script_time",)),
+        Parser("what a camera draws", _pictured, (codec.f64(np.ones(36)),), ("adapters.cameras.mujoco_g1",)),
+        Parser("calibrated from", _calibrated, (dumped(CONFIG),), ("station.cli.calibrate_operator",)),
+        Parser("progress, an arm's", _arm_progress, (health(), b'{"a": 1}'), ("station.view.progress",)),
+    ]  # fmt: skip
+    found += [
+        Parser(f"column {kind}", partial(_columns, kind), values, (_EPISODE + "reading.vectors",))
+        for kind, values in (
+            ("json-vector", (TIMING,)), ("integer", (b"1795000000000",)), ("f64", (codec.f64(np.ones(7)),)),
+            ("f32", (codec.f32(np.ones(7)),)),
+        )
+    ]  # fmt: skip
+    found += [
+        Parser(f"recorder hears {key}", partial(_heard, key), values, (_EPISODE + "writing.heard",))
+        for key, values in (
+            (keys.server("g1"), (health(),)), (keys.server_config("g1"), (dumped(CONFIG),)),
+            (keys.command_source(ROBOT), (dumped(SOURCE),)),
+        )
+    ]  # fmt: skip
+    found += [
+        Parser(f"device {key}", partial(_device, key), (value,), (_OPERATOR + "reading",))
+        for key, value in _SAMPLE.items()
+    ]
+    found += [
+        Parser(f"robot's side {key}", partial(_robot_side, key), (value,), (_OPERATOR + "robot_side",))
+        for key, value in (
+            (keys.command_gate(ROBOT), dumped(GATE)), (keys.command_used(ROBOT), codec.f64(np.zeros(35))),
+            (keys.ESTOP, b'{"stop": false}'),
+        )
+    ]  # fmt: skip
+    found += [
+        Parser(f"progress {key}", partial(_progress, key), (value,), ("station.view.progress",))
+        for key, value in (
+            (keys.server("g1"), health()), (keys.server_config("g1"), dumped(CONFIG)),
+            (keys.server_config("motion"), dumped(CONFIG)), (keys.command_source(ROBOT), dumped(SOURCE)),
+            (keys.command_gate(ROBOT), dumped(GATE)), (keys.policy_timing(ROBOT), TIMING),
+            (keys.sim_qpos(ROBOT), codec.f64(np.ones(36))), (keys.RECORDER, dumped(RECORDER)),
+        )
+    ]  # fmt: skip
+    found += [
+        Parser(f"doctor {key}", partial(_doctor, key), (value,), ("station.supervision.doctor",))
+        for key, value in (
+            (keys.server_config("g1"), dumped(CONFIG)), (keys.command_gate(ROBOT), dumped(GATE)),
+            (keys.RECORDER, dumped(RECORDER)), (keys.ESTOP, b'{"stop": true}'),
+        )
+    ]  # fmt: skip
+    return found
+
+
+PARSERS = _all()
