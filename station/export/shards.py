@@ -19,10 +19,10 @@ from typing import Any, Literal
 import msgspec
 
 from station import registry
+from station.atomic_file import sync_folder, write_atomic
 from station.episode.quality.finding_parts import RulesFile
 from station.episode.quality.rule_file import RuleBook, of_user
 from station.episode.storage import layout
-from station.episode.storage.atomic import sync_folder, write_atomic
 from station.errors import BadFile, EpisodeError, StationError
 from station.export import verdict
 from station.export.kind import ExportKind, LeftOut, Made, MinQuality, Shard, Source

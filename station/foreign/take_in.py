@@ -11,12 +11,12 @@ from typing import Any
 import msgspec
 
 from station import registry
+from station.atomic_file import sync_folder
 from station.bus.tap import Write
 from station.episode.quality.timing import IMPORTED
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, iso
-from station.episode.storage.atomic import sync_folder
 from station.episode.storage.folder import slug
 from station.episode.storage.manifest import Manifest, Operator, Recorder, Robot, Task, Timing, load_manifest
 from station.episode.storage.manifest_copy import find_manifest

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from station.atomic_file import remove_leftovers
 from station.bus import keys
 from station.bus.stamp import boot_id
 from station.bus.tap import Position, Tap, Write
@@ -15,7 +16,6 @@ from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.recording import Recording
 from station.episode.recorder.resume import Unfinished, last_requests, newest, newest_closed, take_up
 from station.episode.storage import layout
-from station.episode.storage.atomic import remove_leftovers
 from station.episode.storage.left_open import has_signals, left_open, offer
 from station.episode.storage.manifest_copy import find_manifest
 from station.episode.storage.progress import ResumePoint, load_resume_point

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from station.atomic_file import remove_leftovers
 from station.bus import keys
 from station.bus import stamp as stamps
 from station.episode.recorder.options import RecordingOptions
@@ -20,7 +21,6 @@ from station.episode.recorder.take import Take
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage import layout
 from station.episode.storage.anchor import iso
-from station.episode.storage.atomic import remove_leftovers
 from station.episode.storage.manifest import Hole, Manifest, facts_of, note_hole, note_recovery
 from station.episode.storage.manifest_copy import find_manifest
 from station.episode.storage.progress import ResumePoint, Totals, load_resume_point

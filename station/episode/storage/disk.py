@@ -8,8 +8,8 @@ import fcntl
 import os
 from pathlib import Path
 
+from station.atomic_file import write_all
 from station.episode.storage import layout
-from station.episode.storage.atomic import write_all
 from station.errors import EpisodeError
 
 _BALLAST = f".{layout.MANIFEST}.ballast"  # so named, it goes with the manifest's leftovers when a recorder was killed

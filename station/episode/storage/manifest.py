@@ -15,8 +15,8 @@ import msgspec
 import yaml
 
 from station import safe_yaml
+from station.atomic_file import refuse_special, write_atomic
 from station.episode.storage import bounds
-from station.episode.storage.atomic import refuse_special, write_atomic
 from station.episode.storage.layout import MANIFEST
 from station.episode.storage.manifest_parts import (
     Event,

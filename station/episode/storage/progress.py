@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import msgspec
 
+from station.atomic_file import refuse_special, write_atomic
 from station.bus.tap import Position
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor
-from station.episode.storage.atomic import refuse_special, write_atomic
 from station.episode.storage.drops import Dropped
 from station.episode.storage.manifest import Stream
 

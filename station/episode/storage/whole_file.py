@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from station.episode.storage.atomic import sync_folder
+from station.atomic_file import sync_folder
 from station.episode.storage.named_lock import is_named, open_locked
 from station.errors import EpisodeError, StationError
 

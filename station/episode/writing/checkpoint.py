@@ -13,8 +13,8 @@ from typing import Any
 import mcap.records
 import msgspec
 
+from station.atomic_file import refuse_special, write_atomic
 from station.episode.storage import layout
-from station.episode.storage.atomic import refuse_special, write_atomic
 from station.episode.storage.channels import Channel, channel_from
 from station.episode.storage.manifest import Event, Mark, QualityFlags
 from station.episode.storage.progress import Gap

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from station.atomic_file import sync_folder
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, is_storable
-from station.episode.storage.atomic import sync_folder
 from station.episode.storage.drops import Drops, drops_record, streams_of
 from station.episode.storage.pictures import is_picture
 from station.episode.storage.progress import ResumePoint, Totals

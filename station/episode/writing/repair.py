@@ -10,9 +10,9 @@ from typing import Literal
 
 import msgspec
 
+from station.atomic_file import free_path, remove_leftovers, sync_folder
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, iso
-from station.episode.storage.atomic import free_path, remove_leftovers, sync_folder
 from station.episode.storage.disk import is_locked
 from station.episode.storage.drops import Drops
 from station.episode.storage.folder import signals_file

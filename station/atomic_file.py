@@ -8,10 +8,11 @@ import tempfile
 from pathlib import Path
 
 
-def write_atomic(path: Path, data: bytes, *, sync: bool = True) -> None:
+def write_atomic(path: Path, data: bytes, *, sync: bool = True, mode: int = 0o644) -> None:
     """Replace a file: temporary file beside it, fsync, rename, fsync of the folder.
 
-    Without `sync` the file survives the death of the process, not that of the machine.
+    Without `sync` the file survives the death of the process, not that of the machine. By default it is read by anyone
+    who may enter the folder, as an episode is.
 
     Raises:
         OSError: the disk refused it; the old file is then untouched.
@@ -20,7 +21,7 @@ def write_atomic(path: Path, data: bytes, *, sync: bool = True) -> None:
     try:
         try:
             write_all(descriptor, data)
-            os.fchmod(descriptor, 0o644)  # mkstemp closes it to others; an episode is read by anyone who may enter
+            os.fchmod(descriptor, mode)  # mkstemp closes it to others
             if sync:
                 os.fsync(descriptor)
         finally:
