@@ -100,10 +100,11 @@ def _upstream_data() -> Path:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Compile robot models into a cache of this test run."""
+def _own_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Compile robot models into a cache of this test run, and remember stops in a folder of its own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
 
 
@@ -113,6 +114,7 @@ def _own_runtime_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: p
     folder = tmp_path_factory.mktemp("run")
     folder.chmod(0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder / "state"))
     bus = ("", "_USER", "_PASSWORD", "_PASSWORD_FILE", "_CA", "_CERT", "_KEY")
     for name in (*(f"STATION_BUS{suffix}" for suffix in bus), "STATION_DATA"):
         monkeypatch.delenv(name, raising=False)
@@ -159,8 +161,3 @@ def kord() -> Any:
             pytest.fail(message)
         pytest.skip(message)
     return station_kord
-
-
-@pytest.fixture
-def proof() -> None:
-    """Mark a test of the proof tier: a promise in milliseconds, a soak, a statistic."""

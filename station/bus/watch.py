@@ -45,6 +45,7 @@ _IDLE_S = 1.0  # a line that was silent for so long is probed
 _NOTICED_S = _IDLE_S + _TIMEOUT_S  # a server that is frozen for so long is given up
 _SOON_S = 0.001  # what is here already is taken before a server is given up
 _SLACK_S = 0.15  # a busy machine answers a probe, or asks it, so much later
+_ASKED = b"now"  # tells the answer of `_hear_all` from that of a probe
 
 
 class Watch:
@@ -234,6 +235,23 @@ class Watch:
             self._answered_ns = time.monotonic_ns()
         else:
             raise ConnectionLost(f"bus {self._address}: {message!r} came where writes are told of")
+
+    def _hear_all(self, events: Connection, touched: Counter[str]) -> None:
+        """Take note of every message of what was written by now: all come before the answer to a question.
+
+        Raises:
+            ConnectionLost: no answer in time.
+        """
+        events.send("PING", _ASKED)
+        while True:
+            try:
+                message = events.receive(_TIMEOUT_S)
+            except TimeoutError:
+                raise ConnectionLost(f"bus {events.address}: no answer in time where writes are told of") from None
+            is_probe_owed = self._answered_ns < self._asked_ns
+            if message == [b"pong", _ASKED] or (isinstance(message, Exception) and not is_probe_owed):
+                return
+            self._note(message, touched)
 
     def _poll(self, reader: Connection) -> None:
         log.warning("bus %s: no keyspace notifications; polling every %.0f ms", self._address, _POLL_S * 1e3)

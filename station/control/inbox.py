@@ -8,7 +8,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
@@ -18,8 +18,8 @@ from station.bus.outage import Outages
 from station.bus.sample import Sample
 from station.bus.watch import Watch
 from station.control.inlet import CommandSample
+from station.control.stop_trace import StopNews, StopTrace
 from station.control.writers import Writers
-from station.life import estop
 from station.life.rivals import FOREIGN
 
 _SOON_S = 0.25  # a message that has begun to come is whole within this
@@ -59,6 +59,7 @@ class Taken(NamedTuple):
 
 class CommandWatch(Watch):
     """A watch that keeps, for one key, who wrote when, and the newest value of each: a slot holds only the last one's.
+    A stop it keeps until it is taken, whatever is written after it (`station.control.stop_trace`).
 
     A foreign write between a native one and our reading of it shows the foreign value beside the native stamp. So it
     looks again for word of writes once it has read, and a value that both kinds of writers may have written is
@@ -82,6 +83,7 @@ class CommandWatch(Watch):
         self._numbers: dict[str, int] = {}  # of each native writer's newest write that was read
         self._ahead = 0
         self._is_doubtful = False
+        self._stops = StopTrace()
         self.urgent = threading.Event()
         self.doubtful = 0
         super().__init__(address, wanted, outages=outages, probe_s=_PROBE_S)
@@ -96,11 +98,43 @@ class CommandWatch(Watch):
             self._arrivals, self._by_writer = [], {}
         return taken
 
+    @property
+    def has_stop_news(self) -> bool:
+        """Whether a stop or its release was written since the last `take_stop`."""
+        return self._stops.has_news
+
+    def take_stop(self) -> StopNews | None:
+        """Return what was asked on the key of the stop since the last call."""
+        with self._changed:
+            return self._stops.take()
+
+    def begin_stops(self) -> None:
+        """Forget what was asked on the key of the stop until now; what it holds is in its slot."""
+        with self._changed:
+            self._stops.begin()
+
+    def _note(self, message: Any, touched: Counter[str]) -> None:
+        before = touched[keys.ESTOP]
+        super()._note(message, touched)
+        if touched[keys.ESTOP] > before:
+            self._stops.on_event(message[2])
+
+    def _fill_at_start(self, reader: Connection) -> None:
+        before, has_heard = self._slots.get(keys.ESTOP), self.connections > 0
+        super()._fill_at_start(reader)
+        sample = self._slots.get(keys.ESTOP)
+        if has_heard:
+            with self._changed:
+                self._stops.on_cut(sample.value if sample else None, is_new=sample is not before)
+                self._hurry()
+
     def _take(self, reader: Connection, touched: Counter[str]) -> None:
         while touched and not self._closed.is_set():
             wanted = [key for key in self._keys if touched[key] or touched[keys.stamp(key)]]
             values = self._fetch(reader, wanted)
             later = self._told_meanwhile()
+            if keys.ESTOP in values and self._stops.may_have_missed(values[keys.ESTOP][0]) and self._events:
+                self._hear_all(self._events, later)
             told = touched + later
             native, every = told[keys.stamp(self._shared_key)], told[self._shared_key]
             self._is_doubtful = 0 < native < every
@@ -131,11 +165,11 @@ class CommandWatch(Watch):
         before, mark_before = self._slots.get(key), self._newest_mark.get(key)
         super()._put(key, value, mark, now_ns, is_foreign=is_foreign)
         sample = self._slots.get(key)
-        if sample is None or sample is before:
-            return
-        if key == keys.ESTOP and estop.read(sample.value).stop:
-            self.urgent.set()
-        if key != self._shared_key:
+        if key == keys.ESTOP:
+            is_new = before is None or (before.value, mark_before) != (value, mark)
+            self._stops.on_read(value, is_new=is_new)
+            self._hurry()
+        if key != self._shared_key or sample is None or sample is before:
             return
         if self._is_doubtful:
             self.doubtful += 1
@@ -167,6 +201,10 @@ class CommandWatch(Watch):
             for name in self._numbers:
                 if mark is None or name != mark.source:
                     self._arrive(Arrival(name, now_ns, is_clear=False))
+
+    def _hurry(self) -> None:
+        if self._stops.is_stop_pending:
+            self.urgent.set()
 
     def _arrive(self, arrival: Arrival) -> None:
         if len(self._arrivals) >= _MOST_WRITES:

@@ -16,7 +16,6 @@ import msgspec
 import numpy as np
 
 from station.bus import codec, keys
-from station.bus.sample import Sample
 from station.control.commanded import Commanded, Control, Happening, Record, told_of_gate
 from station.control.control import StepRecord
 from station.control.inbox import CommandWatch, Inbox
@@ -30,6 +29,7 @@ from station.life.server import Life
 log = logging.getLogger(__name__)
 
 _REPORT_S = 0.5
+_TOO_EARLY = "the release came before this robot had acted on the stop: it stays stopped; `station estop --reset`"
 
 
 StateT = TypeVar("StateT")
@@ -66,7 +66,6 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         self._watch = CommandWatch(life.bus.address, watched, key=self._key, outages=life.bus.outages)
         config = control.commanded.gate.config
         self._inbox = Inbox(self._watch, self._key, Writers(config.rivals, config.return_after_s))
-        self._estop_seen: Sample | None = None
         self._is_stopped_past_bus = False  # asked to, and not obeyed yet
         self._arm_seen = self._watch.latest(keys.ARM)  # a request from before our time is none
         self._arm_answer: ArmAnswer | None = None
@@ -84,6 +83,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
 
     def run_at(self, rate: Rate) -> None:
         """Tick at a fixed rate until the server is asked to stop; an emergency stop does not wait for its tick."""
+        self._begin()
         while not self._life.stopping:
             rate.wait(self._watch.urgent)
             self._watch.urgent.clear()
@@ -106,6 +106,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         """
         tick, patience_s, started = 0, timeout_s, False
         began_s = time.monotonic()
+        self._begin()
         while not self._life.stopping:
             now_s = tick * self._period_s
             state = self._sense()
@@ -119,6 +120,13 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             if self._is_time_to_report():
                 elapsed_s = time.monotonic() - began_s
                 self._report(rate_hz=tick / elapsed_s)
+
+    def _begin(self) -> None:
+        """Obey a stop that holds now; of one that was released before this robot was driven nothing remains."""
+        self._watch.begin_stops()
+        sample = self._watch.latest(keys.ESTOP)
+        if sample is not None and (request := estop.read(sample.value)).stop:
+            self._control.stop(request.reason)
 
     def _await_command(self, patience_s: float, now_s: float) -> bool:
         """Wait for a command newer than the last; return early, False, when asked for something else."""
@@ -138,8 +146,9 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         return state
 
     def _is_asked(self) -> bool:
-        stop, arm = self._watch.latest(keys.ESTOP), self._watch.latest(keys.ARM)
-        return self._is_stopped_past_bus or stop is not self._estop_seen or arm is not self._arm_seen
+        return (
+            self._is_stopped_past_bus or self._watch.has_stop_news or self._watch.latest(keys.ARM) is not self._arm_seen
+        )
 
     def _obey(self, now_s: float) -> bool:
         """Do what an operator asks for; return whether something was newly asked."""
@@ -183,20 +192,17 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             self._is_stopped_past_bus = False
             self._control.stop("key in `station up`")
             return True
-        sample = self._watch.latest(keys.ESTOP)
-        if sample is self._estop_seen:
+        news = self._watch.take_stop()
+        if news is None:
             return False
-        self._estop_seen = sample
-        if sample is None:  # the key was deleted: a stop stays latched
-            return False
-        request = estop.read(sample.value)
-        if request.stop:
-            self._control.stop(request.reason)
-            return True
-        if sample.arrived_ns is not None:  # a reset from before our time is none
-            self._control.reset(request.reason)
-            if request.arm:
-                self._control.arm(now_s, request.reason)
+        if news.request.stop:
+            self._control.stop(news.request.reason)
+        else:
+            self._control.reset(news.request.reason)
+            if news.request.arm:
+                self._control.arm(now_s, news.request.reason)
+        if news.is_release_refused:
+            self._life.event("release-refused", severity="warning", reason=_TOO_EARLY)
         return True
 
     def _act(self, state: StateT, command: CommandSample | None, now_s: float) -> None:

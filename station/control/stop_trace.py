@@ -1,0 +1,110 @@
+"""Finds the emergency stop that was overwritten or deleted before it was read. Pure.
+
+The server tells of every write of a key, in order, but not of what was written. So writes are counted: where more were
+told of than values were read, one of them may have been a stop, and counts as one. Of two writes in one pipeline, of a
+write and its deletion, expiry or renaming, and of a write and a flush of the bus, the first is seen this way.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from station.life import estop
+from station.life.estop import StopRequest
+
+_NO_WRITES = frozenset(
+    [
+        *(b"del", b"expire", b"expired", b"evicted", b"persist", b"rename_from", b"move_from"),  # leave nothing new
+        *(b"keymiss", b"new", b"overwritten", b"type_changed"),  # told of a read, or beside a write
+    ]
+)
+_OVERWRITTEN = "the key of the stop was written, and overwritten before it could be read: that counts as a stop"
+_REMOVED = "the key of the stop was written, and removed before it could be read: that counts as a stop"
+_UNHEARD = "the key of the stop was written while the bus could not be heard: that counts as a stop"
+
+
+class StopNews(NamedTuple):
+    """What was asked since the last look.
+
+    Attributes:
+        request: What to do: stop, or release the stop.
+        is_release_refused: Whether a release came that releases nothing, as it came before the stop was acted on.
+    """
+
+    request: StopRequest
+    is_release_refused: bool = False
+
+
+class StopTrace:
+    """Remembers a stop until it is taken, whatever was written after it; not safe to share between threads."""
+
+    def __init__(self) -> None:
+        self._writes = 0  # told of since a value was last read
+        self._news: StopNews | None = None
+
+    def on_event(self, event: bytes) -> None:
+        """Count an event of the key, by its name; one that is not known counts as a write."""
+        self._writes += event not in _NO_WRITES
+
+    def may_have_missed(self, value: bytes | None) -> bool:
+        """Whether a stop may be hidden behind a value that was read now: then all events must come before `on_read`."""
+        return self._writes > 0 and not _is_stop(value)
+
+    def on_read(self, value: bytes | None, *, is_new: bool) -> None:
+        """Take up what the key holds.
+
+        Args:
+            value: It; None where there is no key.
+            is_new: Whether it differs from what was read before; where the bus is polled, no event tells of a write.
+        """
+        writes, self._writes = self._writes, 0
+        if value is None:
+            if writes:
+                self._stop(_REMOVED)
+        elif _is_stop(value):
+            if writes or is_new:
+                self._stop(estop.read(value).reason)
+        elif writes > 1:
+            self._stop(_OVERWRITTEN)
+            self._release(estop.read(value))
+        elif writes or is_new:
+            self._release(estop.read(value))
+
+    def on_cut(self, value: bytes | None, *, is_new: bool) -> None:
+        """Take up what the key holds after a time of which not every write was told."""
+        if (is_new or self._writes) and not _is_stop(value):
+            self._stop(_UNHEARD)
+        self.on_read(value, is_new=is_new)
+
+    def begin(self) -> None:
+        """Forget what came until now: what counts for a robot that nobody drove yet is what the key holds."""
+        self._news = None
+
+    def take(self) -> StopNews | None:
+        """Return what was asked since the last call; a stop goes before whatever came after it."""
+        news, self._news = self._news, None
+        return news
+
+    @property
+    def has_news(self) -> bool:
+        """Whether something was asked since the last `take`."""
+        return self._news is not None
+
+    @property
+    def is_stop_pending(self) -> bool:
+        """Whether it was a stop."""
+        return self._news is not None and self._news.request.stop
+
+    def _stop(self, reason: str) -> None:
+        if not self.is_stop_pending:
+            self._news = StopNews(StopRequest(stop=True, reason=reason))
+
+    def _release(self, request: StopRequest) -> None:
+        if self._news is not None and self._news.request.stop:
+            self._news = self._news._replace(is_release_refused=True)
+        else:
+            self._news = StopNews(request)
+
+
+def _is_stop(value: bytes | None) -> bool:
+    return value is not None and estop.read(value).stop
