@@ -14,11 +14,13 @@ from benchmarks import network, processes, stock
 from benchmarks.harness import Benchmark, Rounds, Row, Settings, Target, alternate, compare, p50, p99
 from benchmarks.processes import Stop
 from benchmarks.recorded import wait_active
+from station import registry
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.contracts import TIMING_STAGES
 from station.bus.tap import Tap, open_tap
+from station.motion.playback import Playback
 
 _STEP_MS, _LOOP_HZ = 20.0, 50.0
 _PAUSE_S = (0.12, 0.16)  # between stops; its spread is two steps, so every phase of a step is met
@@ -27,13 +29,13 @@ OURS, STOCK = "ours", "polled once per step"
 ROBOT = keys.TWIST2_ROBOT
 
 METHOD = """\
-The G1 server (built-in model and policy, scheduled as it asks for) follows a walk that a motion server plays in a loop;
+The G1 server (built-in model and policy, scheduled as it asks for) follows a walk that is played in a loop;
 `station:estop` is written at random moments of a step, released, and written again once the robot follows commands
-anew. From the writer's clock before the write to the instant the loop sends the first targets without stiffness
-(`policy_timing`, `target`), taken from the replication link, so that no step is missed. Baselines: *one policy step*,
-the 20 ms in which a stop is promised to act; and what a stock loop would take: stock has no emergency stop on the bus
-(only the real robot's remote has one), so its pattern, a GET in each cycle with relative sleeps and the network, is
-given one to read. *Loaded*: a process of normal priority on every core."""
+that have begun anew. From the writer's clock before the write to the instant the loop sends the first targets without
+stiffness (`policy_timing`, `target`), taken from the replication link, so that no step is missed. Baselines: *one
+policy step*, the 20 ms in which a stop is promised to act; and what a stock loop would take: stock has no emergency
+stop on the bus (only the real robot's remote has one), so its pattern, a GET in each cycle with relative sleeps and
+the network, is given one to read. *Loaded*: a process of normal priority on every core."""
 
 
 class _Step(NamedTuple):
@@ -51,6 +53,7 @@ def run(settings: Settings) -> list[Row]:
     rows: list[Row] = []
     with contextlib.ExitStack() as stack:
         address = stack.enter_context(_station())
+        stack.enter_context(processes.Beside(_walk, address))
         _, port = stack.enter_context(processes.bus(is_fifo=False))
         stack.enter_context(processes.Beside(_press_stock, port))
         worker = stack.enter_context(processes.Worker(_stock_reader, port))
@@ -78,17 +81,28 @@ def _rows(condition: str, taken: Mapping[str, Rounds]) -> list[Row]:
 
 @contextlib.contextmanager
 def _station() -> Iterator[BusAddress]:
-    """Run a bus, a G1 server and a motion that it follows."""
+    """Run a bus and a G1 server."""
     with contextlib.ExitStack() as stack:
         address, _ = stack.enter_context(processes.bus())
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="bench-")))
-        environment = {"STATION_BUS": address.url}
-        for name, settings in (("g1", ()), ("motion", ("motion=builtin:walk-forward", "loop=true", "leave_s=0.1"))):
-            log = folder / f"{name}.log"
-            arguments = ("serve", name, *(word for setting in settings for word in ("--set", setting)))
-            process = stack.enter_context(processes.station(*arguments, environment=environment, log=log))
-            wait_active(address, name, process.pid, log)
+        environment, log = {"STATION_BUS": address.url, "XDG_STATE_HOME": str(folder)}, folder / "g1.log"
+        process = stack.enter_context(processes.station("serve", "g1", environment=environment, log=log))
+        wait_active(address, "g1", process.pid, log)
         yield address
+
+
+def _walk(stop: Stop, address: BusAddress) -> None:
+    """Command a walk; after each stop of the robot be silent for as long as it wants, then begin anew."""
+    motion, form = registry.find("loader", "motion")("builtin:walk-forward"), registry.find("command", "twist2")
+    with Bus(address, name="motion") as line, line.watch([keys.command_gate(ROBOT)]) as watch:
+        playback = Playback(motion, form, loop=True)
+        while not stop():
+            gate = codec.parse_json(sample.value) if (sample := watch.latest(keys.command_gate(ROBOT))) else {}
+            if gate.get("state") == "stopped" or gate.get("needs_silence"):
+                playback = Playback(motion, form, loop=True)
+            else:
+                line.publish({form.key: codec.json_vector(playback.step(1 / _LOOP_HZ).command)})
+            time.sleep(1 / _LOOP_HZ)
 
 
 def _stops(address: BusAddress, count: int) -> list[float]:

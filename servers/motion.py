@@ -3,6 +3,7 @@
 Each tick writes the command vector, the keys that stock readers expect beside it, the time and the source of the
 command in one atomic write. Ticks come from the wall clock, or one per robot state (``pace: state``: lock-step with a
 simulated robot, deterministic). Asked to stop, or on an error, it blends back to the default pose before it leaves.
+An emergency stop ends its commands at once, and itself: after a release somebody starts a motion anew.
 
 Control: JSON on ``station:motion``, ``{"action": "start|pause|resume|seek|loop|leave", "time_s": …, "on": …}``; and
 stock TWIST2's ``motion_start_signal`` and ``motion_exit_signal`` (``1``).
@@ -20,6 +21,8 @@ from station import assets, registry
 from station.bus import codec, keys
 from station.bus.watch import Watch
 from station.control.rig import DEFAULT_ROBOT_MODEL
+from station.errors import Refused
+from station.life.estop import StopWatch
 from station.life.loop import real_time
 from station.life.own_key import OwnKey
 from station.life.pace import Pace, StatePace, WallPace
@@ -137,7 +140,12 @@ def _watched_keys(command: CommandFormat) -> list[str]:
         keys.MOTION_CONTROL,
         keys.MOTION_START_SIGNAL,
         keys.MOTION_EXIT_SIGNAL,
+        *StopWatch.watched(command.robot),
     ]
+
+
+class _Stopped(Refused):
+    """The emergency stop is latched: nothing is commanded any more, and no blend."""
 
 
 class Player:
@@ -162,6 +170,7 @@ class Player:
         self._requests = Requests(life, watch, self._playback)
         self._story = _Story(life, self._playback)
         self._own_key = OwnKey(life, command.key)
+        self._stop = StopWatch(watch, command.robot)
         self._preview = _open_preview(config, life, motion)
         if config.wait_for_start:
             # As stock does: a "1" that an earlier session left behind must not start this one.
@@ -171,14 +180,25 @@ class Player:
         """Play to the end; on an error blend back to the default first, then raise it."""
         try:
             self._play(self._new_pace())
+        except _Stopped:
+            raise
         except Exception as error:
             reason = f"{type(error).__name__}: {error}"
             self._life.event("motion-error", severity="error", reason=reason, time_s=self._playback.time_s)
             self._playback.leave()
             pace = WallPace(self._config.rate_hz)
-            while not self._playback.is_done:  # a blend needs nothing of what may have broken
+            while not (
+                self._playback.is_done or self._stop.why_stopped()
+            ):  # a blend needs nothing of what may be broken
                 self._writer.write(self._playback.step(pace.wait(is_leaving=True)), None)
             raise
+
+    def _expect_no_stop(self) -> None:
+        if reason := self._stop.why_stopped():
+            raise _Stopped(
+                f"the emergency stop ({reason}) ended the motion at {self._playback.time_s:.1f} s; "
+                "release it (`station estop --reset`), then start the motion again"
+            )
 
     def _new_pace(self) -> Pace:
         config = self._config
@@ -195,6 +215,7 @@ class Player:
     def _play(self, pace: Pace) -> None:
         dt_s = 0.0
         while not self._playback.is_done:
+            self._expect_no_stop()
             if self._life.stopping:
                 self._playback.leave()
             self._requests.obey()

@@ -152,6 +152,7 @@ def told_of_gate(decision: Decision, commanded: Commanded) -> dict[str, Any]:
         "refused": commanded.inlet.refused.total(),
         "arming": commanded.arming.state,
         "limited": len(decision.limited),
+        "needs_silence": commanded.gate.demand,
     }
 
 

@@ -6,10 +6,12 @@
        │                  ▼  │                    ▼  │
        └──blend done── returning ◄──still stale── holding          stopped: from anywhere, left only by `reset`
 
+A stop, or an arm's own controller's fault (`faulted`), is left by `reset`, and then only commands are followed that
+begin anew, after a silence that was heard since: no robot goes on with a command that ran through its stop. A hole in a
+stream is not letting go, nor is a bus that is cut or frozen.
+
 A robot that stays where it is without a command (an arm) has no way back: after holding it is `waiting`, is told in
-every tick where it rests, and enters a command at once, as fast as the rates let it. A stop, or its own controller's
-fault (`faulted`), is left by `reset`, and then only commands are followed that begin anew, after a silence that was
-heard since: nobody drives on through a stop. A hole in a stream is not letting go, nor is a bus that is cut or frozen.
+every tick where it rests, and enters a command at once, as fast as the rates let it.
 
 A command that comes back while holding is followed at once if it was followed before; from returning, when the blend
 had not ended, or when somebody else gives it, it is entered again. What is a good command is decided before, in
@@ -252,9 +254,9 @@ class Gate:
     def reset(self, reason: str = "reset by the operator") -> None:
         """Leave the stop, a fault, and any other state: wait for a command, output standing (or where it rests).
 
-        Who commanded a robot that stays through its stop or fault has to let go, and begin anew.
+        A writer that commanded through a stop or fault has to cease, and begin anew.
         """
-        if self._stays and self._state in LATCHED:
+        if self._state in LATCHED:
             self._silence.insist(f"there was a {'stop' if self._state == 'stopped' else 'fault'}")
         self._vector = self._default.copy()
         self._is_entered = False

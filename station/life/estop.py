@@ -9,8 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import msgspec
+
 from station.bus import codec, keys
 from station.bus.client import Bus
+from station.bus.watch import Watch
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,3 +60,44 @@ def read(data: bytes) -> StopRequest:
     if value.get("stop") is False:
         return StopRequest(stop=False, reason=said or "reset by the operator", arm=value.get("arm") is True)
     return StopRequest(stop=True, reason=said or "emergency stop")
+
+
+class _Gate(msgspec.Struct):
+    state: str = ""
+    reason: str = ""
+
+
+class StopWatch:
+    """Whether the stop is latched, for what commands a robot: by its key, or by the word of the robot that obeys it.
+
+    Args:
+        watch: Watches the keys of `watched`.
+        robot: Suffix of the robot's keys.
+    """
+
+    def __init__(self, watch: Watch, robot: str) -> None:
+        self._watch, self._gate_key = watch, keys.command_gate(robot)
+        self._was_free = False  # whether the robot was seen in another state than stopped
+
+    @staticmethod
+    def watched(robot: str) -> list[str]:
+        """Return the keys that must be watched."""
+        return [keys.ESTOP, keys.command_gate(robot)]
+
+    def why_stopped(self) -> str:
+        """Return why the robot is stopped, or ""; of what its gate says the change counts, as the word may be old."""
+        sample = self._watch.latest(keys.ESTOP)
+        if sample is not None and (request := read(sample.value)).stop:
+            return request.reason
+        gate = self._gate()
+        self._was_free = self._was_free or gate.state not in ("", "stopped")
+        return gate.reason if self._was_free and gate.state == "stopped" else ""
+
+    def _gate(self) -> _Gate:
+        sample = self._watch.latest(self._gate_key)
+        if sample is None or sample.arrived_ns is None:
+            return _Gate()
+        try:
+            return codec.parse_struct(sample.value, _Gate)
+        except codec.BadValue:
+            return _Gate()

@@ -25,6 +25,7 @@ class _Gate(msgspec.Struct, frozen=True):
     state: str = ""
     reason: str = ""
     arming: str = "armed"
+    needs_silence: str = ""
 
 
 class RobotSide:
@@ -88,6 +89,8 @@ class RobotSide:
             return "the robot's server is silent"
         if self._begun_ns is None and gate.state in _LEAVING:
             return "the robot is on its way to standing; wait for it"
+        if self._begun_ns is None and gate.needs_silence:
+            return gate.needs_silence
         if self._stays and self.used is None:
             return "the robot has not said where it is; is its server started?"
         return ""

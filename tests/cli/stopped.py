@@ -1,30 +1,33 @@
-"""A simulated robot that follows a motion, and what a stop from the command line does to it."""
+"""A simulated robot, and what a stop from the command line does to it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from station.bus import codec, keys
 from station.bus.joints import G1_29
 from station.bus.tap import Write
 from tests.cli.running import Home, Running, new_home
-from tests.servers.g1_station import LIGHT, Log, logged
+from tests.servers.g1_station import LIGHT, Log, StockCommander, logged
 from tests.waiting import wait_until
 
 GATE = keys.command_gate(keys.TWIST2_ROBOT)
-SETTINGS = (*(f"g1.{setting}" for setting in LIGHT), "motion.motion=builtin:wave", "motion.loop=true",
-            "motion.enter_s=0.1", "motion.leave_s=0.1")  # fmt: skip
+BOOK = "runbook: t\nrobot: unitree_g1_with_hands\nsteps:\n  - start: g1\n    ready_within: 60s\n"
+SETTINGS = [word for setting in LIGHT for word in ("--set", f"g1.{setting}")]
 
 
 @contextmanager
 def driven_robot() -> Iterator[tuple[Home, Running]]:
-    """A simulated robot that follows a motion."""
-    sets = [word for setting in SETTINGS for word in ("--set", setting)]
-    with new_home() as home, home.running("up", "g1-sim-motion", "--yes", *sets) as station:
-        station.wait_for("to=tracking")
-        yield home, station
+    """A simulated robot; what commands it comes and goes."""
+    with new_home() as home:
+        book = Path(home.environment["XDG_RUNTIME_DIR"]) / "book.yaml"
+        book.write_text(BOOK)
+        with home.running("up", str(book), "--yes", *SETTINGS) as station:
+            station.wait_for("✓ start g1")
+            yield home, station
 
 
 def states(writes: list[Write]) -> list[str]:
@@ -34,13 +37,14 @@ def states(writes: list[Write]) -> list[str]:
 
 def stop_and_reset(home: Home) -> int:
     """Stop the robot and release it; return how many steps were published between the stop and the first damped one."""
-    with logged(home.bus) as log:
+    with logged(home.bus) as log, StockCommander(home.bus):
+        wait_until(lambda: states(log.writes)[-1:] == ["tracking"])
         done = home.run("estop", "--reason", "a test")
         assert done.returncode == 0
         assert "every robot on this bus is damped; `station estop --reset` releases" in done.stdout
         wait_until(lambda: "stopped" in states(log.writes))
         assert home.run("estop", "--reset").stdout == "e-stop released\n"
-        wait_until(lambda: "tracking" in states(after_the_stop(log)))
+        wait_until(lambda: states(after_the_stop(log))[-1:] == ["waiting"])
     targets = [write for write in log.writes if write.key == keys.target(keys.TWIST2_ROBOT)]
     first = next(
         n for n, write in enumerate(log.of(GATE)) if codec.parse_json(write.value or b"")["state"] == "stopped"

@@ -66,16 +66,21 @@ def test_disarm_and_arm_say_what_happened_and_status_shows_it(armed: tuple[Home,
     assert home.run("arm", "g1").stdout == "g1: armed already\n"
 
 
-def test_arming_against_a_latched_stop_is_refused_with_the_reason_and_exit_code_1(armed: tuple[Home, Running]) -> None:
-    home, station = armed
-    home.run("estop", "--reason", "a test")
-    station.wait_for("to=stopped")
-    done = home.run("arm")
-    assert done.returncode == 1
-    assert "g1 is not armed: the emergency stop is latched" in one_line(done)
-    assert home.run("estop", "--reset").returncode == 0
-    wait_until(lambda: arming(home) == "disarmed")
-    wait_until(lambda: home.run("arm").returncode == 0)
+def test_arming_against_a_latched_stop_is_refused_with_the_reason_and_exit_code_1(home: Home, tmp_path: Path) -> None:
+    book = tmp_path / "book.yaml"
+    book.write_text(
+        BOOK[: BOOK.index("  - start: motion")]
+    )  # a motion would end with the stop, and the station with it
+    with home.running("up", str(book), "--yes") as station:
+        station.wait_for("✓ arm g1")
+        home.run("estop", "--reason", "a test")
+        station.wait_for("to=stopped")
+        done = home.run("arm")
+        assert done.returncode == 1
+        assert "g1 is not armed: the emergency stop is latched" in one_line(done)
+        assert home.run("estop", "--reset").returncode == 0
+        wait_until(lambda: arming(home) == "disarmed")
+        wait_until(lambda: home.run("arm").returncode == 0)
 
 
 def test_who_is_not_there_is_named(armed: tuple[Home, Running]) -> None:

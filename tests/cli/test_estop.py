@@ -17,12 +17,12 @@ from tests.waiting import wait_until
 
 @pytest.fixture(scope="module")
 def driven(processes: None) -> Iterator[tuple[Home, Running]]:
-    """A simulated robot that follows a motion."""
+    """A simulated robot; what commands it comes and goes."""
     with driven_robot() as made:
         yield made
 
 
-def test_the_robot_is_damped_and_follows_again_after_a_reset(driven: tuple[Home, Running]) -> None:
+def test_the_robot_is_damped_and_stands_after_a_reset(driven: tuple[Home, Running]) -> None:
     stop_and_reset(driven[0])
 
 
@@ -37,7 +37,7 @@ def test_a_stop_is_latched_and_told_by_the_doctor(driven: tuple[Home, Running]) 
     assert found["gate"]["found"].startswith("stopped")
     home.run("estop", "--reset")
     with Bus(home.bus, name="test", timeout_s=5.0) as bus:
-        wait_until(lambda: codec.parse_json(bus.get(GATE) or b"{}").get("state") == "tracking")
+        wait_until(lambda: codec.parse_json(bus.get(GATE) or b"{}").get("state") == "waiting")
 
 
 def test_a_stop_that_no_bus_takes_is_no_success(home: Home) -> None:

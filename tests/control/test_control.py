@@ -204,15 +204,18 @@ def test_the_stop_damps_the_joints_in_the_very_next_step_and_stays() -> None:
     assert bench.names().count("estop") == 1
 
 
-def test_a_reset_of_the_stop_stands_a_simulation_up_and_enters_the_command_anew() -> None:
+def test_a_reset_of_the_stop_stands_a_simulation_up_and_only_a_command_that_begins_anew_is_entered() -> None:
     bench = Bench(IdealSimulation())
     bench.track()
     bench.control.stop("button")
     bench.step(_command())
     bench.control.reset("operator")
-    states = [bench.step(_command()).decision.state for _ in range(55)]
+    assert {bench.step(_command()).decision.state for _ in range(55)} == {"waiting"}, "it ran on through the stop"
     assert bench.robot.resets == 1
     assert bench.policy.resets == 1
+    for _ in range(20):
+        bench.step()
+    states = [bench.step(_command()).decision.state for _ in range(55)]
     assert states[0] == "entering"
     assert states[-1] == "tracking"
     assert "operator-reset" in bench.names()

@@ -156,6 +156,20 @@ def test_the_stop_is_latched_and_only_a_reset_leaves_it() -> None:
     run.gate.reset()
     first = run.step()
     assert first.transitions[0].after == "waiting"
+
+
+def test_a_command_that_runs_on_through_a_stop_is_not_followed_until_it_has_ceased_and_begun_anew() -> None:
+    run = Run().tracking()
+    run.gate.stop("the operator pressed the button")
+    run.steps(5, COMMAND)
+    run.gate.reset()
+    ran_on = run.steps(200, COMMAND)
+    assert {decision.state for decision in ran_on} == {"waiting"}
+    assert ran_on[-1].reason == "there was a stop; let go, then engage anew"
+    np.testing.assert_array_equal(ran_on[-1].vector, DEFAULT)
+    run.steps(10)
+    assert run.step(COMMAND).state == "waiting", "0.2 s without a command is no silence yet"
+    run.steps(17)
     assert run.steps(2, COMMAND)[-1].state == "entering"
 
 

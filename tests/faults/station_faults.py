@@ -77,8 +77,8 @@ def cut_everybody(station: MovingStation, random: Random) -> float:
     return _until(station, "tracking", at_ns)
 
 
-def stop_robot(station: MovingStation, _: Random) -> float:
-    """Return the time from a stock client's ``SET`` to the first targets without stiffness."""
+def stop_robot(station: MovingStation, random: Random) -> float:
+    """Return the time from a stock client's ``SET`` to the first targets without stiffness; another motion follows."""
     line = Connection(station.address, timeout_s=5.0)
     at_ns = time.monotonic_ns()
     line.call("SET", keys.ESTOP, b"1")
@@ -87,7 +87,9 @@ def stop_robot(station: MovingStation, _: Random) -> float:
     reset_ns = time.monotonic_ns()
     line.call("SET", keys.ESTOP, b"0")
     line.close()
-    station.wait_for_gate("tracking", reset_ns)
+    station.wait_for_gate("waiting", reset_ns)
+    station.end_motion()  # the stop has ended it, or is about to
+    station.play(random.choice(CLIPS))
     return (first_ns - at_ns) * 1e-9
 
 

@@ -110,7 +110,7 @@ def test_a_stop_that_was_pressed_while_the_robot_could_not_hear_is_obeyed_and_a_
         wait_until(lambda: len(log.states()) > seen + 20)
         assert set(log.states()[seen:]) == {"stopped"}
         operator.publish({keys.ESTOP: b'{"stop": false}'})
-        wait_until(lambda: log.gate()["state"] == "tracking")
+        wait_until(lambda: log.gate()["state"] == "waiting")
 
 
 def test_a_stop_is_obeyed_though_somebody_has_switched_off_what_tells_the_robot_of_it(bus_server: BusAddress) -> None:
@@ -128,7 +128,7 @@ def test_a_stop_is_obeyed_though_somebody_has_switched_off_what_tells_the_robot_
         told = log.wait_for("watch-back")
         assert "some client set notify-keyspace-events to 'xE'" in told.detail["reason"]
         operator.publish({keys.ESTOP: b'{"stop": false}'})
-        wait_until(lambda: log.gate()["state"] == "tracking")
+        wait_until(lambda: log.gate()["state"] == "waiting")
 
 
 def _unheard(network: Proxy, operator: Bus, log: Log, request: bytes) -> None:

@@ -42,7 +42,7 @@ def stop_and_reset(address: BusAddress, stop: bytes, *robot: str) -> float:
             wait_until(lambda: ticks(log) > before + 50)
             assert log.gate()["state"] == "stopped"
             bus.publish({keys.ESTOP: b"0"})
-            wait_until(lambda: log.gate()["state"] == "tracking")
+            log.wait_for("operator-reset")
         writes, states = list(log.writes), log.states()
     first = states.index("stopped")
     reset_at = first + states.count("stopped")

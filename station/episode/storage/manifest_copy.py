@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from station.episode.storage import layout
 from station.atomic_file import free_path
+from station.episode.storage import layout
 from station.episode.storage.manifest import Manifest, load_manifest, parse_manifest
 from station.episode.storage.records import walk
 from station.errors import EpisodeError

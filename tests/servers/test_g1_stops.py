@@ -1,0 +1,89 @@
+"""No stop escapes a robot, whatever is written after it; and a release starts no motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from station.bus import codec, keys
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.bus.connection import Connection
+from tests.control.test_stop_trace import HIDDEN
+from tests.servers.g1_station import LIGHT, ROBOT, G1Process, StockCommander, logged, motion_process, ticks
+from tests.waiting import wait_until
+
+
+@pytest.fixture
+def line(bus_server: BusAddress) -> Iterator[Connection]:
+    connection = Connection(bus_server, timeout_s=5.0)
+    yield connection
+    connection.close()
+
+
+def test_a_stop_is_obeyed_though_it_is_overwritten_or_deleted_in_the_same_breath(
+    bus_server: BusAddress, line: Connection
+) -> None:
+    with logged(bus_server) as log, G1Process(bus_server, *LIGHT):
+        wait_until(lambda: log.gate()["state"] == "waiting")
+        kinds = [
+            requests for how, requests in HIDDEN.items() if how != "flushed"
+        ]  # what the robot said is not at stake
+        for count, requests in enumerate(kinds, 1):
+            line.pipeline(requests)
+            log.wait_for("estop", count)
+            wait_until(lambda: log.gate()["state"] == "stopped")
+            line.call("SET", keys.ESTOP, b"0")
+            log.wait_for("operator-reset", count)
+        assert len(log.events("estop")) == len(kinds)
+
+
+def test_a_release_in_the_middle_of_a_running_command_starts_no_motion(
+    bus_server: BusAddress, line: Connection
+) -> None:
+    with logged(bus_server) as log, G1Process(bus_server, *LIGHT):
+        with StockCommander(bus_server):
+            wait_until(lambda: log.gate()["state"] == "tracking")
+            line.call("SET", keys.ESTOP, b"1")
+            wait_until(lambda: log.gate()["state"] == "stopped")
+            line.call("SET", keys.ESTOP, b"0")
+            log.wait_for("operator-reset")
+            wait_until(lambda: log.gate()["state"] == "waiting")
+            seen, before = len(log.states()), ticks(log)
+            wait_until(lambda: ticks(log) > before + 75)
+            assert set(log.states()[seen:]) == {"waiting"}
+            assert log.gate()["reason"] == "there was a stop; let go, then engage anew"
+        before = ticks(log)
+        wait_until(lambda: ticks(log) > before + 25)
+        with StockCommander(bus_server):
+            wait_until(lambda: log.gate()["state"] == "tracking")
+
+
+@pytest.mark.parametrize("settings", [(), ("pace=state", "patience_s=0.2")], ids=["by the clock", "in lock-step"])
+def test_a_motion_ends_with_a_stop_and_says_how_to_go_on(
+    bus_server: BusAddress, line: Connection, settings: tuple[str, ...]
+) -> None:
+    with logged(bus_server) as log:
+        with motion_process(bus_server, "motion=builtin:wave", "loop=true", *settings) as motion:
+            wait_until(lambda: log.of(keys.action_body()))
+            line.call("SET", keys.ESTOP, b'{"stop": true, "who": "anna", "reason": "smoke"}')
+            _, err = motion.communicate(timeout=60)
+        written = log.writes.index(next(write for write in log.writes if write.key == keys.ESTOP))
+        assert len([write for write in log.writes[written:] if write.key == keys.action_body()]) <= 1, "no blend"
+    assert motion.returncode == 1
+    assert "the emergency stop (anna, smoke) ended the motion at " in err
+    assert "release it (`station estop --reset`), then start the motion again" in err
+
+
+def test_a_motion_ends_with_the_stop_of_its_robot_though_the_key_says_otherwise(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="g1", timeout_s=5.0) as robot, logged(bus_server) as log:
+        gate = keys.command_gate(ROBOT)
+        with motion_process(bus_server, "motion=builtin:wave", "loop=true") as motion:
+            wait_until(lambda: log.of(keys.action_body()))
+            for state in ("tracking", "stopped"):
+                seen = len(log.of(keys.action_body()))
+                robot.publish({gate: codec.json_object({"state": state, "reason": "smoke"})})
+                wait_until(lambda seen=seen: len(log.of(keys.action_body())) > seen + 5 or motion.poll() is not None)  # type: ignore[misc]
+            _, err = motion.communicate(timeout=60)
+    assert "the emergency stop (smoke) ended the motion" in err
