@@ -187,7 +187,8 @@ def own_station(folder: Path) -> dict[str, str]:
     runtime = folder / "run"
     runtime.mkdir(mode=0o700, exist_ok=True)
     named = {"STATION_BUS", "STATION_BUS_PASSWORD", "STATION_DATA"}
-    return {k: v for k, v in os.environ.items() if k not in named} | {"XDG_RUNTIME_DIR": str(runtime)}
+    own = {"XDG_RUNTIME_DIR": str(runtime), "XDG_STATE_HOME": str(folder / "state")}
+    return {k: v for k, v in os.environ.items() if k not in named} | own
 
 
 def cpu_s(pid: int) -> float:

@@ -27,6 +27,7 @@ from station.life.loop import real_time
 from station.life.own_key import OwnKey
 from station.life.pace import Pace, StatePace, WallPace
 from station.life.server import Life, ServerKind
+from station.life.stop_file import StopFile
 from station.motion.playback import AtEnd, Frame, Playback
 from station.motion.playback_requests import Requests
 from station.protocols import CommandFormat, Motion
@@ -103,6 +104,8 @@ def main(config: MotionConfig, life: Life) -> int:
     with life.bus.watch(_watched_keys(command)) as watch:
         if not life.ready():
             return 0
+        if (latched := StopFile(life.bus.address).read()) is not None:
+            raise Refused(str(latched))
         if config.pace == "wall":
             life.report(scheduling=real_time())
         player = Player(config, life, motion, command, watch)

@@ -19,12 +19,10 @@ def command(bus: str | None, as_json: bool) -> None:
     """Look at every link from command to motor; exit code 1 when something is broken."""
     from rich.console import Console
 
-    from station.bus.client import Bus
     from station.cli.tables import plain
     from station.supervision import doctor
 
-    address = address_of(bus)
-    findings = doctor.run(lambda: Bus(address, name="doctor", timeout_s=1.0))
+    findings = doctor.run(address_of(bus))
     if as_json:
         click.echo(json.dumps([msgspec.to_builtins(item) for item in findings]))
     else:

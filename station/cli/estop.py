@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import getpass
+
 import click
 
 from station.cli.options import address_of, bus_option
-from station.errors import NotReady, UsageError
+from station.errors import BusError, NotReady, UsageError
 from station.life.stop_button import StopButton
+from station.life.stop_file import StopFile, remedy
 
 
 @click.command("estop")
@@ -19,13 +22,22 @@ from station.life.stop_button import StopButton
 @click.option("--reason", default="asked for on the command line", show_default=True, help="Why, for the recording.")
 @bus_option
 def command(reset: bool, arm: bool, reason: str, bus: str | None) -> None:
-    """Stop every robot on the bus: its joints are damped until --reset. `SET station:estop 1` does the same."""
+    """Stop every robot on the bus: its joints are damped until --reset. `SET station:estop 1` does the same.
+
+    The stop outlives the bus, its servers and a reboot. After --reset a robot stands; commands that ran on through the
+    stop are not followed until they have ceased and begun anew.
+    """
     if arm and not reset:
         raise UsageError("--arm: expected together with --reset; a stop arms nothing")
-    with StopButton(address_of(bus)) as button:
+    address = address_of(bus)
+    try:
+        button = StopButton(address)
+    except BusError as error:
+        _act_without_a_bus(StopFile(address), reason, error, is_reset=reset)
+        return
+    with button:
         if reset:
-            button.release(reason, arm=arm)
-            click.echo("e-stop released")
+            _release(button, reason, arm=arm)
             return
         button.press(reason)
         robots = button.robots()
@@ -33,4 +45,34 @@ def command(reset: bool, arm: bool, reason: str, bus: str | None) -> None:
             said = ", ".join(f"{name} ({state})" for name, state in left.items())
             raise NotReady(f"the bus has the stop, but not every robot obeys: {said}; use the robot's own stop")
     said = "every robot on this bus is damped" if robots else "latched, but no robot runs on this bus"
-    click.echo(f"e-stop: {said}; `station estop --reset` releases")
+    click.echo(f"e-stop: {said}; `{remedy(address)}` releases")
+    _expect_kept(button)
+
+
+def _release(button: StopButton, reason: str, *, arm: bool) -> None:
+    button.release(reason, arm=arm)
+    if left := button.unreleased():
+        raise NotReady(f"the bus has the release, but {', '.join(left)} is still stopped; release it again")
+    click.echo("e-stop released")
+    _expect_kept(button)
+
+
+def _act_without_a_bus(file: StopFile, reason: str, error: BusError, *, is_reset: bool) -> None:
+    """Stop or release where no bus answers: all that can be done is to keep it for the next start.
+
+    Raises:
+        BusError: no robot was stopped; or nothing was latched either.
+    """
+    if not is_reset:
+        file.latch(f"{getpass.getuser()}, {reason}")
+        raise BusError(f"NO robot was stopped ({error}); the stop is latched for the next start")
+    if file.read() is None:
+        raise error
+    file.release(f"{getpass.getuser()}, {reason}")
+    click.echo("e-stop released; no bus runs")
+
+
+def _expect_kept(button: StopButton) -> None:
+    button.close()
+    if button.not_kept:
+        raise NotReady(f"the bus has it, but a restarted one will not: {button.not_kept}")

@@ -23,9 +23,17 @@ def command(is_live: bool, bus: str | None, as_json: bool) -> None:
     """Show what runs on the bus and how often each key is written."""
     from station.bus.client import Bus
     from station.cli.tables import wide_console
+    from station.errors import BusError
+    from station.life.stop_file import StopFile
     from station.view import status
 
-    with Bus(address_of(bus), name="status", timeout_s=1.0) as line:
+    address = address_of(bus)
+    try:
+        line = Bus(address, name="status", timeout_s=1.0)
+    except BusError as error:
+        latched = StopFile(address).read()
+        raise BusError(f"{error}" + (f"; {latched}" if latched is not None else "")) from None
+    with line:
         if is_live:
             with contextlib.suppress(KeyboardInterrupt):
                 _follow(line, as_json=as_json)

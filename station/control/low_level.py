@@ -6,6 +6,7 @@ that is newer than the last and the gate's clock is that of the ticks.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import time
@@ -21,10 +22,12 @@ from station.control.control import StepRecord
 from station.control.inbox import CommandWatch, Inbox
 from station.control.inlet import CommandSample
 from station.control.writers import News, Writers, spoken
+from station.errors import BusError
 from station.life import arm_request, estop
 from station.life.arm_request import ArmAnswer
 from station.life.loop import Rate
 from station.life.server import Life
+from station.life.stop_file import StopKeeper
 
 log = logging.getLogger(__name__)
 
@@ -67,6 +70,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         config = control.commanded.gate.config
         self._inbox = Inbox(self._watch, self._key, Writers(config.rivals, config.return_after_s))
         self._is_stopped_past_bus = False  # asked to, and not obeyed yet
+        self._keeper = StopKeeper(life.bus.address)
         self._arm_seen = self._watch.latest(keys.ARM)  # a request from before our time is none
         self._arm_answer: ArmAnswer | None = None
         self._requests_seen = {key: self._watch.latest(key) for key in self._requests}
@@ -80,6 +84,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
 
     def __exit__(self, *_: object) -> None:
         self._watch.close()
+        self._keeper.close()
 
     def run_at(self, rate: Rate) -> None:
         """Tick at a fixed rate until the server is asked to stop; an emergency stop does not wait for its tick."""
@@ -126,7 +131,17 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         self._watch.begin_stops()
         sample = self._watch.latest(keys.ESTOP)
         if sample is not None and (request := estop.read(sample.value)).stop:
-            self._control.stop(request.reason)
+            self._stop(request.reason)
+        elif (latched := self._keeper.file.read()) is not None:  # by a bus that is gone
+            self._control.stop(latched.reason)
+            self._life.event("estop-remembered", severity="warning", reason=str(latched))
+            with contextlib.suppress(BusError):  # it is gone again; once it is back, `_restate_stop` is called
+                estop.restate(self._life.bus, latched.reason, self._life.name)
+
+    def _stop(self, reason: str) -> None:
+        """Stop the robot, and keep that until it is released."""
+        self._control.stop(reason)
+        self._keeper.latch(reason)
 
     def _await_command(self, patience_s: float, now_s: float) -> bool:
         """Wait for a command newer than the last; return early, False, when asked for something else."""
@@ -185,20 +200,22 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         """Tell a bus that has forgotten it that we are stopped, for servers that start only now."""
         gate = self._control.commanded.gate
         if gate.state == "stopped" and estop.restate(self._life.bus, gate.reason, self._life.name):
+            self._keeper.latch(gate.reason)
             self._life.event("estop-restated", severity="warning", reason=gate.reason)
 
     def _obey_stop(self, now_s: float) -> bool:
         if self._is_stopped_past_bus:
             self._is_stopped_past_bus = False
-            self._control.stop("key in `station up`")
+            self._stop("key in `station up`")
             return True
         news = self._watch.take_stop()
         if news is None:
             return False
         if news.request.stop:
-            self._control.stop(news.request.reason)
+            self._stop(news.request.reason)
         else:
             self._control.reset(news.request.reason)
+            self._keeper.release(news.request.reason)
             if news.request.arm:
                 self._control.arm(now_s, news.request.reason)
         if news.is_release_refused:

@@ -1,5 +1,7 @@
 """The emergency stop as somebody presses it: a line of its own to the bus, and the truth about whether it was taken.
 
+Whether the bus takes it or not, a press is kept in the stop's file (`station.life.stop_file`) until it is released.
+
 The command line, the keys of ``station up`` and the buttons of input devices all press this one. It needs nobody else:
 no supervisor, no recorder, no command server.
 """
@@ -9,6 +11,7 @@ from __future__ import annotations
 import getpass
 import threading
 import time
+from collections.abc import Callable
 from types import TracebackType
 
 import msgspec
@@ -19,6 +22,7 @@ from station.bus.client import Bus
 from station.errors import BusError, NotReady
 from station.life import arm_request
 from station.life.server import Health, read_health
+from station.life.stop_file import StopKeeper
 
 WITHIN_S = 1.0
 """How long a press tries before it says that it was not taken [s]."""
@@ -29,7 +33,7 @@ _LOOK_S = 0.005
 
 
 class StopButton:
-    """A button; safe to press from any thread, as often as one likes.
+    """A button; safe to press from any thread, as often as one likes. Its `close` waits for the stop's file.
 
     Args:
         address: The bus that the robots listen on.
@@ -44,6 +48,7 @@ class StopButton:
         self._bus = Bus(address, name=name, timeout_s=_ANSWER_S)
         self._who = who or getpass.getuser()
         self._lock = threading.Lock()
+        self._keeper = StopKeeper(address)
 
     def press(self, reason: str) -> None:
         """Stop every robot on the bus, latched: their joints are damped until somebody releases the stop.
@@ -51,10 +56,13 @@ class StopButton:
         Raises:
             BusError: the bus did not take it, however often it was tried within `WITHIN_S`.
         """
+        asked_ns = time.monotonic_ns()
         try:
             self._write({"stop": True, "who": self._who, "reason": reason})
         except BusError as error:
             raise BusError(f"the stop was NOT taken ({error}); use the robot's own stop") from None
+        finally:
+            self._keeper.latch(f"{self._who}, {reason}", asked_ns)
 
     def release(self, reason: str, *, arm: bool = False) -> None:
         """Leave the stop; with `arm` a real robot is armed too.
@@ -62,10 +70,12 @@ class StopButton:
         Raises:
             BusError: the bus did not take it.
         """
+        asked_ns = time.monotonic_ns()
         try:
             self._write({"stop": False, "who": self._who, "reason": reason} | ({"arm": True} if arm else {}))
         except BusError as error:
             raise BusError(f"the stop is still latched ({error})") from None
+        self._keeper.release(f"{self._who}, {reason}", asked_ns)
 
     def unstopped(self, within_s: float = WITHIN_S) -> dict[str, str]:
         """Wait until every robot on the bus is stopped; return the gate of those that are not in time, by server.
@@ -73,10 +83,23 @@ class StopButton:
         Raises:
             BusError: the bus was lost meanwhile.
         """
+        return self._wait(lambda gate: gate != "stopped", within_s)
+
+    def unreleased(self, within_s: float = WITHIN_S) -> list[str]:
+        """Wait until no robot on the bus is stopped; return the servers of those that still are.
+
+        Raises:
+            BusError: the bus was lost meanwhile.
+        """
+        return list(self._wait(lambda gate: gate == "stopped", within_s))
+
+    def _wait(self, is_left: Callable[[str], bool], within_s: float) -> dict[str, str]:
         deadline_s = time.monotonic() + within_s
-        while (left := self._gates_open()) and time.monotonic() < deadline_s:
+        while True:
+            left = {name: gate for name, gate in self._gates().items() if is_left(gate)}
+            if not left or time.monotonic() >= deadline_s:
+                return left
             time.sleep(_LOOK_S)
-        return left
 
     def robots(self) -> list[str]:
         """Return the names of the servers that drive a robot now.
@@ -87,8 +110,14 @@ class StopButton:
         return [health.name for health in self._active()]
 
     def close(self) -> None:
-        """Hang up."""
+        """Hang up, once the newest word is in the stop's file."""
         self._bus.close()
+        self._keeper.close()
+
+    @property
+    def not_kept(self) -> str:
+        """Why the newest word could not be kept in the stop's file, or ""; known once it is closed."""
+        return self._keeper.failure
 
     def __enter__(self) -> StopButton:
         return self
@@ -127,15 +156,13 @@ class StopButton:
             health for health in found if health.is_alive and (health.role, health.state) == ("low-level", "active")
         ]
 
-    def _gates_open(self) -> dict[str, str]:
+    def _gates(self) -> dict[str, str]:
         found = {}
         for health in self._active():
             try:
-                state = _gate(self._bus.get(keys.command_gate(arm_request.robot_of(self._bus, health))))
+                found[health.name] = _gate(self._bus.get(keys.command_gate(arm_request.robot_of(self._bus, health))))
             except NotReady as error:
-                state = str(error)
-            if state != "stopped":
-                found[health.name] = state
+                found[health.name] = str(error)
         return found
 
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import getpass
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from station.life.server import Health
+from station.life.stop_file import LatchedStop
 from station.supervision.face import Face
 from station.supervision.runbook import Runbook
 from station.supervision.supervisor import Supervisor, how_it_ended
@@ -47,11 +48,14 @@ class Deaths:
         """Whether a server is dead now that was not started again."""
         return bool(self._dead)
 
-    def look(self, health: Sequence[Health] | None) -> tuple[str, int] | None:
+    def look(
+        self, health: Sequence[Health] | None, latched: Callable[[], LatchedStop | None] = lambda: None
+    ) -> tuple[str, int] | None:
         """See who has died; return why the station should end, and an exit code, or None.
 
         Args:
             health: What the servers said last; None where the bus cannot tell.
+            latched: Returns the stop under which nothing is started again.
         """
         for name, code in self._supervisor.ended().items():
             step = self._steps[name]
@@ -72,7 +76,10 @@ class Deaths:
         else:
             self._look_for_silent(health)
         if (self._dead or self._silent) and self._face.take_restart():
-            self._start_again()
+            if (stop := latched()) is not None:
+                self._face.say(f"{stop}; until then nothing starts", "error")
+            else:
+                self._start_again()
         return None
 
     def _look_for_silent(self, health: Sequence[Health]) -> None:

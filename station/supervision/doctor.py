@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -11,14 +11,16 @@ import msgspec
 from station import registry
 from station.arms import remedy_of
 from station.bus import codec, keys
+from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.sample import Sample
 from station.bus.server_options import LARGEST_VALUE
 from station.bus.watch import Watch
 from station.episode.storage.request import RecorderState
 from station.errors import BusError, StationError, UnknownName
-from station.life import estop
+from station.life import stop_file
 from station.life.server import Health, read_health
+from station.life.stop_file import LatchedStop, StopFile
 from station.protocols import CommandFormat
 from station.supervision.findings import Finding, bus_access, machine
 from station.supervision.supervisor import log_folder
@@ -74,7 +76,7 @@ def examine(bus: Bus) -> Iterator[Finding]:
     yield from _server_settings(bus)
     servers = read_health(bus)
     yield from _servers(servers, log_folder(bus.address))
-    yield _estop(bus)
+    yield _estop(stop_file.latched(bus))
     low_level = [health for health in servers if health.role == "low-level" and health.is_alive]
     for health in low_level:
         yield from _low_level(bus, health)
@@ -133,12 +135,10 @@ def _servers(servers: list[Health], logs: Path) -> Iterator[Finding]:
                       "station serve g1 (or start your stock low-level script)")  # fmt: skip
 
 
-def _estop(bus: Bus) -> Finding:
-    data = bus.get(keys.ESTOP)
-    request = estop.read(data) if data is not None else None
-    if request is None or not request.stop:
+def _estop(latched: LatchedStop | None) -> Finding:
+    if latched is None:
         return Finding("ok", "e-stop", "released")
-    return Finding("broken", "e-stop", f"latched by {request.reason}", "station estop --reset")
+    return Finding("broken", "e-stop", latched.found, latched.remedy)
 
 
 def _low_level(bus: Bus, health: Health) -> Iterator[Finding]:
@@ -258,12 +258,13 @@ def _recorder(bus: Bus, servers: list[Health]) -> Iterator[Finding]:
         yield Finding("ok", "recorder", found)
 
 
-def run(open_bus: Callable[[], Bus]) -> list[Finding]:
+def run(address: BusAddress) -> list[Finding]:
     """Examine a station; a bus that cannot be reached is the first finding."""
     try:
-        bus = open_bus()
+        bus = Bus(address, name="doctor", timeout_s=1.0)
     except StationError as error:
         found, _, remedy = str(error).removeprefix("bus ").partition("; ")
-        return [Finding("broken", "bus", found, remedy or "station bus start, or station up RUNBOOK"), *machine()]
+        return [Finding("broken", "bus", found, remedy or "station bus start, or station up RUNBOOK"),
+                _estop(StopFile(address).read()), *machine()]  # fmt: skip
     with bus:
         return list(examine(bus))

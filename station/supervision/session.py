@@ -101,21 +101,26 @@ class Session:
         """Run until a command server finishes, `for_s` has passed or `stop` is set; return an exit code.
 
         Raises:
-            Refused: a server of this runbook already runs on the bus.
+            Refused: a server of this runbook already runs on the bus, or an emergency stop is latched.
         """
         self._refuse_a_second_station()
         if (line := left_open.offer(self._data)) is not None:
             self._face.say(line, "warning")
         with EventFeed(self._bus) as feed, StopMemory(self._bus, NAME) as memory:
+            if (latched := memory.latched()) is not None:
+                raise Refused(f"{latched}, then start again")
             try:
-                self._start_all(feed, stop)
+                self._start_all(feed, memory, stop)
                 reason, code = self._watch_over(feed, memory, stop, for_s)
             except StationError as error:
                 is_asked = stop.is_set()
                 reason, code = (f"stopped: {error}", _INTERRUPTED) if is_asked else (f"failed: {error}", 1)
             self._tell(feed)
             self._face.say(reason, "error" if code == 1 else "info")
-            return self._take_down(code)
+            code = self._take_down(code)
+            if (latched := memory.latched()) is not None:
+                self._face.say(f"{latched}; until then nothing starts", "warning")
+            return code
 
     def _refuse_a_second_station(self) -> None:
         wanted = {step.start for step in self._runbook.servers}
@@ -126,20 +131,21 @@ class Session:
                     "stop that station first, or use another bus with --bus"
                 )
 
-    def _start_all(self, feed: EventFeed, stop: threading.Event) -> None:
+    def _start_all(self, feed: EventFeed, memory: StopMemory, stop: threading.Event) -> None:
         if not self._runbook.robot_is_real:
             for server in self._runbook.servers:
                 self._spawn(server)
         for step in self._runbook.steps:
             if stop.is_set():
                 raise NotReady("asked to stop before everything had started")
-            self._take(step, stop)
+            self._take(step, memory, stop)
             self._tell(feed)
 
-    def _take(self, step: Step, stop: threading.Event) -> None:
+    def _take(self, step: Step, memory: StopMemory, stop: threading.Event) -> None:
         self._face.begin(str(step))
         try:
-            result = self._result(step, stop)
+            self._hold(memory, stop)
+            result = self._result(step, memory, stop)
         except StationError:
             self._face.failed(self._to_blame(step), "stopped" if stop.is_set() else "failed")
             raise
@@ -154,13 +160,27 @@ class Session:
             return next((str(other) for other in self._runbook.servers if other.start in dead), str(step))
         return str(step)
 
-    def _result(self, step: Step, stop: threading.Event) -> str:
+    def _hold(self, memory: StopMemory, stop: threading.Event) -> bool:
+        """Go no further while the emergency stop is latched; return whether it was, and a person has released it."""
+        latched = memory.latched()
+        if latched is None:
+            return False
+        if self._is_unattended or not self._face.is_attended:
+            raise NotReady(str(latched))
+        self._face.say(f"{latched}; until then nothing goes on", "error")
+        while memory.latched() is not None:
+            if stop.wait(_LOOK_S):
+                raise NotReady("asked to stop while the emergency stop was latched")
+        self._face.say("the emergency stop is released", "warning")
+        return True
+
+    def _result(self, step: Step, memory: StopMemory, stop: threading.Event) -> str:
         if isinstance(step, StartStep):
             return self._start(step, stop)
         if isinstance(step, CheckStep):
             return self._note(step, step.what.run(self._bus, self._data), who="station")
         if isinstance(step, ConfirmStep):
-            return self._confirm(step)
+            return self._confirm(step, memory, stop)
         return self._note(step, "shown", who="station")
 
     def _start(self, step: StartStep, stop: threading.Event) -> str:
@@ -176,12 +196,14 @@ class Session:
         restarts = Restarts() if step.if_it_dies == "restart" else None
         self._supervisor.spawn(step.start, step.config, server=step.kind.name, restarts=restarts)
 
-    def _confirm(self, step: ConfirmStep) -> str:
+    def _confirm(self, step: ConfirmStep, memory: StopMemory, stop: threading.Event) -> str:
         if self._is_unattended:
             return self._note(step, "yes (unattended)", who=_UNATTENDED)
-        if not self._face.confirm(step.confirm):
-            raise NotReady(f"not confirmed: {step.confirm}")
-        return self._note(step, "yes", who=getpass.getuser())
+        while True:
+            if not self._face.confirm(step.confirm):
+                raise NotReady(f"not confirmed: {step.confirm}")
+            if not self._hold(memory, stop):  # what was confirmed before a stop has to be seen again after it
+                return self._note(step, "yes", who=getpass.getuser())
 
     def _note(self, step: CheckStep | ConfirmStep | NoteStep, answer: str, *, who: str) -> str:
         self.answers.append(
@@ -212,7 +234,7 @@ class Session:
             self._tell(feed)
             health = self._look()
             self._restate_stop(memory)
-            if (end := self._deaths.look(health)) is not None:
+            if (end := self._deaths.look(health, memory.latched)) is not None:
                 return end
             if deadline is not None and time.monotonic() > deadline:
                 return f"{for_s:g} s are over", int(self._deaths.are_open)

@@ -1,6 +1,7 @@
-"""What a station remembers of the emergency stop, for a bus that was restarted and for servers that start after that.
+"""What a station remembers of the emergency stop: on the bus, which may be restarted, and in the stop's file.
 
-A stopped low-level server says its stop again by itself (`station.control.low_level`); but it may have died as well.
+A stopped low-level server says its stop again by itself (`station.control.low_level`); but it may have died as well,
+or be none of ours, which keeps no file.
 """
 
 from __future__ import annotations
@@ -9,7 +10,9 @@ from types import TracebackType
 
 from station.bus import keys
 from station.bus.client import Bus
+from station.bus.sample import Sample
 from station.life import estop
+from station.life.stop_file import LatchedStop, StopKeeper, on_bus
 
 
 class StopMemory:
@@ -17,26 +20,34 @@ class StopMemory:
 
     Args:
         bus: The station's.
-        who: Who says a stop again.
+        who: The name under which a stop is said again.
     """
 
     def __init__(self, bus: Bus, who: str) -> None:
         self._bus, self._who = bus, who
         self._watch = bus.watch([keys.ESTOP])
         self._connections = self._watch.connections
+        self._keeper = StopKeeper(bus.address)
+        self._kept: Sample | None = None
 
     def look(self) -> str:
-        """Say a stop again that the bus has forgotten; return its reason, or "" where nothing was to be said.
+        """Keep a new stop in the file; say one again that the bus has forgotten, and return its reason, else "".
 
         Raises:
-            BusError: it was not heard; the next call tries again.
+            BusError: it was not taken; the next call tries again.
         """
+        self._keep()
         if not self.has_forgetful_bus:
             return ""
         connections, request = self._watch.connections, self._newest()
         is_said = request is not None and request.stop and estop.restate(self._bus, request.reason, self._who)
         self._connections = connections
         return request.reason if request is not None and is_said else ""
+
+    def latched(self) -> LatchedStop | None:
+        """Return the stop that nobody has released, by the file or by the bus; or None."""
+        self._keep()
+        return self._keeper.file.read() or on_bus(self._bus.address, self._watch.latest(keys.ESTOP))
 
     @property
     def has_forgetful_bus(self) -> bool:
@@ -45,17 +56,25 @@ class StopMemory:
 
     @property
     def is_stopped(self) -> bool:
-        """Whether the stop is latched, as far as was heard."""
+        """Whether the stop is latched on the bus, as far as was heard."""
         request = self._newest()
         return request is not None and request.stop
+
+    def _keep(self) -> None:
+        sample = self._watch.latest(keys.ESTOP)
+        if sample is not self._kept and sample is not None and (request := estop.read(sample.value)).stop:
+            self._keeper.latch(request.reason, sample.arrived_ns)
+        self._kept = sample
 
     def _newest(self) -> estop.StopRequest | None:
         sample = self._watch.latest(keys.ESTOP)  # what a restarted bus has not stays here as it was
         return estop.read(sample.value) if sample is not None else None
 
     def close(self) -> None:
-        """Remember nothing more."""
+        """Watch no more; what was latched is in the file."""
+        self._keep()
         self._watch.close()
+        self._keeper.close()
 
     def __enter__(self) -> StopMemory:
         return self

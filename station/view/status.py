@@ -13,7 +13,9 @@ from station.bus import stamp as stamps
 from station.bus.client import Bus
 from station.bus.contracts import contract
 from station.bus.stamp import Stamp
+from station.life import stop_file
 from station.life.server import Health, read_health
+from station.life.stop_file import LatchedStop
 from station.view.rates import KeyRate, RateMeter
 from station.view.table import WIDE, Column, age_s, plain, render_servers, state_of, table_of
 
@@ -42,13 +44,16 @@ class Status(msgspec.Struct, frozen=True):
     address: str
     servers: list[Health]
     keys: list[KeyStatus]
+    stop: LatchedStop | None = None
 
     def to_plain(self) -> dict[str, Any]:
-        """Return plain values: ``{"servers": [{"name", "state", "pid", …}], "keys": [{"key", "rate_hz", …}]}``."""
+        """Return plain values: ``{"stop": null or {"reason", …}, "servers": [{"name", "state", "pid", …}], "keys":
+        [{"key", "rate_hz", …}]}``."""
         servers = [
             msgspec.to_builtins(health) | {"state": state_of(health), "age_s": age_s(health)} for health in self.servers
         ]
-        return {"address": self.address, "servers": servers, "keys": msgspec.to_builtins(self.keys)}
+        stop = msgspec.to_builtins(self.stop)
+        return {"address": self.address, "stop": stop, "servers": servers, "keys": msgspec.to_builtins(self.keys)}
 
 
 def look(bus: Bus, meter: RateMeter) -> Status:
@@ -66,7 +71,8 @@ def look(bus: Bus, meter: RateMeter) -> Status:
                 age_s=_age(rate, mark.wall_ns if mark else None),
             )
         )
-    return Status(str(bus.address), read_health(bus), sorted(found, key=lambda item: (item.role, item.key)))
+    by_role = sorted(found, key=lambda item: (item.role, item.key))
+    return Status(str(bus.address), read_health(bus), by_role, stop_file.latched(bus))
 
 
 def look_once(bus: Bus, seconds: float = _LOOK_S) -> Status:
@@ -92,7 +98,8 @@ def render(status: Status, width: int = WIDE) -> Group:
         for item in status.keys
     ]
     servers = render_servers(status.servers, width)
-    return Group(f"[bold]{status.address}[/]", "", servers, "", table_of(_KEYS, rows, width))
+    stop = [f"[bold red]{plain(str(status.stop))}[/]"] if status.stop is not None else []
+    return Group(f"[bold]{status.address}[/]", *stop, "", servers, "", table_of(_KEYS, rows, width))
 
 
 def _stamps(bus: Bus) -> dict[str, Stamp | None]:

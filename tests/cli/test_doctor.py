@@ -111,7 +111,8 @@ def test_a_latched_stop(patient: tuple[Home, BusAddress]) -> None:
     home.run("estop", "--reason", "smoke")
     found = findings(home)["e-stop"]
     assert found["level"] == "broken"
-    assert found["found"].endswith(", smoke")
+    assert found["found"].startswith("the emergency stop is latched since ")
+    assert found["found"].endswith(", smoke)")
 
 
 def test_a_server_that_was_killed(home: Home) -> None:

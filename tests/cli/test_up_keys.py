@@ -34,7 +34,7 @@ def gate(bus: Bus) -> str:
     return str(codec.parse_json(bus.get(GATE) or b"{}").get("state", ""))
 
 
-def test_space_stops_the_robot_at_a_question_and_no_key_lets_it_go(home: Home, tmp_path: Path) -> None:
+def test_space_stops_the_robot_at_a_question_and_nothing_goes_past_the_stop(home: Home, tmp_path: Path) -> None:
     with AtTerminal(home, "up", written(tmp_path, G1 + ASK + MOTION)) as terminal:
         terminal.wait_for("[y/N]")
         assert terminal.settings() != terminal.before, "keys come one at a time"
@@ -43,17 +43,27 @@ def test_space_stops_the_robot_at_a_question_and_no_key_lets_it_go(home: Home, t
             terminal.type(b" ")
             wait_until(lambda: gate(bus) == "stopped")
             told = terminal.wait_for("EMERGENCY STOP: the robots are damped until `station estop --reset`")
-            terminal.type(b"x\x7fyes\r")
-            terminal.wait_for("start motion", told)  # the question was still open, and "yes" holds no stop
-            latched = terminal.wait_for("EMERGENCY STOP is latched", told)
+            terminal.type(b"x\x7fyes\r")  # the question was still open, and "yes" holds no stop
+            held = terminal.wait_for("release it with `station estop --reset`; until then nothing goes on", told)
             terminal.type(b"x r \x1b[A\r")
-            wait_until(lambda: bus.get(keys.action_body()) is not None)
             assert gate(bus) == "stopped"
+            assert bus.get(keys.action_body()) is None
             assert home.run("estop", "--reset").returncode == 0
+            asked = terminal.wait_for("[y/N]", held)
+            terminal.type(b"yes\r")
+            started = terminal.wait_for("start motion", asked)
             wait_until(lambda: gate(bus) == "tracking")
-            terminal.wait_for("SPACE or e: emergency stop", latched)
+            terminal.wait_for("SPACE or e: emergency stop", started)
             terminal.type(b"e")
             wait_until(lambda: gate(bus) == "stopped")
+            ended = terminal.wait_for("; r starts it again, Ctrl-C takes the station down", started)
+            assert "ended the motion at " in terminal.screen[started:ended]
+            terminal.type(b"r")
+            refused = terminal.wait_for("until then nothing starts", ended)
+            assert home.run("estop", "--reset").returncode == 0
+            terminal.type(b"r")
+            terminal.wait_for("server-restarted", refused)
+            wait_until(lambda: gate(bus) == "tracking")
         terminal.send(signal.SIGTERM)
         assert terminal.finish() == 0, terminal.screen
         assert terminal.settings() == terminal.before, "the terminal is as it was"
@@ -144,8 +154,9 @@ def test_a_stop_that_no_bus_takes_is_told_loudly_and_tried_on(home: Home) -> Non
         terminal.wait_for("EMERGENCY STOP: taken", place)
         with Bus(home.bus, name="test", timeout_s=5.0) as bus:
             assert b'"stop":true' in (bus.get(keys.ESTOP) or b"")
+        terminal.wait_for("ended the motion at ", place)
         terminal.send(signal.SIGINT)
-        assert terminal.finish() == 0
+        assert terminal.finish() == 1, "what commanded has ended with the stop"
 
 
 def test_past_a_frozen_bus_the_key_still_stops_the_robot_of_this_station(home: Home, tmp_path: Path) -> None:
@@ -163,6 +174,8 @@ def test_past_a_frozen_bus_the_key_still_stops_the_robot_of_this_station(home: H
             os.kill(pid, signal.SIGCONT)
         with Bus(home.bus, name="test", timeout_s=5.0) as bus:
             wait_until(lambda: gate(bus) == "stopped")
+        terminal.send(signal.SIGTERM)
+        assert terminal.finish() == 1, "the motion has ended with the stop"
 
 
 def _newest(home: Home) -> Path:

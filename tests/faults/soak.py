@@ -136,7 +136,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--mb-per-s", type=float, default=30.0, help="pictures")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory(prefix="soak-") as name:
-        os.environ["XDG_RUNTIME_DIR"] = name
+        os.environ["XDG_RUNTIME_DIR"] = os.environ["XDG_STATE_HOME"] = name
         load = {"per_s": options.per_s, "mb_per_s": options.mb_per_s}
         with MovingStation(Path(name)) as station:
             soak = Soak(station, options.seed, options.every, load, options.keep)

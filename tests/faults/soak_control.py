@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     falls = 0
     for kind in options.kinds:
         with tempfile.TemporaryDirectory(prefix="soak-") as name:
-            os.environ["XDG_RUNTIME_DIR"] = name
+            os.environ["XDG_RUNTIME_DIR"] = os.environ["XDG_STATE_HOME"] = name
             os.chmod(name, 0o700)
             found = soak(kind, options.runs, options.seed, Path(name), options.clips)
         sys.stdout.write(json.dumps(found) + "\n")

@@ -38,7 +38,7 @@ def soak(minutes: float, *, kill_every_s: float, period_s: float, seed: int) -> 
     moments = random.Random(seed)
     figures = dict.fromkeys(("episodes", "kills", "written", "lost", "duplicated", "holes", "longest_away_s"), 0.0)
     folder = Path(tempfile.mkdtemp(prefix="soak-"))
-    os.environ["XDG_RUNTIME_DIR"] = str(folder)
+    os.environ["XDG_RUNTIME_DIR"] = os.environ["XDG_STATE_HOME"] = str(folder)
     server = RedisServer.start(ServerOptions(folder=folder, socket=folder / "bus.sock"))
     with server, recorded_station(server.address, folder) as station:
         end = time.monotonic() + 60.0 * minutes

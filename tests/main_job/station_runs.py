@@ -26,7 +26,8 @@ class Terminal:
     def __init__(self, folder: Path) -> None:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         kept = {name: value for name, value in os.environ.items() if name not in SHARED_VARIABLES}
-        self.environment = {**kept, "XDG_RUNTIME_DIR": str(folder), "STATION_DATA": str(folder / "data")}
+        own = {"XDG_RUNTIME_DIR": folder, "XDG_STATE_HOME": folder / "state", "STATION_DATA": folder / "data"}
+        self.environment = kept | {name: str(place) for name, place in own.items()}
         self.data = folder / "data"
 
     def run(self, *arguments: str, timeout_s: float = 300.0) -> subprocess.CompletedProcess[str]:

@@ -14,6 +14,8 @@ from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.episode.storage.manifest import load_manifest
 from station.errors import BusError, ConfigError, Refused
+from station.life.stop_button import StopButton
+from station.life.stop_file import StopFile
 from station.supervision import runbook
 from station.supervision.session import Session
 from station.supervision.supervisor import Supervisor
@@ -104,6 +106,68 @@ def test_asked_to_stop_while_a_server_loads_it_stops(place: Place) -> None:
     assert place.session(QUICK, person).run(place.stop) == 130
     assert person.heard("info stopped: ")
     assert place.supervisor.children == {}
+
+
+def test_under_a_latched_stop_nothing_starts_and_it_is_said_how_to_release_it(place: Place) -> None:
+    StopFile(place.bus.address).latch("anna, smoke")
+    person = Person()
+    with pytest.raises(
+        Refused, match=r"the emergency stop is latched since .* \(anna, smoke\); release it with `station "
+    ):
+        place.session(QUICK, person).run(place.stop)
+    assert not person.told, "nothing began"
+    StopFile(place.bus.address).release("anna")
+    place.bus.publish({keys.ESTOP: b"1"})
+    with pytest.raises(Refused, match=r"the emergency stop is latched since .* \(emergency stop\)"):
+        place.session(QUICK, person).run(place.stop)
+
+
+def test_a_stop_at_the_question_lets_no_answer_pass_where_nobody_can_release_it(place: Place) -> None:
+    person = Person()
+    person.asked = lambda: press(place)
+    assert place.session(QUICK, person).run(place.stop) == 1
+    assert person.heard("error failed: the emergency stop is latched since ")
+    assert not person.heard("done start")
+    assert StopFile(place.bus.address).read() is not None, "the next station knows"
+
+
+def test_a_stop_at_the_question_is_waited_out_and_the_question_asked_again(place: Place) -> None:
+    person = Person(is_attended=True)
+    person.asked = lambda: press(place) if len(asked(person)) == 1 else None
+    session = place.session(QUICK, person)
+    thread = threading.Thread(target=session.run, args=(place.stop,), kwargs={"for_s": 0.1})
+    thread.start()
+    wait_until(lambda: person.heard("; until then nothing goes on"))
+    assert place.bus.get(keys.action_body()) is None
+    with StopButton(place.bus.address) as button:
+        button.release("all is well")
+    thread.join()
+    assert len(asked(person)) == 2
+    assert [answer.answer for answer in session.answers] == ["yes"]
+    assert person.heard("done start motion")
+
+
+def test_a_stop_between_two_steps_ends_what_nobody_attends(place: Place) -> None:
+    class Presses(Person):
+        def done(self, step: str, result: str) -> None:
+            super().done(step, result)
+            press(place)
+
+    person = Presses()
+    text = HEAD + "steps:\n  - note: The left knee is warm.\n" + MOTION
+    assert place.session(text, person, unattended=True).run(place.stop) == 1
+    assert person.heard("done note: The left knee is warm.")
+    assert person.heard("error failed: the emergency stop is latched")
+    assert not person.heard("done start motion")
+
+
+def press(place: Place) -> None:
+    with StopButton(place.bus.address) as button:
+        button.press("smoke")
+
+
+def asked(person: Person) -> list[str]:
+    return [line for line in person.told if line.startswith("asked ")]
 
 
 def test_it_can_only_record_with_a_recorder(place: Place) -> None:

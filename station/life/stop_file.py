@@ -1,0 +1,267 @@
+"""The emergency stop as a file, which outlives bus, processes and a reboot until somebody releases the stop.
+
+One small file per bus in the user's state folder, ``$XDG_STATE_HOME/station/stops``, else the one in
+``~/.local/state``: the runtime folder is emptied at a reboot, and the data folder is another one from command to
+command. It holds the newest word, a stop or a release, and when that was asked for: a word that is older than the one
+in the file changes nothing, however late it is written. A file that cannot be read counts as a stop.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import logging
+import os
+import queue
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+
+from station.atomic_file import write_atomic
+from station.bus import address as addresses
+from station.bus import codec, keys, stamp
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.bus.sample import Sample
+from station.errors import ConfigError, StationError
+from station.life import estop
+from station.printable import printable
+
+log = logging.getLogger(__name__)
+
+_LOCKED_WITHIN_S = 1.0  # a write takes milliseconds, on a slow disk a tenth of a second
+_FLUSH_S = 5.0
+_LONGEST = 200  # characters of a reason
+
+
+class NotKept(StationError):
+    """The file of the stop cannot be written."""
+
+
+class LatchedStop(msgspec.Struct, frozen=True, kw_only=True):
+    """A stop that nobody has released.
+
+    Attributes:
+        reason: Who asked for it and why.
+        since_wall_ns: When, on the wall clock [ns]; None when unknown.
+        remedy: The command that releases it.
+    """
+
+    reason: str
+    since_wall_ns: int | None
+    remedy: str
+
+    def __str__(self) -> str:
+        """Return it as a sentence: when, by what, and how to release it."""
+        return f"{self.found}; release it with `{self.remedy}`"
+
+    @property
+    def found(self) -> str:
+        """When it was latched, and by what."""
+        return f"the emergency stop is latched{_since(self.since_wall_ns)} ({self.reason})"
+
+
+class _Word(msgspec.Struct, frozen=True, kw_only=True):
+    """What the file holds; `asked_ns` is of the monotonic clock of `boot`."""
+
+    bus: str
+    stop: bool
+    reason: str
+    since_wall_ns: int
+    asked_ns: int
+    boot: str
+
+
+class StopFile:
+    """The file of a bus; safe to share between threads and processes.
+
+    Args:
+        address: The bus. Two addresses of one server have two files.
+    """
+
+    def __init__(self, address: BusAddress) -> None:
+        self._bus = str(address)
+        self.path = folder() / f"{hashlib.sha256(self._bus.encode()).hexdigest()[:16]}.json"
+        self._remedy = remedy(address)
+
+    def read(self) -> LatchedStop | None:
+        """Return the stop that is latched, or None."""
+        try:
+            word = self._load()
+        except NotKept as error:
+            return LatchedStop(reason=f"{error}; what cannot be read counts as a stop", since_wall_ns=None,
+                               remedy=self._remedy)  # fmt: skip
+        if word is None or not word.stop:
+            return None
+        return LatchedStop(reason=word.reason, since_wall_ns=word.since_wall_ns, remedy=self._remedy)
+
+    def latch(self, reason: str, asked_ns: int | None = None) -> None:
+        """Keep a stop that was asked for at an instant of the monotonic clock [ns], by default now.
+
+        One that is latched already keeps its time and reason.
+
+        Raises:
+            NotKept: the file cannot be written.
+        """
+        self._write(self._word(reason, asked_ns, stop=True))
+
+    def release(self, reason: str, asked_ns: int | None = None) -> None:
+        """Release what was latched until an instant of the monotonic clock [ns], by default now.
+
+        Raises:
+            NotKept: the file cannot be written.
+        """
+        self._write(self._word(reason, asked_ns, stop=False))
+
+    def _word(self, reason: str, asked_ns: int | None, *, stop: bool) -> _Word:
+        return _Word(
+            bus=self._bus, stop=stop, reason=printable(reason, _LONGEST), since_wall_ns=time.time_ns(),
+            asked_ns=time.monotonic_ns() if asked_ns is None else asked_ns, boot=stamp.boot_id(),
+        )  # fmt: skip
+
+    def _load(self) -> _Word | None:
+        """Return what the file holds; None where there is none.
+
+        Raises:
+            NotKept: it cannot be read.
+        """
+        try:
+            return codec.parse_struct(self.path.read_bytes(), _Word)
+        except FileNotFoundError:
+            return None
+        except (OSError, codec.BadValue) as error:
+            raise NotKept(f"{self.path}: {_reason(error)}") from None
+
+    def _write(self, word: _Word) -> None:
+        try:
+            self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            with self._locked():
+                with contextlib.suppress(NotKept):  # a broken file is replaced
+                    word = _newer(self._load(), word)
+                write_atomic(self.path, codec.json_object(word), mode=0o600)
+        except OSError as error:
+            raise NotKept(f"{self.path}: {_reason(error)}; make it writable, or remove it") from None
+
+    @contextlib.contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Keep other processes from writing meanwhile; one that is frozen holds up nobody for long."""
+        descriptor = os.open(self.path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            end_s = time.monotonic() + _LOCKED_WITHIN_S
+            while not _lock(descriptor) and time.monotonic() < end_s:
+                time.sleep(0.01)
+            yield
+        finally:
+            os.close(descriptor)
+
+
+class StopKeeper:
+    """Writes a stop's file in a thread of its own, in order: who stops a robot waits for no disk.
+
+    Args:
+        address: The bus.
+
+    Attributes:
+        file: What is written.
+        failure: Why the newest word could not be kept, or "".
+    """
+
+    def __init__(self, address: BusAddress) -> None:
+        self.file = StopFile(address)
+        self.failure = ""
+        self._words: queue.SimpleQueue[tuple[bool, str, int] | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._run, name="stop-file", daemon=True)
+        self._thread.start()
+
+    def latch(self, reason: str, asked_ns: int | None = None) -> None:
+        """Keep a stop, as `StopFile.latch`."""
+        self._words.put((True, reason, time.monotonic_ns() if asked_ns is None else asked_ns))
+
+    def release(self, reason: str, asked_ns: int | None = None) -> None:
+        """Release it, as `StopFile.release`."""
+        self._words.put((False, reason, time.monotonic_ns() if asked_ns is None else asked_ns))
+
+    def close(self) -> None:
+        """Wait until all is on the disk; not for ever."""
+        self._words.put(None)
+        self._thread.join(_FLUSH_S)
+        if self._thread.is_alive():
+            self._fail(f"{self.file.path}: the disk did not take it within {_FLUSH_S:g} s")
+
+    def _run(self) -> None:
+        while (word := self._words.get()) is not None:
+            is_stop, reason, asked_ns = word
+            try:
+                (self.file.latch if is_stop else self.file.release)(reason, asked_ns)
+            except NotKept as error:
+                self._fail(str(error))
+            else:
+                self.failure = ""
+
+    def _fail(self, reason: str) -> None:
+        self.failure = reason
+        log.error("an emergency stop, or its release, will not outlive the bus: %s", reason)
+
+
+def latched(bus: Bus) -> LatchedStop | None:
+    """Return the stop that nobody has released, by its file or by the bus; or None.
+
+    Raises:
+        BusError: the bus is lost.
+    """
+    return StopFile(bus.address).read() or on_bus(bus.address, bus.read([keys.ESTOP]).get(keys.ESTOP))
+
+
+def on_bus(address: BusAddress, sample: Sample | None) -> LatchedStop | None:
+    """Return the stop that a sample of the stop's key says is latched, or None."""
+    if sample is None or not (request := estop.read(sample.value)).stop:
+        return None
+    since_wall_ns = None if sample.stamp is None else sample.stamp.wall_ns
+    return LatchedStop(reason=printable(request.reason, _LONGEST), since_wall_ns=since_wall_ns, remedy=remedy(address))
+
+
+def folder() -> Path:
+    """Return the folder of the files; not necessarily there."""
+    base = os.environ.get("XDG_STATE_HOME")
+    return (Path(base).absolute() if base else Path.home() / ".local" / "state") / "station" / "stops"
+
+
+def remedy(address: BusAddress) -> str:
+    """Return the command that releases the stop of a bus."""
+    try:
+        is_default = str(address) == str(addresses.default())
+    except ConfigError:  # of the environment, which the address then is not from
+        is_default = False
+    return "station estop --reset" + ("" if is_default else f" --bus {address}")
+
+
+def _newer(known: _Word | None, word: _Word) -> _Word:
+    """Return the word that counts; a stop that is asked for again is the one that was latched first."""
+    if known is None or (known.boot == word.boot and known.asked_ns > word.asked_ns):
+        return known or word
+    if known.stop and word.stop:
+        return msgspec.structs.replace(known, asked_ns=word.asked_ns, boot=word.boot)
+    return word
+
+
+def _lock(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _since(wall_ns: int | None) -> str:
+    try:
+        return "" if wall_ns is None else time.strftime(" since %Y-%m-%d %H:%M:%S", time.localtime(wall_ns * 1e-9))
+    except (OverflowError, ValueError, OSError):  # any number may stand in a stamp
+        return ""
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)
