@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
 
@@ -20,6 +22,16 @@ def line(bus_server: BusAddress) -> Iterator[Connection]:
     connection = Connection(bus_server, timeout_s=5.0)
     yield connection
     connection.close()
+
+
+@contextmanager
+def waving(address: BusAddress, *settings: str) -> Iterator[subprocess.Popen[str]]:
+    """A motion that never ends by itself; killed at the end."""
+    with motion_process(address, "motion=builtin:wave", "loop=true", *settings) as motion:
+        try:
+            yield motion
+        finally:
+            motion.kill()
 
 
 def test_a_stop_is_obeyed_though_it_is_overwritten_or_deleted_in_the_same_breath(
@@ -65,10 +77,10 @@ def test_a_motion_ends_with_a_stop_and_says_how_to_go_on(
     bus_server: BusAddress, line: Connection, settings: tuple[str, ...]
 ) -> None:
     with logged(bus_server) as log:
-        with motion_process(bus_server, "motion=builtin:wave", "loop=true", *settings) as motion:
+        with waving(bus_server, *settings) as motion:
             wait_until(lambda: log.of(keys.action_body()))
             line.call("SET", keys.ESTOP, b'{"stop": true, "who": "anna", "reason": "smoke"}')
-            _, err = motion.communicate(timeout=60)
+            _, err = motion.communicate(timeout=30)
         written = log.writes.index(next(write for write in log.writes if write.key == keys.ESTOP))
         assert len([write for write in log.writes[written:] if write.key == keys.action_body()]) <= 1, "no blend"
     assert motion.returncode == 1
@@ -79,11 +91,11 @@ def test_a_motion_ends_with_a_stop_and_says_how_to_go_on(
 def test_a_motion_ends_with_the_stop_of_its_robot_though_the_key_says_otherwise(bus_server: BusAddress) -> None:
     with Bus(bus_server, name="g1", timeout_s=5.0) as robot, logged(bus_server) as log:
         gate = keys.command_gate(ROBOT)
-        with motion_process(bus_server, "motion=builtin:wave", "loop=true") as motion:
+        with waving(bus_server) as motion:
             wait_until(lambda: log.of(keys.action_body()))
             for state in ("tracking", "stopped"):
                 seen = len(log.of(keys.action_body()))
                 robot.publish({gate: codec.json_object({"state": state, "reason": "smoke"})})
                 wait_until(lambda seen=seen: len(log.of(keys.action_body())) > seen + 5 or motion.poll() is not None)  # type: ignore[misc]
-            _, err = motion.communicate(timeout=60)
+            _, err = motion.communicate(timeout=30)
     assert "the emergency stop (smoke) ended the motion" in err
