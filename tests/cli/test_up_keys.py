@@ -77,6 +77,8 @@ def test_space_stops_the_robot_while_a_step_waits_for_a_server(home: Home, tmp_p
             wait_until(lambda: gate(bus) == "waiting")
             terminal.type(b" ")
             wait_until(lambda: gate(bus) == "stopped", 10.0)
+        terminal.send(signal.SIGTERM)
+        assert terminal.finish() == 130
 
 
 def test_a_server_that_dies_leaves_the_station_up_and_r_starts_it_again(home: Home, tmp_path: Path) -> None:
