@@ -34,6 +34,7 @@ ROOT = Path(__file__).parents[1]
 BUILT_FROM = ("bridges/kord", "tests/bridges/kord", "tests/adapters/cameras/fake_v4l2")
 
 _PROCESS_EVENTS = ("subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn")
+_ASKED_BY_LIBRARIES = ("fc-list",)  # matplotlib, once in a run
 _limits = {"is_unit": False}  # of the test that runs now
 
 
@@ -78,7 +79,7 @@ def watch() -> None:
 
 
 def _on_audit(event: str, arguments: tuple[Any, ...]) -> None:
-    if _limits["is_unit"] and event in _PROCESS_EVENTS:
+    if _limits["is_unit"] and event in _PROCESS_EVENTS and not (arguments and arguments[0] in _ASKED_BY_LIBRARIES):
         what = " ".join(str(word) for word in list(arguments[1])[:4]) if event == "subprocess.Popen" else event
         raise NotInItsTier(f"a unit test starts a process ({what}): let it use the fixture `processes`")
 

@@ -9,6 +9,7 @@ import io
 import json
 import os
 import socket
+import tempfile
 import time
 from collections.abc import Callable
 from functools import cache, partial
@@ -24,9 +25,12 @@ from adapters.commands.arm import arm_command
 from adapters.motions.clip import Clip
 from adapters.robots import arm_limits
 from station.bus import codec, contracts, keys, stamp
+from station.bus.address import BusAddress
 from station.bus.sample import Sample
+from station.bus.tap import not_mirrored
 from station.camera.source import Drops
 from station.control.inlet import CommandSample, Inlet, check_command
+from station.control.stop_trace import StopTrace
 from station.enrich.scalars import Shape
 from station.enrich.siblings import siblings
 from station.episode.reading import vectors
@@ -39,8 +43,9 @@ from station.episode.storage.manifest import Manifest, Timing, dump_manifest
 from station.episode.storage.request import parse_request, request_id
 from station.episode.writing import heard, retell
 from station.errors import NotReady, Refused, UnknownName
-from station.life import arm_request, controller_request, estop, events, stop_button
+from station.life import arm_request, controller_request, estop, events, stop_button, stop_file
 from station.life.server import Health, decode_health
+from station.life.stop_file import StopFile
 from station.motion.playback import Playback
 from station.motion.playback_requests import Requests
 from station.operator import reading as readings
@@ -107,6 +112,7 @@ REQUEST: dict[str, Any] = {
     "runbook": {"steps": [1, "x"]}, "planned_s": 60.0, "label": "m", "success": True,
 }  # fmt: skip
 ANSWER = {"id": "7", "ok": True, "episode_id": "e-1", "path": "/d", "reason": "", "summary": {"seconds": 3.5}}
+KEPT_STOP = {"bus": "b", "stop": True, "reason": "so", "since_wall_ns": 1, "asked_ns": 1, "boot": "x"}
 STAMP = stamp.Stamp(7, time.monotonic_ns(), NOW_NS, stamp.new_source("g1"), 5).encode()
 TIMING = codec.json_vector([3, 7, *range(10**12, 10**12 + len(contracts.TIMING_STAGES))])
 
@@ -158,6 +164,22 @@ def _motion_control(data: bytes) -> None:
 def _stop(data: bytes) -> None:
     request = estop.read(data)
     codec.json_object({"reason": request.reason, "stop": request.stop})
+    trace = StopTrace()
+    trace.on_event(b"set")
+    trace.on_read(data, is_new=True)
+    assert trace.has_news
+
+
+def _kept_stop(data: bytes) -> None:
+    file = StopFile(BusAddress(socket="shelf"))
+    file.path = _folder() / "stop.json"
+    file.path.write_bytes(data)
+    str(file.read())
+
+
+@cache
+def _folder() -> Path:
+    return Path(tempfile.mkdtemp(prefix="fuzz-"))
 
 
 def _robot_of(key: str, data: bytes) -> None:
@@ -239,7 +261,8 @@ def _doctor(key: str, data: bytes) -> None:
     said = decode_health(health())
     assert said is not None
     findings = [
-        doctor._estop(shelf), *doctor._gate(shelf, keys.command_gate(ROBOT)), *doctor._recorder(shelf, [said]),
+        doctor._estop(stop_file.latched(shelf)), *doctor._gate(shelf, keys.command_gate(ROBOT)),
+        *doctor._recorder(shelf, [said]),
     ]  # fmt: skip
     try:
         codec.parse_struct(shelf.get(keys.server_config("g1")), doctor._Stated).obeys()
@@ -427,7 +450,11 @@ def _all() -> list[Parser]:
             _BODY + "stamp", _BODY + "client", _BODY + "watch", "station.view.status", _EPISODE + "storage.channels",
             _EPISODE + "storage.pictures", _EPISODE + "recorder.intake", _EPISODE + "recorder.resume")),
         Parser("stop", _stop, (b"0", b'{"stop": true, "who": "ada", "reason": "so", "arm": true}', b"1"), (
-            _LIFE + "estop", "station.control.inbox", "station.control.low_level", "station.supervision.stop_memory")),
+            _LIFE + "estop", "station.control.inbox", "station.control.low_level", "station.supervision.stop_memory",
+            "station.control.stop_trace", _LIFE + "stop_file")),
+        Parser("stop, kept", _kept_stop, (dumped(KEPT_STOP),), (_LIFE + "stop_file",)),
+        Parser("write that was not mirrored", not_mirrored.decode, (b'{"command":"SWAPDB","key":"a","count":1}',),
+               (_BODY + "tap.not_mirrored",)),
         Parser("stop, told", _look_on, (b'{"stop": true, "reason": "so"}',), (_OPERATOR + "onlooker",)),
         Parser("arm request", arm_request.read, (b'{"action": "arm", "id": "1", "server": "g1", "who": "ada"}',),
                (_LIFE + "arm_request",)),

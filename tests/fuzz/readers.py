@@ -79,7 +79,7 @@ _QUALITY, _REPLAYING = "station.episode.quality.", "station.episode.replaying."
 READERS = (
     Reader("check", _checked, (
         _QUALITY + "alignment", _QUALITY + "arms", _QUALITY + "measuring", _QUALITY + "policy_steps",
-        "station.episode.writing.file")),
+        _QUALITY + "presence", "station.episode.writing.file")),
     Reader("report", _told, ("station.report.story",)),
     Reader("show", read_run, ("station.view.phases",)),
     Reader("enrich", enrich, ("station.enrich.enrich", "station.enrich.siblings")),

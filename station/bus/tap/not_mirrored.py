@@ -9,7 +9,7 @@ from typing import Annotated
 
 import msgspec
 
-from station.bus import keys
+from station.bus import codec, keys
 from station.bus.tap.base import Write, key_name
 
 _LONGEST_COMMAND = 40
@@ -44,6 +44,6 @@ def not_mirrored(command: bytes, key: bytes) -> NotMirrored:
 def decode(value: bytes) -> NotMirrored | None:
     """Return what a write of `keys.NOT_MIRRORED` says; None for a stranger's, which says something else."""
     try:
-        return msgspec.json.decode(value, type=NotMirrored)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return codec.parse_struct(value, NotMirrored)
+    except codec.BadValue:
         return None
