@@ -6,6 +6,7 @@ import contextlib
 import os
 import signal
 from collections.abc import Iterator
+from multiprocessing import resource_tracker
 from pathlib import Path
 
 import pytest
@@ -85,9 +86,10 @@ def _shares_processes(item: pytest.Item) -> bool:
 def _children() -> dict[int, str]:
     """Return the processes that have been started from here, but for those that are to last: id and name."""
     found: dict[int, str] = {}
+    tracker = getattr(resource_tracker, "_resource_tracker")._pid  # noqa: B009  of the standard library, for a run
     for task in Path("/proc/self/task").iterdir():
         with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-            for pid in {*map(int, (task / "children").read_text().split())} - LASTING:
+            for pid in {*map(int, (task / "children").read_text().split())} - LASTING - {tracker}:
                 with contextlib.suppress(FileNotFoundError, ProcessLookupError):
                     found[pid] = Path(f"/proc/{pid}/comm").read_text().strip()
     return found

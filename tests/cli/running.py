@@ -19,13 +19,15 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.errors import BusError
 from station.life.server import Health, read_health
-from tests.main_job.station_runs import ROOT, Terminal
+from tests.main_job.station_runs import LOCK_STEP, ROOT, Terminal
 from tests.waiting import DEADLINE_S, wait_until
 
 COMMANDS_ONLY = "commands-only"
 SHORT = ("--set", "motion.enter_s=0.1", "--set", "motion.leave_s=0.1")
 """Blends as short as they may be: tests of the command line wait for no robot."""
 DEMO = ("demo", "--for", "1s", *SHORT)
+IN_STEP = tuple(word for setting in LOCK_STEP for word in ("--set", setting))
+"""Robot and motion wait for each other: nothing of an episode is late, however busy the machine is."""
 
 
 class Running:
