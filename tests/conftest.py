@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, settings
 
 from station.bus.address import BusAddress
 from station.software import software
-from tests import leftovers, progress, tiers
+from tests import figures, leftovers, progress, tiers
 from tests.figures import Figures
 from tests.shared_bus import SharedBus
 from tests.warm.starts import WarmStarts
@@ -69,7 +69,9 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """See that there is upstream data for a test that is marked with `assets`, before any of its fixtures."""
+    """See that there is upstream data for a test that is marked with `assets`, before any of its fixtures; figures
+    name the test."""
+    item.config.stash[figures.TEST] = item.nodeid
     if item.get_closest_marker("assets"):
         _upstream_data()
 

@@ -14,7 +14,7 @@ from station.bus.address import BusAddress
 from station.bus.contracts import TIMING_STAGES
 from station.protocols import Floats
 from tests.faults.recorded_station import RecordedStation, recorded_station
-from tests.servers.g1_station import LIGHT, G1Process, Log, StockCommander, logged
+from tests.servers.g1_station import G1Process, Log, StockCommander, logged
 from tests.waiting import wait_until
 
 TIMING = keys.policy_timing(keys.TWIST2_ROBOT)
@@ -22,10 +22,10 @@ _READ = 2 + TIMING_STAGES.index("state_read")
 
 
 @contextmanager
-def robot_beside_a_recorder(address: BusAddress, folder: Path) -> Iterator[tuple[Log, RecordedStation]]:
-    """A simulated robot that follows a stock commander, and a recorder."""
+def robot_beside_a_recorder(address: BusAddress, folder: Path, *robot: str) -> Iterator[tuple[Log, RecordedStation]]:
+    """A simulated robot that follows a stock commander, and a recorder; `robot` are settings of the robot's server."""
     with (
-        G1Process(address, *LIGHT),
+        G1Process(address, *robot),
         logged(address) as log,
         recorded_station(address, folder) as station,
         StockCommander(address),

@@ -20,7 +20,7 @@ from station.errors import Refused
 from tests.faults.disks import CAMERA, BadDisk, camera, small_disk
 from tests.faults.recorded_station import BODY, RecordedStation, Writers, assert_holds_everything, recorded_station
 from tests.faults.slow_disk import TIMING, robot_beside_a_recorder, ticks_made
-from tests.servers.g1_station import Log, logged
+from tests.servers.g1_station import LIGHT, Log, logged
 from tests.waiting import wait_until
 
 PERIOD_S = 0.003
@@ -235,7 +235,7 @@ def test_control_goes_on_and_every_step_is_recorded_while_every_sync_of_the_disk
     bus_server: BusAddress, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     disk = BadDisk(tmp_path, tmp_path / "data", monkeypatch)
-    with robot_beside_a_recorder(bus_server, tmp_path) as (log, station):
+    with robot_beside_a_recorder(bus_server, tmp_path, *LIGHT) as (log, station):
         folder = Path(station.ask("start", task="walk").path or "")
         first = len(log.values(TIMING))
         disk.order("wait 0.2", "fdatasync", "fsync")
