@@ -66,20 +66,20 @@ Runs = dict[Case, Future[Driven]]
 
 
 @pytest.fixture(scope="module")
-def built_in(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
+def built_in(processes: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
     with driving(BUILT_IN, tmp_path_factory) as runs:
         yield runs
 
 
 @pytest.fixture(scope="module")
-def upstream(assets: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
+def upstream(processes: None, assets: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runs]:
     assert assets
     with driving(UPSTREAM, tmp_path_factory) as runs:
         yield runs
 
 
 @pytest.fixture(params=[*BUILT_IN, *(pytest.param(case, marks=pytest.mark.assets) for case in UPSTREAM)], ids=str)
-def run(request: pytest.FixtureRequest) -> Driven:
+def run(processes: None, request: pytest.FixtureRequest) -> Driven:
     """The run of one case; a test waits for its own only."""
     runs: Runs = request.getfixturevalue("built_in" if request.param.is_built_in else "upstream")
     return runs[request.param].result()

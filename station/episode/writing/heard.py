@@ -174,6 +174,8 @@ def statement(value: bytes, most: int) -> Cut | None:
         return too_large
     try:
         found = codec.parse_struct(value, dict[str, Any])
+    except codec.BadNumber:
+        return too_large
     except codec.BadValue:
         return None
     return cut(found, most) if codec.is_modest(found) else too_large

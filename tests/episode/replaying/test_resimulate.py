@@ -57,7 +57,7 @@ def restated(folder: Path, **facts: object) -> EpisodeReader:
 def test_a_server_of_another_name_is_known_by_its_kind_and_no_other_server_is_loaded(tmp_path: Path) -> None:
     folder = lock_step.record(EpisodeBuilder(tmp_path), seconds=0.2)
     restated(folder, server="left", kind="g1")
-    done = subprocess.run([sys.executable, "-c", REPLAY, str(folder)], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-B", "-c", REPLAY, str(folder)], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["10", "0", "servers.g1"]
 
 
