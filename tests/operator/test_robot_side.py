@@ -71,6 +71,7 @@ def test_latched_stop_is_an_obstacle_until_it_is_released(side: Side) -> None:
         ("stopped", {}, "the emergency stop is latched"),
         ("waiting", {"arming": "disarmed"}, "the robot is disarmed"),
         ("returning", {}, "the robot is on its way to standing; wait for it"),
+        ("waiting", {"needs_silence": "there was a stop; let go"}, "there was a stop; let go"),
         ("waiting", {"arming": "armed"}, ""),
     ],
 )
