@@ -24,24 +24,22 @@ KEYS = 100
 """Of the bus, at most."""
 
 _LOGS = ("*.log", "*.err", "*.stderr", "*words*", "manifest.yaml")
-_GOING_S = 5.0  # a child that was told to go may take so long
+_GOING_S = 20.0  # a child that was told to go may take so long
 _KNOWN = frozenset({".pytest_cache", ".mypy_cache", ".ruff_cache", "__pycache__", ".hypothesis", ".benchmarks"})
 
 
 @contextlib.contextmanager
 def none_left(item: pytest.Item) -> Iterator[None]:
-    """Fail the test whose length this block has when it leaves processes, files in the checkout or its scheduling.
+    """Fail the test whose length this block has when it leaves processes, or real-time scheduling.
 
     A process of a fixture that several tests share may stay.
     """
-    children, files = _children(), _files()
+    children = _children()
     yield
     found = []
     if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK != os.SCHED_OTHER:
         found.append(f"real-time scheduling (policy {os.sched_getscheduler(0)})")
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    if new := sorted(_files() - files):
-        found.append(f"files in the checkout: {', '.join(new)}")
     if not _shares_processes(item):
         left: dict[int, str] = {}
 
@@ -95,7 +93,8 @@ def _children() -> dict[int, str]:
     return found
 
 
-def _files() -> set[str]:
+def files_in_checkout() -> set[str]:
+    """Return the names of what lies in the checkout, but for caches of tools."""
     return {path.name for path in ROOT.iterdir()} - _KNOWN
 
 

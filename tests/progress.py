@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests import figures, tiers
+from tests import figures, leftovers, tiers
 
 EVERY_S = 5.0
 SLOWEST = 10
@@ -26,13 +26,16 @@ class Progress:
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
-        self._is_quiet = hasattr(config, "workerinput") or config.get_verbosity() > 0
+        self._is_worker = hasattr(config, "workerinput")
+        self._is_quiet = self._is_worker or config.get_verbosity() > 0
+        self._left: list[str] = []
         self._began_s = self._said_s = time.monotonic()
         self._total = 0
         self._seconds: Counter[str] = Counter()
         self._outcomes: Counter[str] = Counter()
         self._without_data = 0
         self._build_is_green: bool | None = None
+        self._files = leftovers.files_in_checkout()
 
     def pytest_report_teststatus(self, report: Any) -> tuple[str, str, str] | None:
         """Print no dot for what passed, where lines of progress are printed."""
@@ -61,6 +64,13 @@ class Progress:
             self._said_s = now_s
             self._print(self._line(now_s))
 
+    @pytest.hookimpl(trylast=True)
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Fail a run that leaves files in the checkout; which test did, only a run of fewer tests tells."""
+        self._left = sorted(leftovers.files_in_checkout() - self._files) if not self._is_worker else []
+        if self._left and session.exitstatus == 0:
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
     def pytest_terminal_summary(self, terminalreporter: Any) -> None:
         """Say what took longest, and what was not run for want of upstream data."""
         from tests.lateness import EXCUSED
@@ -74,6 +84,8 @@ class Progress:
             terminalreporter.section(f"slowest {len(slow)}")
             for seconds, name in slow:
                 terminalreporter.write_line(f"{seconds:6.1f} s  {name}")
+        if self._left:
+            terminalreporter.write_line(f"FAILED: the run leaves files in the checkout: {', '.join(self._left)}")
         if self._build_is_green:
             tiers.built(self._config)
         if self._config.getoption("--write-figures"):

@@ -54,6 +54,7 @@ def restated(folder: Path, **facts: object) -> EpisodeReader:
     return open_episode(folder)
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_server_of_another_name_is_known_by_its_kind_and_no_other_server_is_loaded(tmp_path: Path) -> None:
     folder = lock_step.record(EpisodeBuilder(tmp_path), seconds=0.2)
     restated(folder, server="left", kind="g1")
