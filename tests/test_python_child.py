@@ -46,6 +46,7 @@ def test_a_child_imports_no_module_of_the_current_folder(hostile: Path) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.usefixtures("processes")
 def test_the_command_line_protects_the_processes_that_share_its_work(hostile: Path, tmp_path: Path) -> None:
     script = tmp_path / "station_command.py"
     script.write_text(_LIKE_THE_STATION_COMMAND)

@@ -146,6 +146,7 @@ def test_files_that_came_before_one_that_failed_are_kept_and_not_fetched_again(s
     assert (cache / "lab/model.xml").read_bytes() == MODEL
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_fetch_that_is_killed_leaves_no_file_and_the_next_one_cleans_up(
     server: Server, cache: Path, tmp_path: Path
 ) -> None:

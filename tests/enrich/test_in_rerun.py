@@ -77,6 +77,7 @@ def test_pictures_are_pictures(tmp_path: Path) -> None:
     assert [bytes(blob) for blob in blobs] == pictures
 
 
+@pytest.mark.usefixtures("processes")
 def test_rerun_finds_the_file_sound(folder: Path) -> None:
     command = [sys.executable, "-m", "rerun", "mcap", "check", "--full", str(folder / source.ENRICHED)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)

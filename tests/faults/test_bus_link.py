@@ -7,6 +7,8 @@ import signal
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import pytest
+
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
@@ -102,6 +104,7 @@ def test_a_bus_that_takes_no_writes_is_an_event_and_what_it_refused_is_counted(
     assert (quality.holes, quality.bus_lost) == (0, 0)
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_request_outlives_the_bus_that_it_was_made_on(tmp_path: Path) -> None:
     with kept_bus(tmp_path) as kept, recorded_station(kept.address, tmp_path) as station, ThreadPoolExecutor() as pool:
         folder = Path(station.ask("start", task="walk").path or "")

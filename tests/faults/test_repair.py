@@ -213,6 +213,7 @@ def killed_at(folder: Path, step: int) -> bool:
         os._exit(code)
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_repair_that_is_killed_at_any_step_is_done_by_the_next_one(episode: Episode, tmp_path: Path) -> None:
     torn = episode.data[: episode.chunks[4].offset + 100]
     step, was_killed = 0, True

@@ -179,6 +179,7 @@ def test_out_makes_both_files_elsewhere_and_leaves_the_torn_ones(filmed: Film, t
     assert_good(Path(done.path), filmed, FLUSHES * SIGNALS, FLUSHES * PICTURES)
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_repair_of_both_that_is_killed_at_any_step_is_done_by_the_next_one(filmed: Film, tmp_path: Path) -> None:
     cuts = [filmed.chunks[name][2].offset + 30 for name in NAMES]
     step, was_killed = 0, True

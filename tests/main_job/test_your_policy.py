@@ -13,7 +13,7 @@ PAGE = ROOT / "docs" / "your-policy.md"
 CHECKPOINT = "zoo:policies/holosoma_fastsac_g1_29dof.onnx"
 MOTION = "twist2:motions/0807_yanjie_walk_002.pkl"
 
-pytestmark = [pytest.mark.assets, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.assets, pytest.mark.timeout(300), pytest.mark.usefixtures("processes")]
 
 
 def example(name: str) -> str:

@@ -78,6 +78,7 @@ def test_a_stop_of_a_stock_script_is_heard_where_no_robot_is_there_to_say_so(bus
     assert [event.name for event in heard] == ["operator-reset", "estop"]
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_bus_that_goes_and_comes_back_is_told_by_nobody_else(tmp_path_factory: pytest.TempPathFactory) -> None:
     options = ServerOptions(folder=tmp_path_factory.mktemp("b"), socket=tmp_path_factory.mktemp("s") / "bus.sock")
     server = RedisServer.start(options)

@@ -24,6 +24,8 @@ from station.life.server import read_health
 from tests.security.conftest import As
 from tests.waiting import wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 ROBOT = keys.TWIST2_ROBOT
 MAY_WRITE = {"command": {"command"}, "state": {"low-level"}, "policy": {"low-level"}}
 """Who may write the keys of a contract's role, of those who are not the operator."""

@@ -12,6 +12,8 @@ from station.life import controller_request
 from tests.servers.kassow_station import ROBOT, ArmStation, Commander
 from tests.waiting import wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 
 def test_what_only_a_person_can_confirm_is_not_cleared(kord: Any, tmp_path: Path) -> None:
     socket = tmp_path / "controller.sock"

@@ -5,8 +5,12 @@ from __future__ import annotations
 import signal
 from pathlib import Path
 
+import pytest
+
 from tests.servers.operated_station import TIMEOUT_S, OperatedStation
 from tests.waiting import wait_until
+
+pytestmark = pytest.mark.usefixtures("processes")
 
 
 def test_a_stop_from_outside_ends_the_commands_in_an_event(tmp_path: Path) -> None:

@@ -189,6 +189,7 @@ def test_a_second_session_on_a_bus_is_refused(place: Place, tmp_path: Path) -> N
         first.join()
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_bus_that_comes_back_is_waited_for(tmp_path: Path) -> None:
     options = ServerOptions(folder=tmp_path, socket=tmp_path / "bus.sock")
     person = Person()

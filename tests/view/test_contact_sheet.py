@@ -18,6 +18,8 @@ from tests.view import arms
 from tests.view.pictures import pixels, share
 from tests.view.robots import tiny
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 LYING = (0.6, 0.8, 0.0, 0.0)
 
 

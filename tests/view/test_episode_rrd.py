@@ -18,6 +18,8 @@ from tests.view import arms
 from tests.view.robots import tiny
 from tests.view.rrd import Recorded, verify
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 
 @pytest.fixture
 def builder(tmp_path: Path) -> EpisodeBuilder:

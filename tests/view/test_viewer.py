@@ -23,6 +23,8 @@ from tests.cli.running import are_gone
 from tests.episode.synthetic import EpisodeBuilder, walk
 from tests.waiting import DEADLINE_S, wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 SERVER = f'exec "{Path(rerun_cli.__file__).with_name("rerun")}" --serve-grpc "$@"'
 
 

@@ -12,6 +12,8 @@ from station.operator.device import DeviceError
 from station.operator.voice import Cue
 from tests.adapters.cues.programs import calls, put
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 NEVER = threading.Event().wait
 TAKE = Cue(words="recording take 7")
 FOR_EVER = "while True: time.sleep(0.1)"

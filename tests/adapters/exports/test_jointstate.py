@@ -55,6 +55,7 @@ def test_rerun_draws_every_joint_under_its_own_name_without_any_code(exported: t
     assert command == open_episode(episode).vectors(COMMAND).values[:, 6:].tolist()
 
 
+@pytest.mark.usefixtures("processes")
 def test_rerun_finds_the_file_sound(exported: tuple[Path, Path]) -> None:
     command = [sys.executable, "-m", "rerun", "mcap", "check", "--full", str(exported[1])]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)

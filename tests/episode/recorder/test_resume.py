@@ -78,6 +78,7 @@ def finish(take_writer: EpisodeWriter) -> None:
     assert take_writer.state == "finished", take_writer.error
 
 
+@pytest.mark.usefixtures("processes")
 def test_what_goes_on_behind_the_last_flush_is_one_episode(data: Path) -> None:
     g1 = Native()
     writes, later = written(g1, 40), written(g1, 15)
@@ -127,6 +128,7 @@ def test_without_the_server_every_whole_chunk_is_kept_and_the_hole_is_written(da
     assert len(list(open_episode(folder).messages())) == len(writes)
 
 
+@pytest.mark.usefixtures("processes")
 @pytest.mark.parametrize("seed", range(3))
 def test_a_checkpoint_tells_the_same_as_the_file(data: Path, seed: int) -> None:
     g1 = Native()
@@ -185,6 +187,7 @@ def spoilt(change: Callable[[Path], object], folder: Path) -> bool:
         (lambda folder: _replace(folder / layout.RESUME, take_anchor().boot, "00000000"), False),
     ],
 )
+@pytest.mark.usefixtures("processes")
 def test_only_what_fits_this_boot_and_bus_is_taken_up(data: Path, change: Callable[[Path], object], may: bool) -> None:
     folder = data / "walk" / "e"
     killed(folder, written(Native(), 2))

@@ -68,6 +68,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "walk" / "2026-11-21-g1-walk-0001"
 
 
+@pytest.mark.usefixtures("processes")
 @pytest.mark.parametrize("has_checkpoint", [True, False])
 def test_both_files_go_on_behind_what_was_safe(folder: Path, has_checkpoint: bool) -> None:
     scene = Scene()
@@ -101,6 +102,7 @@ def test_both_files_go_on_behind_what_was_safe(folder: Path, has_checkpoint: boo
     assert sorted(file.name for file in folder.iterdir()) == [layout.CAMERAS, layout.MANIFEST, layout.SIGNALS]
 
 
+@pytest.mark.usefixtures("processes")
 def test_pictures_that_were_not_safe_yet_come_once_more_and_are_not_twice(folder: Path) -> None:
     scene = Scene()
     (first, second), later = scenes(scene, 2), scenes(scene, 1)[0]

@@ -112,6 +112,7 @@ def test_what_the_writer_lost_itself_stays_lost_beside_what_we_dropped(tmp_path:
     assert (stream.lost, stream.dropped) == (7, dropped)
 
 
+@pytest.mark.usefixtures("processes")
 @pytest.mark.parametrize("is_exact", [True, False])
 def test_after_a_kill_the_counts_go_on(tmp_path: Path, *, is_exact: bool) -> None:
     folder = tmp_path / "walk" / "2026-11-21-g1-walk-0001"

@@ -162,6 +162,7 @@ def test_a_recorder_loads_protobuf_for_pictures_alone(tmp_path: Path, key: str, 
     assert done.stdout.split() == ["finished", str(is_loaded)]
 
 
+@pytest.mark.usefixtures("processes")
 def test_rerun_shows_the_pictures_with_no_word_from_us(episode: Path, writes: list[Write]) -> None:
     command = [sys.executable, "-m", "rerun", "mcap", "check", "--full", str(episode / "cameras.mcap")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
