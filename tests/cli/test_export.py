@@ -105,6 +105,7 @@ def many(walked: Home, tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
+@pytest.mark.usefixtures("processes")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
 def test_an_export_that_ends_in_the_middle_goes_on_when_it_is_called_again(
     walked: Home, many: Path, tmp_path: Path, number: signal.Signals
@@ -129,6 +130,7 @@ def test_an_export_that_ends_in_the_middle_goes_on_when_it_is_called_again(
     assert not (tmp_path / ".out.export").exists()
 
 
+@pytest.mark.usefixtures("processes")
 def test_an_export_onto_a_full_disk_says_so_in_a_line_and_goes_on_when_there_is_room(
     walked: Home, many: Path, tmp_path: Path
 ) -> None:

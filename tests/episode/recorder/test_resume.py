@@ -108,6 +108,7 @@ def test_what_goes_on_behind_the_last_flush_is_one_episode(data: Path) -> None:
     assert sorted(file.name for file in folder.iterdir()) == [layout.MANIFEST, layout.SIGNALS]
 
 
+@pytest.mark.usefixtures("processes")
 def test_without_the_server_every_whole_chunk_is_kept_and_the_hole_is_written(data: Path) -> None:
     g1 = Native()
     writes = written(g1, 20)

@@ -80,6 +80,7 @@ def test_times_hang_on_the_anchor_of_the_episode(tmp_path: Path) -> None:
     assert times == [(5_100_000, 5_000_000), (6_000_000, 77), (-2_000_000, -2_000_000)]
 
 
+@pytest.mark.usefixtures("processes")
 def test_the_library_and_rerun_read_the_file_and_channels_tell_contract_and_writer(tmp_path: Path) -> None:
     g1 = Native()
     writer = writer_in(tmp_path)
