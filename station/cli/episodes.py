@@ -142,10 +142,13 @@ def repair(episode: str | None, is_all: bool, out: Path | None, data: Path | Non
     """
     from station.episode.storage.folder import data_folder, resolve
     from station.episode.storage.left_open import left_open
+    from station.episode.writing.repair import remove_what_never_began
     from station.errors import EpisodeError, UsageError
 
     if (episode is None) != is_all:
         raise UsageError("name one EPISODE to repair, or give --all")
+    if episode is None:
+        remove_what_never_began(data_folder(data))
     folders = left_open(data_folder(data)) if episode is None else [_folder(resolve(episode, data))]
     done: list[Repaired] = []
     failed = False

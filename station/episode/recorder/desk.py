@@ -59,6 +59,7 @@ class Desk:
         self._position: Position | None = None  # of the tap, behind what it returned so far
         self._awaited = ""  # id of a start request that is to come once more, with what came before and behind it
         self._ignored_until = ""  # id of a start request, see `ignore_until`
+        self._reserved: tuple[str, Path] | None = None  # likewise, with the folder
         self._take: Take | None = None
         self._closing: list[Take] = []
         self._last_folder: Path | None = None
@@ -98,9 +99,14 @@ class Desk:
         for asker in requests:
             self.answers.remember(asker, take.answer(asker))
 
-    def ignore_until(self, start_id: str) -> None:
-        """Do no request before a certain start comes by: what comes before it was done by the recorder before us."""
-        self._ignored_until = start_id
+    def ignore_until(self, start_id: str, folder: Path) -> None:
+        """Do no request before a certain start comes by: what comes before it was done by the recorder before us.
+
+        Args:
+            start_id: Id of the start.
+            folder: The folder that was made for its episode, and is to be used.
+        """
+        self._ignored_until, self._reserved = start_id, (start_id, folder)
 
     def ended_before(self, answer: RecordAnswer, requests: Sequence[str]) -> None:
         """Tell of an episode whose recorder died while it closed it, and which is whole."""
@@ -162,7 +168,11 @@ class Desk:
             raise Refused(reason)
         self.claim()
         task = request.task or self.options.task
-        folder = new_folder(self.options.data, task, self._heard.robot)
+        if self._reserved is not None and self._reserved[0] == request.id:
+            folder = self._reserved[1]
+        else:
+            folder = new_folder(self.options.data, task, self._heard.robot)
+        self._reserved = None
         clock = take_anchor()
         anchor = Anchor(wall_ns=clock.at(mono_ns), mono_ns=mono_ns, boot=clock.boot)
         manifest = Manifest(

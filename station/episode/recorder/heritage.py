@@ -5,30 +5,59 @@ from __future__ import annotations
 import contextlib
 import os
 import time
+from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from station.atomic_file import remove_leftovers
 from station.bus import keys
 from station.bus.stamp import boot_id
-from station.bus.tap import Position, Tap, Write
+from station.bus.tap import Position, Tap, Write, open_tap
+from station.episode.recorder.catching_up import CatchingUp
 from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.recording import Recording
-from station.episode.recorder.resume import Unfinished, last_requests, newest, newest_closed, take_up
-from station.episode.storage import layout
-from station.episode.storage.left_open import has_signals, left_open, offer
+from station.episode.recorder.resume import (
+    Unfinished,
+    as_written,
+    last_requests,
+    newest_closed,
+    newest_start_ns,
+    take_up,
+    unfinished,
+)
+from station.episode.storage.left_open import (
+    has_signals,
+    is_left_open,
+    not_begun,
+    offer,
+    remove_not_begun,
+    remove_temporary,
+)
 from station.episode.storage.manifest_copy import find_manifest
 from station.episode.storage.progress import ResumePoint, load_resume_point
 from station.episode.storage.request import RecordAnswer, request_id
 from station.episode.writing.closing import summary_of
 from station.episode.writing.repair import Repaired, close_whole
-from station.errors import EpisodeError
+from station.errors import BusError, EpisodeError
 from station.life.restarts import RESTARTS_VARIABLE
 
 if TYPE_CHECKING:
     from station.life.server import Life
 
 _PATIENCE_S = 20.0  # as long as whoever asks a recorder waits for its answer
+_READ_S = 0.02
+
+
+class Unborn(NamedTuple):
+    """An episode whose start was asked for, and of which there is no more than where that stands in the stream."""
+
+    folder: Path
+    point: ResumePoint
+
+    @property
+    def is_recent(self) -> bool:
+        """Whether it is of this boot, and whoever asked may still wait for the answer."""
+        age_s = (time.monotonic_ns() - self.point.mono_ns) * 1e-9
+        return self.point.anchor.boot == boot_id() and 0 <= age_s < _PATIENCE_S
 
 
 class Heritage:
@@ -46,8 +75,10 @@ class Heritage:
         self._take_up_s = take_up_s
         self._began_ns = time.monotonic_ns()
         self._closed: list[Repaired] = []
-        self._found: Unfinished | None = None
-        self._unborn: ResumePoint | None = None  # of an episode that was asked for, and of which nothing is there
+        self._ended: list[Unfinished | Unborn] = []  # followed by another episode: to be closed, oldest first
+        self._found: Unfinished | None = None  # left open, and the last one
+        self._done: ResumePoint | None = None  # of the last one, if we closed it: what was asked behind it comes again
+        self._unborn: Unborn | None = None  # an episode that was asked for, and of which nothing is there
         self._was_killed = life.bus.get(keys.RECORDER) is not None  # one that ends by itself takes its word away
         self._look()
 
@@ -63,7 +94,31 @@ class Heritage:
 
     @property
     def _point(self) -> ResumePoint | None:
-        return self._unborn or (self._found.point if self._found else None)
+        found = self._unborn or self._found
+        return found.point if found else self._done
+
+    def finish_ended(self, recording: Recording, backend: str | None) -> None:
+        """Close the episodes that their recorder had ended and not closed, each with what the bus still has of it.
+
+        The stream that goes on begins with a later episode, so each is read from a tap of its own. One of which the bus
+        no longer has all is left for a repair.
+
+        Args:
+            recording: Takes them up one after the other; none is being recorded when this returns.
+            backend: As for `open_tap`.
+        """
+        later = {found.point.start_id for found in (*self._ended, self._found, self._unborn) if found is not None}
+        for found in self._ended:
+            try:
+                tap = open_tap(self._life.bus.address, resume=found.point.position, backend=backend)
+            except BusError as error:
+                self._life.event("episode-not-closed", severity="warning", reason=str(error))
+                continue
+            try:
+                if tap.resumed:
+                    self._finish(found, recording, tap, later)
+            finally:
+                tap.close()
 
     def enter(self, recording: Recording, tap: Tap) -> int:
         """Hand an episode over that can go on, and tell of episodes that cannot.
@@ -81,7 +136,9 @@ class Heritage:
         is_exact = tap.resumed is True
         if self._unborn is not None:
             if is_exact:  # the start comes with the stream, and before it what is its pre-roll
-                recording.ignore_until(self._unborn.start_id)
+                recording.ignore_until(self._unborn.point.start_id, self._unborn.folder)
+            else:
+                remove_not_begun(self._unborn.folder)
         elif self._found is not None and (is_exact or self._found.age_s <= self._take_up_s):
             written_ns = self._take_up(self._found, recording, tap, is_exact=is_exact)
         if (line := offer(self._options.data)) is not None:
@@ -112,21 +169,77 @@ class Heritage:
             recording.seed(keys.RECORD, request.value, None)
 
     def _look(self) -> None:
-        for folder in left_open(self._options.data):
+        data, restarts = self._options.data, os.environ.get(RESTARTS_VARIABLE)
+        unborn = self._unborn_in(data)
+        left: list[Unfinished] = []
+        closed: list[ResumePoint] = []
+        begun_ns = [_began_ns(one) for one in unborn]  # by the monotonic clock
+        for folder in data.glob("*/*/"):
+            if not is_left_open(folder):
+                continue
+            point = load_resume_point(folder)
+            if point is not None and point.anchor.boot == boot_id():
+                begun_ns.append(point.anchor.mono_ns)
             try:
-                if not _has_begun(folder):
-                    self._unborn = _forgotten(folder)
-                elif has_signals(folder) and (done := close_whole(folder)) is not None:
+                if has_signals(folder) and (done := close_whole(folder)) is not None:
                     self._closed.append(done)
+                    closed += [point] if point is not None else []
+                elif (found := unfinished(folder, str(self._life.bus.address))) is not None:
+                    left.append(found)
             except (EpisodeError, OSError) as error:
                 self._life.event("episode-not-closed", severity="warning", reason=str(error))
-        found = newest(left_open(self._options.data), str(self._life.bus.address))
-        restarts = os.environ.get(RESTARTS_VARIABLE)
         # A station that starts anew begins its own episode; one whose recorder alone died goes on with the old one.
         if restarts == "0":
-            self._unborn = None
-        elif found is not None and (restarts is None or found.age_s <= self._take_up_s):
-            self._found = found
+            return
+        left = [found for found in left if restarts is None or found.age_s <= self._take_up_s]
+        newest_ns = max([*begun_ns, newest_start_ns(data)], default=0)
+        self._found = next((found for found in left if _began_ns(found) == newest_ns), None)
+        self._unborn = next((found for found in unborn if _began_ns(found) == newest_ns), None)
+        self._done = next((point for point in closed if point.anchor.mono_ns == newest_ns), None)
+        those: list[Unfinished | Unborn] = [*left, *unborn]
+        self._ended = sorted((one for one in those if _began_ns(one) != newest_ns), key=_began_ns)
+
+    def _unborn_in(self, data: Path) -> list[Unborn]:
+        """Return the episodes that were to begin; folders that tell nothing, or of starts that are old, are removed."""
+        found: list[Unborn] = []
+        for folder in not_begun(data):
+            remove_temporary(folder)
+            point = load_resume_point(folder)
+            if (
+                point is None
+                or not (one := Unborn(folder, point)).is_recent
+                or os.environ.get(RESTARTS_VARIABLE) == "0"
+            ):
+                remove_not_begun(folder)
+            else:
+                found.append(one)
+        return found
+
+    def _finish(self, found: Unfinished | Unborn, recording: Recording, tap: Tap, later: Collection[str]) -> None:
+        """Take an episode up, or begin it; read its tap up to its end, and have it closed."""
+        written_ns = 0
+        if isinstance(found, Unborn):
+            recording.placed(tap.position())
+            recording.ignore_until(found.point.start_id, found.folder)
+        else:
+            written_ns = self._take_up(found, recording, tap, is_exact=True)
+        written_ns = written_ns or _began_ns(found)
+        pace = CatchingUp(tap, time.monotonic())
+        try:
+            while recording.is_recording or recording.is_ignoring:
+                recording.poll()
+                if pace.must_wait(recording.load, time.monotonic()) and not self._life.stop_event.wait(_READ_S):
+                    continue
+                writes = as_written(tap.read(_READ_S), written_ns)
+                if writes:
+                    written_ns = writes[-1].mono_ns
+                    recording.feed_to_the_end(writes, tap.position(), later)
+                if not tap.is_catching_up and (not writes or written_ns > self._began_ns):
+                    break  # nothing said where it ended, and that was before we began
+        except BusError as error:
+            recording.hole(written_ns, time.monotonic_ns(), f"the tap was lost before the episode's end: {error}")
+        recording.ignore_until("", found.folder)
+        recording.finish("killed")
 
     def _take_up(self, found: Unfinished, recording: Recording, tap: Tap, *, is_exact: bool) -> int:
         place = found.point.position if is_exact else tap.position()
@@ -153,17 +266,5 @@ def _ended_before(recording: Recording, folder: Path, requests: list[str]) -> di
     return summary
 
 
-def _has_begun(folder: Path) -> bool:
-    """Whether there is anything of an episode; of one that has not begun its start is still to be done."""
-    return any((folder / name).exists() for name in (layout.MANIFEST, layout.ACTIVE, layout.SIGNALS))
-
-
-def _forgotten(folder: Path) -> ResumePoint | None:
-    """Remove the folder of an episode that has not begun; return where its start stands in the stream, if known."""
-    point = load_resume_point(folder)
-    (folder / layout.RESUME).unlink(missing_ok=True)
-    remove_leftovers(folder / layout.MANIFEST, folder / layout.RESUME)
-    with contextlib.suppress(OSError):  # somebody put something else there
-        folder.rmdir()
-    is_recent = point is not None and 0 <= time.monotonic_ns() - point.mono_ns < _PATIENCE_S * 1e9
-    return point if is_recent and point is not None and point.anchor.boot == boot_id() else None
+def _began_ns(found: Unborn | Unfinished) -> int:
+    return found.point.anchor.mono_ns

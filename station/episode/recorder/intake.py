@@ -52,12 +52,13 @@ class Intake:
         self._life, self._backend, self._resume_s = life, backend, resume_s
         heritage = Heritage(options, life, take_up_s)
         self.tap: Tap = open_tap(life.bus.address, resume=heritage.position, backend=backend)
-        self._catching_up = CatchingUp(self.tap, time.monotonic())
-        self._heard_ns = self._known_ns = time.monotonic_ns()  # the tap; up to when we know of every write
         bus, tap = str(life.bus.address), self.tap
         self.recording = Recording(options, backend=tap.backend, is_lossless=tap.is_lossless, bus=bus)
-        self.recording.placed(tap.position())
         self._seed()
+        heritage.finish_ended(self.recording, backend)
+        self.recording.placed(tap.position())
+        self._catching_up = CatchingUp(tap, time.monotonic())
+        self._heard_ns = self._known_ns = time.monotonic_ns()  # the tap; up to when we know of every write
         self._written_ns = heritage.enter(self.recording, tap)  # the newest write, on our monotonic clock
         if tap.resumed:
             self._known_ns = self._written_ns or heritage.start_ns

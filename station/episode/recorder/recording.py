@@ -6,15 +6,16 @@ Requests are taken from the stream of writes itself, so an episode begins and en
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import TYPE_CHECKING
 
 from station.bus import keys
 from station.episode.recorder.desk import Desk
 from station.episode.recorder.options import RecordingOptions
 from station.episode.storage.manifest import Recorder
-from station.episode.storage.request import request_id
+from station.episode.storage.request import parse_request, request_id
 from station.episode.writing.heard import is_motion
+from station.errors import Refused
 
 if TYPE_CHECKING:
     from station.bus.tap import Position, Write
@@ -52,13 +53,16 @@ class Recording(Desk):
         if request.value is not None and not self.answers.knows(request_id(request.value)):
             self._request(request)
 
-    def feed(self, writes: Sequence[Write], position: Position | None = None, *, is_live: bool = True) -> None:
+    def feed(
+        self, writes: Sequence[Write], position: Position | None = None, *, is_live: bool = True, is_whole: bool = True
+    ) -> None:
         """Take in what the tap returned.
 
         Args:
             writes: In the order of the bus.
             position: The tap's place after the last of them.
             is_live: False for what had waited for us at the server.
+            is_whole: False where the place is not known; no place is saved then.
         """
         if self._awaited:
             writes = self._behind_the_start(writes)
@@ -71,8 +75,44 @@ class Recording(Desk):
                 self._advance(writes[done : index + 1], None, is_whole=False, is_live=is_live)
                 done = index + 1
             handle(write)
-        self._advance(writes[done:], position, is_live=is_live)
+        self._advance(writes[done:], position, is_whole=is_whole, is_live=is_live)
         self._position = position
+
+    def feed_to_the_end(self, writes: Sequence[Write], position: Position | None, later: Collection[str]) -> None:
+        """Take in what the tap returned for an episode that was ended before, up to what ended it; see `is_recording`.
+
+        What comes behind belongs to a later episode. None of it is done here, and none is pre-roll.
+
+        Args:
+            writes: In the order of the bus.
+            position: The tap's place after the last of them.
+            later: Ids of the requests that began later episodes.
+        """
+        start_id = self._awaited or self._ignored_until
+        begun = not start_id  # what comes before its own start was asked of the episode before it
+        for number, write in enumerate(writes):
+            action, asker = self._new_request(write) if begun else ("", "")
+            begun = begun or (write.key == keys.RECORD and request_id(write.value or b"") == start_id)
+            if action in ("stop", "discard"):
+                self.feed(writes[: number + 1], is_live=False, is_whole=False)
+            elif action == "start" and asker in later:
+                self.feed(writes[:number], is_live=False, is_whole=False)
+                self.finish("killed")
+            else:
+                continue
+            self._ring.clear()
+            return
+        self.feed(writes, position, is_live=False)
+
+    def _new_request(self, write: Write) -> tuple[str, str]:
+        """Return action and id of a request that was not seen before; empty ones for any other write."""
+        if write.key != keys.RECORD or write.value is None or self.answers.knows(request_id(write.value)):
+            return "", ""
+        try:
+            request = parse_request(write.value)
+        except Refused:
+            return "", ""
+        return request.action, request.id
 
     def _behind_the_start(self, writes: Sequence[Write]) -> Sequence[Write]:
         """Put what leads up to the awaited start into its episode, as its pre-roll; return what comes behind."""
@@ -101,6 +141,11 @@ class Recording(Desk):
     def is_recording(self) -> bool:
         """Whether there is an episode now."""
         return self._take is not None
+
+    @property
+    def is_ignoring(self) -> bool:
+        """Whether a start is yet to come by, see `ignore_until`."""
+        return bool(self._ignored_until)
 
     @property
     def load(self) -> float:

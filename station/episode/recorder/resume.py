@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from station.atomic_file import remove_leftovers
 from station.bus import keys
 from station.bus import stamp as stamps
 from station.episode.recorder.options import RecordingOptions
@@ -21,10 +20,11 @@ from station.episode.recorder.take import Take
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage import layout
 from station.episode.storage.anchor import iso
+from station.episode.storage.left_open import remove_temporary
 from station.episode.storage.manifest import Hole, Manifest, facts_of, note_hole, note_recovery
 from station.episode.storage.manifest_copy import find_manifest
 from station.episode.storage.progress import ResumePoint, Totals, load_resume_point
-from station.episode.storage.records import parse_chunk, read_chunk, walk
+from station.episode.storage.records import metadata_at_head, parse_chunk, read_chunk, walk
 from station.episode.storage.request import request_id
 from station.episode.writing.files import EpisodeFiles
 from station.episode.writing.retell import Retelling
@@ -33,6 +33,7 @@ from station.errors import EpisodeError
 if TYPE_CHECKING:
     from station.bus.tap import Position, Write
 
+_LONGEST_TIME = 19  # digits of nanoseconds
 HOLE = "the recorder was killed, and the server no longer had what was written meanwhile"
 
 
@@ -65,15 +66,12 @@ class TakenUp(NamedTuple):
     written_ns: int
 
 
-def newest(folders: Sequence[Path], bus: str) -> Unfinished | None:
-    """Return the newest of some unfinished episodes, if a recorder on this bus may take it up; None otherwise.
+def unfinished(folder: Path, bus: str) -> Unfinished | None:
+    """Return an episode that was left open, if a recorder on this bus may take it up; None otherwise.
 
     It may when it was recorded from the same bus, in the same boot (its clock is the monotonic one), and was not given
     up for a full disk.
     """
-    if not folders:
-        return None
-    folder = folders[-1]
     point = load_resume_point(folder)
     if point is None or point.anchor.boot != stamps.boot_id():
         return None
@@ -100,7 +98,7 @@ def take_up(found: Unfinished, options: RecordingOptions, *, place: Position | N
         OSError: the disk refused it.
     """
     folder, point, manifest = found
-    remove_leftovers(*(folder / name for name in (layout.MANIFEST, layout.RESUME, layout.CHECKPOINT)))
+    remove_temporary(folder)
     paths = [folder / name for name in (layout.ACTIVE, layout.CAMERAS_ACTIVE)]
     size = sum(path.stat().st_size for path in paths if path.exists())
     files = None
@@ -144,6 +142,13 @@ def _note(found: Unfinished, size: int, kept: Totals, *, from_ns: int, is_exact:
     if not is_exact:
         last_s = (from_ns - point.anchor.wall_ns) * 1e-9 if from_ns else 0.0
         note_hole(manifest, Hole(from_s=round(last_s, 6), to_s=round(now_s, 6), reason=HOLE))
+
+
+def newest_start_ns(data: Path) -> int:
+    """Return when the last episode began that is closed and of this boot [ns, monotonic]; 0 where there is none."""
+    clocks = (metadata_at_head(file, layout.ANCHOR_RECORD) for file in data.glob(f"*/*/{layout.SIGNALS}"))
+    starts = (clock.get("mono_ns", "") for clock in clocks if clock.get("boot") == stamps.boot_id())
+    return max((int(start) for start in starts if start.isdecimal() and len(start) <= _LONGEST_TIME), default=0)
 
 
 def newest_closed(data: Path, within_s: float) -> Path | None:

@@ -242,7 +242,8 @@ class EpisodeWriter:
         files.name()
         manifest.recorder.bytes = files.size
         save_manifest(manifest, self.folder)
-        self._ledger.remove()
+        give_back(self.folder)
+        self._ledger.remove()  # last: by it all see that something is left to do
         self.state = "finished"
 
     def totals(self) -> Totals:

@@ -118,6 +118,11 @@ def _is_episode(folder: Path) -> bool:
     return any((folder / name).is_file() for name in (layout.MANIFEST, layout.SIGNALS, layout.ACTIVE))
 
 
+def is_numbered(folder: Path) -> bool:
+    """Whether a folder is called as `new_folder` calls one."""
+    return _NUMBERED.fullmatch(folder.name) is not None
+
+
 def _number(name: str) -> int:
     match = _NUMBERED.fullmatch(name)
     return int(match.group(1)) if match else 0

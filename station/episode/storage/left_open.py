@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
+from station.atomic_file import remove_leftovers
 from station.episode.storage import layout
 from station.episode.storage.disk import is_locked
-from station.episode.storage.folder import started_ns
+from station.episode.storage.folder import is_numbered, started_ns
+
+_SMALL = (layout.RESUME, layout.CHECKPOINT)
+_TEMPORARY = tuple(f".{name}." for name in (layout.MANIFEST, *_SMALL))
 
 
 def left_open(data: Path) -> list[Path]:
-    """Return the folders of the episodes that nobody closed and nobody writes any more, oldest first."""
-    return sorted((folder for folder in data.glob("*/*/") if is_left_open(folder)), key=started_ns)
+    """Return the folders of the episodes that nobody closed and nobody writes any more, oldest first.
+
+    One without signals is not among them: there is nothing to repair, and perhaps its recorder lives and waits for the
+    disk.
+    """
+    found = (folder for folder in data.glob("*/*/") if has_signals(folder) and is_left_open(folder))
+    return sorted(found, key=started_ns)
 
 
 def is_left_open(folder: Path) -> bool:
@@ -27,6 +37,28 @@ def has_signals(folder: Path) -> bool:
     return (folder / layout.ACTIVE).exists() or (folder / layout.SIGNALS).exists()
 
 
+def not_begun(data: Path) -> list[Path]:
+    """Return the folders of episodes of which there is no more than where their start stands on the bus.
+
+    Only who holds the claim of the data folder knows that none of them is just being begun.
+    """
+    return [folder for folder in data.glob("*/*/") if is_numbered(folder) and not any(map(_is_of_it, folder.iterdir()))]
+
+
+def remove_temporary(folder: Path) -> None:
+    """Remove the temporary files that a killed recorder left in the folder of an episode."""
+    remove_leftovers(*(folder / name for name in (layout.MANIFEST, *_SMALL)))
+
+
+def remove_not_begun(folder: Path) -> None:
+    """Remove such a folder; one in which somebody put something else stays."""
+    remove_temporary(folder)
+    for name in _SMALL:
+        (folder / name).unlink(missing_ok=True)
+    with contextlib.suppress(OSError):
+        folder.rmdir()
+
+
 def offer(data: Path) -> str | None:
     """Return a line that says how to repair what a dead recorder left behind; None where nothing was."""
     found = left_open(data)
@@ -34,3 +66,8 @@ def offer(data: Path) -> str | None:
         return None
     what = f"episode {found[0].name} was" if len(found) == 1 else f"{len(found)} episodes, {found[0].name} first, were"
     return f"{what} left open by a recorder that died; repair with: station episodes repair --all --data {data}"
+
+
+def _is_of_it(file: Path) -> bool:
+    """Whether a file says that an episode has begun, or is not ours."""
+    return file.name not in _SMALL and not file.name.startswith(_TEMPORARY)

@@ -10,13 +10,14 @@ from typing import Literal
 
 import msgspec
 
-from station.atomic_file import free_path, remove_leftovers, sync_folder
+from station.atomic_file import free_path, sync_folder
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, iso
+from station.episode.storage.claim import is_claimed
 from station.episode.storage.disk import is_locked
 from station.episode.storage.drops import Drops
 from station.episode.storage.folder import signals_file
-from station.episode.storage.left_open import is_left_open
+from station.episode.storage.left_open import is_left_open, not_begun, remove_not_begun, remove_temporary
 from station.episode.storage.manifest import (
     Manifest,
     dump_manifest,
@@ -88,6 +89,13 @@ def repair(folder: Path, *, out: Path | None = None) -> Repaired:
         return _repair(folder, folder if out is None else out / folder.name)
     except OSError as error:
         raise EpisodeError(f"{folder}: cannot be repaired: {error.strerror} ({error.filename or source})") from error
+
+
+def remove_what_never_began(data: Path) -> None:
+    """Remove the folders of episodes of which there is nothing, unless a recorder is at work that may begin them."""
+    if not is_claimed(data):
+        for folder in not_begun(data):
+            remove_not_begun(folder)
 
 
 def close_whole(folder: Path) -> Repaired | None:
@@ -169,10 +177,10 @@ def _put_aside(folder: Path) -> dict[str, Path]:
 
 
 def _tidy(folder: Path) -> None:
-    """Remove what only an unfinished episode has."""
-    for name in (layout.RESUME, layout.CHECKPOINT):
+    """Remove what only an unfinished episode has; last that by which all see that something is left to do."""
+    remove_temporary(folder)
+    for name in (layout.CHECKPOINT, layout.RESUME):
         (folder / name).unlink(missing_ok=True)
-    remove_leftovers(*(folder / name for name in (layout.MANIFEST, layout.RESUME, layout.CHECKPOINT)))
 
 
 def _repair(folder: Path, target: Path) -> Repaired:

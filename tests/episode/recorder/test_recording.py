@@ -296,9 +296,9 @@ def test_a_hole_stands_in_the_manifest_and_cuts_the_preroll(make: Make) -> None:
     assert after.manifest.recorder.backend == "poll"
 
 
-def test_a_start_that_a_hole_has_swallowed_is_not_waited_for(make: Make) -> None:
+def test_a_start_that_a_hole_has_swallowed_is_not_waited_for(make: Make, tmp_path: Path) -> None:
     recording, cli = make(), Native("record")
-    recording.ignore_until("swallowed")
+    recording.ignore_until("swallowed", tmp_path / "reserved")
     recording.hole(0, time.monotonic_ns(), "the tap was lost")
     recording.feed([cli.request("start")])
     assert answer(recording).ok

@@ -17,7 +17,7 @@ from station.bus import stamp as stamps
 from station.bus.tap import Position, Write
 from station.episode.reading.reader import open_episode
 from station.episode.recorder.options import RecordingOptions
-from station.episode.recorder.resume import as_written, newest, newest_written_ns, take_up
+from station.episode.recorder.resume import as_written, newest_written_ns, take_up, unfinished
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, take_anchor
@@ -87,7 +87,7 @@ def test_what_goes_on_behind_the_last_flush_is_one_episode(data: Path) -> None:
     with (folder / layout.ACTIVE).open("ab") as file:
         file.write(b"half a flush")
     assert left_open(data) == [folder]
-    found = newest([folder], BUS)
+    found = unfinished(folder, BUS)
     assert found is not None
     assert found.point.position == Position("id", (len(writes) + 9) // 10 * 10, 0)
     taken = take_up(found, RecordingOptions(data=data), place=found.point.position, is_exact=True)
@@ -118,7 +118,7 @@ def test_without_the_server_every_whole_chunk_is_kept_and_the_hole_is_written(da
     assert point is not None
     earlier = msgspec.structs.replace(point, size=point.size // 2, messages=point.messages // 2)
     (folder / layout.RESUME).write_bytes(msgspec.json.encode(earlier))  # as if killed before it was written again
-    found = newest([folder], BUS)
+    found = unfinished(folder, BUS)
     assert found is not None
     taken = take_up(found, RecordingOptions(data=data), place=Position("other", 5, 0), is_exact=False)
     (hole,) = taken.take.manifest.holes
@@ -173,7 +173,7 @@ def test_a_checkpoint_is_saved_now_and_then(data: Path, monkeypatch: pytest.Monk
 def spoilt(change: Callable[[Path], object], folder: Path) -> bool:
     """Whether a changed episode may still be taken up."""
     change(folder)
-    return newest([folder], BUS) is not None
+    return unfinished(folder, BUS) is not None
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from station.episode.quality.check import check
 from station.episode.reading.reader import open_episode
 from station.episode.reading.show import count_streams
 from station.episode.recorder.options import RecordingOptions
-from station.episode.recorder.resume import newest, take_up
+from station.episode.recorder.resume import take_up, unfinished
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, take_anchor
@@ -124,7 +124,7 @@ def test_after_a_kill_the_counts_go_on(tmp_path: Path, *, is_exact: bool) -> Non
         wait_until(lambda: (point := load_resume_point(folder)) is not None and point.drops)
         os.kill(os.getpid(), signal.SIGKILL)
     os.waitpid(child, 0)
-    found = newest([folder], BUS)
+    found = unfinished(folder, BUS)
     assert found is not None
     first = Drops(found.point.drops)
     assert found.point.dropped == first.total > 10
