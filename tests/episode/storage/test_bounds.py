@@ -14,7 +14,7 @@ from station.episode.storage.manifest import Event, Stream
 
 TEXT = st.one_of(st.text(max_size=30), st.text(st.sampled_from("a'\n \x01é\U0010ffff"), max_size=400))
 VALUE = st.recursive(
-    st.one_of(TEXT, st.integers(), st.floats(allow_nan=False), st.booleans(), st.none()),
+    st.one_of(TEXT, st.integers(-(2**63), 2**64 - 1), st.floats(allow_nan=False), st.booleans(), st.none()),
     lambda inner: st.one_of(st.lists(inner, max_size=6), st.dictionaries(TEXT, inner, max_size=6)),
     max_leaves=40,
 )
