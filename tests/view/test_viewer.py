@@ -126,18 +126,13 @@ def test_a_viewer_that_is_frozen_is_not_waited_for_without_end(
     program: Program, recording: rr.RecordingStream, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(viewers, "_DELIVERY_S", 0.5)
-    connect = recording.connect_grpc
-
-    def connect_to_a_frozen_viewer(url: str) -> None:  # what a viewer has once taken is not waited for by a flush
-        os.kill(program.pid, signal.SIGSTOP)
-        connect(url)
-
-    monkeypatch.setattr(recording, "connect_grpc", connect_to_a_frozen_viewer)
-    more_than_a_socket_holds = np.random.default_rng(0).integers(0, 255, 32_000_000, dtype=np.uint8)
+    much = np.random.default_rng(0).integers(0, 255, 16_000_000, dtype=np.uint8)
 
     def show_to_a_frozen_viewer() -> None:
         with open_viewer(recording) as viewer:
-            recording.log("numbers", rr.Tensor(more_than_a_socket_holds))
+            os.kill(program.pid, signal.SIGSTOP)
+            for number in range(5):  # more than a socket and Rerun's own queue hold
+                recording.log(f"numbers{number}", rr.Tensor(much))
             viewer.deliver(recording)
 
     with pytest.raises(StationError, match="did not take all data within"):
