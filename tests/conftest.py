@@ -68,6 +68,15 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
         return (yield)
 
 
+def pytest_fixture_setup(fixturedef: pytest.FixtureDef[Any]) -> None:
+    if fixturedef.scope not in ("function", "session"):
+        leftovers.SHARED.add(f"{fixturedef.baseid}::{fixturedef.argname}")
+
+
+def pytest_fixture_post_finalizer(fixturedef: pytest.FixtureDef[Any]) -> None:
+    leftovers.SHARED.discard(f"{fixturedef.baseid}::{fixturedef.argname}")
+
+
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """See that there is upstream data for a test that is marked with `assets`, before any of its fixtures; figures
     name the test."""
@@ -123,9 +132,9 @@ def _own_runtime_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: p
 
 
 @pytest.fixture(autouse=True)
-def _leaves_nothing(request: pytest.FixtureRequest) -> Iterator[None]:
+def _leaves_nothing() -> Iterator[None]:
     """Fail the test that leaves processes, files in the checkout, or real-time scheduling to those after it."""
-    with leftovers.none_left(request.node):
+    with leftovers.none_left():
         yield
 
 

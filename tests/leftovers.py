@@ -23,13 +23,16 @@ LINES = 40
 KEYS = 100
 """Of the bus, at most."""
 
+SHARED: set[str] = set()
+"""Fixtures of a class, module or package that are set up now: what they started outlives a test."""
+
 _LOGS = ("*.log", "*.err", "*.stderr", "*words*", "manifest.yaml")
 _GOING_S = 20.0  # a child that was told to go may take so long
 _KNOWN = frozenset({".pytest_cache", ".mypy_cache", ".ruff_cache", "__pycache__", ".hypothesis", ".benchmarks"})
 
 
 @contextlib.contextmanager
-def none_left(item: pytest.Item) -> Iterator[None]:
+def none_left() -> Iterator[None]:
     """Fail the test whose length this block has when it leaves processes, or real-time scheduling.
 
     A process of a fixture that several tests share may stay.
@@ -40,7 +43,7 @@ def none_left(item: pytest.Item) -> Iterator[None]:
     if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK != os.SCHED_OTHER:
         found.append(f"real-time scheduling (policy {os.sched_getscheduler(0)})")
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    if not _shares_processes(item):
+    if not SHARED:
         left: dict[int, str] = {}
 
         def are_gone() -> bool:
@@ -73,12 +76,6 @@ def evidence(item: pytest.Item) -> list[tuple[str, str]]:
         if isinstance(value, BusAddress):
             sections.append((f"keys of the bus {name}", _keys_of(value)))
     return [(title, text) for title, text in sections if text]
-
-
-def _shares_processes(item: pytest.Item) -> bool:
-    """Whether a fixture that lives longer than the test may have started processes for it."""
-    definitions = getattr(getattr(item, "_fixtureinfo", None), "name2fixturedefs", {})
-    return any(found[-1].scope not in ("function", "session") for found in definitions.values())
 
 
 def _children() -> dict[int, str]:

@@ -14,11 +14,11 @@ from tests.late_verdicts import expect_no_worse_in_time
 from tests.lateness import EXCUSED, PROOF_S, TooLate, Waits, excuse, in_time
 from tests.verdicts import expect_no_worse_but_late
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 CPU_S = 0.3
 _SPIN = f"""
 import os, time
-
-pytestmark = pytest.mark.usefixtures("processes")
 os.sched_setaffinity(0, {{min(os.sched_getaffinity(0))}})
 while time.process_time() < {CPU_S}: pass
 """

@@ -27,8 +27,6 @@ from pathlib import Path
 from station.bus.keeper import KeptServer
 from station.bus.server_options import ServerOptions
 
-pytestmark = pytest.mark.usefixtures("processes")
-
 folder = Path(sys.argv[1])
 with KeptServer.start(ServerOptions(folder=folder, socket=folder / "bus.sock")) as server:
     print(server.pid, flush=True)

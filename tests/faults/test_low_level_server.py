@@ -5,10 +5,14 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
+import pytest
+
 from station.episode.quality.check import check
 from station.episode.reading.reader import open_episode
 from station.episode.replaying.audit import audit
 from tests.faults.moving_station import MovingStation
+
+pytestmark = pytest.mark.usefixtures("processes")
 
 
 def test_a_robots_server_that_is_killed_comes_back_standing_and_the_episode_holds_both_lives(tmp_path: Path) -> None:

@@ -17,6 +17,8 @@ from station_kord import BadOption, ControllerServer, KordBridge, NotConnected, 
 from tests.bridges.kord.arms import LIMITS, ONE_JOINT
 from tests.waiting import wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 STANDSTILL_TICKS = 50
 """200 ms."""
 
@@ -25,8 +27,6 @@ TRIES = 5
 DRIVER = """
 import sys
 from station_kord import KordBridge, Limits, SimOptions
-
-pytestmark = pytest.mark.usefixtures("processes")
 path, mode = sys.argv[1:]
 sim = SimOptions()
 limits = Limits(q_min=sim.q_min, q_max=sim.q_max, qd_max=(2.0,) * 7, qdd_max=(10.0,) * 7)

@@ -13,6 +13,8 @@ from station_kord import KordBridge, SimOptions
 from tests.bridges.kord.arms import LIMITS, ONE_JOINT, PATIENT
 from tests.waiting import wait_until
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 WITHOUT_RIGHTS = """
 import json, os, resource, sys
 from station_kord import KordBridge, Limits, SimOptions
@@ -48,8 +50,6 @@ json.dump(during | {"after_kb": locked_kb(), "told_after": bridge.get_state().me
 WHERE_TWO_ANSWER = """
 import ctypes, json, os, sys
 from station_kord import KordBridge, Limits, SimOptions
-
-pytestmark = pytest.mark.usefixtures("processes")
 by_library, by_kernel = (int(word) for word in sys.argv[1:])  # priorities of SCHED_FIFO; 0 for normal scheduling
 def policy_of(priority):
     return os.SCHED_FIFO if priority else os.SCHED_OTHER

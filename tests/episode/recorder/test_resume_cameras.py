@@ -118,6 +118,7 @@ def test_pictures_that_were_not_safe_yet_come_once_more_and_are_not_twice(folder
     assert [m.data for m in open_episode(folder).messages()] == [w.value for w in (*first[:5], *again)]
 
 
+@pytest.mark.usefixtures("processes")
 def test_without_the_server_every_whole_chunk_of_both_is_kept_and_the_hole_begins_where_the_signals_end(
     folder: Path,
 ) -> None:
@@ -137,6 +138,7 @@ def test_without_the_server_every_whole_chunk_of_both_is_kept_and_the_hole_begin
     assert hole.lost == 6 + 6 + 2
 
 
+@pytest.mark.usefixtures("processes")
 def test_the_first_pictures_of_a_hole_are_kept_though_nothing_said_that_they_were_safe(folder: Path) -> None:
     scene = Scene()
     (first,), later = scenes(scene, 1), scenes(scene, 1)[0]
