@@ -35,6 +35,7 @@ from station.protocols import CommandFormat, Motion
 if TYPE_CHECKING:
     from station.view.preview import Preview
 
+_GATE_WITHIN_S = 1.0  # a living robot says the state of its gate fifty times a second
 _SHORTEST_BLEND_S = 0.1
 
 
@@ -182,6 +183,8 @@ class Player:
     def run(self) -> None:
         """Play to the end; on an error blend back to the default first, then raise it."""
         try:
+            if self._config.pace == "wall":  # in lock-step no time passes for a robot that is not commanded
+                self._wait_for_silence()
             self._play(self._new_pace())
         except _Stopped:
             raise
@@ -195,6 +198,17 @@ class Player:
             ):  # a blend needs nothing of what may be broken
                 self._writer.write(self._playback.step(pace.wait(is_leaving=True)), None)
             raise
+
+    def _wait_for_silence(self) -> None:
+        """Wait while a robot that was stopped wants commands to cease: one that began now would never be followed."""
+        until_s = time.monotonic() + _GATE_WITHIN_S
+        while self._stop.is_gate_old and time.monotonic() < until_s:
+            time.sleep(0.01)
+        if reason := self._stop.needs_silence:
+            self._life.event("motion-waits", reason=reason)
+        while self._stop.needs_silence and not self._life.stopping:
+            self._expect_no_stop()
+            time.sleep(1.0 / self._config.rate_hz)
 
     def _expect_no_stop(self) -> None:
         if reason := self._stop.why_stopped():

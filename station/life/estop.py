@@ -65,6 +65,7 @@ def read(data: bytes) -> StopRequest:
 class _Gate(msgspec.Struct):
     state: str = ""
     reason: str = ""
+    needs_silence: str = ""
 
 
 class StopWatch:
@@ -92,6 +93,17 @@ class StopWatch:
         gate = self._gate()
         self._was_free = self._was_free or gate.state not in ("", "stopped")
         return gate.reason if self._was_free and gate.state == "stopped" else ""
+
+    @property
+    def is_gate_old(self) -> bool:
+        """Whether the robot's gate has said something, and nothing since this began to watch."""
+        sample = self._watch.latest(self._gate_key)
+        return sample is not None and sample.arrived_ns is None
+
+    @property
+    def needs_silence(self) -> str:
+        """Why the robot follows no command before all have ceased for a while, or ""."""
+        return self._gate().needs_silence
 
     def _gate(self) -> _Gate:
         sample = self._watch.latest(self._gate_key)

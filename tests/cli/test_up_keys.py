@@ -11,6 +11,7 @@ import pytest
 
 from station.bus import codec, keys
 from station.bus.client import Bus
+from station.bus.stamp import decode
 from station.episode.storage.manifest import load_manifest
 from tests.cli.at_terminal import AtTerminal
 from tests.cli.running import COMMANDS_ONLY, SHORT, Home
@@ -34,6 +35,18 @@ def gate(bus: Bus) -> str:
     return str(codec.parse_json(bus.get(GATE) or b"{}").get("state", ""))
 
 
+def written_ns(bus: Bus, key: str) -> int:
+    """Return when the newest native write of a key was made [ns]."""
+    stamp = decode(bus.get(keys.stamp(key)) or b"")
+    return stamp.mono_ns if stamp is not None else 0
+
+
+def wait_for_ticks(bus: Bus) -> None:
+    """Wait until the robot has made some steps more: it has acted on what was asked before."""
+    before = written_ns(bus, GATE)
+    wait_until(lambda: written_ns(bus, GATE) > before + 100_000_000)
+
+
 def test_space_stops_the_robot_at_a_question_and_nothing_goes_past_the_stop(home: Home, tmp_path: Path) -> None:
     with AtTerminal(home, "up", written(tmp_path, G1 + ASK + MOTION)) as terminal:
         terminal.wait_for("[y/N]")
@@ -45,8 +58,11 @@ def test_space_stops_the_robot_at_a_question_and_nothing_goes_past_the_stop(home
             told = terminal.wait_for("EMERGENCY STOP: the robots are damped until `station estop --reset`")
             terminal.type(b"x\x7fyes\r")  # the question was still open, and "yes" holds no stop
             held = terminal.wait_for("release it with `station estop --reset`; until then nothing goes on", told)
+            pressed_ns = written_ns(bus, keys.ESTOP)
             terminal.type(b"x r \x1b[A\r")
+            wait_until(lambda: written_ns(bus, keys.ESTOP) > pressed_ns)  # the space bar among them stops once more
             assert gate(bus) == "stopped"
+            wait_for_ticks(bus)
             assert bus.get(keys.action_body()) is None
             assert home.run("estop", "--reset").returncode == 0
             asked = terminal.wait_for("[y/N]", held)
