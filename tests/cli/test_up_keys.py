@@ -5,6 +5,7 @@ from __future__ import annotations
 import getpass
 import os
 import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,18 @@ def written_ns(bus: Bus, key: str) -> int:
     return stamp.mono_ns if stamp is not None else 0
 
 
+def press_until(terminal: AtTerminal, key: bytes, text: str, after: int) -> int:
+    """Press a key again and again until the screen shows a text behind a place; return the place behind it."""
+
+    def is_shown() -> bool:
+        terminal.type(key)
+        time.sleep(0.2)
+        return text in terminal.screen[after:]
+
+    wait_until(is_shown)
+    return terminal.wait_for(text, after)
+
+
 def wait_for_ticks(bus: Bus) -> None:
     """Wait until the robot has made some steps more: it has acted on what was asked before."""
     before = written_ns(bus, GATE)
@@ -74,8 +87,7 @@ def test_space_stops_the_robot_at_a_question_and_nothing_goes_past_the_stop(home
             wait_until(lambda: gate(bus) == "stopped")
             ended = terminal.wait_for("; r starts it again, Ctrl-C takes the station down", started)
             assert "ended the motion at " in terminal.screen[started:ended]
-            terminal.type(b"r")
-            refused = terminal.wait_for("until then nothing starts", ended)
+            refused = press_until(terminal, b"r", "until then nothing starts", ended)
             assert home.run("estop", "--reset").returncode == 0
             terminal.type(b"r")
             terminal.wait_for("server-restarted", refused)
