@@ -13,6 +13,7 @@ import json
 import math
 import re
 import sys
+import threading
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
@@ -24,6 +25,8 @@ T = TypeVar("T")
 
 _decode_list = msgspec.json.Decoder(list[float]).decode
 _encode = msgspec.json.Encoder().encode
+_decoders: dict[Any, msgspec.json.Decoder[Any]] = {}
+_one_learns = threading.Lock()
 
 MAX_BYTES = 1 << 20
 """Of a JSON value; the longest of ours, what a G1's server states, has 3 kB."""
@@ -129,12 +132,24 @@ def parse_struct(data: bytes, kind: type[T]) -> T:
     """
     _check_length(data)
     try:
-        value = msgspec.json.decode(data, type=kind)
+        value = _decoder(kind).decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BadValue(str(error)[:_LONGEST_REASON]) from error
     if _may_be_deep(data) or _LONG_NUMBER.search(data):
         parse_json(data)  # the other decoder knows no bounds, so this one judges what may be beyond them
     return value
+
+
+def _decoder(kind: type[T]) -> msgspec.json.Decoder[T]:
+    """Return the decoder of a type.
+
+    msgspec learns a type when it is first used, and crashes where two threads do so at once: here one does.
+    """
+    found = _decoders.get(kind)
+    if found is None:
+        with _one_learns:
+            found = _decoders.setdefault(kind, msgspec.json.Decoder(kind))
+    return found
 
 
 def parse_facts(data: bytes | None) -> dict[str, Any]:

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Any
+import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -151,3 +155,28 @@ def test_raw_vectors_come_back_and_torn_ones_are_refused() -> None:
     assert codec.parse_f32(codec.f32(values)).tobytes() == values.astype(np.float32).tobytes()
     with pytest.raises(codec.BadValue, match="9 bytes, expected a multiple of 8"):
         codec.parse_f64(b"123456789")
+
+
+@pytest.fixture
+def busy_threads() -> Iterator[None]:
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
+def test_threads_that_meet_a_type_for_the_first_time_all_decode_it(busy_threads: None) -> None:
+    for number in range(50):
+        fields = [
+            (f"field{n}", Annotated[dict[str, int], msgspec.Meta(max_length=n + 9)] | None, None) for n in range(20)
+        ]
+        kind = msgspec.defstruct(f"Met{number}", fields, namespace={})
+        together = threading.Barrier(4)
+
+        def decode(kind: type[msgspec.Struct] = kind, together: threading.Barrier = together) -> msgspec.Struct:
+            together.wait()
+            return codec.parse_struct(b'{"field7": {"a": 1}}', kind)
+
+        with ThreadPoolExecutor(4) as threads:
+            found = [future.result() for future in [threads.submit(decode) for _ in range(4)]]
+        assert [value.field7 for value in found] == [{"a": 1}] * 4  # type: ignore[attr-defined]
