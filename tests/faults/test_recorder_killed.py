@@ -136,6 +136,8 @@ def test_a_server_that_no_longer_has_it_leaves_a_hole_that_is_measured_and_check
         station.wait_until_it_records(messages=500)
         admin.call("CONFIG", "SET", "repl-backlog-size", 16384)
         pid = station.kill()
+        for _ in range(5):
+            admin.call("SET", "large", b"x" * 20_000)  # more than the backlog holds
         station.wait_for_another(pid)
         station.wait_until_it_records(messages=1000)
         written = writers.stop()

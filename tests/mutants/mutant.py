@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import msgspec
@@ -50,10 +51,12 @@ class Mutant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         """Patch the tree at `root`, in a new file: the old one may be shared with other trees by a hard link."""
         path = root / self.file
         text = path.read_text(encoding="utf-8").replace(self.old, self.new)
-        mode = path.stat().st_mode
+        before = path.stat()
         path.unlink()
         path.write_text(text, encoding="utf-8")
-        path.chmod(mode)
+        path.chmod(before.st_mode)
+        # Python takes a compiled file for today's where the source has its length and its second: give it another one.
+        os.utime(path, (before.st_atime, before.st_mtime + 2.0))
 
 
 def load(folder: Path) -> list[Mutant]:
