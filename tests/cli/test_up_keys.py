@@ -204,6 +204,8 @@ def test_past_a_frozen_bus_the_key_still_stops_the_robot_of_this_station(home: H
             os.kill(pid, signal.SIGCONT)
         with Bus(home.bus, name="test", timeout_s=5.0) as bus:
             wait_until(lambda: gate(bus) == "stopped")
+        terminal.wait_for("ended the motion at ")
+        terminal.wait_for("r starts it again")
         terminal.send(signal.SIGTERM)
         assert terminal.finish() == 1, "the motion has ended with the stop"
 

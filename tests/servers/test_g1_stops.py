@@ -46,6 +46,8 @@ def test_a_stop_is_obeyed_though_it_is_overwritten_or_deleted_in_the_same_breath
             line.pipeline(requests)
             log.wait_for("estop", count)
             wait_until(lambda: log.gate()["state"] == "stopped")
+            acted = ticks(log)
+            wait_until(lambda acted=acted: ticks(log) > acted + 25)  # type: ignore[misc]  # else nothing is released
             line.call("SET", keys.ESTOP, b"0")
             log.wait_for("operator-reset", count)
         assert len(log.events("estop")) == len(kinds)
