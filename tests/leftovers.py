@@ -28,7 +28,7 @@ SHARED: set[str] = set()
 
 _LOGS = ("*.log", "*.err", "*.stderr", "*words*", "manifest.yaml")
 _GOING_S = 20.0  # a child that was told to go may take so long
-_KNOWN = frozenset({"data", ".pytest_cache", ".mypy_cache", ".ruff_cache", "__pycache__", ".hypothesis", ".benchmarks"})
+_KNOWN = frozenset({".pytest_cache", ".mypy_cache", ".ruff_cache", "__pycache__", ".hypothesis", ".benchmarks"})
 
 
 @contextlib.contextmanager
