@@ -14,7 +14,7 @@ from servers.kassow import KassowConfig
 from station.bus import arm_contracts, codec, keys
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
-from station.life import arm_request
+from station.life import arm_request, controller_request
 from station.protocols import Floats
 from station.supervision.supervisor import Supervisor
 from tests.servers.g1_station import Log
@@ -92,6 +92,8 @@ class ArmStation:
         """Let the arm stand, armed, with nobody commanding it and nothing stopping it."""
         if self.gate()["state"] == "stopped":
             self.bus.publish({keys.ESTOP: b"0"})
+        if self.gate()["state"] == "faulted":
+            controller_request.ask(self.bus, ROBOT, "clear")
         arm_request.ask(self.bus, "arm", server="kassow")
         self.wait_for_gate("waiting")
         self.wait_for_rest()
@@ -118,9 +120,11 @@ class Commander:
     Args:
         station: Whose arm.
         name: Under which it writes.
+        speed_rad_s: Of joint 1 [rad/s].
     """
 
-    def __init__(self, station: ArmStation, name: str = "commander") -> None:
+    def __init__(self, station: ArmStation, name: str = "commander", *, speed_rad_s: float = 0.3) -> None:
+        self._speed_rad_s = speed_rad_s
         self._bus = Bus(station.server.address, name=name, timeout_s=5.0)
         self.q = station.used()
         self.moves = True
@@ -135,7 +139,7 @@ class Commander:
             now_s = time.monotonic()
             if self.moves:
                 direction = 1.0 if int((now_s - began_s) / 2.0) % 2 == 0 else -1.0
-                self.q = self.q + direction * 0.3 * min(now_s - last_s, 0.02) * np.eye(7)[0]
+                self.q = self.q + direction * self._speed_rad_s * min(now_s - last_s, 0.02) * np.eye(7)[0]
             self.longest_gap_s = max(self.longest_gap_s, now_s - last_s)
             last_s = now_s
             self._bus.publish({keys.action_joints(ROBOT): codec.json_vector(self.q)})
