@@ -12,11 +12,18 @@ from numpy.typing import ArrayLike
 
 from station.protocols import Floats
 
+_LEAST_NORM = 1e-150
+
 
 def normalized(quat_wxyz: ArrayLike) -> Floats:
-    """Return unit quaternions, shape (..., 4)."""
+    """Return unit quaternions, shape (..., 4); NaN for four zeros, which are no rotation."""
     quat = np.asarray(quat_wxyz, dtype=np.float64)
-    return np.asarray(quat / np.linalg.norm(quat, axis=-1, keepdims=True))
+    with np.errstate(all="ignore"):  # a damaged recording holds any number
+        norm = np.linalg.norm(quat, axis=-1, keepdims=True)
+        if not ((norm > _LEAST_NORM) & (norm < 1.0 / _LEAST_NORM)).all():  # squares that no float holds
+            quat = quat / np.abs(quat).max(axis=-1, keepdims=True)
+            norm = np.linalg.norm(quat, axis=-1, keepdims=True)
+        return np.asarray(quat / norm)
 
 
 def multiply(left: ArrayLike, right: ArrayLike) -> Floats:

@@ -28,6 +28,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--changed-builds", action="store_true", help="build tier: only if its sources or compiler changed"
     )
+    parser.addoption("--new-examples", action="store_true", help="draw other random examples than the last run")
     parser.addoption("--write-figures", action="store_true", help="proof tier: write its figures into docs/")
 
 
@@ -35,8 +36,12 @@ def pytest_configure(config: pytest.Config) -> None:
     """Obey Ctrl-C, so that every child does: a shell's background job, and all that it starts, would ignore it."""
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    # How long an example takes is the machine's business.
-    settings.register_profile("patient", settings(), deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    # How long an example takes is the machine's business. The same code gets the same verdict: new examples are drawn
+    # where defects are looked for (`make hunt`, proofs).
+    settings.register_profile(
+        "patient", settings(), deadline=None, suppress_health_check=[HealthCheck.too_slow],
+        derandomize=not (config.getoption("--new-examples") or config.getoption("-m") == "proof"),
+    )  # fmt: skip
     settings.load_profile("patient")
     config.pluginmanager.register(progress.Progress(config), "station-progress")
     if not progress.distributes(config):
@@ -112,23 +117,27 @@ def _upstream_data() -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Compile robot models into a cache of this test run, and remember stops in a folder of its own."""
+    """Compile robot models into a cache of this test run; fixtures that several tests share have folders of it too."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        _away_from_user(patch, tmp_path_factory.mktemp("run"))
         yield
 
 
 @pytest.fixture(autouse=True)
 def _own_runtime_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep every test away from a station that the user may be running."""
-    folder = tmp_path_factory.mktemp("run")
+    """Give every test folders of its own."""
+    _away_from_user(monkeypatch, tmp_path_factory.mktemp("run"))
+
+
+def _away_from_user(patch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Keep away from a station that the user may be running: its bus, its stops, its episodes."""
     folder.chmod(0o700)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
-    monkeypatch.setenv("XDG_STATE_HOME", str(folder / "state"))
-    bus = ("", "_USER", "_PASSWORD", "_PASSWORD_FILE", "_CA", "_CERT", "_KEY")
-    for name in (*(f"STATION_BUS{suffix}" for suffix in bus), "STATION_DATA"):
-        monkeypatch.delenv(name, raising=False)
+    patch.setenv("XDG_RUNTIME_DIR", str(folder))
+    patch.setenv("XDG_STATE_HOME", str(folder / "state"))
+    patch.setenv("STATION_DATA", str(folder / "data"))
+    for suffix in ("", "_USER", "_PASSWORD", "_PASSWORD_FILE", "_CA", "_CERT", "_KEY"):
+        patch.delenv(f"STATION_BUS{suffix}", raising=False)
 
 
 @pytest.fixture(autouse=True)

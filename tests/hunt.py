@@ -94,7 +94,18 @@ def main() -> int:
 
 def _run(place: Path, asked: argparse.Namespace, tally: Tally) -> None:
     log, report, began_s = place.with_suffix(".log"), place.with_suffix(".xml"), time.monotonic()
-    command = [sys.executable, "-m", "pytest", "-m", asked.tier, "-n", asked.jobs, "--dist", "loadscope"]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-m",
+        asked.tier,
+        "-n",
+        asked.jobs,
+        "--dist",
+        "loadscope",
+        "--new-examples",
+    ]
     with log.open("wb") as output:
         done = subprocess.run(
             [*command, f"--junitxml={report}", "-p", "no:cacheprovider", *asked.selection],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from station import rotations
@@ -25,6 +25,18 @@ def matrix(quat: Floats) -> Floats:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
+
+
+@given(st.lists(st.floats(), min_size=4, max_size=4))
+@example([1.7e-164, 0.0, 0.0, 0.0])
+@example([1e200, -1e200, 0.0, 0.0])
+def test_any_four_numbers_are_made_a_unit_quaternion_or_none_at_all(numbers: list[float]) -> None:
+    quat = rotations.normalized(numbers)
+    if np.isfinite(numbers).all() and np.any(numbers):
+        np.testing.assert_allclose(np.linalg.norm(quat), 1.0, rtol=1e-12)
+        assert (np.sign(quat) * np.sign(numbers) >= 0).all()
+    else:
+        assert not np.isfinite(quat).all()
 
 
 @given(quats, vectors)

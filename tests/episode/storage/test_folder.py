@@ -83,6 +83,7 @@ def test_what_cannot_be_found_is_said_in_one_line(tmp_path: Path) -> None:
 
 
 def test_the_data_folder_comes_from_the_caller_then_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("STATION_DATA")
     assert data_folder() == Path("data")
     monkeypatch.setenv("STATION_DATA", "/somewhere")
     assert data_folder() == Path("/somewhere")
