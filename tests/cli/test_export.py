@@ -100,7 +100,7 @@ def test_what_cannot_be_is_told_in_a_line(walked: Home, arguments: list[str], to
 def many(walked: Home, tmp_path: Path) -> Path:
     """A data folder with so many episodes that an export can be met in the middle."""
     (tmp_path / "data" / "walk").mkdir(parents=True)
-    for number in range(300):
+    for number in range(150):
         (tmp_path / "data" / "walk" / f"{number:04d}").symlink_to(walked.data / "walk" / "2026-11-21-g1-walk-0001")
     return tmp_path / "data"
 
@@ -118,15 +118,15 @@ def test_an_export_that_ends_in_the_middle_goes_on_when_it_is_called_again(
         code = terminal.finish()
         if number == signal.SIGINT:
             assert code == 130
-            assert "of 300 episodes are converted and kept; the same command goes on from there" in terminal.screen
-            assert "/300" in terminal.screen, "a bar moved"
+            assert "of 150 episodes are converted and kept; the same command goes on from there" in terminal.screen
+            assert "/150" in terminal.screen, "a bar moved"
     assert not (tmp_path / "out").exists(), "never half of it"
     done = walked.run(*command, "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
-    assert found["episodes"] == 300
-    assert 3 < found["kept"] < 300
-    assert len(list((tmp_path / "out").iterdir())) == 300
+    assert found["episodes"] == 150
+    assert 3 < found["kept"] < 150
+    assert len(list((tmp_path / "out").iterdir())) == 150
     assert not (tmp_path / ".out.export").exists()
 
 
@@ -140,7 +140,7 @@ def test_an_export_onto_a_full_disk_says_so_in_a_line_and_goes_on_when_there_is_
         command = ("export", "npz", "--data", str(many), "--out", str(disk.path / "out"), "--jobs", "2")
         told = one_line(walked.run(*command))
         assert re.search(
-            r"\d{4}: .*: No space left on device; [1-9]\d* of 300 episodes are converted and kept beside .*/out: make",
+            r"\d{4}: .*: No space left on device; [1-9]\d* of 150 episodes are converted and kept beside .*/out: make",
             told,
         )
         assert not (disk.path / "out").exists()
@@ -148,7 +148,7 @@ def test_an_export_onto_a_full_disk_says_so_in_a_line_and_goes_on_when_there_is_
         done = walked.run(*command, "--json")
         assert done.returncode == 0, done.stderr
         found = json.loads(done.stdout)
-        assert found["episodes"] == 300
+        assert found["episodes"] == 150
         assert found["kept"] > 0
 
 

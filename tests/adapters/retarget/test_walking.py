@@ -127,9 +127,8 @@ def test_feet_that_carry_stand_still(seed: int) -> None:
 
 def test_the_rate_of_ticks_does_not_change_where_it_goes() -> None:
     wishes = [(0.5, Wish()), (3.0, Wish(0.5, 0.1, 0.4)), (1.0, Wish(-0.3)), (4.0, Wish())]
-    ends = [walked(wishes, tick_s)[1][-1].root_pos for tick_s in (0.02, 0.01, 0.005)]
-    assert ends[1] == pytest.approx(ends[0], abs=0.03)
-    assert ends[2] == pytest.approx(ends[1], abs=0.03)
+    slow, fast = (walked(wishes, tick_s)[1][-1].root_pos for tick_s in (0.02, 0.005))
+    assert fast == pytest.approx(slow, abs=0.03)
 
 
 def test_it_squats_where_it_stands_and_less_where_it_walks() -> None:

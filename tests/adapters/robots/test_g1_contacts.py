@@ -138,10 +138,14 @@ def test_hands_pass_clear_of_the_body_in_all_six_motions(assets: Path, path: Pat
 
 
 @pytest.mark.assets
-def test_twist2_tracks_all_six_motions_as_well_as_with_the_meshed_robot(assets: Path) -> None:
+def test_twist2_tracks_as_well_as_with_the_meshed_robot(assets: Path) -> None:
+    assert_tracked_as_well(MOTIONS[3:4])  # the shortest; `tests/test_proof_rehearse.py` has all six
+
+
+def assert_tracked_as_well(motions: list[str]) -> None:
     errors = {}
     for model in (str(G1), MESHED):
-        results = rehearse_all(MOTIONS, RigConfig(robot_model=model, policy="twist2", physics_dt_s=0.002), jobs=2)
+        results = rehearse_all(motions, RigConfig(robot_model=model, policy="twist2", physics_dt_s=0.002), jobs=2)
         assert not any(result.fell for result in results), results
         errors[model] = np.array([result.mean_joint_error_rad for result in results])
     np.testing.assert_array_less(errors[str(G1)], 1.1 * errors[MESHED])
@@ -150,5 +154,5 @@ def test_twist2_tracks_all_six_motions_as_well_as_with_the_meshed_robot(assets: 
 @pytest.mark.assets
 def test_twist2_walks_with_hands_that_it_does_not_know(assets: Path) -> None:
     config = RigConfig(robot_model=str(DEX3), policy="twist2", physics_dt_s=0.002)
-    results = rehearse_all(MOTIONS[:2], config, jobs=2)
+    results = rehearse_all(MOTIONS[3:4], config, jobs=2)
     assert not any(result.fell for result in results), results
