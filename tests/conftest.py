@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import signal
 from collections.abc import Iterator
@@ -124,15 +125,23 @@ def _own_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session")
+def _folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Paths for folders, numbered here: a numbered folder of pytest costs a look at all that there are."""
+    runs = tmp_path_factory.mktemp("runs")
+    return (runs / str(number) for number in itertools.count())
+
+
 @pytest.fixture(autouse=True)
-def _own_runtime_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+def _own_runtime_folder(_folders: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     """Give every test folders of its own."""
-    _away_from_user(monkeypatch, tmp_path_factory.mktemp("run"))
+    folder = next(_folders)
+    folder.mkdir(mode=0o700)
+    _away_from_user(monkeypatch, folder)
 
 
 def _away_from_user(patch: pytest.MonkeyPatch, folder: Path) -> None:
     """Keep away from a station that the user may be running: its bus, its stops, its episodes."""
-    folder.chmod(0o700)
     patch.setenv("XDG_RUNTIME_DIR", str(folder))
     patch.setenv("XDG_STATE_HOME", str(folder / "state"))
     patch.setenv("STATION_DATA", str(folder / "data"))

@@ -53,7 +53,9 @@ class Ramp:
         pytest.param(UPSTREAM, AS_UPSTREAM, 0.002, marks=pytest.mark.assets, id="upstream"),
     ],
 )
-def test_motions_run_to_their_end_without_a_fall(motions: list[str], config: RigConfig, physics_dt_s: float) -> None:
+def test_motions_run_to_their_end_without_a_fall(
+    processes: None, motions: list[str], config: RigConfig, physics_dt_s: float
+) -> None:
     assert_all_end_well(motions, config, physics_dt_s)
 
 
@@ -117,7 +119,9 @@ def test_a_fall_ends_the_run_and_its_motion_time_is_said() -> None:
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_a_motion_that_cannot_be_read_ends_the_rehearsal_in_one_line(tmp_path: Path, jobs: int) -> None:
+def test_a_motion_that_cannot_be_read_ends_the_rehearsal_in_one_line(
+    processes: None, tmp_path: Path, jobs: int
+) -> None:
     bad = tmp_path / "bad.pkl"
     bad.write_bytes(b"\x80\x04cos\nsystem\n.")
     with pytest.raises(UsageError, match=r"bad\.pkl") as caught:

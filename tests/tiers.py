@@ -19,6 +19,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -76,11 +77,23 @@ def watch() -> None:
         sleep(seconds)
 
     time.sleep = short_sleep
+    start = BaseProcess.start  # of `multiprocessing`, which has no audit event
+
+    def no_start(process: BaseProcess) -> None:
+        _refuse_process(f"multiprocessing {process.name}")
+        start(process)
+
+    BaseProcess.start = no_start  # type: ignore[method-assign]
 
 
 def _on_audit(event: str, arguments: tuple[Any, ...]) -> None:
     if _limits["is_unit"] and event in _PROCESS_EVENTS and not (arguments and arguments[0] in _ASKED_BY_LIBRARIES):
         what = " ".join(str(word) for word in list(arguments[1])[:4]) if event == "subprocess.Popen" else event
+        _refuse_process(what)
+
+
+def _refuse_process(what: str) -> None:
+    if _limits["is_unit"]:
         raise NotInItsTier(f"a unit test starts a process ({what}): let it use the fixture `processes`")
 
 

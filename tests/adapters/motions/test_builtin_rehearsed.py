@@ -11,6 +11,8 @@ from adapters.motions import builtin
 from station.control.rig import RigConfig
 from station.rehearse import rehearse_all
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 TRIED_WITH_TWIST2 = ("squat", "walk-forward")
 
 

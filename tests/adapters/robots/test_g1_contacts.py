@@ -138,7 +138,7 @@ def test_hands_pass_clear_of_the_body_in_all_six_motions(assets: Path, path: Pat
 
 
 @pytest.mark.assets
-def test_twist2_tracks_as_well_as_with_the_meshed_robot(assets: Path) -> None:
+def test_twist2_tracks_as_well_as_with_the_meshed_robot(processes: None, assets: Path) -> None:
     assert_tracked_as_well(MOTIONS[3:4])  # the shortest; `tests/test_proof_rehearse.py` has all six
 
 
@@ -152,7 +152,7 @@ def assert_tracked_as_well(motions: list[str]) -> None:
 
 
 @pytest.mark.assets
-def test_twist2_walks_with_hands_that_it_does_not_know(assets: Path) -> None:
+def test_twist2_walks_with_hands_that_it_does_not_know(processes: None, assets: Path) -> None:
     config = RigConfig(robot_model=str(DEX3), policy="twist2", physics_dt_s=0.002)
     results = rehearse_all(MOTIONS[3:4], config, jobs=2)
     assert not any(result.fell for result in results), results

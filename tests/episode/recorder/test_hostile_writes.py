@@ -62,7 +62,6 @@ HOSTILE: dict[str, tuple[list[Write], set[str]]] = {
     "long configurations": ([configured(f"s{n}", {"text": LONG}) for n in range(9)], {"servers"}),
     "configurations of many values": ([configured(f"s{n}", {str(i): i for i in range(19_000)}) for n in range(3)],
                                       {"servers"}),
-    "many configurations": ([configured(f"s{n}", {str(i): i for i in range(4000)}) for n in range(15)], {"servers"}),
     "a configuration of more than a megabyte": ([configured("g1", {"text": 2 * LONG})], {"servers"}),
     "a configuration that is nested deep": ([configured("g1", json.loads('{"a":' * 40 + "1" + "}" * 40))], {"servers"}),
     "long sources": ([moved(n, text="x" * 64_000) for n in range(190)], {"motions"}),
