@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import threading
 import time
 from pathlib import Path
 from typing import Protocol
@@ -17,14 +18,20 @@ from station.bus.protection import REMEDY, look
 from station.errors import NotReady
 
 _BYTES_PER_GB = 1e9
+_LOOK_S = 0.1  # a request to stop is seen after so long
 _CLOCK_LOOKS = 5  # the quickest answer tells most
 
 
 class Check(Protocol):
     """One check with its arguments."""
 
-    def run(self, bus: Bus, data: Path) -> str:
-        """Return what was found, in a few words; `data` is the folder of episodes.
+    def run(self, bus: Bus, data: Path, stop: threading.Event) -> str:
+        """Return what was found, in a few words.
+
+        Args:
+            bus: The station's.
+            data: Folder of episodes.
+            stop: Set when somebody asks the station to stop: what waits ends.
 
         Raises:
             StationError: the check failed; the message says what to do.
@@ -41,7 +48,7 @@ class BusCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     allow_open: bool = False
 
-    def run(self, bus: Bus, _data: Path) -> str:
+    def run(self, bus: Bus, _data: Path, _stop: threading.Event) -> str:
         """Ask it who it is."""
         started = time.monotonic()
         info = bus.call("INFO", "server").decode()
@@ -60,7 +67,7 @@ class AssetsCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     files: list[str]
 
-    def run(self, _bus: Bus, _data: Path) -> str:
+    def run(self, _bus: Bus, _data: Path, _stop: threading.Event) -> str:
         """Find each."""
         for reference in self.files:
             assets.resolve(reference)
@@ -86,7 +93,7 @@ class DiskCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         if not self.mb_per_minute > 0:
             raise ValueError(f"mb_per_minute is {self.mb_per_minute}, expected more than 0")
 
-    def run(self, _bus: Bus, data: Path) -> str:
+    def run(self, _bus: Bus, data: Path, _stop: threading.Event) -> str:
         """Look at the data folder, or where it will be made."""
         folder = next(p for p in [data.absolute(), *data.absolute().parents] if p.exists())
         free_gb = shutil.disk_usage(folder).free / _BYTES_PER_GB
@@ -111,7 +118,7 @@ class ClockCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     max_skew_ms: float = 50.0
 
-    def run(self, bus: Bus, _data: Path) -> str:
+    def run(self, bus: Bus, _data: Path, _stop: threading.Event) -> str:
         """Compare them."""
         skew_ms = min(_skew(bus) for _ in range(_CLOCK_LOOKS))[1]
         if abs(skew_ms) > self.max_skew_ms:
@@ -126,7 +133,7 @@ class PingCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     host: str
 
-    def run(self, _bus: Bus, _data: Path) -> str:
+    def run(self, _bus: Bus, _data: Path, _stop: threading.Event) -> str:
         """Ping it once."""
         program = shutil.which("ping")
         if program is None:
@@ -142,7 +149,7 @@ class InterfaceCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     name: str
 
-    def run(self, _bus: Bus, _data: Path) -> str:
+    def run(self, _bus: Bus, _data: Path, _stop: threading.Event) -> str:
         """Look at what the kernel says of it."""
         known = sorted(p.name for p in Path("/sys/class/net").glob("*"))
         if self.name not in known:
@@ -160,13 +167,15 @@ class KeyRateCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     min_hz: float
     within_s: float = 2.0
 
-    def run(self, bus: Bus, _data: Path) -> str:
+    def run(self, bus: Bus, _data: Path, stop: threading.Event) -> str:
         """Count its writes for a while."""
         count, newest = 0, None
         with bus.watch([self.key]) as watch:
             deadline = time.monotonic() + self.within_s
             while (remaining := deadline - time.monotonic()) > 0:
-                sample = watch.wait(self.key, after=newest, timeout_s=remaining)
+                if stop.is_set():
+                    raise NotReady(f"asked to stop while writes of {self.key} were counted")
+                sample = watch.wait(self.key, after=newest, timeout_s=min(remaining, _LOOK_S))
                 if sample is not None:
                     count, newest = count + 1, sample
         rate_hz = count / self.within_s

@@ -7,6 +7,7 @@ configuration, so that a typing mistake is found before anything starts.
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -44,7 +45,7 @@ class Arming(msgspec.Struct, frozen=True, kw_only=True):
     server: str = ""
     within_s: float = arm_request.WITHIN_S
 
-    def run(self, bus: Bus, _data: Path) -> str:
+    def run(self, bus: Bus, _data: Path, _stop: threading.Event) -> str:
         """Ask for it and wait until it is done.
 
         Raises:

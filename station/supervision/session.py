@@ -178,7 +178,7 @@ class Session:
         if isinstance(step, StartStep):
             return self._start(step, stop)
         if isinstance(step, CheckStep):
-            return self._note(step, step.what.run(self._bus, self._data), who="station")
+            return self._note(step, step.what.run(self._bus, self._data, stop), who="station")
         if isinstance(step, ConfirmStep):
             return self._confirm(step, memory, stop)
         return self._note(step, "shown", who="station")

@@ -98,14 +98,15 @@ def test_space_stops_the_robot_at_a_question_and_nothing_goes_past_the_stop(home
 
 
 def test_space_stops_the_robot_while_a_step_waits_for_a_server(home: Home, tmp_path: Path) -> None:
-    check = "  - check: key-rate\n    key: nobody\n    min_hz: 1\n    within_s: 30\n"
+    check = "  - check: key-rate\n    key: nobody\n    min_hz: 1\n    within_s: 3600\n"
     with AtTerminal(home, "up", written(tmp_path, G1 + check)) as terminal:
-        terminal.wait_for("start g1")
+        terminal.wait_for("check key-rate")
         with Bus(home.bus, name="test", timeout_s=5.0) as bus:
             wait_until(lambda: gate(bus) == "waiting")
             terminal.type(b" ")
             wait_until(lambda: gate(bus) == "stopped", 10.0)
         terminal.send(signal.SIGTERM)
+        terminal.wait_for("asked to stop while writes of nobody were counted")
         assert terminal.finish() == 130
 
 

@@ -7,6 +7,7 @@ import signal
 import stat
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -151,9 +152,9 @@ def test_an_unprotected_bus_fails_the_check_and_is_broken_to_the_doctor(
 ) -> None:
     with Bus(unprotected, name="check", timeout_s=5.0) as bus:
         with pytest.raises(NotReady, match="without a password") as failed:
-            BusCheck().run(bus, tmp_path)
+            BusCheck().run(bus, tmp_path, threading.Event())
         assert "\n" not in str(failed.value)
-        assert "open to the network" in BusCheck(allow_open=True).run(bus, tmp_path)
+        assert "open to the network" in BusCheck(allow_open=True).run(bus, tmp_path, threading.Event())
         assert bus_access(bus).level == "broken"
         assert bus.names() == []  # looking has written nothing
         bus.call("CONFIG", "SET", "protected-mode", "yes")
@@ -177,7 +178,7 @@ def test_a_server_warns_of_an_open_bus_and_a_command_of_a_password_among_its_arg
 def test_a_bus_of_our_own_passes_the_check(bus_server: BusAddress, protected: RedisServer, tmp_path: Path) -> None:
     for address in (bus_server, protected.address):
         with Bus(address, name="check", timeout_s=5.0) as bus:
-            BusCheck().run(bus, tmp_path)
+            BusCheck().run(bus, tmp_path, threading.Event())
             assert bus_access(bus).level == "ok"
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from pathlib import Path
 from typing import cast
 
@@ -24,16 +25,16 @@ def half_a_gb(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("half_a_gb")
 def test_a_disk_is_told_in_minutes(tmp_path: Path) -> None:
     data = tmp_path / "not" / "there"
-    found = DiskCheck(min_free_gb=0.1, mb_per_minute=100).run(NO_BUS, data)
+    found = DiskCheck(min_free_gb=0.1, mb_per_minute=100).run(NO_BUS, data, threading.Event())
     assert found.endswith(f"GB free at {tmp_path}, 5 min at 100 MB/min")
 
 
 @pytest.mark.usefixtures("half_a_gb")
 def test_a_disk_that_is_too_small_fails_with_what_to_do(tmp_path: Path) -> None:
     with pytest.raises(NotReady, match=r"0.5 GB free, 2 needed; make room"):
-        DiskCheck().run(NO_BUS, tmp_path)
+        DiskCheck().run(NO_BUS, tmp_path, threading.Event())
     with pytest.raises(NotReady, match=r"0.5 GB free are 5 min at 100 MB/min, 6 needed; make room"):
-        DiskCheck(min_free_gb=0, min_minutes=6, mb_per_minute=100).run(NO_BUS, tmp_path)
+        DiskCheck(min_free_gb=0, min_minutes=6, mb_per_minute=100).run(NO_BUS, tmp_path, threading.Event())
 
 
 def test_a_rate_that_fills_no_disk_is_refused() -> None:
