@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 
 
 class Clock:
@@ -45,6 +46,10 @@ class Clock:
     ) -> bool:
         """Wait, with the condition's lock taken, until a predicate holds, or for a time [s]; return whether it does."""
         return condition.wait_for(predicate, timeout_s)
+
+    def lock(self) -> AbstractContextManager[object]:
+        """Return a lock that may be held while its holder waits; others then wait for it by this clock."""
+        return threading.Lock()
 
     def start(self, target: Callable[[], None], name: str) -> threading.Thread:
         """Start a daemon thread that reads this clock."""
