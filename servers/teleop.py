@@ -13,7 +13,6 @@ robot that stays where it is without a command, an arm, is left there instead.
 from __future__ import annotations
 
 import getpass
-import time
 from pathlib import Path
 from typing import Any
 
@@ -175,7 +174,8 @@ class Teleop:
         arm = ArmButtons(life, self._form.robot, config.device)
         self._requests = Requests(record, StopPresser(life), arm, device=config.device)
         self._speaks = False
-        self._heard_s = time.monotonic()
+        self._clock = life.clock
+        self._heard_s = self._clock.monotonic_s()
         self._taken_up: Floats | None = None
         self._leaving: Leaving | None = None
 
@@ -203,10 +203,10 @@ class Teleop:
         return self._leaving is not None and (self._leaving.is_done or not self._speaks)
 
     def _tick(self, dt_s: float) -> None:
-        now_ns = time.monotonic_ns()
+        now_ns = self._clock.monotonic_ns()
         if self._leaving is None and self._life.stopping:
             self._leaving = Leaving(self._form, self._config.leave_s)
-        heard = self._ear.hear()
+        heard = self._ear.hear(now_ns)
         if not heard.flaw:
             self._heard_s = now_ns * 1e-9
         self._robot.look(now_ns)

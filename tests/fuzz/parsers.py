@@ -358,7 +358,7 @@ _SAMPLE = readings.encode("pico", _READING) | readings.encode_status("pico", _ST
 def _device(key: str, data: bytes) -> None:
     """What teleoperation makes of a device's sample with one of its parts replaced; for every device alike."""
     ear = Ear(Shelf(_SAMPLE | {key: data}), "pico")  # type: ignore[arg-type]
-    heard_of = ear.hear()
+    heard_of = ear.hear(time.monotonic_ns())
     codec.json_object({"why_not": heard_of.flaw, "sample": heard_of.sample})
     if heard_of.reading is not None:
         for array in readings._arrays(heard_of.reading).values():
