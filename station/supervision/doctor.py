@@ -221,7 +221,7 @@ def _who(sample: Sample) -> str:
 
 def _gate(watch: Watch, key: str) -> Iterator[Finding]:
     sample = watch.latest(key)
-    if sample is None or sample.age_s() > _LOOK_S:
+    if sample is None or sample.age_s(watch.clock.monotonic_ns()) > _LOOK_S:
         yield Finding("broken", "gate", "no word from it: the low-level loop does not run", "see the server's log")
         return
     try:
