@@ -181,7 +181,7 @@ class Teleop:
 
     def run(self) -> None:
         """Drive to the end; on an error blend to the default first, then raise it."""
-        pace = WallPace(self._config.rate_hz)
+        pace = WallPace(self._config.rate_hz, self._clock)
         try:
             dt_s = 1.0 / self._config.rate_hz
             while not self._is_over:
@@ -206,7 +206,7 @@ class Teleop:
         now_ns = self._clock.monotonic_ns()
         if self._leaving is None and self._life.stopping:
             self._leaving = Leaving(self._form, self._config.leave_s)
-        heard = self._ear.hear(now_ns)
+        heard = self._ear.hear()
         if not heard.flaw:
             self._heard_s = now_ns * 1e-9
         self._robot.look(now_ns)

@@ -11,6 +11,9 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 
+Thread = threading.Thread
+"""What `Clock.start` returns, for annotations."""
+
 
 class Clock:
     """The machine's clock."""
@@ -51,13 +54,13 @@ class Clock:
         """Return a lock that may be held while its holder waits; others then wait for it by this clock."""
         return threading.Lock()
 
-    def start(self, target: Callable[[], None], name: str) -> threading.Thread:
+    def start(self, target: Callable[[], None], name: str) -> Thread:
         """Start a daemon thread that reads this clock."""
-        thread = threading.Thread(target=target, name=name, daemon=True)
+        thread = Thread(target=target, name=name, daemon=True)
         thread.start()
         return thread
 
-    def join(self, thread: threading.Thread, timeout_s: float | None = None) -> None:
+    def join(self, thread: Thread, timeout_s: float | None = None) -> None:
         """Wait until a thread has ended, or for a time [s]."""
         thread.join(timeout_s)
 

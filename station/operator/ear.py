@@ -58,15 +58,12 @@ class Ear:
         """Return the keys that must be watched."""
         return [key for name in (device, controls_from) if name for key in readings.watched_keys(name)]
 
-    def hear(self, now_ns: int) -> Heard:
-        """Return what is known at an instant of the watch's clock [ns, monotonic].
-
-        Buttons of another device count while poses are lost too, the stop among them.
-        """
-        heard = self._one.hear(now_ns)
+    def hear(self) -> Heard:
+        """Return what is known now; buttons of another device count while poses are lost too, the stop among them."""
+        heard = self._one.hear()
         if self._other is None:
             return heard
-        other = self._other.hear(now_ns)
+        other = self._other.hear()
         if other.reading is None:
             return Heard(None, other.flaw, heard.sample)
         reading = replace(heard.reading or Reading(), controls=other.reading.controls)
@@ -82,11 +79,11 @@ class _One:
         self._status_key = self._keys[0]
         self._newest: tuple[Status, Reading] | None = None
 
-    def hear(self, now_ns: int) -> Heard:
+    def hear(self) -> Heard:
         sample = self._watch.latest(self._status_key)
         if sample is None:
             return Heard(None, f"nothing was ever heard of {self._device}; is its server started?")
-        age_s = sample.age_s(now_ns)
+        age_s = sample.age_s(self._watch.clock.monotonic_ns())
         if age_s > STALE_S:
             told = "" if math.isinf(age_s) else f" for {age_s:.1f} s"
             return Heard(None, f"{self._device} is silent{told}")

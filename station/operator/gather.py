@@ -63,7 +63,7 @@ class Gatherer:
         found: list[Reading] = []
         seen, ends_s, why = -1, self._clock.monotonic_s() + for_s, ""
         while self._clock.monotonic_s() < ends_s:
-            heard = self._ear.hear(self._clock.monotonic_ns())
+            heard = self._ear.hear()
             if heard.reading is None:
                 why = heard.flaw
             elif heard.sample != seen:
@@ -87,5 +87,5 @@ class Gatherer:
         self.close()
 
     def _lack(self, flaw: Callable[[Reading], str]) -> str:
-        heard = self._ear.hear(self._clock.monotonic_ns())
+        heard = self._ear.hear()
         return heard.flaw if heard.reading is None else flaw(heard.reading)

@@ -99,7 +99,8 @@ class RecordButtons:
 
     def _ask(self, action: Any, **fields: Any) -> None:
         sample = self._watch.latest(keys.RECORDER)
-        if sample is None or (sample.arrived_ns is not None and sample.age_s(self._clock.monotonic_ns()) > _GONE_S):
+        now_ns = self._clock.monotonic_ns()
+        if sample is None or (sample.arrived_ns is not None and sample.age_s(now_ns) > _GONE_S):
             raise NotReady("no recorder runs; start one with `station serve recorder`")
         remote.ask(self._life.bus, action, timeout_s=_ANSWERS_WITHIN_S, **fields)
         if action != "mark":

@@ -66,7 +66,7 @@ def serve_device(
 
 
 def _run(life: Life, desk: _Desk, rate_hz: float) -> None:
-    rate, ticks, counted = Rate(rate_hz), 0, 0
+    rate, ticks, counted = Rate(rate_hz, life.clock), 0, 0
     window = max(2, round(rate_hz))
     while not life.stopping:
         rate.wait()

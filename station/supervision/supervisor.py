@@ -26,6 +26,7 @@ from station.bus import address as addresses
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
+from station.clock import Thread
 from station.errors import BusError, NotReady
 from station.life import leash
 from station.life.events import Severity
@@ -70,8 +71,8 @@ class Supervisor:
         self._environment = dict(environment or {})
         self.children: dict[str, Child] = {}
         self.teller = Teller(bus, NAME)
-        self._lock = threading.RLock()  # around what is done to a child
-        self._nurse: threading.Thread | None = None
+        self._lock = self.clock.lock()  # around what is done to a child
+        self._nurse: Thread | None = None
         self._closed = threading.Event()
 
     def spawn(self, name: str, config: msgspec.Struct, *, server: str = "", restarts: Restarts | None = None) -> None:

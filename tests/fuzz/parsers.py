@@ -194,7 +194,7 @@ def _event(data: bytes) -> None:
     event = events.decode(data)
     if event is None:
         return
-    late = events.late(event)
+    late = events.late(event, NOW_NS)
     codec.json_object([event, late])
     Phrases().cue(event)
     Vigil().hear(event)
@@ -358,7 +358,7 @@ _SAMPLE = readings.encode("pico", _READING) | readings.encode_status("pico", _ST
 def _device(key: str, data: bytes) -> None:
     """What teleoperation makes of a device's sample with one of its parts replaced; for every device alike."""
     ear = Ear(Shelf(_SAMPLE | {key: data}), "pico")  # type: ignore[arg-type]
-    heard_of = ear.hear(time.monotonic_ns())
+    heard_of = ear.hear()
     codec.json_object({"why_not": heard_of.flaw, "sample": heard_of.sample})
     if heard_of.reading is not None:
         for array in readings._arrays(heard_of.reading).values():

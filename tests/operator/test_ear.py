@@ -25,9 +25,6 @@ class Devices:
         self.watch = bus.watch(Ear.watched(device, controls_from))
         self.ear = Ear(self.watch, device, controls_from)
 
-    def hear(self) -> Heard:
-        return self.ear.hear(self.bus.clock.monotonic_ns())
-
     def say(self, device: str, reading: Reading | None, state: readings.State = "live") -> None:
         """Write a sample, or a status alone, and see that it was heard."""
         self.counts[device] += reading is not None
@@ -45,7 +42,7 @@ class Devices:
         def heard() -> bool:
             for device, (reading, state) in said.items():
                 self.say(device, reading, state)
-            found.append(self.hear())
+            found.append(self.ear.hear())
             return found[-1].reading is not None
 
         wait_until(heard)
@@ -77,7 +74,7 @@ JOINTS = Reading(joints=np.arange(3.0))
 
 
 def test_device_that_never_spoke_is_asked_for(one: Devices) -> None:
-    assert one.hear().flaw == "nothing was ever heard of pico; is its server started?"
+    assert one.ear.hear().flaw == "nothing was ever heard of pico; is its server started?"
 
 
 def test_live_sample_is_heard_until_its_server_falls_silent(one: Devices) -> None:
@@ -88,14 +85,14 @@ def test_live_sample_is_heard_until_its_server_falls_silent(one: Devices) -> Non
     assert heard.sample >= 1
     until_s = time.monotonic() + STALE_S
     wait_until(lambda: time.monotonic() > until_s)
-    assert one.hear().reading is None
-    assert "pico is silent" in one.hear().flaw
+    assert one.ear.hear().reading is None
+    assert "pico is silent" in one.ear.hear().flaw
 
 
 def test_device_that_is_not_live_by_its_own_word_gives_nothing(one: Devices) -> None:
     one.say("pico", PRESSED, "stale")
-    assert one.hear().reading is None
-    assert one.hear().flaw.startswith("pico is s")
+    assert one.ear.hear().reading is None
+    assert one.ear.hear().flaw.startswith("pico is s")
 
 
 @pytest.mark.parametrize(("late_s", "boot", "is_of_use"), [(2.0, "", False), (0.1, "", True), (2.0, "0badb007", True)])
@@ -116,7 +113,7 @@ def test_samples_that_a_frozen_line_kept_drive_nobody_but_their_buttons_count(
         before = one.watch.latest(readings.watched_keys("pico")[0])
         one.bus.call("MSET", *(word for key, value in values.items() for word in (key, value, keys.stamp(key), mark)))
         wait_until(lambda: one.watch.latest(readings.watched_keys("pico")[0]) is not before)
-        found.append(one.hear())
+        found.append(one.ear.hear())
         return found[-1].reading is not None and (not found[-1].flaw) == is_of_use
 
     wait_until(heard)
@@ -130,8 +127,8 @@ def test_samples_that_a_frozen_line_kept_drive_nobody_but_their_buttons_count(
 def test_value_that_is_none_is_a_flaw_and_no_crash(one: Devices) -> None:
     one.bus.publish({readings.watched_keys("pico")[0]: b"{}"})
     wait_until(lambda: one.watch.latest(readings.watched_keys("pico")[0]))
-    assert one.hear().reading is None
-    assert one.hear().flaw
+    assert one.ear.hear().reading is None
+    assert one.ear.hear().flaw
 
 
 def test_buttons_of_another_device_count_also_while_poses_are_lost(two: Devices) -> None:
@@ -144,5 +141,5 @@ def test_buttons_of_another_device_count_also_while_poses_are_lost(two: Devices)
 
 def test_poses_without_the_device_that_has_the_buttons_are_of_no_use(two: Devices) -> None:
     two.say("gello", JOINTS)
-    assert two.hear().reading is None
-    assert "gamepad" in two.hear().flaw
+    assert two.ear.hear().reading is None
+    assert "gamepad" in two.ear.hear().flaw

@@ -15,6 +15,7 @@ import threading
 from station.bus.address import BusAddress
 from station.bus.connection import ConnectionLost, pack
 from station.bus.tap.base import Position, TapRefused, connect
+from station.clock import Thread
 from station.errors import BusError
 
 _ACK_S = 1.0
@@ -62,7 +63,7 @@ class Link:
         self._has_data = False
         self._heard_at = self._clock.monotonic_s()
         self.silence_limit_s = _SNAPSHOT_SILENCE_S
-        self._acknowledger: threading.Thread | None = None
+        self._acknowledger: Thread | None = None
         try:
             self.replication_id, self.offset, self.is_resumed = self._request(resume)
             self._acknowledger = self._clock.start(self._acknowledge_for_life, "tap-ack")
