@@ -139,7 +139,7 @@ class CommandWatch(Watch):
             with self._changed:
                 for key, (value, mark) in values.items():
                     self._put(key, value, mark, now_ns, is_foreign=touched[key] > touched[keys.stamp(key)])
-                if self._shared_key in values:
+                if self._shared_key in values and self._events is not None:  # who polls is told of no write
                     self._note_overwritten(values[self._shared_key][1], touched[keys.stamp(self._shared_key)], now_ns)
                 self._changed.notify_all()
             touched = later

@@ -184,7 +184,7 @@ class Stream:
             self._expect_open()
         size = min(len(data), _CAPACITY - self._there.held)
         if self._link.fragments and size > 1:
-            size = self._clock.random.randint(1, size)
+            size = 1 + int(self._clock.random.random() * size)  # one draw, however long names are
         self._there.put(bytes(data[:size]))
         return size
 
@@ -199,7 +199,7 @@ class Stream:
             self._wait("bytes from the bus", self._has_come)
         if self._came:
             if self._link.fragments:
-                size = self._clock.random.randint(1, size if len(self._came) > size else len(self._came))
+                size = 1 + int(self._clock.random.random() * min(size, len(self._came)))
             data = bytes(self._came[:size])
             del self._came[:size]
             return data

@@ -17,6 +17,7 @@ from station.clock import Clock
 _CLASSES = "g$lshzxetd"
 _ORDER = _CLASSES + "KEmn"
 _SETTING = b"notify-keyspace-events"
+_SETTINGS = {b"port": b"0", b"tls-port": b"0", b"bind": b""}  # a unix socket alone
 _SUBSCRIBER_COMMANDS = (b"SUBSCRIBE", b"UNSUBSCRIBE", b"PING")
 
 Reply = bytes
@@ -31,6 +32,7 @@ class Server:
 
     Attributes:
         refused: Commands that no client may use, for a server without notifications above all.
+        journal: Every write in order: when [ns], the key, and what it holds from then on, None for nothing.
     """
 
     def __init__(self, clock: Clock, call_at: Callable[[int, Callable[[], None]], None]) -> None:
@@ -39,6 +41,7 @@ class Server:
         self._expiry: dict[tuple[int, bytes], int] = {}
         self._flags = ""
         self.refused: set[bytes] = set()
+        self.journal: list[tuple[int, bytes, bytes | None]] = []
         self.clients: list[Client] = []
 
     def forget_all(self) -> None:
@@ -64,11 +67,13 @@ class Server:
     def put(self, db: int, key: bytes, value: bytes) -> None:
         """Set a key; it does not expire."""
         self.keys(db)[key] = value
+        self.journal.append((self._clock.monotonic_ns(), key, value))
         self._expiry.pop((db, key), None)
 
     def remove(self, db: int, key: bytes) -> bytes | None:
         """Delete a key; return what it held."""
         self._expiry.pop((db, key), None)
+        self.journal.append((self._clock.monotonic_ns(), key, None))
         return self.keys(db).pop(key, None)
 
     def expire(self, db: int, key: bytes, milliseconds: int) -> None:
@@ -283,7 +288,8 @@ def _flushdb(client: Client, arguments: list[bytes]) -> Reply:
 def _config(client: Client, arguments: list[bytes]) -> Reply:
     is_ours = arguments[1] == _SETTING
     if arguments[0].upper() == b"GET":
-        return _array([_SETTING, client.server.flags] if is_ours else [])
+        value = client.server.flags if is_ours else _SETTINGS.get(arguments[1])
+        return _array([] if value is None else [arguments[1], value])
     if client.server.set_flags(arguments[2].decode()):
         return _OK
     return _error(
