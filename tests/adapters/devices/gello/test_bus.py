@@ -138,6 +138,20 @@ def test_a_torn_answer_is_no_position_and_the_next_is_right(bus: MotorBus, servo
     assert bus.positions(list(TICKS)) is not None
 
 
+@pytest.mark.parametrize("set_s", [-3600.0, 3600.0])
+def test_a_wall_clock_that_is_set_spoils_no_reading(
+    bus: MotorBus, servos: list[Servo], clock: VirtualClock, set_s: float
+) -> None:
+    servos[3].is_silent = True
+    at_ns = clock.monotonic_ns() + 10_000_000  # while the library waits
+    clock.call_at(at_ns, lambda: setattr(clock, "wall_ahead_ns", round(set_s * 1e9)))
+    began_s = clock.monotonic_s()
+    assert bus.positions(list(TICKS)) is None
+    assert 0.03 < clock.monotonic_s() - began_s < 0.06, "the library's own time-out, whatever the wall clock does"
+    servos[3].is_silent = False
+    assert bus.positions(list(TICKS)) is not None
+
+
 def test_servos_at_another_rate_hear_only_noise(
     line: Callable[..., LinePort], servos: list[Servo], tmp_path: Path
 ) -> None:
