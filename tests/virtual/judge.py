@@ -14,20 +14,22 @@ from itertools import pairwise
 import numpy as np
 
 from station.bus import codec, keys, stamp
-from station.control.gate import GateConfig
-from station.control.slew import LONGEST_TICK_S
-from station.life import estop
+from station.life.rivals import FOREIGN
 from station.protocols import Floats
 from tests.control.ideal_robot import Obedient
 from tests.virtual.station import FORM, Tick
 
 EPSILON = 1e-9
+HOLD_AFTER_S, STALE_AFTER_S, FADE_S, SILENT_S = 0.1, 0.25, 0.2, 0.3
+"""What is promised [s]: of a command's arrival, of its writing, of velocities after it, of silence after a stop."""
+
 QUICK_S = 0.006
 """From the bus to the loop where nothing is in the way: latencies and late wakes [s]."""
 
 ACTED_S = 0.065
 """A stop is acted on within three ticks [s]."""
 
+LONGEST_TICK_S = 0.04  # of a rate
 COUNTED_S = 0.1
 """A tick counts for no more, where a process stood still [s]."""
 
@@ -35,7 +37,7 @@ LATE_TICK_S = 0.021
 """A tick is a period later than the instant that it is about, at most, and its server wakes late [s]."""
 
 FOLLOWS = ("entering", "tracking")
-RAMP_S = 2.0
+BLEND_S, RAMP_S = 1.0, 2.0
 STIFFNESS = Obedient().spec.kp
 
 
@@ -49,6 +51,7 @@ class Write:
 
     done_s: float
     written_s: float | None
+    source: str
     vector: Floats | None
 
 
@@ -67,7 +70,7 @@ class Bus:
         self.gone: list[float] = []  # when the key of the stop held no stop any more
         self.arms: list[float] = []
         for place, (at_ns, name, value) in enumerate(journal):
-            if name == keys.ESTOP.encode() and (value is None or not estop.read(value).stop):
+            if name == keys.ESTOP.encode() and (value is None or not _stops(value)):
                 self.gone.append(at_ns * 1e-9)
             if value is None:
                 continue
@@ -76,9 +79,8 @@ class Bus:
                 is_marked = after is not None and after[:2] == (at_ns, mark_key)
                 self.commands.append(_command(at_ns * 1e-9, value, after[2] if after and is_marked else None))
             elif name == keys.ESTOP.encode():
-                request = estop.read(value)
-                (self.stops if request.stop else self.releases).append(at_ns * 1e-9)
-                if request.arm:
+                (self.stops if _stops(value) else self.releases).append(at_ns * 1e-9)
+                if b'"arm":true' in value:
                     self.arms.append(at_ns * 1e-9)
             elif name == keys.ARM.encode() and json.loads(value)["action"] == "arm":
                 self.arms.append(at_ns * 1e-9)
@@ -89,6 +91,17 @@ class Bus:
         return self.commands[bisect.bisect_left(self._done, begin_s) : bisect.bisect_right(self._done, end_s)]
 
 
+def _stops(value: bytes) -> bool:
+    """Whether a value of the stop's key asks for a stop: in doubt it does."""
+    if value.strip() in (b"", b"0"):
+        return False
+    try:
+        request = json.loads(value)
+    except ValueError:
+        return True
+    return not (isinstance(request, dict) and request.get("stop") is False)
+
+
 def _command(done_s: float, value: bytes, mark: bytes | None) -> Write:
     try:
         vector = codec.parse_json_vector(value, len(FORM.default))
@@ -96,7 +109,7 @@ def _command(done_s: float, value: bytes, mark: bytes | None) -> Write:
         vector = None
     found = stamp.decode(mark) if mark else None
     written_s = found.mono_ns * 1e-9 if found is not None and found.is_from_this_boot else None
-    return Write(done_s, written_s, vector)
+    return Write(done_s, written_s, found.source if found is not None else FOREIGN, vector)
 
 
 class Judge:
@@ -107,7 +120,6 @@ class Judge:
         bus: What was written.
         disturbed: Spans in which the robot's server, its line or the bus was hindered, until some time after it [s].
         asked_past_bus: When a stop was asked for past the bus [s].
-        gate: The robot's.
         is_told: Whether the bus tells of every write; else it is polled.
         is_real: Whether the robot needs arming.
     """
@@ -119,19 +131,26 @@ class Judge:
         disturbed: list[tuple[float, float]],
         asked_past_bus: list[float],
         *,
-        gate: GateConfig,
         is_told: bool,
         is_real: bool,
     ) -> None:
         self._ticks, self._bus, self._disturbed, self._asked_past_bus = ticks, bus, disturbed, asked_past_bus
-        self._gate, self._is_told, self._is_real = gate, is_told, is_real
+        self._is_told, self._is_real = is_told, is_real
         self._instants = [tick.now_s for tick in ticks]
 
     def complaints(self) -> list[str]:
         """Return what does not hold, each with its instant."""
         return [
             f"at {tick.now_s:.4f} s, {before.state} -> {tick.state}: {what}"
-            for rule in (self._rates, self._freshness, self._latched, self._after_a_release, self._arming)
+            for rule in (
+                self._rates,
+                self._freshness,
+                self._hands,
+                self._blends,
+                self._latched,
+                self._after_a_release,
+                self._arming,
+            )
             for before, tick, what in rule()
         ] + list(self._each_stop())
 
@@ -157,7 +176,7 @@ class Judge:
                 continue
             if usable:
                 idle_s = 0.0
-                if not _within(tick.vector, [*blend, FORM.default, *usable]):
+                if not _within(tick.vector, [*blend, FORM.default, *(write.vector for write in usable)]):
                     yield before, tick, f"none of the {len(usable)} commands in time asks for this"
                 continue
             idle_s += min(tick.now_s - before.now_s, COUNTED_S)
@@ -165,8 +184,30 @@ class Judge:
                 yield before, tick, "follows, and no command is in time"
             if (np.abs(tick.vector - FORM.default) > np.abs(before.vector - FORM.default) + EPSILON).any():
                 yield before, tick, "a joint moves away from standing, and no command is in time"
-            if idle_s > self._gate.velocity_fade_s + LATE_TICK_S and tick.vector[list(FORM.velocities)].any():
+            if idle_s > FADE_S + LATE_TICK_S and tick.vector[list(FORM.velocities)].any():
                 yield before, tick, f"velocities, {idle_s:.3f} s after the last command in time"
+
+    def _hands(self) -> Iterator[Complaint]:
+        """A robot that tracks one writer's commands tracks no other's before it has entered them."""
+        obeyed = ""
+        for before, tick in pairwise(self._ticks):
+            if tick.state == "entering":
+                obeyed = ""
+            if tick.state == "tracking":
+                usable = self._usable(tick.now_s)
+                sources = {write.source for write in usable if np.array_equal(write.vector, tick.vector)}
+                if len(sources) == 1 and obeyed not in ("", *sources):
+                    yield before, tick, f"tracks {sources} in place of {obeyed} at once"
+                obeyed = sources.pop() if len(sources) == 1 else obeyed
+
+    def _blends(self) -> Iterator[Complaint]:
+        """A command is entered with a blend of a second."""
+        since_s = 0.0
+        for before, tick in pairwise(self._ticks):
+            if before.state != "entering" == tick.state:
+                since_s = tick.now_s
+            if before.state == "entering" and tick.state == "tracking" and tick.now_s - since_s < BLEND_S - EPSILON:
+                yield before, tick, f"tracks a command {tick.now_s - since_s:.3f} s after it began to enter it"
 
     def _latched(self) -> Iterator[Complaint]:
         """A stop damps the joints until it is released, by a release that came after it was acted on."""
@@ -205,6 +246,8 @@ class Judge:
                 asked_s = before.now_s - self._slack_s(tick.now_s)
                 if not any(asked_s <= at_s <= tick.now_s for at_s in self._bus.arms):
                     yield before, tick, "armed, and nobody asked for it"
+            if before.arming == "disarmed" != tick.arming and before.state == tick.state == "stopped":
+                yield before, tick, "armed under a stop"
             if before.arming != tick.arming:
                 since_s = tick.now_s
             most = STIFFNESS * (tick.now_s - since_s) / RAMP_S + EPSILON
@@ -234,21 +277,21 @@ class Judge:
     def _slack_s(self, at_s: float) -> float:
         return QUICK_S if self._is_calm(at_s - 0.05, at_s) else 10.0
 
-    def _usable(self, now_s: float) -> list[Floats]:
+    def _usable(self, now_s: float) -> list[Write]:
         """Return the commands that a robot may follow at an instant: by both of their ages, where they have two."""
         is_calm = self._is_calm(now_s - 1.0, now_s)
-        heard_s = self._gate.hold_after_s + QUICK_S if is_calm else 10.0
+        heard_s = HOLD_AFTER_S + QUICK_S if is_calm else 10.0
         return [
-            write.vector
+            write
             for write in self._bus.since(now_s - heard_s, now_s)
             if write.vector is not None
-            and (write.written_s is None or now_s - write.written_s <= self._gate.longest_delay_s + EPSILON * 10)
+            and (write.written_s is None or now_s - write.written_s <= STALE_AFTER_S + EPSILON * 10)
         ]
 
     def _was_silent(self, since_s: float, until_s: float) -> bool:
         """Whether commands have ceased for long enough within a span [s]."""
         instants = [since_s, *(write.done_s for write in self._bus.since(since_s, until_s)), until_s]
-        needed_s = self._gate.return_after_s - QUICK_S
+        needed_s = SILENT_S - QUICK_S
         return any(after - before > needed_s for before, after in pairwise(instants))
 
 

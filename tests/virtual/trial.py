@@ -73,7 +73,7 @@ class Trial:
             bus = Bus(self.network.server.journal)
             judge = Judge(
                 self.robot.ticks, bus, self._disturbed, self._asked_past_bus,
-                gate=gate, is_told=self._is_told, is_real=self._is_real,
+                is_told=self._is_told, is_real=self._is_real,
             )  # fmt: skip
             return [*judge.complaints(), *complaints]
 
@@ -82,7 +82,8 @@ class Trial:
             self._command, self._command, self._kill, self._leave, self._freeze_commander, self._freeze_commander,
             self._freeze_line, self._freeze_line, self._cut_line, self._freeze_robots_line, self._cut_robots_line,
             self._freeze_bus, self._restart_bus, self._freeze_robot, self._press, self._stop, self._overwritten_stop,
-            self._release, self._release, self._release_button, self._stop_past_the_bus, self._arm, self._arm,
+            self._release, self._release, self._release_in_a_pause, self._release_in_a_pause,
+            self._release_button, self._stop_past_the_bus, self._arm, self._arm,
             self._disarm, self._garbage, self._set_wall_clock, self._switch_notifications_off,
         ]  # fmt: skip
 
@@ -207,10 +208,19 @@ class Trial:
         self._button("the stop is released", lambda button: button.release("trial", arm=self._rng.random() < 0.5))
 
     def _stop(self) -> None:
-        self._raw("SET of a stop", ["SET", keys.ESTOP, "1"])
+        value = self._rng.choice([b"1", b"true", b"{", b"\xff", b'{"stop":true}', b'{"stop":1}', b"[0]", b"00"])
+        self._raw("SET of a stop", ["SET", keys.ESTOP, value])
 
     def _release(self) -> None:
         self._raw("SET of a release", ["SET", keys.ESTOP, "0"])
+
+    def _release_in_a_pause(self) -> None:
+        """Release while one who commands through the stop holds its breath."""
+        if (found := self._one()) is not None:
+            self._tell(f"{found.process.name} pauses for 0.45 s, and the stop is released meanwhile")
+            self.clock.freeze(found.process, 0.45)
+            self.clock.sleep(self._rng.uniform(0.2, 0.44))
+            self._release()
 
     def _overwritten_stop(self) -> None:
         after: list[str | bytes] = self._rng.choice([
