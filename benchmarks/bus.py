@@ -10,7 +10,7 @@ from benchmarks.harness import Benchmark, Row, Settings, Target, alternate, comp
 from station.bus import codec
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.life.loop import sleep_until
+from station.clock import SYSTEM
 
 _PERIOD_NS = 4_000_000
 _WRITER_HZ = 97.0
@@ -83,7 +83,7 @@ def _paced(call: Callable[[], object], count: int) -> list[float]:
     due_ns = time.monotonic_ns()
     for _ in range(count):
         due_ns += _PERIOD_NS
-        sleep_until(due_ns)
+        SYSTEM.sleep_until(due_ns)
         taken.append(_timed_ms(call))
     return taken
 

@@ -12,7 +12,8 @@ from benchmarks.processes import Stop
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.life.loop import Rate, real_time, sleep_until
+from station.clock import SYSTEM
+from station.life.loop import Rate, real_time
 
 Floats = NDArray[np.float64]
 
@@ -57,7 +58,7 @@ def write_stock(stop: Stop, port: int, hz: float) -> int:
     due_ns = time.monotonic_ns()
     while not stop():
         due_ns += round(1e9 / hz)
-        sleep_until(due_ns)
+        SYSTEM.sleep_until(due_ns)
         client.send_command(values, time.monotonic_ns())
         count += 1
     client.close()

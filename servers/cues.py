@@ -17,6 +17,7 @@ import msgspec
 
 from station import config as configs
 from station import registry
+from station.clock import Clock
 from station.config import to_plain
 from station.errors import ConfigError
 from station.life.server import Life, ServerKind
@@ -73,7 +74,7 @@ def main(config: CuesConfig, life: Life) -> int:
     """Let it be heard what happens until asked to stop; return the exit code."""
     table = Phrases() if config.phrases is None else phrases.load(config.phrases)
     with contextlib.ExitStack() as stack:
-        speakers = {name: _speaker(config, name) for name in config.voices}
+        speakers = {name: _speaker(config, name, life.clock) for name in config.voices}
         for speaker in speakers.values():
             stack.callback(speaker.close)
         told = sum(bool(phrase.words) for phrase in table.table.values())
@@ -94,13 +95,13 @@ KIND = ServerKind(
 )
 
 
-def _speaker(config: CuesConfig, name: str) -> Speaker:
+def _speaker(config: CuesConfig, name: str, clock: Clock) -> Speaker:
     kind: VoiceKind = registry.find("voice", name)
-    return Speaker(kind.make(config.typed_options(name)), CueQueue(old_s=config.old_s))
+    return Speaker(kind.make(config.typed_options(name)), CueQueue(old_s=config.old_s), clock)
 
 
 def _run(life: Life, onlooker: Onlooker, table: Phrases, speakers: Mapping[str, Speaker]) -> None:
-    while not life.stop_event.wait(_PERIOD_S):
+    while not life.clock.wait(life.stop_event, _PERIOD_S):
         for event in onlooker.take():
             if (cue := table.cue(event)) is not None:
                 for speaker in speakers.values():

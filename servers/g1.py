@@ -83,7 +83,8 @@ def main(config: G1Config, life: Life) -> int:
     robot, policy, suffix = rig.robot, rig.policy, rig.form.robot
     try:
         reset_after_s = _RESET_AFTER_S if config.on_fall == "reset" else None
-        control = rig.control(gate=config.gate, is_armed=config.is_armed, reset_after_s=reset_after_s)
+        control = rig.control(gate=config.gate, is_armed=config.is_armed, reset_after_s=reset_after_s,
+                              clock=life.clock)  # fmt: skip
         with LowLevelLoop(
             life,
             control,
@@ -100,7 +101,7 @@ def main(config: G1Config, life: Life) -> int:
             else:
                 if config.real_time_priority:
                     life.report(scheduling=real_time(config.real_time_priority))
-                loop.run_at(Rate(1.0 / rig.period_s))
+                loop.run_at(Rate(1.0 / rig.period_s, life.clock))
     finally:
         robot.close()
     return 0

@@ -75,7 +75,9 @@ def main(config: GelloConfig, life: Life) -> int:
             places = {"leaders": len(fake.leaders), "calibrations_folder": fake.calibrations, "by_id": fake.folder}
         return serve_device(
             life,
-            lambda: Gello(baud=config.baud, rate_hz=config.rate_hz, patience_s=config.patience_s, **places),
+            lambda: Gello(
+                baud=config.baud, rate_hz=config.rate_hz, patience_s=config.patience_s, clock=life.clock, **places
+            ),
             rate_hz=config.rate_hz,
             config=to_plain(config),
             on_active=begin,

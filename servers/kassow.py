@@ -129,7 +129,7 @@ def main(config: KassowConfig, life: Life) -> int:
     scheduling = real_time() if config.real_time_priority else "as it was"
     session = _open(config, limits)
     try:
-        control = ArmControl(session, form, gate=config.gate, is_armed=config.is_armed)
+        control = ArmControl(session, form, gate=config.gate, is_armed=config.is_armed, clock=life.clock)
         teller = Teller(life, config, session)
         desk = Desk(control, session, config.robot)
         with LowLevelLoop(
@@ -144,7 +144,7 @@ def main(config: KassowConfig, life: Life) -> int:
             if not life.ready():
                 return 0
             life.report(scheduling=scheduling, session_scheduling=session.real_time)
-            loop.run_at(Rate(RATE_HZ))
+            loop.run_at(Rate(RATE_HZ, life.clock))
     finally:
         session.close()
     return 0

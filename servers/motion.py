@@ -11,7 +11,6 @@ stock TWIST2's ``motion_start_signal`` and ``motion_exit_signal`` (``1``).
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
     from station.view.preview import Preview
 
 _GATE_WITHIN_S = 1.0  # a living robot says the state of its gate fifty times a second
+_LOOK_S = 0.01
 _SHORTEST_BLEND_S = 0.1
 
 
@@ -192,7 +192,7 @@ class Player:
             reason = f"{type(error).__name__}: {error}"
             self._life.event("motion-error", severity="error", reason=reason, time_s=self._playback.time_s)
             self._playback.leave()
-            pace = WallPace(self._config.rate_hz)
+            pace = WallPace(self._config.rate_hz, self._life.clock)
             while not (
                 self._playback.is_done or self._stop.why_stopped()
             ):  # a blend needs nothing of what may be broken
@@ -201,14 +201,15 @@ class Player:
 
     def _wait_for_silence(self) -> None:
         """Wait while a robot that was stopped wants commands to cease: one that began now would never be followed."""
-        until_s = time.monotonic() + _GATE_WITHIN_S
-        while self._stop.is_gate_old and time.monotonic() < until_s:
-            time.sleep(0.01)
+        clock = self._life.clock
+        until_s = clock.monotonic_s() + _GATE_WITHIN_S
+        while self._stop.is_gate_old and clock.monotonic_s() < until_s:
+            clock.sleep(_LOOK_S)
         if reason := self._stop.needs_silence:
             self._life.event("motion-waits", reason=reason)
         while self._stop.needs_silence and not self._life.stopping:
             self._expect_no_stop()
-            time.sleep(1.0 / self._config.rate_hz)
+            clock.sleep(1.0 / self._config.rate_hz)
 
     def _expect_no_stop(self) -> None:
         if reason := self._stop.why_stopped():
@@ -220,7 +221,7 @@ class Player:
     def _new_pace(self) -> Pace:
         config = self._config
         if config.pace == "wall":
-            return WallPace(config.rate_hz)
+            return WallPace(config.rate_hz, self._life.clock)
         robot_state = keys.robot_state(self._command.robot)
         return StatePace(self._life, self._watch, robot_state, config.rate_hz, patience_s=config.patience_s)
 
@@ -271,7 +272,7 @@ class _Writer:
             {
                 self._command.key: codec.json_vector(frame.command),
                 **self._companions,
-                keys.T_ACTION: b"%d" % (time.time_ns() // 1_000_000),
+                keys.T_ACTION: b"%d" % (self._life.clock.wall_ns() // 1_000_000),
                 keys.command_source(self._command.robot): codec.json_object(source),
             }
         )

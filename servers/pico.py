@@ -64,7 +64,7 @@ def main(config: PicoConfig, life: Life) -> int:
         address, port = ("127.0.0.1", fake.port) if fake is not None else (config.address, config.port)
         return serve_device(
             life,
-            lambda: Headset(address, port),
+            lambda: Headset(address, port, clock=life.clock),
             rate_hz=config.rate_hz,
             config=to_plain(config),
             also=_stock,

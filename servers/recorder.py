@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import sys
-import time
 from pathlib import Path
 from typing import Any, Literal
 
@@ -161,7 +160,7 @@ class _Recorder:
             self._life.bus.call("DEL", keys.RECORDER, keys.stamp(keys.RECORDER))
 
     def _speak(self) -> None:
-        now = time.monotonic()
+        now = self._life.clock.monotonic_s()
         self._say_notices()
         if now >= self._answer_due and (answer := self.recording.answers.next()) is not None:
             self._answer_due = now + _ANSWER_SPACING_S

@@ -71,6 +71,7 @@ def main(config: SpacemouseConfig, life: Life) -> int:
             dead_band=config.dead_band,
             scale=config.scale,
             silence_s=config.silence_s,
+            clock=life.clock,
         ),
         rate_hz=config.rate_hz,
         config=to_plain(config),

@@ -13,7 +13,6 @@ robot that stays where it is without a command, an arm, is left there instead.
 from __future__ import annotations
 
 import getpass
-import time
 from pathlib import Path
 from typing import Any
 
@@ -175,13 +174,14 @@ class Teleop:
         arm = ArmButtons(life, self._form.robot, config.device)
         self._requests = Requests(record, StopPresser(life), arm, device=config.device)
         self._speaks = False
-        self._heard_s = time.monotonic()
+        self._clock = life.clock
+        self._heard_s = self._clock.monotonic_s()
         self._taken_up: Floats | None = None
         self._leaving: Leaving | None = None
 
     def run(self) -> None:
         """Drive to the end; on an error blend to the default first, then raise it."""
-        pace = WallPace(self._config.rate_hz)
+        pace = WallPace(self._config.rate_hz, self._clock)
         try:
             dt_s = 1.0 / self._config.rate_hz
             while not self._is_over:
@@ -203,7 +203,7 @@ class Teleop:
         return self._leaving is not None and (self._leaving.is_done or not self._speaks)
 
     def _tick(self, dt_s: float) -> None:
-        now_ns = time.monotonic_ns()
+        now_ns = self._clock.monotonic_ns()
         if self._leaving is None and self._life.stopping:
             self._leaving = Leaving(self._form, self._config.leave_s)
         heard = self._ear.hear()

@@ -9,6 +9,10 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
+
+Thread = threading.Thread
+"""What `Clock.start` returns, for annotations."""
 
 
 class Clock:
@@ -46,13 +50,17 @@ class Clock:
         """Wait, with the condition's lock taken, until a predicate holds, or for a time [s]; return whether it does."""
         return condition.wait_for(predicate, timeout_s)
 
-    def start(self, target: Callable[[], None], name: str) -> threading.Thread:
+    def lock(self) -> AbstractContextManager[object]:
+        """Return a lock that may be held while its holder waits; others then wait for it by this clock."""
+        return threading.Lock()
+
+    def start(self, target: Callable[[], None], name: str) -> Thread:
         """Start a daemon thread that reads this clock."""
-        thread = threading.Thread(target=target, name=name, daemon=True)
+        thread = Thread(target=target, name=name, daemon=True)
         thread.start()
         return thread
 
-    def join(self, thread: threading.Thread, timeout_s: float | None = None) -> None:
+    def join(self, thread: Thread, timeout_s: float | None = None) -> None:
         """Wait until a thread has ended, or for a time [s]."""
         thread.join(timeout_s)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from tests.tiers import ROOT
 
 CLOCKS = {"monotonic", "monotonic_ns", "perf_counter", "perf_counter_ns"}
+OF_THE_MACHINE = {"time", "SYSTEM"}
 OF_LATENESS = {"tests.lateness", "tests.late_verdicts"}
 MAY_EXCUSE = {"tests/late_verdicts.py", "tests/progress.py", "tests/test_lateness.py"}
 """What judges and prints lateness, and its own test."""
@@ -36,13 +37,15 @@ def imported(tree: ast.Module) -> set[str]:
 
 
 def is_duration(node: ast.AST) -> bool:
-    """Whether an expression subtracts from the reading of a clock."""
+    """Whether an expression subtracts from the reading of the machine's clock; in virtual time durations are exact."""
     return (
         isinstance(node, ast.BinOp)
         and isinstance(node.op, ast.Sub)
         and isinstance(node.left, ast.Call)
         and isinstance(node.left.func, ast.Attribute)
         and node.left.func.attr in CLOCKS
+        and isinstance(node.left.func.value, ast.Name)
+        and node.left.func.value.id in OF_THE_MACHINE
     )
 
 

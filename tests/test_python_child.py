@@ -41,6 +41,7 @@ def run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_child_imports_no_module_of_the_current_folder(hostile: Path) -> None:
     done = run(python_child.command("-c", "import secrets, multiprocessing.reduction"), hostile)
     assert (done.returncode, done.stderr) == (0, "")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+from station.clock import SYSTEM, Clock
 
 
 class Pace:
@@ -10,12 +10,14 @@ class Pace:
 
     Args:
         fps: Pictures per second [Hz].
+        clock: Of the process.
 
     Attributes:
         index: Of the picture that is due, from 0; those that were missed are counted too.
     """
 
-    def __init__(self, fps: float) -> None:
+    def __init__(self, fps: float, clock: Clock = SYSTEM) -> None:
+        self._clock = clock
         self._period_ns = round(1e9 / fps)
         self._start_ns: int | None = None
         self.index = -1
@@ -25,14 +27,14 @@ class Pace:
 
         None when that is later than after so many seconds; those that are overdue are passed over, all but the newest.
         """
-        now_ns = time.monotonic_ns()
+        now_ns = self._clock.monotonic_ns()
         if self._start_ns is None:
             self._start_ns = now_ns
         index = max(self.index + 1, (now_ns - self._start_ns) // self._period_ns)
         due_ns = self._start_ns + index * self._period_ns
         wait_s = (due_ns - now_ns) * 1e-9
         if wait_s > 0:
-            time.sleep(min(wait_s, timeout_s))
+            self._clock.sleep(min(wait_s, timeout_s))
         if wait_s > timeout_s:
             return None
         self.index = index

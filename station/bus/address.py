@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import os
+import socket as sockets
 import tempfile
 from pathlib import Path
 from urllib.parse import SplitResult, parse_qs, quote, unquote, urlsplit
 
 import msgspec
 
-from station.bus import password_file
+from station.bus import password_file, stream
+from station.clock import SYSTEM, Clock
 from station.errors import ConfigError
 
 ENVIRONMENT_VARIABLE = "STATION_BUS"
@@ -59,6 +61,35 @@ class BusAddress(msgspec.Struct, frozen=True, kw_only=True):
             return f"unix://{login}{quote(self.socket)}?db={self.db}"
         scheme = "rediss" if self.tls else "redis"
         return f"{scheme}://{login}{self.host}:{self.port}/{self.db}"
+
+    @property
+    def clock(self) -> Clock:
+        """Time where the server is reached: the machine's. Whoever talks to the server takes it from here."""
+        return SYSTEM
+
+    def open(self, timeout_s: float) -> sockets.socket:
+        """Connect within a time [s].
+
+        Raises:
+            OSError: it cannot be reached.
+            ConfigError: the files of TLS cannot be used.
+        """
+        if self.socket is not None:
+            return stream.open_unix(self.socket, timeout_s)
+        plain = stream.open_tcp(self.host, self.port, timeout_s)
+        if not self.tls:
+            return plain
+        try:
+            context = stream.tls_context(self.ca_file, self.certificate_file, self.key_file)
+        except OSError as error:
+            plain.close()
+            files = [file for file in (self.ca_file, self.certificate_file, self.key_file) if file]
+            raise ConfigError(f"bus {self}: TLS files {', '.join(files)}: {error.strerror or error}") from None
+        try:
+            return context.wrap_socket(plain, server_hostname=self.host)
+        except OSError:
+            plain.close()
+            raise
 
     def __str__(self) -> str:
         """Return the address without credentials."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from types import TracebackType
@@ -38,6 +37,7 @@ class Bus:
         timeout_s: Longest wait for any answer [s].
 
     Attributes:
+        clock: Time where the bus is.
         connections: How often this object was connected; one more means that the server may have forgotten us.
         outages: What this process suffered from the bus, its watches included.
 
@@ -47,17 +47,18 @@ class Bus:
 
     def __init__(self, address: BusAddress | None = None, *, name: str, timeout_s: float = 0.05) -> None:
         self.address = address or addresses.default()
+        self.clock = self.address.clock
         self.source = stamp.new_source(name)
         self.lost_writes = 0
         self.last_error = ""
         self.connections = 1
-        self.outages = Outages()
+        self.outages = Outages(self.clock)
         self._timeout_s = timeout_s
-        self._lock = threading.Lock()
+        self._lock = self.clock.lock()
         self._closed = threading.Event()
-        self._writes = StampedWrites(self.source)
+        self._writes = StampedWrites(self.source, self.clock)
         self._unanswered: deque[int] = deque()  # keys per write whose answer is owed
-        self._heard_s = time.monotonic()  # when the server last answered, or owed nothing
+        self._heard_s = self.clock.monotonic_s()  # when the server last answered, or owed nothing
         self._looks_in_vain = 0  # for answers that are owed, since the server was last heard
         self._refused, self._refused_s = 0, 0.0  # writes in a row that were answered with an error, and since when
         self._connection: Connection | None = Connection(self.address, timeout_s=max(timeout_s, 1.0))
@@ -99,7 +100,7 @@ class Bus:
                 return False
             self._unanswered.append(len(values))
             if not self._connection.owed:
-                self._heard_s = time.monotonic()  # a long silence of ours is none of the server's
+                self._heard_s = self.clock.monotonic_s()  # a long silence of ours is none of the server's
             try:
                 refused = self._account(self._connection, self._connection.post(request))
             except ConnectionLost as error:
@@ -205,7 +206,7 @@ class Bus:
                 self._refuse(count, answer)
             elif self._refused:
                 self._end_refusals()
-        now_s = time.monotonic()
+        now_s = self.clock.monotonic_s()
         if answers or not connection.owed:
             # One that was looked for in vain: where we ourselves were stopped, nobody looked.
             if now_s - self._heard_s > _SILENT_S and self._looks_in_vain:
@@ -221,7 +222,7 @@ class Bus:
     def _refuse(self, count: int, answer: hiredis.ReplyError) -> None:
         """Take note of writes that the server does not take: it is full, loading, or not for us to write."""
         if not self._refused:
-            self._refused_s = time.monotonic()
+            self._refused_s = self.clock.monotonic_s()
         self._refused += count
         self._complain(f"bus {self.address} refuses writes: {answer}")
 
@@ -234,7 +235,7 @@ class Bus:
 
     def _lose(self, error: BusError) -> None:
         """Take note of a lost connection and look for it in the background; called with the lock held."""
-        began_s = self._heard_s if self._unanswered else time.monotonic()
+        began_s = self._heard_s if self._unanswered else self.clock.monotonic_s()
         lost = sum(self._unanswered)  # the server may have taken some: counted as lost, to be honest
         before = self.lost_writes
         self._connection = None
@@ -242,12 +243,8 @@ class Bus:
         self._unanswered.clear()
         self._complain(str(error))
         if not self._closed.is_set():
-            threading.Thread(
-                target=self._reconnect,
-                args=(_ns(began_s), before, self._bare(str(error))),
-                name="bus-reconnect",
-                daemon=True,
-            ).start()
+            began_ns, reason = _ns(began_s), self._bare(str(error))
+            self.clock.start(lambda: self._reconnect(began_ns, before, reason), "bus-reconnect")
 
     def _reconnect(self, began_ns: int, lost_before: int, reason: str) -> None:
         """Connect again: at once, where only the connection was cut, or as soon as there is a server."""
@@ -256,13 +253,13 @@ class Bus:
                 fresh = Connection(self.address, timeout_s=self._timeout_s)
             except BusError as error:
                 self._complain(str(error))
-                self._closed.wait(_RETRY_S)
+                self.clock.wait(self._closed, _RETRY_S)
                 continue
             with self._lock:
                 if self._closed.is_set():
                     fresh.close()
                     return
-                self._connection, self.last_error, self._heard_s = fresh, "", time.monotonic()
+                self._connection, self.last_error, self._heard_s = fresh, "", self.clock.monotonic_s()
                 self.connections += 1
                 lost = self.lost_writes - lost_before
                 self.outages.note("bus-back", began_ns, lost_writes=lost, reason=reason)

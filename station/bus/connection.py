@@ -15,13 +15,10 @@ from typing import Any
 import hiredis
 
 from station.bus.address import BusAddress
-from station.errors import BusError, ConfigError
+from station.errors import BusError
 
 _READ_SIZE = 1 << 16
 _MOST_UNSENT = 8 << 20  # bytes; a G1 server fills them in 13 s
-_CONNECT_TIMEOUT_S = 0.5  # a TCP handshake may cross a lab network; a unix socket answers at once
-
-_KEEP_ALIVE = (("TCP_KEEPIDLE", 2), ("TCP_KEEPINTVL", 1), ("TCP_KEEPCNT", 3))  # a peer that is gone is known after 5 s
 
 Argument = bytes | str | int
 
@@ -169,6 +166,26 @@ class Connection:
         """Return the next message that is already here, or ``False`` when there is none."""
         return self._reader.gets()
 
+    def poll(self) -> Any:
+        """Return the next message that has come by now, or ``False``; part of one is kept for a later call.
+
+        Raises:
+            ConnectionLost: the server went away.
+        """
+        if (message := self._reader.gets()) is not False:
+            return message
+        try:
+            self._socket.settimeout(0.0)
+            self._feed()
+        except (BlockingIOError, ssl.SSLWantReadError):
+            return False
+        except OSError as error:
+            self.close()
+            raise ConnectionLost(f"bus {self.address}: {_reason(error)}") from error
+        finally:
+            self._restore_timeout()
+        return self._reader.gets()
+
     def set_timeout(self, timeout_s: float) -> None:
         """Set the longest wait for each answer [s]."""
         self._timeout_s = timeout_s
@@ -200,11 +217,14 @@ class Connection:
 
     def _next(self) -> Any:
         while (reply := self._reader.gets()) is False:
-            data = self._socket.recv(_READ_SIZE)
-            if not data:
-                raise ConnectionResetError("the server closed the connection")
-            self._reader.feed(data)
+            self._feed()
         return reply
+
+    def _feed(self) -> None:
+        data = self._socket.recv(_READ_SIZE)
+        if not data:
+            raise ConnectionResetError("the server closed the connection")
+        self._reader.feed(data)
 
     def _restore_timeout(self) -> None:
         if self._socket.fileno() >= 0:
@@ -213,46 +233,13 @@ class Connection:
     def _open(self) -> socket.socket:
         address = self.address
         try:
-            stream = self._open_socket(address.socket) if address.socket is not None else self._open_tcp()
+            stream = address.open(self._timeout_s)
             stream.settimeout(self._timeout_s)
             return stream
         except OSError as error:
             raise ConnectionLost(
                 f"bus {address}: {_reason(error)}; start one with `station bus start`, or name another with --bus URL"
             ) from error
-
-    def _open_socket(self, path: str) -> socket.socket:
-        stream = socket.socket(socket.AF_UNIX)
-        try:
-            stream.settimeout(self._timeout_s)
-            stream.connect(path)
-        except OSError:
-            stream.close()
-            raise
-        return stream
-
-    def _open_tcp(self) -> socket.socket:
-        address = (self.address.host, self.address.port)
-        stream = socket.create_connection(address, timeout=max(self._timeout_s, _CONNECT_TIMEOUT_S))
-        try:
-            stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            _keep_alive(stream)
-            return self._wrap(stream) if self.address.tls else stream
-        except OSError:
-            stream.close()
-            raise
-
-    def _wrap(self, plain: socket.socket) -> ssl.SSLSocket:
-        address = self.address
-        try:
-            context = ssl.create_default_context(cafile=address.ca_file)
-            if address.certificate_file is not None:
-                context.load_cert_chain(address.certificate_file, address.key_file)
-        except OSError as error:  # of which ssl.SSLError is one
-            plain.close()
-            files = [file for file in (address.ca_file, address.certificate_file, address.key_file) if file]
-            raise ConfigError(f"bus {address}: TLS files {', '.join(files)}: {_reason(error)}") from None
-        return context.wrap_socket(plain, server_hostname=address.host)
 
     def _greet(self) -> None:
         address = self.address
@@ -261,14 +248,6 @@ class Connection:
             _checked_login(self.send_packed(pack("AUTH", *login))[0], address)
         reply = self.send_packed(pack("SELECT", address.db))[0]
         _checked_login(reply, address)
-
-
-def _keep_alive(stream: socket.socket) -> None:
-    """Have the kernel find out that a peer is gone that said nothing: unplugged, or its machine lost its power."""
-    stream.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    for name, value in _KEEP_ALIVE:
-        if hasattr(socket, name):  # each system has some of them
-            stream.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
 def _checked(reply: Any) -> Any:

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable
 
 from station.bus.address import BusAddress
 from station.bus.redis_server import RedisServer
 from station.bus.server_options import ServerOptions
+from station.clock import SYSTEM, Clock, Thread
 from station.errors import BusError
 
 log = logging.getLogger(__name__)
@@ -33,23 +33,28 @@ class KeptServer:
     A thread of its own starts it, again and again, and lives as long as it does: the kernel kills a server together
     with the thread that started it, so none outlives this process.
 
+    Args:
+        options: Where it listens.
+        on_restart: Called in the keeper's thread, with what happened in a sentence.
+        clock: By which it is looked after.
+
     Attributes:
         restarts: How often it was started again.
         error: Why it is no longer kept; None while it is.
     """
 
-    def __init__(self, options: ServerOptions, on_restart: OnRestart | None = None) -> None:
+    def __init__(self, options: ServerOptions, on_restart: OnRestart | None = None, clock: Clock = SYSTEM) -> None:
         """Prepare one; `start` makes one that answers."""
         self.restarts = 0
         self.error: BusError | None = None
-        self._options = options
+        self._options, self._clock = options, clock
         self._on_restart = on_restart
         self._server: RedisServer | None = None
         self._failure: Exception | None = None
         self._short_lives = 0
         self._began_s = 0.0
         self._started, self._closed = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._run, name="bus-keeper", daemon=True)
+        self._thread: Thread | None = None
 
     @classmethod
     def start(cls, options: ServerOptions, on_restart: OnRestart | None = None) -> KeptServer:
@@ -64,8 +69,8 @@ class KeptServer:
             BusError: it cannot be started; with its last words.
         """
         kept = cls(options, on_restart)
-        kept._thread.start()
-        kept._started.wait()
+        kept._thread = kept._clock.start(kept._run, "bus-keeper")
+        kept._clock.wait(kept._started)
         if kept._failure is not None:
             raise kept._failure
         return kept
@@ -83,7 +88,8 @@ class KeptServer:
     def stop(self) -> None:
         """Stop the server for good; a second call does nothing."""
         self._closed.set()
-        self._thread.join()
+        if self._thread is not None:
+            self._clock.join(self._thread)
 
     def __enter__(self) -> KeptServer:
         """Return the running server."""
@@ -107,22 +113,22 @@ class KeptServer:
             return
         finally:
             self._started.set()
-        while not self._closed.wait(_LOOK_S):
+        while not self._clock.wait(self._closed, _LOOK_S):
             if not self._present.is_running:
                 self._restore()
         self._present.stop()
 
     def _launch(self) -> None:
         self._server = RedisServer.start(self._options)
-        self._began_s = time.monotonic()
+        self._began_s = self._clock.monotonic_s()
 
     def _restore(self) -> None:
         """Start a server where one has died, unless that has been in vain too often."""
         how = self._present.ending
-        is_short = time.monotonic() - self._began_s < _SHORT_LIFE_S
+        is_short = self._clock.monotonic_s() - self._began_s < _SHORT_LIFE_S
         self._short_lives = self._short_lives + 1 if is_short else 0
         while self._short_lives < _MOST_SHORT_LIVES:
-            if self._closed.wait(self._delay_s):
+            if self._clock.wait(self._closed, self._delay_s):
                 return
             try:
                 self._launch()
@@ -135,7 +141,7 @@ class KeptServer:
             return
         self.error = BusError(f"bus {self.address}: its server {how}; it was started again in vain and is given up")
         self._tell(str(self.error))
-        self._closed.wait()
+        self._clock.wait(self._closed)
 
     @property
     def _delay_s(self) -> float:

@@ -6,9 +6,10 @@ While it lasts nobody could hear of it; so it carries when it began, and whoever
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from typing import Any, Literal, NamedTuple
+
+from station.clock import SYSTEM, Clock
 
 _SETTLE_NS = 1_000_000_000  # a recorder has tapped a restarted server again by then, and hears what is told
 _MOST = 100  # of which nobody has taken notice
@@ -33,9 +34,9 @@ class Outage(NamedTuple):
     ended_ns: int
     numbers: dict[str, Any]
 
-    def detail(self) -> dict[str, Any]:
+    def detail(self, now_ns: int) -> dict[str, Any]:
         """Return what an event says of it: its length, how long ago it began [s], and its numbers."""
-        seconds, ago_s = (self.ended_ns - self.began_ns) * 1e-9, (time.monotonic_ns() - self.began_ns) * 1e-9
+        seconds, ago_s = (self.ended_ns - self.began_ns) * 1e-9, (now_ns - self.began_ns) * 1e-9
         return {"seconds": round(seconds, 3), "began_ago_s": round(ago_s, 3), **self.numbers}
 
     def meets(self, other: Outage) -> bool:
@@ -44,9 +45,14 @@ class Outage(NamedTuple):
 
 
 class Outages:
-    """Gathers the outages of one process; safe to share between its threads."""
+    """Gathers the outages of one process; safe to share between its threads.
 
-    def __init__(self) -> None:
+    Args:
+        clock: The process's.
+    """
+
+    def __init__(self, clock: Clock = SYSTEM) -> None:
+        self._clock = clock
         self._lock = threading.Lock()
         self._held: deque[Outage] = deque(maxlen=_MOST)
         self._told: deque[Outage] = deque(maxlen=_REMEMBERED)
@@ -54,14 +60,14 @@ class Outages:
     def note(self, kind: Kind, began_ns: int, **numbers: Any) -> None:
         """Take note of one that ends now."""
         with self._lock:
-            self._held.append(Outage(kind, began_ns, time.monotonic_ns(), numbers))
+            self._held.append(Outage(kind, began_ns, self._clock.monotonic_ns(), numbers))
 
     def take(self) -> list[Outage]:
         """Return those that have been over for a second, oldest first, each once.
 
         A watch that fell silent together with the whole bus, or with another watch, is not told of again.
         """
-        now_ns = time.monotonic_ns()
+        now_ns = self._clock.monotonic_ns()
         with self._lock:
             due = [outage for outage in self._held if now_ns - outage.ended_ns >= _SETTLE_NS]
             known = [*self._told, *(outage for outage in self._held if outage.kind != "watch-back")]

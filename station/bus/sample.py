@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 import msgspec
 
@@ -40,8 +39,8 @@ class Sample(msgspec.Struct, frozen=True):
         delay_ns = min(max(self.arrived_ns - self.stamp.mono_ns, -_LONGEST_NS), _LONGEST_NS)  # a stamp may say anything
         return delay_ns * 1e-9
 
-    def age_s(self, now_ns: int | None = None) -> float:
-        """Return the time since it arrived [s]; infinite when it was there before we looked."""
+    def age_s(self, now_ns: int) -> float:
+        """Return its age at an instant of the reader's clock [s]; infinite when it was there before we looked."""
         if self.arrived_ns is None:
             return math.inf
-        return ((time.monotonic_ns() if now_ns is None else now_ns) - self.arrived_ns) * 1e-9
+        return (now_ns - self.arrived_ns) * 1e-9

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 
 from station.bus import keys, stamp
+from station.clock import Clock
 
 
 class StampedWrites:
@@ -13,10 +13,11 @@ class StampedWrites:
 
     Args:
         source: Stands in every stamp.
+        clock: Its instants stand in every stamp.
     """
 
-    def __init__(self, source: str) -> None:
-        self._source = source
+    def __init__(self, source: str, clock: Clock) -> None:
+        self._source, self._clock = source, clock
         self._sequences: dict[str, int] = {}
         self._frames: dict[str, tuple[bytes, bytes]] = {}  # name of a key and of its stamp, as they are sent
 
@@ -27,7 +28,7 @@ class StampedWrites:
             values: Bytes by key.
             capture_ns: A device's own time of capture [ns], for the stamps.
         """
-        mono_ns, wall_ns = time.monotonic_ns(), time.time_ns()
+        mono_ns, wall_ns = self._clock.monotonic_ns(), self._clock.wall_ns()
         parts = [b"*%d\r\n$4\r\nMSET\r\n" % (1 + 4 * len(values))]
         for key, value in values.items():
             seq = self._sequences[key] = self._sequences.get(key, 0) + 1

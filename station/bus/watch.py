@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 import math
 import threading
-import time
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Self
@@ -61,6 +60,7 @@ class Watch:
         probe_s: How often it is proved that the server tells of every write [s]; `heard` is as old as that.
 
     Attributes:
+        clock: Of the arrivals; time where the bus is.
         is_connected: Whether it hears at present.
         connections: How often it began to hear; one more means that the server may have been restarted.
     """
@@ -68,7 +68,7 @@ class Watch:
     def __init__(
         self, address: BusAddress, wanted: Sequence[str], *, outages: Outages | None = None, probe_s: float = _IDLE_S
     ) -> None:
-        self._address = address
+        self._address, self.clock = address, address.clock
         self._outages = outages
         self._probe_s = probe_s
         self._hearing = Hearing(probe_s + _SLACK_S)
@@ -87,9 +87,8 @@ class Watch:
         self.is_connected = False
         self.connections = 0
         self._events: Connection | None = None
-        self._thread = threading.Thread(target=self._run, name="bus-watch", daemon=True)
-        self._thread.start()
-        self._armed.wait(_TIMEOUT_S * 4)  # so that a value written after this returns counts as new
+        self._thread = self.clock.start(self._run, "bus-watch")
+        self.clock.wait(self._armed, _TIMEOUT_S * 4)  # so that a value written after this returns counts as new
 
     @property
     def heard(self) -> Heard:
@@ -102,7 +101,7 @@ class Watch:
     def latest(self, key: str, *, max_age_s: float = math.inf) -> Sample | None:
         """Return the newest value of a key; None when there is none or it arrived longer ago than `max_age_s`."""
         sample = self._slots.get(key)
-        if sample is None or (max_age_s != math.inf and sample.age_s() > max_age_s):
+        if sample is None or (max_age_s != math.inf and sample.age_s(self.clock.monotonic_ns()) > max_age_s):
             return None
         return sample
 
@@ -117,7 +116,7 @@ class Watch:
             return sample is not None and sample is not after and sample.arrived_ns is not None
 
         with self._changed:
-            self._changed.wait_for(lambda: newer() or self._closed.is_set(), timeout_s)
+            self.clock.wait_for(self._changed, lambda: newer() or self._closed.is_set(), timeout_s)
             return self._slots[key] if newer() else None
 
     def close(self) -> None:
@@ -127,7 +126,7 @@ class Watch:
             self._changed.notify_all()
         if (events := self._events) is not None:
             events.hang_up()
-        self._thread.join(2.0)
+        self.clock.join(self._thread, 2.0)
 
     def __enter__(self) -> Self:
         return self
@@ -141,15 +140,15 @@ class Watch:
                 self._follow()
             except BusError as error:
                 was_connected, self.is_connected = self.is_connected, False
-                now_s, text = time.monotonic(), str(error)
+                now_s, text = self.clock.monotonic_s(), str(error)
                 if not self._closed.is_set() and (text != self._last_error or now_s - self._logged_s > _AGAIN_S):
                     self._last_error, self._logged_s = text, now_s
                     log.warning("watch: %s", text)
                 if was_connected:
-                    self._cut_ns = self._cut_ns or time.monotonic_ns()
+                    self._cut_ns = self._cut_ns or self.clock.monotonic_ns()
                     if now_s - self._began_ns * 1e-9 > _SHORT_S:
                         continue  # where only the connection was cut, the next one works at once
-                self._closed.wait(_RETRY_S)
+                self.clock.wait(self._closed, _RETRY_S)
 
     def _follow(self) -> None:
         reader = Connection(self._address, timeout_s=_TIMEOUT_S)
@@ -170,12 +169,12 @@ class Watch:
         channels = [self._prefix + name for key in self._keys for name in (key, keys.stamp(key))]
         subscribe(events, channels, _TIMEOUT_S)
         self._fill_at_start(reader)
-        self._asked_ns = self._answered_ns = self._newest_ns = time.monotonic_ns()
+        self._asked_ns = self._answered_ns = self._newest_ns = self.clock.monotonic_ns()
         while not self._closed.is_set():
             message = self._next(events, reader)
             if message is None:
                 continue
-            self._newest_ns, answered_ns, touched = time.monotonic_ns(), self._answered_ns, Counter[str]()
+            self._newest_ns, answered_ns, touched = self.clock.monotonic_ns(), self._answered_ns, Counter[str]()
             while message is not False:
                 self._note(message, touched)
                 message = events.buffered()
@@ -190,7 +189,7 @@ class Watch:
         Raises:
             ConnectionLost: the server, or one of the two lines, is frozen or gone.
         """
-        now_ns = time.monotonic_ns()
+        now_ns = self.clock.monotonic_ns()
         is_owed = self._answered_ns < self._asked_ns
         if not is_owed and now_ns - self._asked_ns >= self._probe_s * 1e9:
             self._asked_ns, is_owed = now_ns, True
@@ -199,9 +198,9 @@ class Watch:
         wait_s = _NOTICED_S - self._probe_s if is_owed else self._probe_s
         end_ns = self._asked_ns + round(wait_s * 1e9)
         try:
-            return events.receive(max((end_ns - time.monotonic_ns()) * 1e-9, _SOON_S))
+            return events.receive(max((end_ns - self.clock.monotonic_ns()) * 1e-9, _SOON_S))
         except TimeoutError:
-            if is_owed and time.monotonic_ns() >= end_ns:
+            if is_owed and self.clock.monotonic_ns() >= end_ns:
                 self._cut_ns = self._newest_ns
                 raise ConnectionLost(f"bus {events.address}: no answer in time where writes are told of") from None
             return None
@@ -232,7 +231,7 @@ class Watch:
         if isinstance(message, list) and message[0] == b"message":
             touched[message[1].decode("utf-8", "surrogateescape")[len(self._prefix) :]] += 1
         elif self._answered_ns < self._asked_ns and is_answer(message):
-            self._answered_ns = time.monotonic_ns()
+            self._answered_ns = self.clock.monotonic_ns()
         else:
             raise ConnectionLost(f"bus {self._address}: {message!r} came where writes are told of")
 
@@ -257,10 +256,10 @@ class Watch:
         log.warning("bus %s: no keyspace notifications; polling every %.0f ms", self._address, _POLL_S * 1e3)
         self._fill_at_start(reader)
         everything = Counter(name for key in self._keys for name in (key, keys.stamp(key)))
-        while not self._closed.wait(_POLL_S):
-            asked_ns = time.monotonic_ns()
+        while not self.clock.wait(self._closed, _POLL_S):
+            asked_ns = self.clock.monotonic_ns()
             self._take(reader, everything)
-            self._hearing.prove(asked_ns, time.monotonic_ns())
+            self._hearing.prove(asked_ns, self.clock.monotonic_ns())
 
     def _fill_at_start(self, reader: Connection) -> None:
         """Take up what is there already, as of unknown age; after a lost connection keep what we had."""
@@ -273,7 +272,7 @@ class Watch:
                     self._slots[key] = Sample(key, value, mark, None)
         if self._cut_ns is not None and self._outages is not None:
             self._outages.note("watch-back", self._cut_ns, reason=self._last_error)
-        self._cut_ns, self._began_ns = None, time.monotonic_ns()
+        self._cut_ns, self._began_ns = None, self.clock.monotonic_ns()
         self._hearing.begin(self._began_ns)
         self.connections += 1
         self.is_connected = True
@@ -282,7 +281,7 @@ class Watch:
     def _take(self, reader: Connection, touched: Counter[str]) -> None:
         wanted = [key for key in self._keys if touched[key] or touched[keys.stamp(key)]]
         values = self._fetch(reader, wanted)
-        now_ns = time.monotonic_ns()
+        now_ns = self.clock.monotonic_ns()
         with self._changed:
             for key, (value, mark) in values.items():
                 self._put(key, value, mark, now_ns, is_foreign=touched[key] > touched[keys.stamp(key)])

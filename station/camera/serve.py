@@ -9,7 +9,6 @@ for once a second, and ``camera-back`` when it gives pictures again.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -58,6 +57,7 @@ class _Desk:
 
     def __init__(self, life: Life, open_camera: Callable[[], Camera], key: str, head: Mapping[str, Any]) -> None:
         self._life, self._open, self._key, self._head = life, open_camera, key, head
+        self._clock = life.clock
         self._camera: Camera | None = None
         self._silence_s, self._look_s = _SILENT_S, 0.0
         self._is_live, self._reason = True, ""  # until the contrary shows
@@ -65,27 +65,27 @@ class _Desk:
         self._unsent = 0
         self._published, self._bytes = 0, 0
         self._capture_ns: int | None = None
-        self._picture_s = time.monotonic()  # when the newest one came
+        self._picture_s = self._clock.monotonic_s()  # when the newest one came
         self._meter = _Meter(life)
         self._facts: dict[str, Any] = {}
         self._take(open_camera())
 
     def begin(self) -> None:
         """Count time from now on: what was taken before the server was active is old."""
-        self._picture_s = time.monotonic()
+        self._picture_s = self._clock.monotonic_s()
         self._meter.begin(self._picture_s, self._published, self._drops)
 
     def step(self) -> None:
         """Wait for a picture for a moment and take it to the bus."""
         picture = self._read()
-        now_s = time.monotonic()
+        now_s = self._clock.monotonic_s()
         if picture is not None:
             self._welcome(now_s)
             self._publish(picture)
         elif self._camera is not None and now_s - self._picture_s > self._silence_s and now_s >= self._look_s:
             self._look_s = now_s + _AGAIN_S
             self._lose(self._camera.why_silent() or "it gives no pictures", now_s)
-        age_ms = None if self._capture_ns is None else (time.monotonic_ns() - self._capture_ns) * 1e-6
+        age_ms = None if self._capture_ns is None else (self._clock.monotonic_ns() - self._capture_ns) * 1e-6
         self._meter.look(now_s, self._published, self._bytes, self._drops, self._unsent, age_ms)
 
     def close(self) -> None:
@@ -100,19 +100,19 @@ class _Desk:
         if self._camera is None:
             self._reopen()
         if self._camera is None:
-            self._life.stop_event.wait(_LOOK_S)
+            self._clock.wait(self._life.stop_event, _LOOK_S)
             return None
         try:
             return self._camera.read(_LOOK_S)
         except CameraError as error:
             self._release()
-            now_s = time.monotonic()
+            now_s = self._clock.monotonic_s()
             self._look_s = now_s + _AGAIN_S
             self._lose(str(error), now_s)
             return None
 
     def _reopen(self) -> None:
-        now_s = time.monotonic()
+        now_s = self._clock.monotonic_s()
         if now_s < self._look_s:
             return
         self._look_s = now_s + _AGAIN_S

@@ -9,13 +9,13 @@ to cease first: nothing begins to move because a reason went away.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from station.arms import ArmSession, ArmState
+from station.clock import SYSTEM, Clock
 from station.control.commanded import Commanded, Happening
 from station.control.gate import Decision, GateConfig
 from station.control.gate_state import FOLLOWING, MOVING
@@ -68,13 +68,16 @@ class ArmControl:
         form: Format of the command.
         gate: Times of the gate.
         is_armed: Whether targets are handed over from the start; False for real arms.
+        clock: Says when a target was handed over.
 
     Attributes:
         commanded: Inlet, gate and arming.
     """
 
-    def __init__(self, session: ArmSession, form: CommandFormat, *, gate: GateConfig, is_armed: bool) -> None:
-        self.session = session
+    def __init__(
+        self, session: ArmSession, form: CommandFormat, *, gate: GateConfig, is_armed: bool, clock: Clock = SYSTEM
+    ) -> None:
+        self.session, self._clock = session, clock
         self.commanded = Commanded(form, gate, is_armed=is_armed, ramp_s=0.0)
         self._target: Floats | None = None  # newest target that was taken; None: not engaged
         self._refusal = ""  # of this tick
@@ -106,7 +109,7 @@ class ArmControl:
         if decision.state not in FOLLOWING:
             self._release()
         elif decision.state in MOVING:
-            sent_ns = time.monotonic_ns() if self._send(decision.vector, state) else 0
+            sent_ns = self._clock.monotonic_ns() if self._send(decision.vector, state) else 0
         good = self.commanded.inlet.good
         stages = (good.written_ns if good else 0, good.arrived_ns if good else 0, state.mono_ns)
         return ArmRecord(

@@ -6,12 +6,12 @@ The same step drives the station's servers and the offline rehearsal, so both gi
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from station.clock import SYSTEM, Clock
 from station.control.arming import why_not_arm
 from station.control.commanded import Commanded, Happening
 from station.control.gate import Decision, GateConfig
@@ -69,6 +69,7 @@ class ControlStep:
         gate: Times of the gate.
         is_armed: Whether targets are sent from the start; False for real robots.
         reset_after_s: A simulated robot is put back on its feet this long after a fall [s]; None: never.
+        clock: Says how long a step takes, and decides nothing.
 
     Attributes:
         commanded: Inlet, gate and arming.
@@ -86,9 +87,10 @@ class ControlStep:
         gate: GateConfig | None = None,
         is_armed: bool = True,
         reset_after_s: float | None = None,
+        clock: Clock = SYSTEM,
     ) -> None:
         _check_fit(robot, policy, form)
-        self.robot, self.policy = robot, policy
+        self.robot, self.policy, self._clock = robot, policy, clock
         self.commanded = Commanded(form, gate or GateConfig(), is_armed=is_armed)
         self.gate, self.inlet, self.arming = self.commanded.gate, self.commanded.inlet, self.commanded.arming
         self._note = self.commanded.note
@@ -113,12 +115,12 @@ class ControlStep:
         self._tick += 1
         decision = self.commanded.decide(sample, now_s)
         observation = self.policy.observe(state, decision.vector)
-        observed_ns = time.monotonic_ns()
+        observed_ns = self._clock.monotonic_ns()
         action = self.policy.act(observation)
-        inferred_ns = time.monotonic_ns()
+        inferred_ns = self._clock.monotonic_ns()
         targets = self._targets(action, state, decision)
         allowed = self._allowed(targets, now_s)
-        sent_ns = time.monotonic_ns()  # before `write`, which in a simulation also runs the physics
+        sent_ns = self._clock.monotonic_ns()  # before `write`, which in a simulation also runs the physics
         sent = _nothing(targets) if allowed is None else self.robot.write(allowed)
         good = self.inlet.good
         stages = (good.written_ns if good else 0, good.arrived_ns if good else 0)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import select
 import threading
-import time
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -22,7 +20,6 @@ from station.control.stop_trace import StopNews, StopTrace
 from station.control.writers import Writers
 from station.life.rivals import FOREIGN
 
-_SOON_S = 0.25  # a message that has begun to come is whole within this
 _PROBE_S = 0.05  # who waits for a silence waits this much longer; a probe takes 0.1 ms
 _MOST = 16  # writers between two looks; a stranger may invent names
 _AHEAD = 2  # writes that were read before they were told of, at most: each is told of within a round trip
@@ -138,11 +135,11 @@ class CommandWatch(Watch):
             told = touched + later
             native, every = told[keys.stamp(self._shared_key)], told[self._shared_key]
             self._is_doubtful = 0 < native < every
-            now_ns = time.monotonic_ns()
+            now_ns = self.clock.monotonic_ns()
             with self._changed:
                 for key, (value, mark) in values.items():
                     self._put(key, value, mark, now_ns, is_foreign=touched[key] > touched[keys.stamp(key)])
-                if self._shared_key in values:
+                if self._shared_key in values and self._events is not None:  # who polls is told of no write
                     self._note_overwritten(values[self._shared_key][1], touched[keys.stamp(self._shared_key)], now_ns)
                 self._changed.notify_all()
             touched = later
@@ -151,14 +148,8 @@ class CommandWatch(Watch):
         """Count the writes that we are told of by now."""
         told: Counter[str] = Counter()
         events = self._events
-        while events is not None and select.select([events], [], [], 0.0)[0]:
-            try:
-                message = events.receive(_SOON_S)
-            except TimeoutError:
-                break  # the beginning of a message, and no more of it: the next round has it
-            while message is not False:
-                self._note(message, told)
-                message = events.buffered()
+        while events is not None and (message := events.poll()) is not False:
+            self._note(message, told)
         return told
 
     def _put(self, key: str, value: bytes | None, mark: stamp.Stamp | None, now_ns: int, *, is_foreign: bool) -> None:
@@ -246,7 +237,7 @@ class Inbox:
     def has_come(self, now_s: float | None = None) -> bool:
         """Take up what came since the last call; return whether something did from who is obeyed."""
         before, newest, taken = self._command, self._watch.latest(self._key), self._watch.take()
-        self.heard_s = _seconds(taken.heard, now_s)
+        self.heard_s = self._seconds(taken.heard, now_s)
         for writer, at_ns, is_clear in taken.arrivals:
             at_s = now_s if now_s is not None else at_ns * 1e-9
             if not is_clear:
@@ -270,11 +261,10 @@ class Inbox:
         refused, self._refused = self._refused, 0
         return refused
 
-
-def _seconds(heard: Heard, now_s: float | None) -> tuple[float, float]:
-    """Return a span on the gate's clock [s]."""
-    ahead_s = 0.0 if now_s is None else now_s - time.monotonic()
-    return heard.since_ns * 1e-9 + ahead_s, heard.until_ns * 1e-9 + ahead_s
+    def _seconds(self, heard: Heard, now_s: float | None) -> tuple[float, float]:
+        """Return a span on the gate's clock [s]."""
+        ahead_s = 0.0 if now_s is None else now_s - self._watch.clock.monotonic_s()
+        return heard.since_ns * 1e-9 + ahead_s, heard.until_ns * 1e-9 + ahead_s
 
 
 def writer_of(sample: Sample) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
-import time
 from collections.abc import Callable, Mapping
 from typing import Any, Generic, Self, TypeVar
 
@@ -61,7 +60,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         period_s: float,
         requests: Mapping[str, Callable[[bytes], None]] | None = None,
     ) -> None:
-        self._life, self._control = life, control
+        self._life, self._control, self._clock = life, control, life.clock
         self._state_values, self._result_values = state_values, result_values
         self._period_s, self._requests = period_s, dict(requests or {})
         self._key = control.commanded.inlet.form.key
@@ -93,7 +92,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             rate.wait(self._watch.urgent)
             self._watch.urgent.clear()
             state = self._sense()
-            now_s = time.monotonic()
+            now_s = self._clock.monotonic_s()
             self._obey(now_s)
             self._act(state, self._inbox.newest(), now_s)
             if self._is_time_to_report():
@@ -110,7 +109,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         the gate holds and returns) until the next one.
         """
         tick, patience_s, started = 0, timeout_s, False
-        began_s = time.monotonic()
+        began_s = self._clock.monotonic_s()
         self._begin()
         while not self._life.stopping:
             now_s = tick * self._period_s
@@ -123,7 +122,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
                 self._act(state, self._inbox.newest(now_s) if started else None, now_s)
                 tick += 1
             if self._is_time_to_report():
-                elapsed_s = time.monotonic() - began_s
+                elapsed_s = self._clock.monotonic_s() - began_s
                 self._report(rate_hz=tick / elapsed_s)
 
     def _begin(self) -> None:
@@ -145,9 +144,9 @@ class LowLevelLoop(Generic[StateT, RecordT]):
 
     def _await_command(self, patience_s: float, now_s: float) -> bool:
         """Wait for a command newer than the last; return early, False, when asked for something else."""
-        end_s = time.monotonic() + patience_s
+        end_s = self._clock.monotonic_s() + patience_s
         while not self._life.stopping and not self._is_asked():
-            left_s = end_s - time.monotonic()
+            left_s = end_s - self._clock.monotonic_s()
             wait_s = max(0.0, min(left_s, self._period_s))
             if self._watch.wait(self._key, after=self._inbox.seen, timeout_s=wait_s) and self._inbox.has_come(now_s):
                 return True
@@ -257,7 +256,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         self._life.event(happening.name, severity=happening.severity, **happening.detail)
 
     def _is_time_to_report(self) -> bool:
-        now_s = time.monotonic()
+        now_s = self._clock.monotonic_s()
         if now_s - self._said_s < _REPORT_S:
             return False
         self._said_s = now_s

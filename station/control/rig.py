@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 
 from station import assets, registry
+from station.clock import SYSTEM, Clock
 from station.control.control import ControlStep
 from station.control.gate import GateConfig
 from station.errors import ConfigError, did_you_mean
@@ -54,11 +55,16 @@ class Rig(msgspec.Struct, frozen=True):
     period_s: float
 
     def control(
-        self, *, gate: GateConfig | None = None, is_armed: bool = True, reset_after_s: float | None = None
+        self,
+        *,
+        gate: GateConfig | None = None,
+        is_armed: bool = True,
+        reset_after_s: float | None = None,
+        clock: Clock = SYSTEM,
     ) -> ControlStep:
         """Return the control step over this rig; its arguments are those of `ControlStep`."""
         return ControlStep(
-            self.robot, self.policy, self.form, gate=gate, is_armed=is_armed, reset_after_s=reset_after_s
+            self.robot, self.policy, self.form, gate=gate, is_armed=is_armed, reset_after_s=reset_after_s, clock=clock
         )
 
 

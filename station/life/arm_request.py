@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import getpass
 import secrets
-import time
 from collections.abc import Iterator
 from typing import Any, Literal
 
@@ -83,7 +82,7 @@ def ask(
     """
     robots = {health.name: robot_of(bus, health) for health in _low_level(bus, server)}
     wanted = ArmRequest(action=action, id=secrets.token_hex(4), server=server, who=getpass.getuser(), reason=reason)
-    deadline_s = time.monotonic() + within_s
+    deadline_s = bus.clock.monotonic_s() + within_s
     with bus.watch([keys.command_gate(robot) for robot in robots.values()]) as watch:
         if not bus.publish({keys.ARM: codec.json_object(wanted)}):
             raise NotReady(f"{action}: the bus {bus.address} did not take the request ({bus.last_error})")
@@ -110,7 +109,8 @@ def story(action: Action, states: list[str]) -> str:
 
 
 def _low_level(bus: Bus, server: str) -> Iterator[Health]:
-    found = [health for health in read_health(bus) if health.is_alive and health.role == "low-level"]
+    now_ns = bus.clock.wall_ns()
+    found = [health for health in read_health(bus) if health.role == "low-level" and health.is_alive_at(now_ns)]
     chosen = [health for health in found if server in ("", health.name)]
     if not chosen:
         others = f" (there are: {', '.join(health.name for health in found)})" if found else ""
@@ -137,7 +137,7 @@ def _follow(watch: Watch, name: str, robot: str, wanted: ArmRequest, deadline_s:
     seen: list[str] = []
     newest: Any = None
     key = keys.command_gate(robot)
-    while (left_s := deadline_s - time.monotonic()) > 0:
+    while (left_s := deadline_s - watch.clock.monotonic_s()) > 0:
         newest = watch.wait(key, after=newest, timeout_s=left_s) or newest
         gate = _gate(newest.value) if newest is not None else None
         if gate is None or gate.arm is None or gate.arm.id != wanted.id:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import getpass
 import secrets
-import time
 from typing import Literal
 
 import msgspec
@@ -80,7 +79,7 @@ def ask(
         action=action, id=secrets.token_hex(4), robot=robot, profile=profile, throttle=throttle, who=getpass.getuser()
     )
     arm_request.server_of(bus, robot)
-    deadline_s = time.monotonic() + within_s
+    deadline_s = bus.clock.monotonic_s() + within_s
     with bus.watch([keys.command_gate(robot)]) as watch:
         if not bus.publish({keys.CONTROLLER: codec.json_object(wanted)}):
             raise NotReady(f"{action}: the bus {bus.address} did not take the request ({bus.last_error})")
@@ -93,7 +92,7 @@ def ask(
 
 def _answer(watch: Watch, key: str, wanted: str, deadline_s: float) -> ControllerAnswer | None:
     newest = None
-    while (left_s := deadline_s - time.monotonic()) > 0:
+    while (left_s := deadline_s - watch.clock.monotonic_s()) > 0:
         newest = watch.wait(key, after=newest, timeout_s=left_s) or newest
         try:
             answer = codec.parse_struct(newest.value, _Gate).controller if newest is not None else None

@@ -7,7 +7,6 @@ was missed there comes with the heartbeat of the server that said it, half a sec
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from collections.abc import Iterator
 
@@ -27,7 +26,7 @@ class EventFeed:
     """Gathers events from now on, in a thread of its own; a context manager."""
 
     def __init__(self, bus: Bus) -> None:
-        self._bus = bus
+        self._bus, self._clock = bus, bus.clock
         self._found: deque[Event] = deque(maxlen=_MOST)
         self._known: deque[tuple[str, int, str]] = deque(maxlen=_MOST)
         self._lock = threading.Lock()
@@ -35,8 +34,7 @@ class EventFeed:
         self._found.clear()  # from before our time
         self._watch = bus.watch([keys.EVENT])
         self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="event-feed", daemon=True)
-        self._thread.start()
+        self._thread = self._clock.start(self._run, "event-feed")
 
     def add(self, event: Event) -> None:
         """Take in an event that is known of otherwise; nothing where it is known already."""
@@ -55,7 +53,7 @@ class EventFeed:
         """Stop gathering."""
         self._closed.set()
         self._watch.close()
-        self._thread.join()
+        self._clock.join(self._thread)
 
     def __enter__(self) -> EventFeed:
         return self
@@ -65,7 +63,7 @@ class EventFeed:
 
     def _run(self) -> None:
         newest: Sample | None = None
-        looked_s = time.monotonic()
+        looked_s = self._clock.monotonic_s()
         while not self._closed.is_set():
             sample = self._watch.wait(keys.EVENT, after=newest, timeout_s=_LOOK_S)
             if sample is not None:
@@ -73,8 +71,8 @@ class EventFeed:
                 event = events.decode(sample.value)
                 if event is not None:
                     self.add(event)
-            if time.monotonic() - looked_s >= _LOOK_S:
-                looked_s = time.monotonic()
+            if self._clock.monotonic_s() - looked_s >= _LOOK_S:
+                looked_s = self._clock.monotonic_s()
                 self._look()
 
     def _look(self) -> None:

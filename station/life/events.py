@@ -6,12 +6,12 @@ Every write of the bus is recorded, so every event stands in the episode it happ
 from __future__ import annotations
 
 import logging
-import time
 from typing import Any, Literal
 
 import msgspec
 
 from station.bus import codec
+from station.clock import SYSTEM
 
 Severity = Literal["info", "warning", "error"]
 _LEVELS: dict[Severity, int] = {"info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
@@ -43,14 +43,15 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.name} {detail}".rstrip()
 
 
-def make(source: str, name: str, severity: Severity = "info", **detail: Any) -> Event:
-    """Return an event that happens now."""
-    return Event(name=name, severity=severity, source=source, wall_ns=time.time_ns(), detail=detail)
+def make(source: str, name: str, severity: Severity = "info", wall_ns: int | None = None, /, **detail: Any) -> Event:
+    """Return an event that happens at an instant of the wall clock [ns]; None for now, by the machine's."""
+    wall_ns = SYSTEM.wall_ns() if wall_ns is None else wall_ns
+    return Event(name=name, severity=severity, source=source, wall_ns=wall_ns, detail=detail)
 
 
-def late(event: Event) -> Event:
-    """Return an event that could not be said when it happened, with how late it is now [s]."""
-    late_s = round((time.time_ns() - event.wall_ns) * 1e-9, 3)
+def late(event: Event, now_ns: int) -> Event:
+    """Return an event that could not be said when it happened, with how late it is by the wall clock [s]."""
+    late_s = round((now_ns - event.wall_ns) * 1e-9, 3)
     return msgspec.structs.replace(event, detail={**event.detail, "late_s": late_s})
 
 

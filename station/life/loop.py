@@ -10,13 +10,13 @@ import ctypes
 import gc
 import os
 import threading
-import time
 from collections import deque
-from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 import numpy as np
+
+from station.clock import SYSTEM, Clock
 
 _PR_SET_TIMERSLACK = 29
 _WINDOW = 500  # ticks: ten seconds at 50 Hz
@@ -42,13 +42,13 @@ class Rate:
 
     Args:
         hz: Rate [Hz].
-        sleep: Waits until an instant of the monotonic clock [ns]; replaced in tests of slow machines.
+        clock: By which it waits.
     """
 
-    def __init__(self, hz: float, *, sleep: Callable[[int], None] | None = None) -> None:
+    def __init__(self, hz: float, clock: Clock = SYSTEM) -> None:
         self.period_ns = round(1e9 / hz)
         self.overruns = 0
-        self._sleep_until = sleep or sleep_until
+        self._clock = clock
         self._deadline_ns: int | None = None
         self._came_early = False
         self._wakes: deque[tuple[int, int]] = deque(maxlen=_WINDOW)
@@ -59,7 +59,7 @@ class Rate:
         Where `urgent` is or gets set the tick comes at once and later deadlines count from it; but never two ticks in
         a row, so that whoever sets it all the time cannot make the loop run away.
         """
-        now_ns = time.monotonic_ns()
+        now_ns = self._clock.monotonic_ns()
         if self._deadline_ns is None:
             self._deadline_ns = now_ns
         else:
@@ -70,11 +70,11 @@ class Rate:
             self._deadline_ns += late * self.period_ns
         if urgent is None or self._came_early:
             self._came_early = False
-            self._sleep_until(self._deadline_ns)
-        elif urgent.wait(max(0.0, (self._deadline_ns - now_ns) * 1e-9)):
+            self._clock.sleep_until(self._deadline_ns)
+        elif self._clock.wait(urgent, max(0.0, (self._deadline_ns - now_ns) * 1e-9)):
             self._came_early = True
-            self._deadline_ns = min(self._deadline_ns, time.monotonic_ns())
-        woke_ns = time.monotonic_ns()
+            self._deadline_ns = min(self._deadline_ns, self._clock.monotonic_ns())
+        woke_ns = self._clock.monotonic_ns()
         self._wakes.append((woke_ns, woke_ns - self._deadline_ns))
 
     def stats(self) -> LoopStats:
@@ -86,13 +86,6 @@ class Rate:
         rate_hz = (len(wakes) - 1) / ((wakes[-1][0] - wakes[0][0]) * 1e-9)
         p50, p99 = np.percentile(lateness_ms, (50, 99))
         return LoopStats(float(rate_hz), float(p50), float(p99), self.overruns)
-
-
-def sleep_until(instant_ns: int) -> None:
-    """Sleep until an instant of the monotonic clock [ns]."""
-    remaining_ns = instant_ns - time.monotonic_ns()
-    if remaining_ns > 0:
-        time.sleep(remaining_ns * 1e-9)
 
 
 def real_time(priority: int = 50) -> str:

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import time
-
 from station.bus.sample import Sample
 from station.life.rivals import FOREIGN
 from station.life.server import Life
@@ -24,7 +22,7 @@ class OwnKey:
 
     def __init__(self, life: Life, key: str) -> None:
         self._life, self._key = life, key
-        self._since_ns = time.monotonic_ns()
+        self._since_ns = life.clock.monotonic_ns()
         self._writers: set[str] = set()
         self._newest: Sample | None = None
         self._count = 0
@@ -33,7 +31,7 @@ class OwnKey:
         """Look at the newest value of the key; call once per tick, before writing."""
         if sample is not None and sample is not self._newest and self._is_rival(sample):
             self._see(sample)
-        elif self._newest is not None and self._newest.age_s() > _GONE_AFTER_S:
+        elif self._newest is not None and self._newest.age_s(self._life.clock.monotonic_ns()) > _GONE_AFTER_S:
             self._life.event("second-writer", key=self._key, writers=sorted(self._writers), ended=True,
                              writes_seen=self._count)  # fmt: skip
             self._writers, self._newest, self._count = set(), None, 0

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any, Protocol
 
 import msgspec
 
 from station.bus.watch import Watch
+from station.clock import SYSTEM, Clock
 from station.life.loop import Rate
 from station.life.server import Life
 
@@ -37,10 +37,11 @@ class WallPace:
 
     Args:
         rate_hz: Commands per second [Hz].
+        clock: The clock.
     """
 
-    def __init__(self, rate_hz: float) -> None:
-        self._rate, self._period_s = Rate(rate_hz), 1.0 / rate_hz
+    def __init__(self, rate_hz: float, clock: Clock = SYSTEM) -> None:
+        self._rate, self._period_s = Rate(rate_hz, clock), 1.0 / rate_hz
         self._ticks, self._health = 0, dict[str, Any]()
         self._rate.wait()
 
@@ -66,7 +67,7 @@ class StatePace:
     """One command per robot state; by the clock once the robot is gone while we leave.
 
     Args:
-        life: Says the events, knows of requests to stop.
+        life: Says the events, knows of requests to stop, has the clock.
         watch: Watches `key`.
         key: Key of the robot state.
         rate_hz: One robot state stands for the reciprocal of this [Hz].
@@ -88,9 +89,10 @@ class StatePace:
 
     def wait(self, *, is_leaving: bool) -> float:
         """Return one period when a state came; zero when none did and the same command is due again."""
-        began = time.monotonic()
+        clock = self._life.clock
+        began_s = clock.monotonic_s()
         patience_s = self._patience_s if not is_leaving else self._period_s if self._is_silent else _GONE_S
-        while (left_s := began + patience_s - time.monotonic()) > 0:
+        while (left_s := began_s + patience_s - clock.monotonic_s()) > 0:
             if self._next_state(min(left_s, _SLICE_S)):
                 return self._period_s
             if self._life.stopping and not is_leaving:
@@ -112,7 +114,7 @@ class StatePace:
             return False
         self._newest = sample
         self._state_seq = sample.stamp.seq if sample.stamp is not None else None
-        self._wakes = [*self._wakes[-49:], time.monotonic_ns()]
+        self._wakes = [*self._wakes[-49:], self._life.clock.monotonic_ns()]
         if self._is_silent:
             self._is_silent = False
             self._life.event("robot-back", key=self._key)

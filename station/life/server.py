@@ -10,7 +10,6 @@ import logging
 import os
 import socket
 import threading
-import time
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -18,6 +17,7 @@ import msgspec
 
 from station.bus import codec, keys, stamp
 from station.bus.client import Bus
+from station.clock import SYSTEM
 from station.errors import BusError
 from station.life import leash
 from station.life.events import Event, Severity
@@ -80,8 +80,12 @@ class Health(msgspec.Struct, kw_only=True):
 
     @property
     def is_alive(self) -> bool:
-        """Whether its last word is fresh and not a farewell; wall clocks, so only a hint across machines."""
-        is_fresh = time.time_ns() - self.wall_ns < DEAD_AFTER_S * 1e9
+        """Whether it is alive now, by this machine's clock."""
+        return self.is_alive_at(SYSTEM.wall_ns())
+
+    def is_alive_at(self, wall_ns: int) -> bool:
+        """Whether its last word is fresh and no farewell; by wall clocks, so only a hint across machines."""
+        is_fresh = wall_ns - self.wall_ns < DEAD_AFTER_S * 1e9
         return self.state != "finalized" and is_fresh and not self._is_dead_process()
 
     def _is_dead_process(self) -> bool:
@@ -101,27 +105,30 @@ _HEALTH_FIELDS = ("rate_hz", "jitter_p50_ms", "jitter_p99_ms", "overruns")
 
 
 class Life:
-    """What a server's main needs of the station it lives in."""
+    """What a server's main needs of the station it lives in.
+
+    Attributes:
+        clock: Whoever waits, or asks what time it is, does it by this one.
+    """
 
     def __init__(self, kind: ServerKind, name: str, bus: Bus, config_sha256: str) -> None:
         self.name = name
         self._kind = kind
-        self.bus = bus
+        self.bus, self.clock = bus, bus.clock
         self.stop_event = threading.Event()
         self._leash = leash.from_environment(self.stop_event.set)
         self._configuration: bytes | None = None
         self._teller = Teller(bus, name)
         self._on_bus_back: Callable[[], None] = lambda: None
         self._ended = threading.Event()
-        now_ns = time.time_ns()
+        now_ns = self.clock.wall_ns()
         self._health = Health(
             name=name, role=kind.role, state="unconfigured", pid=os.getpid(), host=socket.gethostname(),
             boot=stamp.boot_id(), source=bus.source, started_wall_ns=now_ns, wall_ns=now_ns,
             config_sha256=config_sha256,
         )  # fmt: skip
         self._say()
-        self._heart = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
-        self._heart.start()
+        self._heart = self.clock.start(self._beat, "heartbeat")
 
     @property
     def stopping(self) -> bool:
@@ -141,7 +148,7 @@ class Life:
         """
         self._become("inactive")
         if self._leash is not None:
-            while not self._leash.activated.wait(0.05) and not self.stopping:
+            while not self.clock.wait(self._leash.activated, 0.05) and not self.stopping:
                 pass
         if self.stopping:
             return False
@@ -180,7 +187,7 @@ class Life:
     def end(self, reason: str) -> None:
         """Say farewell and stop the heartbeat."""
         self._ended.set()
-        self._heart.join()
+        self.clock.join(self._heart)
         self._health.reason = reason
         self._become("finalized")
 
@@ -190,12 +197,12 @@ class Life:
 
     def _beat(self) -> None:
         connections = self.bus.connections
-        while not self._ended.wait(HEARTBEAT_S):
+        while not self.clock.wait(self._ended, HEARTBEAT_S):
             self._say()
             if (now := self.bus.connections) != connections and self._say_again():
                 connections = now
             for outage in self.bus.outages.take():
-                self.event(outage.kind, severity="warning", **outage.detail())
+                self.event(outage.kind, severity="warning", **outage.detail(self.clock.monotonic_ns()))
                 self._teller.say_late()
 
     def _say_again(self) -> bool:
@@ -210,7 +217,7 @@ class Life:
         return True
 
     def _say(self) -> None:
-        self._health.wall_ns = time.time_ns()
+        self._health.wall_ns = self.clock.wall_ns()
         self._health.lost_writes = self.bus.lost_writes
         self._health.events = self._teller.recent
         self.bus.publish({keys.server(self.name): codec.json_object(self._health)})

@@ -58,7 +58,7 @@ def serve(kind: ServerKind, config: msgspec.Struct, *, address: BusAddress | Non
 
 def _claim(bus: Bus, name: str) -> None:
     for health in read_health(bus):
-        if health.name == name and health.is_alive:
+        if health.name == name and health.is_alive_at(bus.clock.wall_ns()):
             raise Refused(
                 f"server {name!r} is already running on {bus.address} (pid {health.pid} on {health.host}); "
                 "stop it first, or start this one under another --name"

@@ -9,8 +9,6 @@ no supervisor, no recorder, no command server.
 from __future__ import annotations
 
 import getpass
-import threading
-import time
 from collections.abc import Callable
 from types import TracebackType
 
@@ -46,8 +44,9 @@ class StopButton:
 
     def __init__(self, address: BusAddress, *, name: str = "estop", who: str = "") -> None:
         self._bus = Bus(address, name=name, timeout_s=_ANSWER_S)
+        self._clock = self._bus.clock
         self._who = who or getpass.getuser()
-        self._lock = threading.Lock()
+        self._lock = self._clock.lock()
         self._keeper = StopKeeper(address)
 
     def press(self, reason: str) -> None:
@@ -56,7 +55,7 @@ class StopButton:
         Raises:
             BusError: the bus did not take it, however often it was tried within `WITHIN_S`.
         """
-        asked_ns = time.monotonic_ns()
+        asked_ns = self._clock.monotonic_ns()
         try:
             self._write({"stop": True, "who": self._who, "reason": reason})
         except BusError as error:
@@ -70,7 +69,7 @@ class StopButton:
         Raises:
             BusError: the bus did not take it.
         """
-        asked_ns = time.monotonic_ns()
+        asked_ns = self._clock.monotonic_ns()
         try:
             self._write({"stop": False, "who": self._who, "reason": reason} | ({"arm": True} if arm else {}))
         except BusError as error:
@@ -94,12 +93,12 @@ class StopButton:
         return list(self._wait(lambda gate: gate == "stopped", within_s))
 
     def _wait(self, is_left: Callable[[str], bool], within_s: float) -> dict[str, str]:
-        deadline_s = time.monotonic() + within_s
+        deadline_s = self._clock.monotonic_s() + within_s
         while True:
             left = {name: gate for name, gate in self._gates().items() if is_left(gate)}
-            if not left or time.monotonic() >= deadline_s:
+            if not left or self._clock.monotonic_s() >= deadline_s:
                 return left
-            time.sleep(_LOOK_S)
+            self._clock.sleep(_LOOK_S)
 
     def robots(self) -> list[str]:
         """Return the names of the servers that drive a robot now.
@@ -128,15 +127,15 @@ class StopButton:
         self.close()
 
     def _write(self, request: dict[str, object]) -> None:
-        value, deadline_s = codec.json_object(request), time.monotonic() + WITHIN_S
+        value, deadline_s = codec.json_object(request), self._clock.monotonic_s() + WITHIN_S
         while True:
             try:
                 with self._lock:
                     self._write_once(value)
             except BusError:
-                if time.monotonic() > deadline_s:
+                if self._clock.monotonic_s() > deadline_s:
                     raise
-                time.sleep(_AGAIN_S)
+                self._clock.sleep(_AGAIN_S)
             else:
                 return
 
@@ -151,10 +150,9 @@ class StopButton:
 
     def _active(self) -> list[Health]:
         """Return the servers that drive a robot; one that loads will find the stop when it begins."""
-        found = read_health(self._bus)
-        return [
-            health for health in found if health.is_alive and (health.role, health.state) == ("low-level", "active")
-        ]
+        found, now_ns = read_health(self._bus), self._clock.wall_ns()
+        driving = [health for health in found if (health.role, health.state) == ("low-level", "active")]
+        return [health for health in driving if health.is_alive_at(now_ns)]
 
     def _gates(self) -> dict[str, str]:
         found = {}

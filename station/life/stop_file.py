@@ -13,9 +13,9 @@ import fcntl
 import hashlib
 import logging
 import os
-import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -34,6 +34,7 @@ from station.printable import printable
 log = logging.getLogger(__name__)
 
 _LOCKED_WITHIN_S = 1.0  # a write takes milliseconds, on a slow disk a tenth of a second
+_LOCK_AGAIN_S = 0.01
 _FLUSH_S = 5.0
 _LONGEST = 200  # characters of a reason
 
@@ -84,7 +85,7 @@ class StopFile:
     """
 
     def __init__(self, address: BusAddress) -> None:
-        self._bus = str(address)
+        self._bus, self._clock = str(address), address.clock
         self.path = folder() / f"{hashlib.sha256(self._bus.encode()).hexdigest()[:16]}.json"
         self._remedy = remedy(address)
 
@@ -119,8 +120,8 @@ class StopFile:
 
     def _word(self, reason: str, asked_ns: int | None, *, stop: bool) -> _Word:
         return _Word(
-            bus=self._bus, stop=stop, reason=printable(reason, _LONGEST), since_wall_ns=time.time_ns(),
-            asked_ns=time.monotonic_ns() if asked_ns is None else asked_ns, boot=stamp.boot_id(),
+            bus=self._bus, stop=stop, reason=printable(reason, _LONGEST), since_wall_ns=self._clock.wall_ns(),
+            asked_ns=self._clock.monotonic_ns() if asked_ns is None else asked_ns, boot=stamp.boot_id(),
         )  # fmt: skip
 
     def _load(self) -> _Word | None:
@@ -151,9 +152,9 @@ class StopFile:
         """Keep other processes from writing meanwhile; one that is frozen holds up nobody for long."""
         descriptor = os.open(self.path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
-            end_s = time.monotonic() + _LOCKED_WITHIN_S
-            while not _lock(descriptor) and time.monotonic() < end_s:
-                time.sleep(0.01)
+            end_s = self._clock.monotonic_s() + _LOCKED_WITHIN_S
+            while not _lock(descriptor) and self._clock.monotonic_s() < end_s:
+                self._clock.sleep(_LOCK_AGAIN_S)
             yield
         finally:
             os.close(descriptor)
@@ -173,27 +174,38 @@ class StopKeeper:
     def __init__(self, address: BusAddress) -> None:
         self.file = StopFile(address)
         self.failure = ""
-        self._words: queue.SimpleQueue[tuple[bool, str, int] | None] = queue.SimpleQueue()
-        self._thread = threading.Thread(target=self._run, name="stop-file", daemon=True)
-        self._thread.start()
+        self._clock = address.clock
+        self._words: deque[tuple[bool, str, int] | None] = deque()
+        self._has_words = threading.Event()
+        self._thread = self._clock.start(self._run, "stop-file")
 
     def latch(self, reason: str, asked_ns: int | None = None) -> None:
         """Keep a stop, as `StopFile.latch`."""
-        self._words.put((True, reason, time.monotonic_ns() if asked_ns is None else asked_ns))
+        self._put((True, reason, self._clock.monotonic_ns() if asked_ns is None else asked_ns))
 
     def release(self, reason: str, asked_ns: int | None = None) -> None:
         """Release it, as `StopFile.release`."""
-        self._words.put((False, reason, time.monotonic_ns() if asked_ns is None else asked_ns))
+        self._put((False, reason, self._clock.monotonic_ns() if asked_ns is None else asked_ns))
 
     def close(self) -> None:
         """Wait until all is on the disk; not for ever."""
-        self._words.put(None)
-        self._thread.join(_FLUSH_S)
+        self._put(None)
+        self._clock.join(self._thread, _FLUSH_S)
         if self._thread.is_alive():
             self._fail(f"{self.file.path}: the disk did not take it within {_FLUSH_S:g} s")
 
+    def _put(self, word: tuple[bool, str, int] | None) -> None:
+        self._words.append(word)
+        self._has_words.set()
+
+    def _next(self) -> tuple[bool, str, int] | None:
+        while not self._words:
+            self._clock.wait(self._has_words)
+            self._has_words.clear()
+        return self._words.popleft()
+
     def _run(self) -> None:
-        while (word := self._words.get()) is not None:
+        while (word := self._next()) is not None:
             is_stop, reason, asked_ns = word
             try:
                 (self.file.latch if is_stop else self.file.release)(reason, asked_ns)

@@ -7,7 +7,6 @@ each stands in the server's heartbeats too, for a few seconds: who follows both 
 from __future__ import annotations
 
 import logging
-import time
 from collections import deque
 from typing import Any
 
@@ -34,19 +33,19 @@ class Teller:
     """
 
     def __init__(self, bus: Bus, source: str) -> None:
-        self._bus, self._source = bus, source
+        self._bus, self._clock, self._source = bus, bus.clock, source
         self._recent: deque[Event] = deque(maxlen=_MOST_RECENT)
         self._unsaid: deque[Event] = deque(maxlen=_MOST_UNSAID)  # what the bus did not take
 
     @property
     def recent(self) -> list[Event]:
         """What was said in the last few seconds, oldest first."""
-        since_ns = time.time_ns() - round(RECENT_S * 1e9)
+        since_ns = self._clock.wall_ns() - round(RECENT_S * 1e9)
         return [event for event in tuple(self._recent) if event.wall_ns > since_ns]
 
     def say(self, name: str, severity: Severity, **detail: Any) -> None:
         """Say an event; where the bus does not take it, it is said again by `say_late`."""
-        event = events.make(self._source, name, severity, **detail)
+        event = events.make(self._source, name, severity, self._clock.wall_ns(), **detail)
         self._recent.append(event)
         if not self._bus.publish({keys.EVENT: event.encode()}):
             self._unsaid.append(event)
@@ -54,7 +53,7 @@ class Teller:
 
     def say_on_bus(self, name: str, severity: Severity, **detail: Any) -> None:
         """Say an event that somebody else prints."""
-        event = events.make(self._source, name, severity, **detail)
+        event = events.make(self._source, name, severity, self._clock.wall_ns(), **detail)
         self._recent.append(event)
         self._bus.publish({keys.EVENT: event.encode()})
 
@@ -62,6 +61,6 @@ class Teller:
         """Say the events of which nobody could hear, now that the bus is back and listened to again."""
         while self._unsaid:
             event = self._unsaid[0]
-            if not self._bus.publish({keys.EVENT: events.late(event).encode()}):
+            if not self._bus.publish({keys.EVENT: events.late(event, self._clock.wall_ns()).encode()}):
                 return
             self._unsaid.popleft()

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 
+from station.clock import SYSTEM, Clock
 from station.errors import StationError
 from station.operator.voice import Cue, Voice
 
@@ -86,21 +86,21 @@ class Speaker:
     Args:
         voice: Says them; closed with the speaker.
         queue: Where they wait.
+        clock: Of the server.
 
     Attributes:
         said: Number of cues that were begun.
         broken_off: Number of these that an urgent one broke off.
     """
 
-    def __init__(self, voice: Voice, queue: CueQueue | None = None) -> None:
+    def __init__(self, voice: Voice, queue: CueQueue | None = None, clock: Clock = SYSTEM) -> None:
         self.said = self.broken_off = 0
         self._flaw = self._untold = ""
-        self._voice, self._queue = voice, queue or CueQueue()
+        self._voice, self._queue, self._clock = voice, queue or CueQueue(), clock
         self._changed = threading.Condition()
         self._present: Cue | None = None
         self._is_hushed = self._is_closed = False
-        self._thread = threading.Thread(target=self._run, name="cues", daemon=True)
-        self._thread.start()
+        self._thread = clock.start(self._run, "cues")
 
     @property
     def dropped(self) -> int:
@@ -116,7 +116,7 @@ class Speaker:
     def say(self, cue: Cue) -> None:
         """Have a cue said; an urgent one breaks off one that is not."""
         with self._changed:
-            if not self._queue.put(cue, time.monotonic()):
+            if not self._queue.put(cue, self._clock.monotonic_s()):
                 return
             present = self._present
             if present is not None and cue.is_urgent and not present.is_urgent and not self._is_hushed:
@@ -135,7 +135,7 @@ class Speaker:
         with self._changed:
             self._is_closed = self._is_hushed = True
             self._changed.notify_all()
-        self._thread.join(within_s)
+        self._clock.join(self._thread, within_s)
         if not self._thread.is_alive():
             self._voice.close()
 
@@ -161,13 +161,13 @@ class Speaker:
     def _next(self) -> Cue | None:
         with self._changed:
             while not self._is_closed:
-                if (cue := self._queue.take(time.monotonic())) is not None:
+                if (cue := self._queue.take(self._clock.monotonic_s())) is not None:
                     self._present, self._is_hushed = cue, False
                     self.said += 1
                     return cue
-                self._changed.wait()
+                self._clock.wait_for(self._changed, lambda: bool(len(self._queue)) or self._is_closed)
             return None
 
     def _hush(self, wait_s: float) -> bool:
         with self._changed:
-            return self._changed.wait_for(lambda: self._is_hushed, wait_s)
+            return self._clock.wait_for(self._changed, lambda: self._is_hushed, wait_s)

@@ -83,7 +83,7 @@ class _One:
         sample = self._watch.latest(self._status_key)
         if sample is None:
             return Heard(None, f"nothing was ever heard of {self._device}; is its server started?")
-        age_s = sample.age_s()
+        age_s = sample.age_s(self._watch.clock.monotonic_ns())
         if age_s > STALE_S:
             told = "" if math.isinf(age_s) else f" for {age_s:.1f} s"
             return Heard(None, f"{self._device} is silent{told}")

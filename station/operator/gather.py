@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 from station.bus.client import Bus
@@ -23,7 +22,7 @@ class Gatherer:
     """
 
     def __init__(self, bus: Bus, device: str) -> None:
-        self._device = device
+        self._device, self._clock = device, bus.clock
         self._watch = bus.watch(Ear.watched(device))
         self._ear = Ear(self._watch, device)
 
@@ -41,11 +40,11 @@ class Gatherer:
         Raises:
             NotReady: there was none in time; says why.
         """
-        began_s = since_s = time.monotonic()
+        began_s = since_s = self._clock.monotonic_s()
         told = why = ""
         while reason := self._lack(flaw):
             look()
-            now_s = time.monotonic()
+            now_s = self._clock.monotonic_s()
             if now_s - began_s > within_s:
                 raise NotReady(f"{self._device}: nothing to measure within {within_s:g} s: {reason}")
             if reason != why:
@@ -53,7 +52,7 @@ class Gatherer:
             elif reason != told and now_s - since_s > _LASTS_S:
                 told = reason
                 tell(reason)
-            time.sleep(_LOOK_S)
+            self._clock.sleep(_LOOK_S)
 
     def gather(self, flaw: Callable[[Reading], str], for_s: float) -> list[Reading]:
         """Return the samples without a flaw that come within a time [s], each once.
@@ -62,8 +61,8 @@ class Gatherer:
             NotReady: none came; says why.
         """
         found: list[Reading] = []
-        seen, ends_s, why = -1, time.monotonic() + for_s, ""
-        while time.monotonic() < ends_s:
+        seen, ends_s, why = -1, self._clock.monotonic_s() + for_s, ""
+        while self._clock.monotonic_s() < ends_s:
             heard = self._ear.hear()
             if heard.reading is None:
                 why = heard.flaw
@@ -72,7 +71,7 @@ class Gatherer:
                 if not (lack := flaw(heard.reading)):
                     found.append(heard.reading)
                 why = lack or why
-            time.sleep(_LOOK_S)
+            self._clock.sleep(_LOOK_S)
         if not found:
             raise NotReady(f"{self._device}: no sample came within {for_s:g} s: {why}")
         return found

@@ -7,7 +7,6 @@ event of the usual name, so that whoever listens knows one kind of news.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Sequence
 
 from station.bus import keys
@@ -82,17 +81,17 @@ class Onlooker:
     """
 
     def __init__(self, bus: Bus, name: str = "") -> None:
-        self._bus, self._name = bus, name
+        self._bus, self._name, self._clock = bus, name, bus.clock
         self._feed = EventFeed(bus)
         self._watch = bus.watch([keys.ESTOP])
         self._stop_seen = self._watch.latest(keys.ESTOP)  # one from before our time is no news
         self._vigil = Vigil()
-        self._look_s = self._connected_s = time.monotonic()
+        self._look_s = self._connected_s = self._clock.monotonic_s()
         self._is_lost = False
 
     def take(self) -> Sequence[Event]:
         """Return what happened since the last call; never waits for the bus for long."""
-        now_s = time.monotonic()
+        now_s = self._clock.monotonic_s()
         found = list(self._feed.take())
         for event in found:
             self._vigil.hear(event)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import getpass
-import queue
 import threading
-import time
+from collections import deque
+from functools import partial
 from pathlib import PurePath
 from typing import Any
 
@@ -41,34 +41,43 @@ class RecordButtons:
     """
 
     def __init__(self, life: Life, watch: Watch, *, task: str, instruction: str, operator: dict[str, Any]) -> None:
-        self._life, self._watch = life, watch
+        self._life, self._watch, self._clock = life, watch, life.clock
         self._task, self._instruction, self._operator = task, instruction, operator
         self._own: tuple[int, bool] | None = None  # what the recorder last answered, and when: newer than its status
-        self._wanted: queue.Queue[str | None] = queue.Queue(_MOST_WAITING)
-        self._thread = threading.Thread(target=self._run, name="record-buttons", daemon=True)
-        self._thread.start()
+        self._changed = threading.Condition()
+        self._wanted: deque[str] = deque()
+        self._is_closed = False
+        self._thread = self._clock.start(self._run, "record-buttons")
 
     def press(self, action: str) -> None:
         """Ask for one of `RECORDING`; never blocks."""
-        try:
-            self._wanted.put_nowait(action)
-        except queue.Full:
+        with self._changed:
+            has_room = len(self._wanted) < _MOST_WAITING
+            if has_room:
+                self._wanted.append(action)
+                self._changed.notify()
+        if not has_room:
             self._refused(action, "the recorder is still busy with what was asked before")
 
     def close(self, within_s: float = 2.0) -> None:
         """Let what was asked for be done, for so long [s]."""
-        try:
-            self._wanted.put_nowait(None)
-        except queue.Full:
-            return
-        self._thread.join(within_s)
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify()
+        self._clock.join(self._thread, within_s)
 
     def _run(self) -> None:
-        while (action := self._wanted.get()) is not None:
+        while (action := self._next()) is not None:
             try:
                 self._do(action)
             except StationError as error:
                 self._refused(action, str(error))
+
+    def _next(self) -> str | None:
+        """Wait for what is to be asked next; None when that was all."""
+        with self._changed:
+            self._clock.wait_for(self._changed, lambda: bool(self._wanted) or self._is_closed)
+            return self._wanted.popleft() if self._wanted else None
 
     def _do(self, action: str) -> None:
         if action == "record":
@@ -90,11 +99,12 @@ class RecordButtons:
 
     def _ask(self, action: Any, **fields: Any) -> None:
         sample = self._watch.latest(keys.RECORDER)
-        if sample is None or (sample.arrived_ns is not None and sample.age_s() > _GONE_S):
+        now_ns = self._clock.monotonic_ns()
+        if sample is None or (sample.arrived_ns is not None and sample.age_s(now_ns) > _GONE_S):
             raise NotReady("no recorder runs; start one with `station serve recorder`")
         remote.ask(self._life.bus, action, timeout_s=_ANSWERS_WITHIN_S, **fields)
         if action != "mark":
-            self._own = (time.monotonic_ns(), action == "start")
+            self._own = (self._clock.monotonic_ns(), action == "start")
 
     def _is_recording(self) -> bool:
         sample = self._watch.latest(keys.RECORDER)
@@ -134,7 +144,7 @@ class StopPresser:
 
     def press(self, reason: str) -> None:
         """Stop every robot on the bus, latched."""
-        threading.Thread(target=self._press, args=(reason,), name="stop-button", daemon=True).start()
+        self._life.clock.start(partial(self._press, reason), "stop-button")
 
     def close(self) -> None:
         """Hang up."""
@@ -168,7 +178,7 @@ class ArmButtons:
     def press(self, action: Action) -> None:
         """Ask for it."""
         self._presses, self.refusal = self._presses + 1, ""
-        threading.Thread(target=self._ask, args=(action, self._presses), name="arm-button", daemon=True).start()
+        self._life.clock.start(partial(self._ask, action, self._presses), "arm-button")
 
     def _ask(self, action: Action, press: int) -> None:
         refusal = ""

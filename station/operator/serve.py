@@ -9,7 +9,6 @@ device that is torn out is looked for again, once a second, until it is there.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -67,11 +66,11 @@ def serve_device(
 
 
 def _run(life: Life, desk: _Desk, rate_hz: float) -> None:
-    rate, ticks, counted = Rate(rate_hz), 0, 0
+    rate, ticks, counted = Rate(rate_hz, life.clock), 0, 0
     window = max(2, round(rate_hz))
     while not life.stopping:
         rate.wait()
-        desk.tick(time.monotonic())
+        desk.tick(life.clock.monotonic_s())
         ticks += 1
         if ticks % window == 0:  # once a second
             stats = rate.stats()
@@ -95,7 +94,7 @@ class _Desk:
         self._reason, self._told = "", ""
         self._parts: tuple[Part, ...] = ()
         self._newest = Reading()
-        self._look_s = time.monotonic() + _AGAIN_S  # a device that is there needs a moment to say so
+        self._look_s = life.clock.monotonic_s() + _AGAIN_S  # a device that is there needs a moment to say so
         self._device: Device | None = open_device()
 
     @property

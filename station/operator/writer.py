@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -52,6 +51,6 @@ class CommandWriter:
     def _publish(self, command: Floats, others: dict[str, bytes]) -> None:
         self.newest = command
         if self._form.companions:  # who expects those, a stock reader, expects the wall clock too
-            others = others | {keys.T_ACTION: b"%d" % (time.time_ns() // 1_000_000)}
+            others = others | {keys.T_ACTION: b"%d" % (self._life.clock.wall_ns() // 1_000_000)}
         taken = self._life.bus.publish({self._form.key: codec.json_vector(command), **others})
         self.flaw = "" if taken else "the bus is lost"

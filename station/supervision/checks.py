@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import threading
-import time
 from pathlib import Path
 from typing import Protocol
 
@@ -50,9 +49,9 @@ class BusCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     def run(self, bus: Bus, _data: Path, _stop: threading.Event) -> str:
         """Ask it who it is."""
-        started = time.monotonic()
+        started = bus.clock.monotonic_s()
         info = bus.call("INFO", "server").decode()
-        elapsed_ms = (time.monotonic() - started) * 1e3
+        elapsed_ms = (bus.clock.monotonic_s() - started) * 1e3
         fields = dict(line.split(":", 1) for line in info.splitlines() if ":" in line)
         version = fields.get("valkey_version") or fields.get("redis_version", "?")
         found = f"{bus.address} answers in {elapsed_ms:.1f} ms (server {version})"
@@ -171,8 +170,8 @@ class KeyRateCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         """Count its writes for a while."""
         count, newest = 0, None
         with bus.watch([self.key]) as watch:
-            deadline = time.monotonic() + self.within_s
-            while (remaining := deadline - time.monotonic()) > 0:
+            deadline = bus.clock.monotonic_s() + self.within_s
+            while (remaining := deadline - bus.clock.monotonic_s()) > 0:
                 if stop.is_set():
                     raise NotReady(f"asked to stop while writes of {self.key} were counted")
                 sample = watch.wait(self.key, after=newest, timeout_s=min(remaining, _LOOK_S))
@@ -198,8 +197,8 @@ KINDS: dict[str, type[msgspec.Struct]] = {
 
 def _skew(bus: Bus) -> tuple[float, float]:
     """Return how long the question took, and how far the bus's clock is ahead of ours [ms]."""
-    before_ns = time.time_ns()
+    before_ns = bus.clock.wall_ns()
     seconds, micros = (int(part) for part in bus.call("TIME"))
-    after_ns = time.time_ns()
+    after_ns = bus.clock.wall_ns()
     middle_ns = (before_ns + after_ns) / 2
     return (after_ns - before_ns) * 1e-6, (seconds * 1e9 + micros * 1e3 - middle_ns) * 1e-6

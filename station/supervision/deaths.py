@@ -8,7 +8,6 @@ runbook says so.
 from __future__ import annotations
 
 import getpass
-import time
 from collections.abc import Callable, Sequence
 
 from station.life.server import Health
@@ -83,7 +82,7 @@ class Deaths:
         return None
 
     def _look_for_silent(self, health: Sequence[Health]) -> None:
-        now_s = time.monotonic()
+        now_s = self._supervisor.clock.monotonic_s()
         for said in health:
             if said.name not in self._steps or said.name in self._dead:
                 continue

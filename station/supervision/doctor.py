@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -185,8 +184,8 @@ def _commands_without_a_robot(bus: Bus) -> Iterator[Finding]:
 def _sources(watch: Watch, key: str) -> dict[str, int]:
     """Count the writes of each source to a key for a moment."""
     counts: dict[str, int] = {}
-    newest, deadline = None, time.monotonic() + _LOOK_S
-    while (remaining := deadline - time.monotonic()) > 0:
+    newest, deadline = None, watch.clock.monotonic_s() + _LOOK_S
+    while (remaining := deadline - watch.clock.monotonic_s()) > 0:
         sample = watch.wait(key, after=newest, timeout_s=remaining)
         if sample is not None:
             source = _who(sample)
@@ -207,7 +206,7 @@ def _command(watch: Watch, key: str, sources: dict[str, int]) -> Finding:
         return Finding(
             "broken", key, "nobody has ever written it", "start a command server: station serve motion --set …"
         )
-    when = f", {(time.time_ns() - sample.stamp.wall_ns) * 1e-9:.1f} s ago" if sample.stamp else ""
+    when = f", {(watch.clock.wall_ns() - sample.stamp.wall_ns) * 1e-9:.1f} s ago" if sample.stamp else ""
     return Finding("broken", key, f"stale: nobody writes it now (last: {_who(sample)}{when})",
                    "start its command server again, or resume it")  # fmt: skip
 
@@ -221,7 +220,7 @@ def _who(sample: Sample) -> str:
 
 def _gate(watch: Watch, key: str) -> Iterator[Finding]:
     sample = watch.latest(key)
-    if sample is None or sample.age_s() > _LOOK_S:
+    if sample is None or sample.age_s(watch.clock.monotonic_ns()) > _LOOK_S:
         yield Finding("broken", "gate", "no word from it: the low-level loop does not run", "see the server's log")
         return
     try:

@@ -6,7 +6,6 @@ import contextlib
 import getpass
 import signal
 import threading
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -90,6 +89,7 @@ class Session:
                 f"runbook {runbook.name} starts no recorder; add the step `- start: recorder`, or leave out --record"
             )
         self._runbook, self._bus, self._supervisor, self._face = runbook, bus, supervisor, face
+        self._clock = bus.clock
         self._data, self._recording, self._is_unattended = data, recording, is_unattended
         self._is_recording = False
         self._bus_lost_s: float | None = None
@@ -169,7 +169,7 @@ class Session:
             raise NotReady(str(latched))
         self._face.say(f"{latched}; until then nothing goes on", "error")
         while memory.latched() is not None:
-            if stop.wait(_LOOK_S):
+            if self._clock.wait(stop, _LOOK_S):
                 raise NotReady("asked to stop while the emergency stop was latched")
         self._face.say("the emergency stop is released", "warning")
         return True
@@ -189,7 +189,7 @@ class Session:
         self._supervisor.wait_for(step.start, "inactive", step.ready_within_s, stop=stop)
         self._supervisor.activate(step.start)
         health = self._supervisor.wait_for(step.start, "active", step.ready_within_s, stop=stop)
-        took_s = time.monotonic() - self._supervisor.children[step.start].started_s
+        took_s = self._clock.monotonic_s() - self._supervisor.children[step.start].started_s
         return f"active after {took_s:.1f} s, pid {health.pid}"
 
     def _spawn(self, step: StartStep) -> None:
@@ -207,7 +207,9 @@ class Session:
 
     def _note(self, step: CheckStep | ConfirmStep | NoteStep, answer: str, *, who: str) -> str:
         self.answers.append(
-            Answer(step=str(step), answer=answer, who=who, wall_ns=time.time_ns(), is_unattended=who == _UNATTENDED)
+            Answer(
+                step=str(step), answer=answer, who=who, wall_ns=self._clock.wall_ns(), is_unattended=who == _UNATTENDED
+            )
         )
         return answer
 
@@ -229,16 +231,16 @@ class Session:
         self, feed: EventFeed, memory: StopMemory, stop: threading.Event, for_s: float | None
     ) -> tuple[str, int]:
         """Show how the station is doing until it should end; return why, and an exit code."""
-        deadline = None if for_s is None else time.monotonic() + for_s
-        while not stop.wait(_LOOK_S):
+        deadline = None if for_s is None else self._clock.monotonic_s() + for_s
+        while not self._clock.wait(stop, _LOOK_S):
             self._tell(feed)
             health = self._look()
             self._restate_stop(memory)
             if (end := self._deaths.look(health, memory.latched)) is not None:
                 return end
-            if deadline is not None and time.monotonic() > deadline:
+            if deadline is not None and self._clock.monotonic_s() > deadline:
                 return f"{for_s:g} s are over", int(self._deaths.are_open)
-            if self._bus_lost_s is not None and time.monotonic() - self._bus_lost_s > _BUS_GONE_S:
+            if self._bus_lost_s is not None and self._clock.monotonic_s() - self._bus_lost_s > _BUS_GONE_S:
                 return f"the bus {self._bus.address} has been gone for {_BUS_GONE_S:.0f} s", 1
         return "stopped", int(self._deaths.are_open)
 
@@ -260,12 +262,12 @@ class Session:
             health = read_health(self._bus)
         except BusError as error:
             if self._bus_lost_s is None:
-                self._bus_lost_s = time.monotonic()
+                self._bus_lost_s = self._clock.monotonic_s()
                 self._face.say(f"{error}; the servers hold their robots; waiting for it to come back", "error")
             return None
         self._face.show(health)
         if self._bus_lost_s is not None:
-            self._face.say(f"the bus is back after {time.monotonic() - self._bus_lost_s:.1f} s", "warning")
+            self._face.say(f"the bus is back after {self._clock.monotonic_s() - self._bus_lost_s:.1f} s", "warning")
             self._bus_lost_s = None
         return health
 
@@ -282,7 +284,7 @@ class Session:
 
     def _stop(self, name: str) -> bool:
         """Stop a server; return whether it ended cleanly."""
-        step, began_s = f"stop {name}", time.monotonic()
+        step, began_s = f"stop {name}", self._clock.monotonic_s()
         has_ended = name in self._supervisor.ended()
         self._face.begin(step)
         code = self._supervisor.stop(name)
@@ -290,7 +292,9 @@ class Session:
         if not is_clean:
             self._face.failed(step, f"{'already ' * has_ended}{how_it_ended(code)}")
         else:
-            self._face.done(step, "already ended" if has_ended else f"after {time.monotonic() - began_s:.1f} s")
+            self._face.done(
+                step, "already ended" if has_ended else f"after {self._clock.monotonic_s() - began_s:.1f} s"
+            )
         return is_clean
 
     def _finish_episode(self) -> None:

@@ -14,7 +14,6 @@ import os
 import signal
 import subprocess
 import threading
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -27,6 +26,7 @@ from station.bus import address as addresses
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
+from station.clock import Thread
 from station.errors import BusError, NotReady
 from station.life import leash
 from station.life.events import Severity
@@ -66,13 +66,13 @@ class Supervisor:
     """
 
     def __init__(self, bus: Bus, folder: Path, environment: Mapping[str, str] | None = None) -> None:
-        self._bus = bus
+        self._bus, self.clock = bus, bus.clock
         self._folder = folder
         self._environment = dict(environment or {})
         self.children: dict[str, Child] = {}
         self.teller = Teller(bus, NAME)
-        self._lock = threading.RLock()  # around what is done to a child
-        self._nurse: threading.Thread | None = None
+        self._lock = self.clock.lock()  # around what is done to a child
+        self._nurse: Thread | None = None
         self._closed = threading.Event()
 
     def spawn(self, name: str, config: msgspec.Struct, *, server: str = "", restarts: Restarts | None = None) -> None:
@@ -86,10 +86,9 @@ class Supervisor:
         arguments = ["serve", server or name, "--name", name, "--config-json", _json(config)]
         process, go = self._launch(arguments, log, 0)
         with self._lock:
-            self.children[name] = Child(name, process, go, log, time.monotonic(), arguments, restarts)
+            self.children[name] = Child(name, process, go, log, self.clock.monotonic_s(), arguments, restarts)
         if restarts is not None and self._nurse is None:
-            self._nurse = threading.Thread(target=self._look_after, name="supervisor", daemon=True)
-            self._nurse.start()
+            self._nurse = self.clock.start(self._look_after, "supervisor")
 
     def _launch(self, arguments: list[str], log: Path, restarts: int) -> tuple[subprocess.Popen[bytes], int]:
         reading, writing = os.pipe()
@@ -115,7 +114,7 @@ class Supervisor:
             NotReady: it did not get there in time, or it or another child died, with its last words; or `stop` was
                 set meanwhile.
         """
-        deadline = time.monotonic() + timeout_s
+        deadline = self.clock.monotonic_s() + timeout_s
         child = self.children[name]
         while True:
             health = self.health(name)
@@ -127,13 +126,13 @@ class Supervisor:
                 raise NotReady(f"server {dead!r} {how_it_ended(code)} before {who} was {state}: {words}")
             if stop is not None and stop.is_set():
                 raise NotReady(f"asked to stop before server {name!r} was {state}")
-            if time.monotonic() > deadline:
+            if self.clock.monotonic_s() > deadline:
                 seen = health.state if health else "unconfigured"
                 raise NotReady(
                     f"server {name!r} is {seen}, not {state}, after {timeout_s:g} s: {self.last_words(name)}; "
                     "give it longer with ready_within, or see its log " + str(child.log)
                 )
-            time.sleep(_LOOK_S)
+            self.clock.sleep(_LOOK_S)
 
     def activate(self, name: str) -> None:
         """Let a loaded child begin its work."""
@@ -165,14 +164,14 @@ class Supervisor:
 
     def _look_after(self) -> None:
         """Start again what died and may."""
-        while not self._closed.wait(_NURSE_S):
+        while not self.clock.wait(self._closed, _NURSE_S):
             with self._lock:
                 for child in list(self.children.values()):
                     if child.restarts is not None and child.is_wanted:
                         self._look_at(child, child.restarts)
 
     def _look_at(self, child: Child, restarts: Restarts) -> None:
-        code, now_s = child.process.poll(), time.monotonic()
+        code, now_s = child.process.poll(), self.clock.monotonic_s()
         if code is None:
             return
         if not restarts.has_noted(child.process.pid):
@@ -214,7 +213,7 @@ class Supervisor:
                 count = max(1, child.restarts.count)
             os.close(child.go)
             child.process, child.go = self._launch(child.arguments, child.log, count)
-            child.started_s = time.monotonic()
+            child.started_s = self.clock.monotonic_s()
             with contextlib.suppress(BrokenPipeError):
                 os.write(child.go, b"go\n")
 
@@ -247,15 +246,15 @@ class Supervisor:
 
     def stop_all(self) -> None:
         """Stop whatever still runs: all at once and soon, since whoever comes here has no time for an order."""
-        deadline = time.monotonic() + _HURRY_S
+        deadline = self.clock.monotonic_s() + _HURRY_S
         self._closed.set()
         if self._nurse is not None:
-            self._nurse.join()
+            self.clock.join(self._nurse)
         try:
             for child in self.children.values():
                 child.process.terminate()
             for name in reversed(list(self.children)):
-                self.stop(name, max(0.0, deadline - time.monotonic()))
+                self.stop(name, max(0.0, deadline - self.clock.monotonic_s()))
         except KeyboardInterrupt:
             for child in self.children.values():
                 child.process.kill()

@@ -28,7 +28,7 @@ on_failure: [stop: motion, stop: g1]
 
 
 @pytest.fixture(scope="module")
-def armed() -> Iterator[tuple[Home, Running]]:
+def armed(processes: None) -> Iterator[tuple[Home, Running]]:
     """A simulated robot that started disarmed and was armed by its runbook."""
     with new_home() as home:
         book = Path(home.environment["XDG_RUNTIME_DIR"]) / "book.yaml"

@@ -35,6 +35,7 @@ def walked() -> Iterator[Home]:
         yield home
 
 
+@pytest.mark.usefixtures("processes")
 def test_an_export_says_what_it_made_and_what_it_left_out_and_why(walked: Home, tmp_path: Path) -> None:
     out = tmp_path / "look"
     done = walked.run("export", "csv", "--out", str(out), "--min-quality", "usable")
@@ -49,6 +50,7 @@ def test_an_export_says_what_it_made_and_what_it_left_out_and_why(walked: Home, 
     assert one_line(again).startswith(f"{out}: is there already and not empty")
 
 
+@pytest.mark.usefixtures("processes")
 def test_what_is_only_left_out_is_no_failure_and_json_is_for_programs(walked: Home, tmp_path: Path) -> None:
     done = walked.run("export", "npz", "*-000[1-3]", "--min-quality", "usable", "--out", str(tmp_path / "x"), "--json")
     assert done.returncode == 0, done.stderr
@@ -57,6 +59,7 @@ def test_what_is_only_left_out_is_no_failure_and_json_is_for_programs(walked: Ho
     assert found["files"] == len(list((tmp_path / "x").rglob("*.npz")))
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_dry_run_names_episodes_and_columns_and_writes_nothing(walked: Home, tmp_path: Path) -> None:
     done = walked.run("export", "lerobot", "--dry-run", "--out", str(tmp_path / "set"))
     assert done.returncode == 0, done.stderr
@@ -69,6 +72,7 @@ def test_a_dry_run_names_episodes_and_columns_and_writes_nothing(walked: Home, t
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("processes")
 def test_formats_are_listed_and_their_options_explained(walked: Home) -> None:
     assert walked.run("export", "--list").stdout.splitlines()[0].startswith("csv ")
     told = " ".join(walked.run("export", "lerobot", "--help").stdout.split())
@@ -87,6 +91,7 @@ def test_formats_are_listed_and_their_options_explained(walked: Home) -> None:
         (["csv", "--out", "x", "--ray", "nowhere"], "--ray 'nowhere': expected host:port"),
     ],
 )
+@pytest.mark.usefixtures("processes")
 def test_what_cannot_be_is_told_in_a_line(walked: Home, arguments: list[str], told: str) -> None:
     done = walked.run("export", *arguments)
     assert done.returncode in (1, 2)

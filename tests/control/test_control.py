@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,76 +20,11 @@ from station.control.commanded import Happening
 from station.control.control import ControlStep, StepRecord
 from station.control.inlet import CommandSample
 from station.errors import ConfigError
-from station.protocols import Fall, Floats, Floats32, JointTargets, PolicySpec, RobotState
+from station.protocols import Fall
+from tests.control.ideal_robot import IdealRobot, IdealSimulation, Obedient
 
 FORM = registry.find("command", "twist2")
 DT = 0.02
-
-
-class IdealRobot:
-    """Is where it was asked to be, as far as its stiffness goes."""
-
-    joint_names = G1_29
-
-    def __init__(self) -> None:
-        self.q = np.zeros(29)
-        self.written: list[JointTargets] = []
-        self.fall: Fall | None = None
-        self.resets = 0
-
-    def read(self) -> RobotState:
-        return RobotState(1, self.q.copy(), np.zeros(29), np.array([1.0, 0, 0, 0]), np.zeros(3), np.array([0, 0, 0.8]))
-
-    def write(self, targets: JointTargets) -> JointTargets:
-        self.written.append(targets)
-        self.q = np.where(targets.kp > 0, targets.q, self.q)
-        return targets
-
-    def fallen(self) -> Fall | None:
-        return self.fall
-
-    def facts(self) -> dict[str, Any]:
-        return {}
-
-    def close(self) -> None:
-        pass
-
-
-class IdealSimulation(IdealRobot):
-    def reset(self) -> None:
-        self.resets += 1
-        self.fall = None
-
-
-class Obedient:
-    """A policy that gives what the command asks for; its output can be spoilt."""
-
-    def __init__(self) -> None:
-        self.spec = PolicySpec(
-            name="obedient", checkpoint=Path("none"), sha256="", runtime="none", rate_hz=50.0, command="twist2",
-            joint_names=G1_29, default_q=np.zeros(29), kp=np.full(29, 50.0), kd=np.full(29, 2.0),
-            observation_size=35, action_size=29,
-        )  # fmt: skip
-        self.is_broken = False
-        self.resets = 0
-
-    def reset(self) -> None:
-        self.resets += 1
-
-    def observe(self, state: RobotState, command: Floats) -> Floats32:
-        return command.astype(np.float32)
-
-    def act(self, observation: Floats32) -> Floats32:
-        action = observation[6:].copy()
-        if self.is_broken:
-            action[5] = math.nan
-        return action
-
-    def targets(self, action: Floats32, command: Floats) -> JointTargets:
-        return JointTargets(action.astype(np.float64), self.spec.kp, self.spec.kd)
-
-    def restore(self, observation: Floats32) -> None:
-        pass
 
 
 class Bench:

@@ -14,6 +14,7 @@ from adapters.commands.body import BodyCommand
 from station.bus import codec, stamp
 from station.bus.heard import Heard
 from station.bus.sample import Sample
+from station.clock import SYSTEM
 from station.control.commanded import Commanded
 from station.control.gate import Decision, GateConfig
 from station.control.inbox import Arrival, CommandWatch, Inbox, Taken, writer_of
@@ -37,7 +38,7 @@ FORM = BodyCommand(
 class VirtualWatch:
     """What a `CommandWatch` is to an inbox: writes are delivered by the test, at instants that it says."""
 
-    doubtful = 0
+    doubtful, clock = 0, SYSTEM
 
     def __init__(self) -> None:
         self._slot: Sample | None = None

@@ -230,6 +230,7 @@ def test_a_repair_that_is_killed_at_any_step_is_done_by_the_next_one(episode: Ep
     assert step > 8
 
 
+@pytest.mark.usefixtures("processes")
 def test_the_command_repairs_all_and_says_what_was_cut(episode: Episode, tmp_path: Path) -> None:
     names = [f"2026-11-21-g1-walk-000{n}" for n in (1, 2)]
     for number, name in enumerate(names):

@@ -197,6 +197,7 @@ def test_a_repair_of_both_that_is_killed_at_any_step_is_done_by_the_next_one(fil
     assert step > 12
 
 
+@pytest.mark.usefixtures("processes")
 def test_the_command_says_of_each_file_what_was_cut(filmed: Film, tmp_path: Path) -> None:
     name = "2026-11-21-g1-walk-0001"
     folder = filmed.torn(tmp_path / "walk" / name, -1, filmed.chunks["cameras.mcap"][4].offset)

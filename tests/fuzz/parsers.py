@@ -194,7 +194,7 @@ def _event(data: bytes) -> None:
     event = events.decode(data)
     if event is None:
         return
-    late = events.late(event)
+    late = events.late(event, NOW_NS)
     codec.json_object([event, late])
     Phrases().cue(event)
     Vigil().hear(event)

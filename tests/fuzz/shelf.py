@@ -7,14 +7,17 @@ import time
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from station.bus.address import BusAddress
 from station.bus.sample import Sample
+from station.clock import SYSTEM
 
 
 class Shelf:
     """Values by key; answers as `station.bus.client.Bus` and `station.bus.watch.Watch` do, without any waiting."""
 
     is_connected = True
-    address = "shelf"
+    address = BusAddress(host="shelf")
+    clock = SYSTEM
 
     def __init__(self, values: dict[str, bytes]) -> None:
         self.values = values

@@ -1,20 +1,22 @@
-"""What is heard of an operator's device, on a real bus: the test plays the device servers."""
+"""What is heard of an operator's device, in virtual time: the test plays the device servers."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Mapping
 
 import numpy as np
 import pytest
 
 from station.bus import keys, stamp
-from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.operator import reading as readings
 from station.operator.ear import STALE_S, Ear, Heard
 from station.operator.reading import Reading, Status
-from tests.waiting import wait_until
+from tests.virtual.clock import VirtualClock
+from tests.virtual.network import Network
+
+HEARD_S = 0.01
+"""What is written is heard after so long [s]."""
 
 
 class Devices:
@@ -31,27 +33,25 @@ class Devices:
         parts = readings.parts(reading) if reading is not None else ()
         status = Status(state=state, reason="so", new=self.counts[device], parts=parts)
         values = readings.encode(device, reading) if reading is not None else {}
-        key, before = readings.watched_keys(device)[0], self.watch.latest(readings.watched_keys(device)[0])
         self.bus.publish(values | readings.encode_status(device, status))
-        wait_until(lambda: self.watch.latest(key) is not before)
+        self.bus.clock.sleep(HEARD_S)
 
     def hear_of(self, said: Mapping[str, tuple[Reading, readings.State]]) -> Heard:
-        """Say something and hear it; again where the machine took longer over it than a device server may."""
-        found: list[Heard] = []
-
-        def heard() -> bool:
-            for device, (reading, state) in said.items():
-                self.say(device, reading, state)
-            found.append(self.ear.hear())
-            return found[-1].reading is not None
-
-        wait_until(heard)
-        return found[-1]
+        """Say something and hear it."""
+        for device, (reading, state) in said.items():
+            self.say(device, reading, state)
+        return self.ear.hear()
 
 
 @pytest.fixture
-def bus(bus_server: BusAddress) -> Iterator[Bus]:
-    with Bus(bus_server, name="tests", timeout_s=5.0) as line:
+def network() -> Iterator[Network]:
+    with VirtualClock(1) as clock:
+        yield Network(clock, (20_000, 200_000))
+
+
+@pytest.fixture
+def bus(network: Network) -> Iterator[Bus]:
+    with Bus(network.address(), name="tests", timeout_s=1.0) as line:
         yield line
 
 
@@ -83,8 +83,9 @@ def test_live_sample_is_heard_until_its_server_falls_silent(one: Devices) -> Non
     assert heard.reading is not None
     assert heard.reading.controls == {"left_bumper": 1.0}
     assert heard.sample >= 1
-    until_s = time.monotonic() + STALE_S
-    wait_until(lambda: time.monotonic() > until_s)
+    one.bus.clock.sleep(STALE_S - 2 * HEARD_S)
+    assert one.ear.hear().reading is not None
+    one.bus.clock.sleep(2 * HEARD_S)
     assert one.ear.hear().reading is None
     assert "pico is silent" in one.ear.hear().flaw
 
@@ -105,28 +106,22 @@ def test_samples_that_a_frozen_line_kept_drive_nobody_but_their_buttons_count(
     values = readings.encode("pico", whole) | readings.encode_status("pico", status)
     source = f"pico.1.{boot or stamp.boot_id()}.beef"
 
-    found: list[Heard] = []
-
-    def heard() -> bool:
-        written_ns = time.monotonic_ns() - round(late_s * 1e9)
-        mark = stamp.Stamp(1, written_ns, 0, source).encode()
-        before = one.watch.latest(readings.watched_keys("pico")[0])
-        one.bus.call("MSET", *(word for key, value in values.items() for word in (key, value, keys.stamp(key), mark)))
-        wait_until(lambda: one.watch.latest(readings.watched_keys("pico")[0]) is not before)
-        found.append(one.ear.hear())
-        return found[-1].reading is not None and (not found[-1].flaw) == is_of_use
-
-    wait_until(heard)
-    reading = found[-1].reading
+    written_ns = one.bus.clock.monotonic_ns() - round(late_s * 1e9)
+    mark = stamp.Stamp(1, written_ns, 0, source).encode()
+    one.bus.call("MSET", *(word for key, value in values.items() for word in (key, value, keys.stamp(key), mark)))
+    one.bus.clock.sleep(HEARD_S)
+    heard = one.ear.hear()
+    reading = heard.reading
     assert reading is not None
     assert reading.controls == {"left_bumper": 1.0}
     assert (reading.joints is not None) == is_of_use
-    assert is_of_use or found[-1].flaw.startswith("samples of pico come 2.")
+    assert (not heard.flaw) == is_of_use
+    assert is_of_use or heard.flaw.startswith("samples of pico come 2.")
 
 
 def test_value_that_is_none_is_a_flaw_and_no_crash(one: Devices) -> None:
     one.bus.publish({readings.watched_keys("pico")[0]: b"{}"})
-    wait_until(lambda: one.watch.latest(readings.watched_keys("pico")[0]))
+    one.bus.clock.sleep(HEARD_S)
     assert one.ear.hear().reading is None
     assert one.ear.hear().flaw
 

@@ -8,14 +8,13 @@ from collections.abc import Iterator
 import pytest
 
 from station.bus import codec, keys
-from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.bus.redis_server import RedisServer, ServerOptions
 from station.life import events
 from station.life.events import Event
 from station.life.server import DEAD_AFTER_S, Health, State
 from station.operator.onlooker import Onlooker, Vigil
-from tests.waiting import wait_until
+from tests.virtual.clock import VirtualClock
+from tests.virtual.network import Network
 
 
 def health(name: str, word: int, state: State = "active") -> Health:
@@ -60,34 +59,43 @@ def test_after_an_outage_of_the_bus_everybody_has_time_to_speak_again() -> None:
 
 
 @pytest.fixture
-def bus(bus_server: BusAddress) -> Iterator[Bus]:
-    with Bus(bus_server, name="test", timeout_s=5.0) as client:
-        yield client
+def network() -> Iterator[Network]:
+    with VirtualClock(1) as clock:
+        yield Network(clock, (20_000, 200_000))
 
 
-def test_a_stop_of_a_stock_script_is_heard_where_no_robot_is_there_to_say_so(bus: Bus) -> None:
-    bus.call("SET", keys.ESTOP, b"1")
+def test_a_stop_of_a_stock_script_is_heard_where_no_robot_is_there_to_say_so(network: Network) -> None:
     heard: list[Event] = []
-    with Onlooker(bus) as onlooker:
-        assert list(onlooker.take()) == [], "it was pressed before our time"
-        bus.call("SET", keys.ESTOP, json.dumps({"stop": False, "who": "ada"}))
-        bus.publish({keys.EVENT: events.make("g1", "operator-reset", "warning").encode()})
-        wait_until(lambda: heard.extend(onlooker.take()) or heard)
-        bus.call("SET", keys.ESTOP, b"stop!")
-        wait_until(lambda: heard.extend(onlooker.take()) or len(heard) > 1)
+    with Bus(network.address(), name="test", timeout_s=1.0) as bus:
+        bus.call("SET", keys.ESTOP, b"1")
+        with Onlooker(bus) as onlooker:
+            assert list(onlooker.take()) == [], "it was pressed before our time"
+            bus.call("SET", keys.ESTOP, json.dumps({"stop": False, "who": "ada"}))
+            bus.publish({keys.EVENT: events.make("g1", "operator-reset", "warning", 0).encode()})
+            network.clock.sleep(0.05)
+            heard += onlooker.take()
+            bus.call("SET", keys.ESTOP, b"stop!")
+            network.clock.sleep(0.05)
+            heard += onlooker.take()
     assert [event.name for event in heard] == ["operator-reset", "estop"]
 
 
-@pytest.mark.usefixtures("processes")
-def test_a_bus_that_goes_and_comes_back_is_told_by_nobody_else(tmp_path_factory: pytest.TempPathFactory) -> None:
-    options = ServerOptions(folder=tmp_path_factory.mktemp("b"), socket=tmp_path_factory.mktemp("s") / "bus.sock")
-    server = RedisServer.start(options)
+@pytest.mark.parametrize(("away_s", "is_told"), [(0.5, False), (3.0, True)])
+def test_a_bus_that_goes_for_long_and_comes_back_is_told_by_nobody_else(
+    network: Network, away_s: float, is_told: bool
+) -> None:
     heard: list[str] = []
-    with Bus(server.address, name="test", timeout_s=5.0) as bus, Onlooker(bus) as onlooker:
+
+    def hear(seconds: float) -> None:
+        for _ in range(round(seconds / 0.05)):
+            heard.extend(event.name for event in onlooker.take())
+            network.clock.sleep(0.05)
+
+    with Bus(network.address(), name="test", timeout_s=1.0) as bus, Onlooker(bus) as onlooker:
         bus.publish({keys.server("g1"): codec.json_object(health("g1", 1))})
-        server.stop()
-        wait_until(lambda: heard.extend(event.name for event in onlooker.take()) or "bus-lost" in heard)
-        again = RedisServer.start(options)
-        wait_until(lambda: heard.extend(event.name for event in onlooker.take()) or "bus-back" in heard)
-        again.stop()
-    assert heard == ["bus-lost", "bus-back"]
+        hear(2.0)
+        network.restart_server(away_s)
+        hear(away_s)
+        assert heard == (["bus-lost"] if is_told else [])
+        hear(3.0)
+    assert heard == (["bus-lost", "bus-back"] if is_told else [])

@@ -1,8 +1,7 @@
-"""The loop of device servers, on a real bus, with a device that the test holds in its hand."""
+"""The loop of device servers, in virtual time, with a device that the test holds in its hand."""
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,18 +10,17 @@ import numpy as np
 import pytest
 
 from station.bus import codec, keys
-from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.bus.tap import Tap, open_tap
 from station.errors import StationError
-from station.life import events
 from station.life.server import Life, ServerKind
 from station.life.serving import serve
 from station.operator import reading as readings
 from station.operator.device import Device, DeviceError
 from station.operator.reading import Reading
 from station.operator.serve import serve_device
-from tests.waiting import wait_until
+from tests.virtual.clock import VirtualClock
+from tests.virtual.network import Network
+from tests.virtual.written import Log
 
 
 class Wheel:
@@ -32,9 +30,10 @@ class Wheel:
         self.turn: float | None = None
         self.capture_ns: int | None = None
         self.is_there = True
-        self.opened = self.closed = 0
+        self.tried = self.opened = self.closed = 0
 
     def open(self) -> Device:
+        self.tried += 1
         if not self.is_there:
             raise DeviceError("no wheel; plug it in")
         self.opened += 1
@@ -64,17 +63,14 @@ class Nothing(msgspec.Struct):
 
 
 class Station:
-    """The server in a thread, and what it wrote."""
+    """The server in a process of its own, and what it wrote."""
 
-    def __init__(self, wheel: Wheel, address: BusAddress, tap: Tap) -> None:
-        self._address, self._tap, self._wheel = address, tap, wheel
+    def __init__(self, wheel: Wheel, network: Network) -> None:
+        self.clock, self.log = network.clock, Log(network)
+        self._address, self._wheel = network.address(), wheel
         self._life: Life | None = None
-        self.events: list[events.Event] = []
-        self.values: dict[str, bytes] = {}
-        self.writes: list[str] = []  # of samples
         self.code: int | None = None
         self._seen = 0  # events that were waited for, and those before them
-        self._thread = threading.Thread(target=self._serve, daemon=True)
 
     def _main(self, _config: Nothing, life: Life) -> int:
         self._life = life
@@ -93,35 +89,27 @@ class Station:
         self.code = serve(kind, Nothing(), address=self._address)
 
     def start(self) -> None:
-        self._thread.start()
+        self._process = self.clock.spawn(self._serve, "wheel")
 
     def stop(self) -> None:
-        if self._life is not None:
-            self._life.stop_event.set()
-        self._thread.join(30.0)
-        self.take()
+        assert self._life is not None
+        self._life.stop_event.set()
+        self.clock.sleep(1.0)
+        assert not self.clock.is_running(self._process)
 
-    def take(self) -> None:
-        for write in self._tap.read(0.02):
-            self.values[write.key] = write.value or b""
-            self.writes += [write.key] if write.key == keys.operator_joints("wheel") else []
-            event = events.decode(write.value or b"") if write.key == keys.EVENT else None
-            self.events += [event] if event is not None else []
-
-    def until(self, name: str, reason: str = "") -> None:
-        """Wait for an event that comes after the one that was waited for before, whatever was told between them."""
-
-        def found() -> bool:
-            self.take()
-            told = [(event.name, str(event.detail.get("reason", ""))) for event in self.events[self._seen :]]
-            self._seen += told.index((name, reason)) + 1 if (name, reason) in told else 0
-            return (name, reason) in told
-
-        wait_until(found)
+    def until(self, name: str, reason: str = "", within_s: float = 5.0) -> float:
+        """Wait for an event that comes after the one that was waited for before; return when it came [s]."""
+        end_s = self.clock.monotonic_s() + within_s
+        while self.clock.monotonic_s() < end_s:
+            for number, (at_s, event) in enumerate(self.log.events()[self._seen :]):
+                if (event.name, str(event.detail.get("reason", ""))) == (name, reason):
+                    self._seen += number + 1
+                    return at_s
+            self.clock.sleep(0.005)
+        raise AssertionError(f"no {name} {reason!r} within {within_s} s: {self.log.events()[self._seen :]}")
 
     def state(self) -> str:
-        self.take()
-        return codec.parse_struct(self.values[keys.operator_status("wheel")], readings.Status).state
+        return codec.parse_struct(self.log.newest(keys.operator_status("wheel")), readings.Status).state
 
 
 @pytest.fixture
@@ -130,28 +118,32 @@ def wheel() -> Wheel:
 
 
 @pytest.fixture
-def station(wheel: Wheel, bus_server: BusAddress) -> Iterator[Station]:
-    tap = open_tap(bus_server)
-    station = Station(wheel, bus_server, tap)
-    yield station
-    station.stop()
-    tap.close()
+def network() -> Iterator[Network]:
+    with VirtualClock(1, late_ns=1_000_000) as clock:
+        yield Network(clock, (20_000, 200_000))
+
+
+@pytest.fixture
+def station(wheel: Wheel, network: Network) -> Iterator[Station]:
+    return Station(wheel, network)
 
 
 def test_a_device_that_is_silent_from_the_start_is_lost_with_its_reason(station: Station) -> None:
     station.start()
     station.until("operator-lost", "nobody turns the wheel")
-    wait_until(lambda: station.state() == "lost")
+    station.clock.sleep(0.05)
+    assert station.state() == "lost"
 
 
 def test_samples_go_to_the_bus_with_what_the_server_adds(station: Station, wheel: Wheel) -> None:
     wheel.turn = 0.5
     station.start()
     station.until("operator-live")  # told before the tick that it is told of is written
-    wait_until(lambda: station.state() == "live")
-    assert codec.parse_json(station.values["also"]) == {"wheel": 0.5}
-    assert codec.parse_f64(station.values[keys.operator_joints("wheel")]).tolist() == [0.5]
-    stated = codec.parse_json(station.values[keys.server_config("wheel")])
+    station.clock.sleep(0.05)
+    assert station.state() == "live"
+    assert codec.parse_json(station.log.newest("also")) == {"wheel": 0.5}
+    assert codec.parse_f64(station.log.newest(keys.operator_joints("wheel"))).tolist() == [0.5]
+    stated = codec.parse_json(station.log.newest(keys.server_config("wheel")))
     assert (stated["device"], stated["config"], stated["wound_up"]) == ({"model": "wheel"}, {"size": 3}, True)
 
 
@@ -159,18 +151,19 @@ def test_a_sample_that_is_given_twice_is_written_once(station: Station, wheel: W
     wheel.turn, wheel.capture_ns = 0.5, 1
     station.start()
     station.until("operator-lost", "nobody turns the wheel")
-    assert station.writes == [keys.operator_joints("wheel")]
+    station.clock.sleep(10.0)
+    assert len(station.log.of(keys.operator_joints("wheel"))) == 1
 
 
 def test_a_device_that_falls_silent_is_stale_then_lost_then_live_again(station: Station, wheel: Wheel) -> None:
     wheel.turn = 0.5
     station.start()
     station.until("operator-live")
-    wheel.turn = None
-    station.until("operator-stale", "no new sample for a moment")
-    station.until("operator-lost", "nobody turns the wheel")
-    wheel.turn = 0.6
-    station.until("operator-live")
+    wheel.turn, gone_s = None, station.clock.monotonic_s()
+    assert 0.1 < station.until("operator-stale", "no new sample for a moment") - gone_s + 0.011 < 0.13
+    assert 1.0 < station.until("operator-lost", "nobody turns the wheel") - gone_s + 0.011 < 1.03
+    wheel.turn, back_s = 0.6, station.clock.monotonic_s()
+    assert 0.1 <= station.until("operator-live") - back_s < 0.13, "it must flow for a moment"
 
 
 def test_a_device_that_is_torn_out_is_lost_at_once_and_looked_for_until_it_is_back(
@@ -183,9 +176,11 @@ def test_a_device_that_is_torn_out_is_lost_at_once_and_looked_for_until_it_is_ba
     station.until("operator-lost", "the wheel was torn out; plug it in")
     assert wheel.closed == 1
     station.until("operator-lost", "no wheel; plug it in")
+    station.clock.sleep(5.0)
     wheel.is_there = True
     station.until("operator-live")
     assert wheel.opened == 2
+    assert 5 <= wheel.tried - 2 <= 7, "once a second, in six seconds"
 
 
 def test_it_says_farewell_and_lets_go_of_the_device(station: Station, wheel: Wheel) -> None:
@@ -195,17 +190,17 @@ def test_it_says_farewell_and_lets_go_of_the_device(station: Station, wheel: Whe
     station.stop()
     assert station.code == 0
     assert wheel.closed == 1
-    status = codec.parse_struct(station.values[keys.operator_status("wheel")], readings.Status)
+    status = codec.parse_struct(station.log.newest(keys.operator_status("wheel")), readings.Status)
     assert (status.state, status.reason) == ("lost", "the device server has ended")
 
 
-def test_a_device_that_is_not_there_at_the_start_ends_the_server(wheel: Wheel, bus_server: BusAddress) -> None:
+def test_a_device_that_is_not_there_at_the_start_ends_the_server(wheel: Wheel, network: Network) -> None:
     def main(_config: Nothing, life: Life) -> int:
         return serve_device(life, wheel.open, rate_hz=100.0, config={})
 
     wheel.is_there = False
     kind = ServerKind(name="wheel", role="sensor", summary="", config=Nothing, main=main)
     with pytest.raises(StationError, match="no wheel; plug it in"):
-        serve(kind, Nothing(), address=bus_server)
-    with Bus(bus_server, name="test", timeout_s=5.0) as bus:
+        serve(kind, Nothing(), address=network.address())
+    with Bus(network.address(), name="test", timeout_s=5.0) as bus:
         assert bus.get(keys.operator_status("wheel")) is None

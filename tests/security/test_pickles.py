@@ -173,6 +173,7 @@ def test_a_refusal_names_what_was_asked_for(file: Path) -> None:
     assert "more items than it has bytes" in refusal(file, _motion(VALUES["wide lists within lists"]))
 
 
+@pytest.mark.usefixtures("processes")
 def test_bombs_are_refused_within_a_bounded_memory(tmp_path: Path) -> None:
     """In a process that may not have much: what is refused must not have been built first."""
     for number, name in enumerate([*BOMBS, *VALUES]):

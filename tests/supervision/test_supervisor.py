@@ -65,6 +65,11 @@ def test_the_last_words_of_a_child_that_dies_are_in_the_error(supervisor: Superv
         supervisor.wait_for("motion", "inactive", DEADLINE_S)
 
 
+def test_a_child_that_is_asked_to_stop_the_moment_it_is_started_need_not_be_killed(supervisor: Supervisor) -> None:
+    supervisor.spawn("motion", WAVE)
+    assert supervisor.stop("motion") in (0, -signal.SIGTERM)
+
+
 def test_a_child_that_is_frozen_is_killed_when_it_is_stopped(supervisor: Supervisor) -> None:
     supervisor.spawn("motion", WAVE)
     supervisor.wait_for("motion", "inactive", DEADLINE_S)

@@ -90,6 +90,7 @@ def test_a_folder_that_is_not_there_is_one_line(builder: EpisodeBuilder, tmp_pat
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.usefixtures("processes")
 def test_reading_the_module_loads_no_matplotlib() -> None:
     code = "import sys, station.view.plots, station.view.contact_sheet; print('matplotlib' in sys.modules)"
     assert run_process([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"

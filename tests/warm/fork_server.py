@@ -198,11 +198,11 @@ def _reset_signals(ignored: set[int]) -> None:
     for number in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}:
         if signal.getsignal(number) is not None:
             signal.signal(number, signal.SIG_IGN if number in ignored else signal.SIG_DFL)
-    signal.pthread_sigmask(signal.SIG_SETMASK, ())
     for number in (signal.SIGPIPE, signal.SIGXFSZ):
         signal.signal(number, signal.SIG_IGN)
     if signal.SIGINT not in ignored:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.pthread_sigmask(signal.SIG_SETMASK, ())  # what came since the fork is delivered now
 
 
 def _open_standard_streams() -> None:
@@ -226,7 +226,7 @@ def _serve_own_children() -> None:
         descriptor = os.dup2(theirs.fileno(), 3)
         os.closerange(0, 3)
         os.closerange(4, _descriptor_limit())
-        _ignore_terminal()
+        _block_terminal()
         child = serve(socket.socket(fileno=descriptor))
         if child is None:
             os._exit(0)
@@ -238,9 +238,10 @@ def _serve_own_children() -> None:
     WarmStarts(ours).install()
 
 
-def _ignore_terminal() -> None:
-    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM, signal.SIGQUIT):
-        signal.signal(number, signal.SIG_IGN)
+def _block_terminal() -> None:
+    """Outlive what is meant for others. Not by ignoring it: a child that is asked to stop right after its fork, before
+    it has handlers of its own, would never know."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP, signal.SIGTERM, signal.SIGQUIT))
 
 
 def main() -> None:
@@ -250,7 +251,7 @@ def main() -> None:
     preload()
     gc.collect()
     gc.freeze()
-    _ignore_terminal()
+    _block_terminal()
     send(line, os.getpid(), [])
     child = serve(line)
     if child is not None:

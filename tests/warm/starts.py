@@ -84,6 +84,7 @@ class WarmStarts:
             [number for number in ignored if not (restore_signals and number in (signal.SIGPIPE, signal.SIGXFSZ))],
             bool(start_new_session), process_group, old_mask if umask < 0 else umask,
         )  # fmt: skip
+        sys.audit("subprocess.Popen", words[0], words, cwd, env)  # as the original does: `tests.tiers` listens
         pid = self._ask(request, descriptors)
         if pid is None:
             return False

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from station.clock import SYSTEM, Clock
 from station.operator.device import DeviceError
 from station.protocols import Floats
 
@@ -62,14 +63,15 @@ class MotorBus:
     Args:
         port: Its name, best one of ``/dev/serial/by-id``.
         baud: Its rate [bit/s].
+        clock: Of the process; the library's time-outs are by it.
 
     Raises:
         DeviceError: no such port, no permission, in use by another process, a rate that the library does not know, or
             no library.
     """
 
-    def __init__(self, port: str, baud: int) -> None:
-        self.port, self.baud = port, baud
+    def __init__(self, port: str, baud: int, clock: Clock = SYSTEM) -> None:
+        self.port, self.baud, self.clock = port, baud, clock
         self._sdk = sdk()
         self._handler = self._open(port, baud)
         self._packets = self._sdk.PacketHandler(_PROTOCOL)
@@ -132,7 +134,7 @@ class MotorBus:
             raise PortGone(f"{self.port}: gone ({_plain(error)}); plug the leader in again") from None
 
     def _open(self, port: str, baud: int) -> Any:
-        handler = _patient(self._sdk)(port)
+        handler = _patient(self._sdk, self.clock)(port)
         try:
             is_open = handler.setBaudRate(baud)
             if is_open:
@@ -144,14 +146,18 @@ class MotorBus:
         return handler
 
 
-def _patient(sdk_: Any) -> Any:
-    """Return the library's port, but one that sleeps until bytes come where the original spins."""
+def _patient(sdk_: Any, clock: Clock) -> Any:
+    """Return the library's port, but one that sleeps until bytes come where the original spins; and whose time-outs are
+    no matter of the wall clock, which may be set."""
 
     class PatientPort(sdk_.PortHandler):  # type: ignore[misc]
         def readPort(self, length: int) -> Any:  # noqa: N802
             if length > 0 and self.ser.in_waiting == 0:
                 select.select([self.ser.fileno()], [], [], _NAP_S)
             return super().readPort(length)
+
+        def getCurrentTime(self) -> float:  # noqa: N802  milliseconds
+            return clock.monotonic_ns() * 1e-6
 
     return PatientPort
 

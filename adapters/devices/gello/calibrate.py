@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from adapters.devices.gello.calibration import (
     JointCalibration,
     nearest_offset,
 )
+from station.clock import SYSTEM, Clock
 from station.operator.device import DeviceError
 from station.protocols import Floats
 
@@ -80,7 +80,7 @@ class Plan:
 
 
 def calibrate_port(
-    port: str, plan: Plan, console: Console, *, baud: int = BAUDS[0], folder: Path | None = None
+    port: str, plan: Plan, console: Console, *, baud: int = BAUDS[0], folder: Path | None = None, clock: Clock = SYSTEM
 ) -> Path:
     """Calibrate the leader on a serial port and keep what was found; return the file.
 
@@ -90,12 +90,13 @@ def calibrate_port(
         console: The person at the leader.
         baud: Rate of the servos [bit/s].
         folder: Where calibrations are kept; None for that of the user's settings.
+        clock: Of the process.
 
     Raises:
         DeviceError: the port cannot be opened, the servos do not fit the plan, or one falls silent.
         BadFile: the calibration cannot be written.
     """
-    bus = MotorBus(port, baud)
+    bus = MotorBus(port, baud, clock)
     try:
         if advice := ports.latency_advice(port):
             console.say(advice)
@@ -205,7 +206,7 @@ def _positions(bus: MotorBus, ids: Sequence[int]) -> Floats:
     for _ in range(_ATTEMPTS):
         positions = bus.positions(ids)
         if positions is not None:
-            time.sleep(_PAUSE_S)
+            bus.clock.sleep(_PAUSE_S)
             return positions
     silent = [str(id_) for id_ in ids if id_ not in bus.ping(ids)]
     raise DeviceError(f"{bus.port}: servo {', '.join(silent) or 'answers torn'} is silent; see to its cable")

@@ -15,6 +15,7 @@ from adapters.devices.gello import ports
 from adapters.devices.gello.bus import BAUDS, MotorBus
 from adapters.devices.gello.calibration import Calibration
 from adapters.devices.gello.sampler import Sampler
+from station.clock import SYSTEM, Clock
 from station.operator.device import DeviceError
 from station.operator.reading import Reading
 from station.protocols import Floats
@@ -36,6 +37,7 @@ class Gello:
         patience_s: For how long readings may fail before that is a fault [s].
         calibrations_folder: Where calibrations are kept, by serial number.
         by_id: Where ports appear by serial number.
+        clock: Of the process.
 
     Raises:
         DeviceError: no port, several, no permission, no answer, another baud rate, other servos, no calibration, no
@@ -53,6 +55,7 @@ class Gello:
         patience_s: float = 0.25,
         calibrations_folder: Path | None = None,
         by_id: Path = ports.BY_ID,
+        clock: Clock = SYSTEM,
     ) -> None:
         folder = calibrations_folder or calibrations.default_folder()
         self._baud = baud
@@ -61,7 +64,7 @@ class Gello:
         with contextlib.ExitStack() as on_error:
             opened = []
             for port in ports.choose(ports_wanted, leaders, by_id):
-                opened.append(_open(port, baud, calibrations.load(folder, ports.serial_of(port, by_id))))
+                opened.append(_open(port, baud, calibrations.load(folder, ports.serial_of(port, by_id)), clock))
                 on_error.callback(opened[-1][1].close)
             opened.sort(key=lambda one: one[0].arm)
             self._calibrations = [calibration for calibration, _ in opened]
@@ -130,9 +133,9 @@ class Gello:
             )
 
 
-def _open(port: str, baud: int, calibration: Calibration) -> tuple[Calibration, MotorBus]:
+def _open(port: str, baud: int, calibration: Calibration, clock: Clock) -> tuple[Calibration, MotorBus]:
     """Open the port of a leader and see that it is the one that was calibrated."""
-    bus = MotorBus(port, baud)
+    bus = MotorBus(port, baud, clock)
     try:
         found = bus.ping(calibration.ids)
         if not found:
@@ -151,7 +154,7 @@ def _why_no_answer(bus: MotorBus, first: int) -> str:
     """Say at which rate the first servo would answer; takes 40 ms a rate."""
     bus.close()
     for baud in BAUDS:
-        other = MotorBus(bus.port, baud)
+        other = MotorBus(bus.port, baud, bus.clock)
         try:
             if baud != bus.baud and other.ping([first]):
                 return f"{bus.port}: no servo answers at {bus.baud} baud, but they do at {baud}: set baud: {baud}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from typing import NamedTuple
 
 from adapters.devices.gello.bus import MotorBus, PortGone
@@ -47,17 +46,16 @@ class Sampler:
         self.newest: Sample | None = None
         self.fault = ""
         self.failures = 0
-        self._bus, self._calibration = bus, calibration
+        self._bus, self._calibration, self._clock = bus, calibration, bus.clock
         self._period_s, self._patience_s = 1.0 / rate_hz, patience_s
         self._turns: Floats | None = None
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=f"gello-{calibration.serial}", daemon=True)
-        self._thread.start()
+        self._thread = self._clock.start(self._run, f"gello-{calibration.serial}")
 
     def close(self) -> None:
         """End the thread and release the bus; a second call does nothing."""
         self._stop.set()
-        self._thread.join(_STOP_S)
+        self._clock.join(self._thread, _STOP_S)
         self._bus.close()
 
     def _run(self) -> None:
@@ -67,26 +65,26 @@ class Sampler:
             self.fault = str(error)
 
     def _read_until_stopped(self) -> None:
-        good_s = due_s = time.monotonic()
-        while not self._stop.wait(max(0.0, due_s - time.monotonic())):
-            now_s = time.monotonic()
+        good_s = due_s = self._clock.monotonic_s()
+        while not self._clock.wait(self._stop, max(0.0, due_s - self._clock.monotonic_s())):
+            now_s = self._clock.monotonic_s()
             due_s = max(due_s + self._period_s, now_s)
             if self._read():
-                good_s = time.monotonic()
+                good_s = self._clock.monotonic_s()
                 continue
             self.failures += 1
-            if time.monotonic() - good_s > self._patience_s:
+            if self._clock.monotonic_s() - good_s > self._patience_s:
                 self.fault = self._diagnosis()
                 return
 
     def _read(self) -> bool:
-        began_ns = time.monotonic_ns()
+        began_ns = self._clock.monotonic_ns()
         servos = self._bus.positions(self._calibration.ids)
         if servos is None:
             return False
         if self._turns is None:
             self._turns = self._calibration.turns(servos)
-        capture_ns = (began_ns + time.monotonic_ns()) // 2
+        capture_ns = (began_ns + self._clock.monotonic_ns()) // 2
         self.newest = Sample(capture_ns, self._calibration.values(servos, self._turns))
         return True
 

@@ -30,7 +30,6 @@ import math
 import os
 import socket
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -43,6 +42,7 @@ from adapters.devices.pico.quiet import QuietStdout
 from adapters.retarget import frames
 from station import rotations
 from station.bus.joints import SMPL_24
+from station.clock import SYSTEM, Clock
 from station.operator.device import DeviceError
 from station.operator.reading import Body, Pose, Reading, Side
 from station.protocols import Floats
@@ -69,12 +69,16 @@ class Headset:
         address: Where the PC service is.
         port: Its TCP port.
         patience_s: Silence after which one that did send is given up [s].
+        clock: Of the process.
 
     Raises:
         DeviceError: the library is not installed, or this process has a headset already.
     """
 
-    def __init__(self, address: str = "127.0.0.1", port: int = DEFAULT_PORT, *, patience_s: float = 5.0) -> None:
+    def __init__(
+        self, address: str = "127.0.0.1", port: int = DEFAULT_PORT, *, patience_s: float = 5.0, clock: Clock = SYSTEM
+    ) -> None:
+        self._clock = clock
         self._sdk = _import_sdk()
         _take()
         self._address, self._port = address, port
@@ -86,7 +90,7 @@ class Headset:
         self._quiet = QuietStdout()
         with _folder_that_names(address, port):
             self._sdk.init()
-        self._opened_s = time.monotonic()
+        self._opened_s = self._clock.monotonic_s()
         self._stamp_ns = self._sdk.get_time_stamp_ns()  # not 0 where an earlier one has left its last values behind
         atexit.register(self.close)
         self._is_open = True
@@ -97,7 +101,7 @@ class Headset:
         Raises:
             DeviceError: it did send, and has been silent for long.
         """
-        stamp_ns, now_s = self._sdk.get_time_stamp_ns(), time.monotonic()
+        stamp_ns, now_s = self._sdk.get_time_stamp_ns(), self._clock.monotonic_s()
         if stamp_ns in (0, self._stamp_ns):
             self._give_up_at(now_s)
             return None
@@ -131,7 +135,7 @@ class Headset:
         if not self._is_open:
             return
         self._is_open = False
-        time.sleep(max(0.0, self._opened_s + _CONNECTING_S - time.monotonic()))
+        self._clock.sleep(max(0.0, self._opened_s + _CONNECTING_S - self._clock.monotonic_s()))
         faulthandler.dump_traceback_later(_HANGS_S, exit=True, file=_STDERR)
         self._sdk.close()
         faulthandler.cancel_dump_traceback_later()

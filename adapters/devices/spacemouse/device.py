@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from importlib import metadata
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from adapters.devices.spacemouse.find import choose, library, open_all
 from adapters.devices.spacemouse.reports import Deflection, with_dead_band
+from station.clock import SYSTEM, Clock
 from station.operator.device import DeviceError
 from station.operator.reading import Reading
 from station.protocols import Floats
@@ -31,6 +31,7 @@ class Spacemouse:
         dead_band: Part of full deflection below which an axis counts as zero.
         scale: Factor of each axis vx vy vz wx wy wz, -1 to 1.
         silence_s: After how long without a report a deflection counts as let go [s].
+        clock: Of the process.
 
     Raises:
         DeviceError: no such mouse, several, no permission, or no library.
@@ -44,13 +45,15 @@ class Spacemouse:
         dead_band: float = 0.05,
         scale: tuple[float, ...] = (1.0,) * 6,
         silence_s: float = 0.5,
+        clock: Clock = SYSTEM,
     ) -> None:
+        self._clock = clock
         self._dead_band, self._scale, self._silence_s = dead_band, np.array(scale), silence_s
         hid = library()
         self._mouse = choose(hid, serial=serial, path=path)
         self._interfaces = open_all(hid, self._mouse)
         self._deflection = Deflection()
-        self._confirmed_s = time.monotonic()
+        self._confirmed_s = self._clock.monotonic_s()
         self._reports = 0
         self._lost = ""
 
@@ -69,7 +72,7 @@ class Spacemouse:
             self._lost = f"{self._mouse}: gone ({error}); plug it in again"
             self._deflection.release()
             return self._reading()
-        now_s = time.monotonic()
+        now_s = self._clock.monotonic_s()
         if count:
             self._confirmed_s = now_s
         elif now_s - self._confirmed_s > self._silence_s:

@@ -11,11 +11,11 @@ import select
 import socket
 import ssl
 import threading
-import time
 
 from station.bus.address import BusAddress
 from station.bus.connection import ConnectionLost, pack
 from station.bus.tap.base import Position, TapRefused, connect
+from station.clock import Thread
 from station.errors import BusError
 
 _ACK_S = 1.0
@@ -48,7 +48,7 @@ class Link:
     """
 
     def __init__(self, address: BusAddress, resume: Position | None) -> None:
-        self._address = address
+        self._address, self._clock = address, address.clock
         self._socket = _introduce(address)
         self._poll = select.poll()
         self._poll.register(self._socket, select.POLLIN)
@@ -61,12 +61,12 @@ class Link:
         self._buffer = memoryview(bytearray(1 << 20))
         self._closed = threading.Event()
         self._has_data = False
-        self._heard_at = time.monotonic()
+        self._heard_at = self._clock.monotonic_s()
         self.silence_limit_s = _SNAPSHOT_SILENCE_S
-        self._acknowledger = threading.Thread(target=self._acknowledge_for_life, name="tap-ack", daemon=True)
+        self._acknowledger: Thread | None = None
         try:
             self.replication_id, self.offset, self.is_resumed = self._request(resume)
-            self._acknowledger.start()
+            self._acknowledger = self._clock.start(self._acknowledge_for_life, "tap-ack")
             if not self.is_resumed:
                 self._skip_snapshot()
         except BaseException:
@@ -105,12 +105,12 @@ class Link:
     def close(self) -> None:
         """Hang up; a second call does nothing."""
         self._closed.set()
-        if self._acknowledger.is_alive():
-            self._acknowledger.join()
+        if self._acknowledger is not None:
+            self._clock.join(self._acknowledger)
         self._socket.close()
 
     def _acknowledge_for_life(self) -> None:
-        while not self._closed.wait(_ACK_S if self._has_data else _FIRST_ACK_S):
+        while not self._clock.wait(self._closed, _ACK_S if self._has_data else _FIRST_ACK_S):
             self.acknowledge()
 
     def _request(self, resume: Position | None) -> tuple[str, int, bool]:
@@ -168,11 +168,11 @@ class Link:
 
     def _receive_some(self, timeout_s: float) -> memoryview:
         """Return at least one byte, or none when the time-out comes before the limit of silence."""
-        deadline = time.monotonic() + timeout_s
+        deadline = self._clock.monotonic_s() + timeout_s
         while True:
             if self._is_drained:
                 if self._streak >= _BUSY_STREAK:
-                    time.sleep(_BUSY_PAUSE_S)
+                    self._clock.sleep(_BUSY_PAUSE_S)
                 if not self._wait(deadline):
                     return self._buffer[:0]
             try:
@@ -186,7 +186,7 @@ class Link:
             if count == 0:
                 raise ConnectionLost(f"bus {self._address}: the server closed the replication link")
             self._is_drained = self._is_plain and count < len(self._buffer)
-            now = time.monotonic()
+            now = self._clock.monotonic_s()
             self._streak = self._streak + 1 if now - self._heard_at < _BUSY_GAP_S else 0
             self._heard_at = now
             return self._buffer[:count]
@@ -194,12 +194,12 @@ class Link:
     def _wait(self, deadline: float) -> bool:
         """Wait until there may be bytes; False when the deadline has passed."""
         while True:
-            now = time.monotonic()
+            now = self._clock.monotonic_s()
             dead_at = self._heard_at + self.silence_limit_s
             # Look before judging: a reader that was held up finds a lot here, although it has heard nothing for long.
             if self._poll.poll(max(0.0, (min(deadline, dead_at) - now) * 1e3)):
                 return True
-            now = time.monotonic()
+            now = self._clock.monotonic_s()
             if now >= dead_at:
                 limit_s = self.silence_limit_s
                 raise ConnectionLost(f"bus {self._address}: silent for {limit_s:.0f} s; frozen or unreachable")

@@ -7,7 +7,6 @@ native writers tell afterwards how many are missing.
 from __future__ import annotations
 
 import logging
-import time
 from typing import NamedTuple
 
 from station.bus import keys
@@ -66,13 +65,13 @@ class NotificationTap:
 
     def __init__(self, address: BusAddress, resume: Position | None = None) -> None:
         self.resumed = False if resume is not None else None
-        self._address = address
+        self._address, self._clock = address, address.clock
         self._prefix = f"__keyspace@{address.db}__:".encode()
         self.forgotten = 0
         self._delivered: dict[bytes, _Delivered] = {}  # the newest last
         self._unstamped: set[bytes] = set()  # keys whose last notification was not followed by their stamp's, so far
         self._waiting: list[Write] = []
-        self._checked_at = time.monotonic()
+        self._checked_at = self._clock.monotonic_s()
         self._values = connect(address)
         try:
             self._events = connect(address)
@@ -87,11 +86,11 @@ class NotificationTap:
 
     def read(self, timeout_s: float) -> list[Write]:
         """Return what changed, in order of the first notification; empty when nothing came in time."""
-        deadline = time.monotonic() + timeout_s
+        deadline = self._clock.monotonic_s() + timeout_s
         writes, self._waiting = self._waiting, []
         while not writes:
-            writes = self._take(self._wait_for_events(max(0.0, deadline - time.monotonic())))
-            if time.monotonic() >= deadline:
+            writes = self._take(self._wait_for_events(max(0.0, deadline - self._clock.monotonic_s())))
+            if self._clock.monotonic_s() >= deadline:
                 break
         return writes
 
@@ -111,8 +110,8 @@ class NotificationTap:
         refusal = switch_on(self._values)  # no failure yet: somebody else may have, and the probe will tell
         self._subscribe()
         token = write_probe(self._values)
-        deadline = time.monotonic() + _ARM_TIMEOUT_S
-        while time.monotonic() < deadline:
+        deadline = self._clock.monotonic_s() + _ARM_TIMEOUT_S
+        while self._clock.monotonic_s() < deadline:
             events = self._wait_for_events(0.05)
             self._waiting += self._take(events)
             if any(key == PROBE for key, _ in events) and self._values.call("GET", PROBE) == token:
@@ -130,8 +129,8 @@ class NotificationTap:
 
     def _wait_for_events(self, timeout_s: float) -> list[tuple[bytes, bytes]]:
         """Return (key, what happened) for everything that has come; waits for the first."""
-        if time.monotonic() - self._checked_at > _IDLE_CHECK_S:
-            self._checked_at = time.monotonic()
+        if self._clock.monotonic_s() - self._checked_at > _IDLE_CHECK_S:
+            self._checked_at = self._clock.monotonic_s()
             self._check()
         try:
             message = self._events.receive(min(timeout_s, _IDLE_CHECK_S))
@@ -164,7 +163,7 @@ class NotificationTap:
             return []
         siblings = [name for key in wanted for name in (key, key + b"@")]
         values = self._values.call("MGET", *siblings)
-        now_ns = time.monotonic_ns()
+        now_ns = self._clock.monotonic_ns()
         writes = []
         for key, value, stamp in zip(wanted, values[::2], values[1::2], strict=True):
             if value is None:

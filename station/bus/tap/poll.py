@@ -7,7 +7,6 @@ foreign writer that repeats the same bytes is not seen at all.
 from __future__ import annotations
 
 import logging
-import time
 
 from station.bus.address import BusAddress
 from station.bus.tap.base import MOST_KEYS, PROBE, Backend, Position, Write, connect, key_name, write_probe
@@ -46,7 +45,7 @@ class PollTap:
 
     def __init__(self, address: BusAddress, resume: Position | None = None, *, rate_hz: float = RATE_HZ) -> None:
         self.resumed = False if resume is not None else None
-        self._address = address
+        self._address, self._clock = address, address.clock
         self._period_s = 1.0 / rate_hz
         self.unseen_keys = 0
         self._keys: list[bytes] = []
@@ -63,13 +62,13 @@ class PollTap:
 
     def read(self, timeout_s: float) -> list[Write]:
         """Return what is different from the last look, one write per key; empty when nothing changed in time."""
-        deadline = time.monotonic() + timeout_s
+        deadline = self._clock.monotonic_s() + timeout_s
         writes, self._waiting = self._waiting, []
         while not writes:
-            time.sleep(max(0.0, min(self._next_look, deadline) - time.monotonic()))
-            if time.monotonic() >= self._next_look:
+            self._clock.sleep(max(0.0, min(self._next_look, deadline) - self._clock.monotonic_s()))
+            if self._clock.monotonic_s() >= self._next_look:
                 writes = self._look()
-            if time.monotonic() >= deadline:
+            if self._clock.monotonic_s() >= deadline:
                 break
         return writes
 
@@ -88,22 +87,22 @@ class PollTap:
         self._look()  # what is there already is not new
         token = write_probe(self._connection)
         self._next_scan = 0.0
-        deadline = time.monotonic() + _ARM_TIMEOUT_S
-        while time.monotonic() < deadline:
+        deadline = self._clock.monotonic_s() + _ARM_TIMEOUT_S
+        while self._clock.monotonic_s() < deadline:
             self._waiting += self._look()
             if PROBE in self._keys and self._connection.call("GET", PROBE) == token:
                 return
-            time.sleep(self._period_s)
+            self._clock.sleep(self._period_s)
         raise BusError(f"bus {self._address}: the probe key was written but is not among the keys that SCAN lists")
 
     def _look(self) -> list[Write]:
-        now = time.monotonic()
+        now = self._clock.monotonic_s()
         self._next_look = max(self._next_look + self._period_s, now)
         if now >= self._next_scan:
             self._next_scan = now + _SCAN_PERIOD_S
             self._keys = self._scan()
         contents = self._fetch()
-        now_ns = time.monotonic_ns()
+        now_ns = self._clock.monotonic_ns()
         writes = [
             Write(key_name(key), None, None, now_ns)
             for key in self._contents

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 
 from station.bus.address import BusAddress
 from station.bus.connection import Connection, ConnectionLost
@@ -48,11 +47,11 @@ class ReplicationTap:
     unseen_keys = 0
 
     def __init__(self, address: BusAddress, resume: Position | None = None) -> None:
-        self._address = address
+        self._address, self._clock = address, address.clock
         self._link = Link(address, resume)
         self.resumed = self._link.is_resumed if resume is not None else None
         selected = resume.db if resume is not None and resume.db is not None and self.resumed else address.db
-        self._stream = Stream(db=address.db, offset=self._link.offset, selected_db=selected)
+        self._stream = Stream(db=address.db, offset=self._link.offset, selected_db=selected, clock=address.clock)
         self._consumed = self._place()
         self._early: list[Write] = []  # came while we were arming
         self._lag: ServerLag | None = None
@@ -95,10 +94,10 @@ class ReplicationTap:
             self._lag.close()
 
     def _read(self, timeout_s: float) -> list[Write]:
-        deadline = time.monotonic() + timeout_s
+        deadline = self._clock.monotonic_s() + timeout_s
         while True:
-            writes = self._receive(max(0.0, deadline - time.monotonic()))
-            if writes or time.monotonic() >= deadline:
+            writes = self._receive(max(0.0, deadline - self._clock.monotonic_s()))
+            if writes or self._clock.monotonic_s() >= deadline:
                 return writes
 
     def _behind(self) -> int | None:
@@ -127,11 +126,11 @@ class ReplicationTap:
 
     def _arm(self) -> None:
         """Wait until the probe has come back."""
-        progress_at = time.monotonic()
+        progress_at = self._clock.monotonic_s()
         while self._stream.probe != self._probe:
             before = self._stream.offset
             self._early += self._receive(0.1)
-            now = time.monotonic()
+            now = self._clock.monotonic_s()
             if self._stream.offset != before:
                 progress_at = now
             elif now - progress_at > _ARM_TIMEOUT_S:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
@@ -30,6 +29,7 @@ class ServerLag:
     """
 
     def __init__(self, address: BusAddress) -> None:
+        self._clock = address.clock
         self._connection: Connection | None = connect(address)
         self._size: int | None = None
         self._due_s = 0.0
@@ -40,7 +40,7 @@ class ServerLag:
 
         It is asked fifty times a second at most; in between its last answer stands.
         """
-        now_s = time.monotonic()
+        now_s = self._clock.monotonic_s()
         if now_s >= self._due_s:
             self._due_s, self._size = now_s + _LOOK_S, self._ask()
         return None if self._size is None else max(0, self._size - offset)

@@ -8,7 +8,6 @@ because hiredis does not say how many bytes it has consumed, and a wrong count b
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Container
 
 import hiredis
@@ -18,6 +17,7 @@ from station.bus.tap.dumped import string_in
 from station.bus.tap.known_values import KnownValues
 from station.bus.tap.not_mirrored import not_mirrored
 from station.bus.tap.partial import PARTIAL, Command, after
+from station.clock import SYSTEM, Clock
 from station.errors import BusError
 
 log = logging.getLogger(__name__)
@@ -48,6 +48,7 @@ class Stream:
         db: Database whose writes are wanted.
         offset: Bytes of the server's history before the first byte that will be fed.
         selected_db: Database that the stream has selected there.
+        clock: Of the tap's reader.
 
     Attributes:
         offset: Bytes of the server's history up to the end of the last whole command.
@@ -60,13 +61,13 @@ class Stream:
     is known what the key held before. Where it is not, a write of `keys.NOT_MIRRORED` names command and key.
     """
 
-    def __init__(self, *, db: int, offset: int, selected_db: int) -> None:
+    def __init__(self, *, db: int, offset: int, selected_db: int, clock: Clock = SYSTEM) -> None:
         self.offset = offset
         self.selected_db = selected_db
         self.probe: bytes | None = None
         self.wants_answer = False
         self.snapshot: Snapshot | None = None
-        self._db = db
+        self._db, self._clock = db, clock
         self._values = KnownValues()
         self._reader = hiredis.Reader()
         self._reader.setmaxbuf(1 << 20)  # keep the buffer between values of 60 KB instead of growing it each time
@@ -86,7 +87,7 @@ class Stream:
         if self._fed == self.offset and data[:1] == b"\n":
             data = bytes(data).lstrip(b"\n")  # keep-alive between two commands; the server does not count it either
         self._fed += len(data)
-        self._now_ns = time.monotonic_ns()
+        self._now_ns = self._clock.monotonic_ns()
         writes: list[Write] = []
         self._writes = writes
         handlers = self._handlers

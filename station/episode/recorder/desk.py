@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from station.clock import SYSTEM, Clock
 from station.episode.recorder.answers import Answers
 from station.episode.recorder.latched import believed
 from station.episode.recorder.options import Notice, RecordingOptions
@@ -46,12 +46,12 @@ class Desk:
         claim: Called before an episode begins; raises `Refused` where the data folder is another recorder's by now.
     """
 
-    def __init__(self, options: RecordingOptions, tap: Recorder) -> None:
-        self.options = options
+    def __init__(self, options: RecordingOptions, tap: Recorder, clock: Clock = SYSTEM) -> None:
+        self.options, self.clock = options, clock
         self.answers = Answers()
         self.notices: deque[Notice] = deque(maxlen=_MOST_NOTICES)
         self.tap = tap
-        self.room = Room(options)
+        self.room = Room(options, clock)
         self.claim: Callable[[], None] = lambda: None
         self._heard = Heard()
         self._ring = Ring(options.preroll_s, options.preroll_bytes)
@@ -117,14 +117,14 @@ class Desk:
     def finish(self, ended_by: str) -> None:
         """End the present episode, if there is one."""
         if self._take is not None:
-            self._end(self._take, ended_by, time.monotonic_ns())
+            self._end(self._take, ended_by, self.clock.monotonic_ns())
 
     def close(self, timeout_s: float = 10.0) -> bool:
         """End the present episode and wait until every file is closed; return whether all are."""
         self.finish("shutdown")
-        deadline = time.monotonic() + timeout_s
+        deadline = self.clock.monotonic_s() + timeout_s
         for take in self._closing:
-            take.writer.wait(max(0.0, deadline - time.monotonic()))
+            take.writer.wait(max(0.0, deadline - self.clock.monotonic_s()))
         self.poll()
         self.room.close()
         return not self._closing
@@ -163,7 +163,7 @@ class Desk:
             raise Refused(
                 f"{len(self._closing)} episodes are still being closed: the disk does not keep up; wait for it"
             )
-        reason = self._heard.missing_configuration(time.monotonic_ns()) or self.room.refusal(request.planned_s)
+        reason = self._heard.missing_configuration(self.clock.monotonic_ns()) or self.room.refusal(request.planned_s)
         if reason is not None:
             raise Refused(reason)
         self.claim()
@@ -173,8 +173,8 @@ class Desk:
         else:
             folder = new_folder(self.options.data, task, self._heard.robot)
         self._reserved = None
-        clock = take_anchor()
-        anchor = Anchor(wall_ns=clock.at(mono_ns), mono_ns=mono_ns, boot=clock.boot)
+        now = take_anchor(self.clock)
+        anchor = Anchor(wall_ns=now.at(mono_ns), mono_ns=mono_ns, boot=now.boot)
         manifest = Manifest(
             episode_id=folder.name,
             task=Task(name=task, instruction=request.instruction),
@@ -189,7 +189,7 @@ class Desk:
         preroll = believed(self._ring.since(mono_ns), self._latched)
         writer = EpisodeWriter(
             folder, anchor=anchor, manifest=manifest, options=self.options.writer, start_id=request.id,
-            place=self._ring.place(mono_ns) if preroll else self._position,
+            place=self._ring.place(mono_ns) if preroll else self._position, clock=self.clock,
         )  # fmt: skip
         self._take = Take(writer, manifest, start_id=request.id)
         self._take.begin(preroll)
@@ -248,7 +248,7 @@ class Desk:
         """End an episode while the disk has room for its last words."""
         self._last_error = f"episode {take.episode_id}: {self.room.used_up}"
         self._notice("disk-full", "error", episode_id=take.episode_id, reason=self.room.used_up)
-        self._end(take, "disk-full", time.monotonic_ns())
+        self._end(take, "disk-full", self.clock.monotonic_ns())
 
     def _give_up(self, take: Take) -> None:
         self._take = None

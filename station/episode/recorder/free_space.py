@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import threading
-import time
 from pathlib import Path
 from typing import NamedTuple
+
+from station.clock import SYSTEM, Clock
 
 _LOOK_EVERY_S = 1.0
 
@@ -32,16 +33,17 @@ class FreeSpace:
 
     Args:
         data: Data folder, or where it will be made.
+        clock: The recorder's.
     """
 
-    def __init__(self, data: Path) -> None:
-        self._data = data
+    def __init__(self, data: Path, clock: Clock = SYSTEM) -> None:
+        self._data, self._clock = data, clock
         self._mount = mount_point(data)
         self._wake = threading.Condition()
         self._is_asked = self._is_closed = False
         self._began_s: float | None = None  # of the look that is being taken
         self.look = self._take(1)
-        threading.Thread(target=self._watch, name="free space", daemon=True).start()
+        clock.start(self._watch, "free space")
 
     def fresh(self, timeout_s: float) -> Look:
         """Have a look taken now and wait for it, at most so long; return the newest there is."""
@@ -49,14 +51,14 @@ class FreeSpace:
             seen = self.look.number
             self._is_asked = True
             self._wake.notify_all()
-            self._wake.wait_for(lambda: self.look.number > seen, timeout_s)
+            self._clock.wait_for(self._wake, lambda: self.look.number > seen, timeout_s)
             return self.look
 
     @property
     def silent_s(self) -> float:
         """How long the disk has owed an answer [s]; 0 when it owes none."""
         began_s = self._began_s
-        return 0.0 if began_s is None else time.monotonic() - began_s
+        return 0.0 if began_s is None else self._clock.monotonic_s() - began_s
 
     def close(self) -> None:
         """End the thread, as soon as the disk lets it."""
@@ -67,11 +69,11 @@ class FreeSpace:
     def _watch(self) -> None:
         while True:
             with self._wake:
-                self._wake.wait_for(lambda: self._is_asked or self._is_closed, _LOOK_EVERY_S)
+                self._clock.wait_for(self._wake, lambda: self._is_asked or self._is_closed, _LOOK_EVERY_S)
                 if self._is_closed:
                     return
                 self._is_asked = False
-            self._began_s = time.monotonic()
+            self._began_s = self._clock.monotonic_s()
             look = self._take(self.look.number + 1)
             self._began_s = None
             with self._wake:
@@ -94,7 +96,7 @@ class FreeSpace:
                 trouble = ""
         except OSError as error:
             free, trouble = None, error.strerror or str(error)
-        return Look(number, time.monotonic(), free, trouble)
+        return Look(number, self._clock.monotonic_s(), free, trouble)
 
 
 def nearest_folder(path: Path) -> Path:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import time
 from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -53,10 +52,9 @@ class Unborn(NamedTuple):
     folder: Path
     point: ResumePoint
 
-    @property
-    def is_recent(self) -> bool:
-        """Whether it is of this boot, and whoever asked may still wait for the answer."""
-        age_s = (time.monotonic_ns() - self.point.mono_ns) * 1e-9
+    def is_recent(self, now_ns: int) -> bool:
+        """Whether, at an instant [ns, monotonic], its asker may still wait for the answer; never in another boot."""
+        age_s = (now_ns - self.point.mono_ns) * 1e-9
         return self.point.anchor.boot == boot_id() and 0 <= age_s < _PATIENCE_S
 
 
@@ -73,7 +71,8 @@ class Heritage:
         self._options = options
         self._life = life
         self._take_up_s = take_up_s
-        self._began_ns = time.monotonic_ns()
+        self._clock = life.clock
+        self._began_ns = self._clock.monotonic_ns()
         self._closed: list[Repaired] = []
         self._ended: list[Unfinished | Unborn] = []  # followed by another episode: to be closed, oldest first
         self._found: Unfinished | None = None  # left open, and the last one
@@ -130,7 +129,10 @@ class Heritage:
         for done in self._closed:
             summary = _ended_before(recording, Path(done.path), done.requests)
             self._life.event("record-stop", episode_id=done.episode_id, closed_by="the next recorder", **summary)
-        if self._was_killed and (folder := newest_closed(self._options.data, _PATIENCE_S)) is not None:
+        if (
+            self._was_killed
+            and (folder := newest_closed(self._options.data, self._clock.wall_ns(), _PATIENCE_S)) is not None
+        ):
             with contextlib.suppress(EpisodeError, OSError):  # closed by somebody else, or damaged since
                 _ended_before(recording, folder, last_requests(folder))
         is_exact = tap.resumed is True
@@ -139,7 +141,7 @@ class Heritage:
                 recording.ignore_until(self._unborn.point.start_id, self._unborn.folder)
             else:
                 remove_not_begun(self._unborn.folder)
-        elif self._found is not None and (is_exact or self._found.age_s <= self._take_up_s):
+        elif self._found is not None and (is_exact or self._found.age_s(self._clock.monotonic_ns()) <= self._take_up_s):
             written_ns = self._take_up(self._found, recording, tap, is_exact=is_exact)
         if (line := offer(self._options.data)) is not None:
             self._life.event("episodes-left-open", severity="warning", reason=line)
@@ -162,9 +164,9 @@ class Heritage:
         mark = request.stamp
         written_ns = mark.mono_ns if mark is not None and mark.is_from_this_boot else 0
         is_for_us = written_ns >= self._began_ns  # the stream may bring it as well: then it is known
-        is_left = self._was_killed and time.monotonic_ns() - written_ns < _PATIENCE_S * 1e9
+        is_left = self._was_killed and self._clock.monotonic_ns() - written_ns < _PATIENCE_S * 1e9
         if written_ns and (is_for_us or is_left) and not is_answered:
-            recording.missed(Write(keys.RECORD, request.value, None, time.monotonic_ns()))
+            recording.missed(Write(keys.RECORD, request.value, None, self._clock.monotonic_ns()))
         else:
             recording.seed(keys.RECORD, request.value, None)
 
@@ -191,7 +193,7 @@ class Heritage:
         # A station that starts anew begins its own episode; one whose recorder alone died goes on with the old one.
         if restarts == "0":
             return
-        left = [found for found in left if restarts is None or found.age_s <= self._take_up_s]
+        left = [found for found in left if restarts is None or found.age_s(self._began_ns) <= self._take_up_s]
         newest_ns = max([*begun_ns, newest_start_ns(data)], default=0)
         self._found = next((found for found in left if _began_ns(found) == newest_ns), None)
         self._unborn = next((found for found in unborn if _began_ns(found) == newest_ns), None)
@@ -207,7 +209,7 @@ class Heritage:
             point = load_resume_point(folder)
             if (
                 point is None
-                or not (one := Unborn(folder, point)).is_recent
+                or not (one := Unborn(folder, point)).is_recent(self._clock.monotonic_ns())
                 or os.environ.get(RESTARTS_VARIABLE) == "0"
             ):
                 remove_not_begun(folder)
@@ -224,11 +226,13 @@ class Heritage:
         else:
             written_ns = self._take_up(found, recording, tap, is_exact=True)
         written_ns = written_ns or _began_ns(found)
-        pace = CatchingUp(tap, time.monotonic())
+        pace = CatchingUp(tap, self._clock.monotonic_s())
         try:
             while recording.is_recording or recording.is_ignoring:
                 recording.poll()
-                if pace.must_wait(recording.load, time.monotonic()) and not self._life.stop_event.wait(_READ_S):
+                if pace.must_wait(recording.load, self._clock.monotonic_s()) and not self._clock.wait(
+                    self._life.stop_event, _READ_S
+                ):
                     continue
                 writes = as_written(tap.read(_READ_S), written_ns)
                 if writes:
@@ -237,14 +241,16 @@ class Heritage:
                 if not tap.is_catching_up and (not writes or written_ns > self._began_ns):
                     break  # nothing said where it ended, and that was before we began
         except BusError as error:
-            recording.hole(written_ns, time.monotonic_ns(), f"the tap was lost before the episode's end: {error}")
+            recording.hole(
+                written_ns, self._clock.monotonic_ns(), f"the tap was lost before the episode's end: {error}"
+            )
         recording.ignore_until("", found.folder)
         recording.finish("killed")
 
     def _take_up(self, found: Unfinished, recording: Recording, tap: Tap, *, is_exact: bool) -> int:
         place = found.point.position if is_exact else tap.position()
         try:
-            taken = take_up(found, self._options, place=place, is_exact=is_exact)
+            taken = take_up(found, self._options, place=place, is_exact=is_exact, clock=self._clock)
         except (EpisodeError, OSError) as error:
             self._life.event("episode-not-taken-up", severity="error", episode_id=found.folder.name, reason=str(error))
             return 0

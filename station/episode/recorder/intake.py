@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
@@ -50,15 +49,16 @@ class Intake:
         self, options: RecordingOptions, life: Life, *, backend: str | None, resume_s: float, take_up_s: float
     ) -> None:
         self._life, self._backend, self._resume_s = life, backend, resume_s
+        self._clock = clock = life.clock
         heritage = Heritage(options, life, take_up_s)
         self.tap: Tap = open_tap(life.bus.address, resume=heritage.position, backend=backend)
         bus, tap = str(life.bus.address), self.tap
-        self.recording = Recording(options, backend=tap.backend, is_lossless=tap.is_lossless, bus=bus)
+        self.recording = Recording(options, backend=tap.backend, is_lossless=tap.is_lossless, bus=bus, clock=clock)
         self._seed()
         heritage.finish_ended(self.recording, backend)
         self.recording.placed(tap.position())
-        self._catching_up = CatchingUp(tap, time.monotonic())
-        self._heard_ns = self._known_ns = time.monotonic_ns()  # the tap; up to when we know of every write
+        self._catching_up = CatchingUp(tap, clock.monotonic_s())
+        self._heard_ns = self._known_ns = clock.monotonic_ns()  # the tap; up to when we know of every write
         self._written_ns = heritage.enter(self.recording, tap)  # the newest write, on our monotonic clock
         if tap.resumed:
             self._known_ns = self._written_ns or heritage.start_ns
@@ -70,9 +70,9 @@ class Intake:
     def step(self) -> None:
         """Take in what arrived, unless it had better wait at the bus; see to a tap that is lost."""
         try:
-            must_wait = self._catching_up.must_wait(self.recording.load, time.monotonic())
-            if must_wait and not self._life.stop_event.wait(_READ_S):
-                self._heard_ns = time.monotonic_ns()
+            must_wait = self._catching_up.must_wait(self.recording.load, self._clock.monotonic_s())
+            if must_wait and not self._clock.wait(self._life.stop_event, _READ_S):
+                self._heard_ns = self._clock.monotonic_ns()
                 return
             writes = self._read()
         except BusError as error:
@@ -89,10 +89,10 @@ class Intake:
         except BusError as error:
             log.warning("the tap was lost at the end: %s", error)
             reason = f"the tap was lost while the recorder stopped: {_bare(error, self._life.bus)}"
-            self.recording.hole(self._known_ns, time.monotonic_ns(), reason)
+            self.recording.hole(self._known_ns, self._clock.monotonic_ns(), reason)
             return
         if not is_whole:
-            self.recording.hole(self._known_ns, time.monotonic_ns(), _NOT_READ)
+            self.recording.hole(self._known_ns, self._clock.monotonic_ns(), _NOT_READ)
 
     def close(self) -> None:
         """Hang up; a second call does nothing."""
@@ -109,7 +109,7 @@ class Intake:
     def _read(self) -> list[Write]:
         """Return what the tap brings, and take note of up to when we know of every write: what it brings may be old."""
         writes = self.tap.read(_READ_S)
-        self._heard_ns = now_ns = time.monotonic_ns()
+        self._heard_ns = now_ns = self._clock.monotonic_ns()
         self._known_ns = max(self._known_ns, min(newest_written_ns(writes), now_ns))
         return writes
 
@@ -119,10 +119,10 @@ class Intake:
         Raises:
             BusError: the tap is lost.
         """
-        began_ns = time.monotonic_ns()
+        began_ns = self._clock.monotonic_ns()
         deadline_ns = began_ns + int(_DRAIN_S * 1e9)
         self._life.bus.publish({keys.RECORDER: codec.json_object(self.recording.state())})
-        while time.monotonic_ns() < deadline_ns:
+        while self._clock.monotonic_ns() < deadline_ns:
             writes = self._read()
             if writes:
                 take(writes)
@@ -162,7 +162,7 @@ class Intake:
             self._seed()
             self._look_back()
             if (value := self._life.bus.get(keys.RECORD)) is not None:
-                self.recording.missed(Write(keys.RECORD, value, None, time.monotonic_ns()))
+                self.recording.missed(Write(keys.RECORD, value, None, self._clock.monotonic_ns()))
 
     def _tap_again(self, error: BusError) -> None:
         """Open another tap where the lost one was; an episode waits for it, though not for ever."""
@@ -172,7 +172,7 @@ class Intake:
         self._life.event("tap-lost", severity="warning", reason=reason)
         if not self._open_again():
             return
-        now_ns = time.monotonic_ns()
+        now_ns = self._clock.monotonic_ns()
         seconds = round((now_ns - self._heard_ns) * 1e-9, 3)
         self._catching_up = CatchingUp(self.tap, now_ns * 1e-9)
         self.recording.retapped(self.tap.backend, self.tap.is_lossless)
@@ -189,20 +189,20 @@ class Intake:
 
     def _open_again(self) -> bool:
         """Try until there is a tap; False when we are asked to stop first."""
-        deadline_s = time.monotonic() + self._resume_s
+        deadline_s = self._clock.monotonic_s() + self._resume_s
         position = self.tap.position()
         while not self._life.stopping:
             try:
                 # One that is coming up refuses for a moment; only one that goes on to do so costs the lossless tap.
-                is_early = self.tap.is_lossless and time.monotonic() <= deadline_s
+                is_early = self.tap.is_lossless and self._clock.monotonic_s() <= deadline_s
                 backend = self._backend or (self.tap.backend if is_early else None)
                 self.tap = open_tap(self._life.bus.address, resume=position, backend=backend)
                 return True
             except BusError:  # still gone; the loss was said by our caller, who says its end
-                if time.monotonic() > deadline_s:
+                if self._clock.monotonic_s() > deadline_s:
                     self.recording.finish("bus-lost")
                 self.recording.poll()
-                self._life.stop_event.wait(_RETRY_S)
+                self._clock.wait(self._life.stop_event, _RETRY_S)
         return False
 
 

@@ -10,7 +10,6 @@ one that wrote within the span and never again is not told from the native write
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -38,7 +37,7 @@ def latched(bus: Bus, span_s: float) -> list[Write]:
         BusError: the bus cannot be read.
     """
     held = bus.read(list(islice(filter(_is_state, bus.names()), _MOST)))
-    now_ns = time.monotonic_ns()
+    now_ns = bus.clock.monotonic_ns()
     oldest_ns = now_ns - int(span_s * 1e9)
     found = [
         Write(key, sample.value, mark.encode(), mark.mono_ns)

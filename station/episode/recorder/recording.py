@@ -5,11 +5,11 @@ Requests are taken from the stream of writes itself, so an episode begins and en
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Collection, Sequence
 from typing import TYPE_CHECKING
 
 from station.bus import keys
+from station.clock import SYSTEM, Clock
 from station.episode.recorder.desk import Desk
 from station.episode.recorder.options import RecordingOptions
 from station.episode.storage.manifest import Recorder
@@ -28,8 +28,10 @@ _MOST_KEYS = 100_000  # of which we remember whether they matter; a client that 
 class Recording(Desk):
     """A recorder's state. One thread feeds it and polls it; no call waits for the disk but for making a folder."""
 
-    def __init__(self, options: RecordingOptions, *, backend: str, is_lossless: bool, bus: str = "") -> None:
-        super().__init__(options, Recorder(backend=backend, is_lossless=is_lossless, bus=bus))
+    def __init__(
+        self, options: RecordingOptions, *, backend: str, is_lossless: bool, bus: str = "", clock: Clock = SYSTEM
+    ) -> None:
+        super().__init__(options, Recorder(backend=backend, is_lossless=is_lossless, bus=bus), clock)
         self._known: dict[str, Callable[[Write], None] | None] = {}
 
     def seed(self, key: str, value: bytes, stamp: bytes | None) -> None:
@@ -37,7 +39,7 @@ class Recording(Desk):
         if key == keys.RECORD:
             self.answers.is_new(request_id(value))
         elif self._heard.is_of_interest(key):
-            self._heard.hear(key, value, stamp, time.monotonic_ns())
+            self._heard.hear(key, value, stamp, self.clock.monotonic_ns())
 
     def latched(self, states: Sequence[Write]) -> None:
         """Take states into the pre-roll that were written before the tap was open; see `recorder.latched`."""

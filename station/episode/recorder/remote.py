@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import secrets
-import time
 from typing import Any
 
 from station.bus import codec, keys
@@ -29,10 +28,10 @@ def ask(bus: Bus, action: Action, *, timeout_s: float = 20.0, **fields: Any) -> 
     """
     wanted = RecordRequest(id=secrets.token_hex(6), action=action, **fields)
     request, sent_on = {keys.RECORD: codec.json_object(wanted)}, 0
-    deadline = time.monotonic() + timeout_s
+    deadline = bus.clock.monotonic_s() + timeout_s
     with bus.watch([keys.RECORD_ACK]) as watch:
         newest = None
-        while (remaining := deadline - time.monotonic()) > 0:
+        while (remaining := deadline - bus.clock.monotonic_s()) > 0:
             if watch.connections != sent_on:  # its id keeps it from being done twice
                 if bus.publish(request):
                     sent_on = watch.connections

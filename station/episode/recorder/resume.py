@@ -8,18 +8,18 @@ changes anything that a second attempt, after another kill, would miss.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from station.bus import keys
 from station.bus import stamp as stamps
+from station.clock import SYSTEM, Clock
 from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.take import Take
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage import layout
-from station.episode.storage.anchor import iso
+from station.episode.storage.anchor import Anchor, iso, take_anchor
 from station.episode.storage.left_open import remove_temporary
 from station.episode.storage.manifest import Hole, Manifest, facts_of, note_hole, note_recovery
 from station.episode.storage.manifest_copy import find_manifest
@@ -44,10 +44,9 @@ class Unfinished(NamedTuple):
     point: ResumePoint
     manifest: Manifest
 
-    @property
-    def age_s(self) -> float:
-        """Time since its last flush [s]."""
-        return (time.monotonic_ns() - self.point.mono_ns) * 1e-9
+    def age_s(self, now_ns: int) -> float:
+        """Return the time from its last flush to an instant [ns, monotonic] in [s]."""
+        return (now_ns - self.point.mono_ns) * 1e-9
 
 
 class TakenUp(NamedTuple):
@@ -84,7 +83,9 @@ def unfinished(folder: Path, bus: str) -> Unfinished | None:
     return Unfinished(folder, point, manifest)
 
 
-def take_up(found: Unfinished, options: RecordingOptions, *, place: Position | None, is_exact: bool) -> TakenUp:
+def take_up(
+    found: Unfinished, options: RecordingOptions, *, place: Position | None, is_exact: bool, clock: Clock = SYSTEM
+) -> TakenUp:
     """Open an unfinished episode behind what is safe of it.
 
     Args:
@@ -92,6 +93,7 @@ def take_up(found: Unfinished, options: RecordingOptions, *, place: Position | N
         options: How to write.
         place: Where the tap stands.
         is_exact: Whether the tap goes on exactly where the episode is safe; else there is a hole.
+        clock: The recorder's.
 
     Raises:
         EpisodeError: the file is damaged, or its manifest cannot be written.
@@ -109,10 +111,11 @@ def take_up(found: Unfinished, options: RecordingOptions, *, place: Position | N
             path.unlink(missing_ok=True)  # the head of the signals was not written yet, or not whole
     retelling, totals = (files.signals.retelling, files.totals()) if files else (Retelling(point.anchor), Totals())
     retelling.apply(manifest, totals.first_ns)
-    _note(found, size, totals, from_ns=files.signals.last_log_ns if files else 0, is_exact=is_exact)
+    _note(found, size, totals, from_ns=files.signals.last_log_ns if files else 0, is_exact=is_exact,
+          now=take_anchor(clock))  # fmt: skip
     writer = EpisodeWriter(
         folder, anchor=point.anchor, manifest=manifest, options=options.writer, start_id=point.start_id, place=place,
-        reopened=files,
+        reopened=files, clock=clock,
     )  # fmt: skip
     is_awaited = is_exact and not point.messages
     take = Take(writer, manifest, start_id=point.start_id if not point.messages else None)
@@ -120,19 +123,19 @@ def take_up(found: Unfinished, options: RecordingOptions, *, place: Position | N
     return TakenUp(take, [*retelling.told.requests, point.start_id], point.start_id if is_awaited else "", written_ns)
 
 
-def _note(found: Unfinished, size: int, kept: Totals, *, from_ns: int, is_exact: bool) -> None:
+def _note(found: Unfinished, size: int, kept: Totals, *, from_ns: int, is_exact: bool, now: Anchor) -> None:
     """Write into the manifest that the episode was taken up again, and how.
 
     A hole begins where the signals end, at `from_ns`: what was flushed of them last, no picture is missing before.
     """
     _, point, manifest = found
-    now_s = (time.monotonic_ns() - point.anchor.mono_ns) * 1e-9
+    now_s = (now.mono_ns - point.anchor.mono_ns) * 1e-9
     manifest.recorder.restarts += 1
     note = {
         "kind": "resumed",
-        "at": iso(time.time_ns()),
+        "at": iso(now.wall_ns),
         "at_s": round(now_s, 3),
-        "away_s": round(found.age_s, 3),
+        "away_s": round(found.age_s(now.mono_ns), 3),
         "by": "offset" if is_exact else "hole",
         "kept_messages": kept.messages,
         "kept_bytes": kept.bytes,
@@ -151,10 +154,10 @@ def newest_start_ns(data: Path) -> int:
     return max((int(start) for start in starts if start.isdecimal() and len(start) <= _LONGEST_TIME), default=0)
 
 
-def newest_closed(data: Path, within_s: float) -> Path | None:
+def newest_closed(data: Path, now_wall_ns: int, within_s: float) -> Path | None:
     """Return the folder of the episode that was closed last, if that was not long ago; None otherwise."""
     found = max(((file.stat().st_mtime, file.parent) for file in data.glob(f"*/*/{layout.SIGNALS}")), default=None)
-    return found[1] if found is not None and time.time() - found[0] < within_s else None
+    return found[1] if found is not None and now_wall_ns * 1e-9 - found[0] < within_s else None
 
 
 def last_requests(folder: Path) -> list[str]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from station.clock import SYSTEM, Clock
 from station.episode.recorder.free_space import FreeSpace, Look
 from station.episode.recorder.options import Notice, RecordingOptions
 
@@ -58,13 +58,14 @@ class Room:
 
     Args:
         options: Data folder, what stays free, when to warn.
+        clock: The recorder's.
     """
 
-    def __init__(self, options: RecordingOptions) -> None:
-        self._options = options
-        self._space = FreeSpace(options.data)
+    def __init__(self, options: RecordingOptions, clock: Clock = SYSTEM) -> None:
+        self._options, self._clock = options, clock
+        self._space = FreeSpace(options.data, clock)
         self._bus, self._file = Meter(_BUS_SPAN_S), Meter(_FILE_SPAN_S)
-        self._bus.note(time.monotonic(), 0)
+        self._bus.note(self._clock.monotonic_s(), 0)
         self._bus_bytes = 0
         self._seen = self._space.look.number
         self._warned_min: float | None = None
@@ -163,7 +164,7 @@ class Room:
 
     def _measure(self, look: Look) -> None:
         self._seen = look.number
-        self._bus.note(time.monotonic(), self._bus_bytes)
+        self._bus.note(self._clock.monotonic_s(), self._bus_bytes)
 
     def _warning(self) -> list[Notice]:
         """Warn below the limit, and again at each half of what was said; say when all is well again."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +44,8 @@ class Take:
         self.end_ids: list[str] = []
         self.discard_ids: list[str] = []
         self._is_dirty = False
-        self._saved_at = time.monotonic()
+        self._clock = writer.clock
+        self._saved_at = self._clock.monotonic_s()
 
     @property
     def episode_id(self) -> str:
@@ -96,7 +96,7 @@ class Take:
 
     def save_if_due(self) -> None:
         """Have a changed manifest written to disk, at most once a second."""
-        now = time.monotonic()
+        now = self._clock.monotonic_s()
         if self._is_dirty and now - self._saved_at >= _SAVE_EVERY_S:
             self.writer.save_manifest(self.manifest)
             self._is_dirty, self._saved_at = False, now

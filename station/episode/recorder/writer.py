@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import logging
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from station.clock import SYSTEM, Clock
 from station.episode.recorder.ledger import Ledger
 from station.episode.recorder.queue import Batch, WriteQueue
 from station.episode.storage.anchor import Anchor
@@ -50,6 +50,7 @@ class EpisodeWriter:
         start_id: Id of the request that began the episode, for whoever takes it up again.
         place: Where the tap stood before the first write, for the same.
         reopened: The files of an episode that is taken up again; None makes new ones.
+        clock: The recorder's.
 
     A disk that is full or gone never raises here: `state` becomes ``failed`` and `error` says why in one line, what
     comes later is counted as dropped, and the ``.active`` files keep every flush that succeeded.
@@ -62,10 +63,11 @@ class EpisodeWriter:
 
     def __init__(
         self, folder: Path, *, anchor: Anchor, manifest: Manifest, options: WriterOptions | None = None,
-        start_id: str = "", place: Position | None = None, reopened: EpisodeFiles | None = None,
+        start_id: str = "", place: Position | None = None, reopened: EpisodeFiles | None = None, clock: Clock = SYSTEM,
     ) -> None:  # fmt: skip
         self.folder = folder
         self.anchor = anchor
+        self.clock = clock
         self.state: WriterState = "opening"
         self.error = ""
         self.dropped = reopened.drops.total if reopened else 0
@@ -81,11 +83,10 @@ class EpisodeWriter:
         self._facts = facts_of(manifest)
         self._closing: Closing | None = None
         self._files = reopened
-        self._ledger = Ledger(folder, manifest.episode_id, anchor, start_id)
+        self._ledger = Ledger(folder, manifest.episode_id, anchor, start_id, clock)
         self._position = place
         self._is_whole = True  # the position is that of the last write; never flushed in between
-        self._thread = threading.Thread(target=self._run, name=f"writer {manifest.episode_id}", daemon=True)
-        self._thread.start()
+        self._thread = clock.start(self._run, f"writer {manifest.episode_id}")
 
     def put(
         self, writes: Sequence[Write], *, position: Position | None = None, is_live: bool = True,
@@ -113,13 +114,13 @@ class EpisodeWriter:
                 return 0
             self.dropped += drops.total
         for is_bulky, spell in self._spells.items():
-            spell.note(drops.only(is_bulky=is_bulky), time.monotonic())
+            spell.note(drops.only(is_bulky=is_bulky), self.clock.monotonic_s())
         return drops.total
 
     def news(self) -> Iterator[tuple[str, Severity, dict[str, Any]]]:
         """Return events that are due: writes are dropped, or no longer. For the thread that calls `put`."""
         for spell in self._spells.values():
-            yield from spell.poll(time.monotonic())
+            yield from spell.poll(self.clock.monotonic_s())
         if self.refused and not self._is_refusal_told:
             self._is_refusal_told = True
             yield "keys-refused", "error", {"channels": MAX_CHANNELS, "dropped": self.refused}
@@ -140,7 +141,7 @@ class EpisodeWriter:
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until the episode is finished or has failed; return whether it is."""
-        self._thread.join(timeout_s)
+        self.clock.join(self._thread, timeout_s)
         return not self._thread.is_alive()
 
     @property
@@ -195,7 +196,7 @@ class EpisodeWriter:
     def _work(self) -> None:
         """Write batches until asked to finish; flush by size, by time, and once after the first batch."""
         files = self._opened()
-        deadline = time.monotonic()
+        deadline = self.clock.monotonic_s()
         while True:
             batches, is_closing = self._next_batches(deadline if files.pending_bytes else None)
             if (manifest := self._next_manifest()) is not None:  # before what follows it: a hole, then the writes
@@ -204,7 +205,7 @@ class EpisodeWriter:
                 self._write(files, batch)
                 if files.pending_bytes >= self._options.flush_bytes and self._is_whole:
                     deadline = self._flush(files)
-            if files.pending_bytes and time.monotonic() >= deadline and self._is_whole:
+            if files.pending_bytes and self.clock.monotonic_s() >= deadline and self._is_whole:
                 deadline = self._flush(files)
             if self.state == "opening" and batches and self._is_whole:
                 self.state = "open"
@@ -221,13 +222,13 @@ class EpisodeWriter:
         with self._wake:
             self._queue.done(batch)
         if batch.is_live and batch.writes:
-            self.lag.note(time.monotonic_ns() - batch.writes[0][3])
+            self.lag.note(self.clock.monotonic_ns() - batch.writes[0][3])
 
     def _flush(self, files: EpisodeFiles) -> float:
         """Bring everything to the disk and say so in the ledger; return when the next flush is due."""
         files.sync()
         self._ledger.note(self._position, files)
-        return time.monotonic() + self._options.flush_s
+        return self.clock.monotonic_s() + self._options.flush_s
 
     def _close(self) -> None:
         files = self._opened()
@@ -255,12 +256,16 @@ class EpisodeWriter:
     def _next_batches(self, deadline: float | None) -> tuple[list[Batch], bool]:
         """Wait for work, at most until the deadline; return some batches and whether they are the last."""
         with self._wake:
-            if not (self._queue or self._closing is not None or self._manifest is not None):
-                self._wake.wait(None if deadline is None else max(0.0, deadline - time.monotonic()))
+            left_s = None if deadline is None else max(0.0, deadline - self.clock.monotonic_s())
+            self.clock.wait_for(self._wake, lambda: self._has_work, left_s)
         if self._queue.writes < _HURRY_WRITES and self._closing is None:
-            time.sleep(_LINGER_S)
+            self.clock.sleep(_LINGER_S)
         with self._wake:
             return self._queue.take(self._options.flush_bytes), self._closing is not None and not self._queue
+
+    @property
+    def _has_work(self) -> bool:
+        return bool(self._queue) or self._closing is not None or self._manifest is not None
 
     def _next_manifest(self) -> Manifest | None:
         with self._wake:

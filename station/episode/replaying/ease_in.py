@@ -13,8 +13,8 @@ import numpy as np
 from station import registry
 from station.bus import codec, keys
 from station.bus.client import Bus
+from station.clock import SYSTEM
 from station.episode.reading.reader import EpisodeReader
-from station.life.loop import sleep_until
 from station.protocols import CommandFormat, Floats
 
 _RATE_HZ = 50.0
@@ -43,10 +43,10 @@ def ease_in(bus: Bus, reader: EpisodeReader, duration_s: float) -> float:
     steps = max(1, round(blend.duration_s * _RATE_HZ))
     began_ns = time.monotonic_ns()
     for step in range(steps):
-        sleep_until(began_ns + round(step / _RATE_HZ * 1e9))
+        SYSTEM.sleep_until(began_ns + round(step / _RATE_HZ * 1e9))
         vector = blend.start + (blend.goal - blend.start) * (step / steps)
         bus.publish({blend.key: codec.json_vector(vector)})
-    sleep_until(began_ns + round(steps / _RATE_HZ * 1e9))
+    SYSTEM.sleep_until(began_ns + round(steps / _RATE_HZ * 1e9))
     return steps / _RATE_HZ
 
 

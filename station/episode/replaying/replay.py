@@ -17,11 +17,11 @@ import numpy as np
 from station.bus import contracts
 from station.bus.address import BusAddress
 from station.bus.client import Bus
+from station.clock import SYSTEM
 from station.episode.reading.reader import EpisodeReader, Message
 from station.episode.replaying.ease_in import ease_in
 from station.episode.replaying.replay_target import look_at, roles_for
 from station.errors import UsageError
-from station.life.loop import sleep_until
 
 SOURCE = "replay"
 _TIMEOUT_S = 1.0  # a replay may wait for the bus; what it may not do is leave out a message
@@ -197,7 +197,7 @@ class _Player:
         while (left_s := (due_ns - time.monotonic_ns()) * 1e-9) > _NAP_S:
             if self._stop.wait(min(left_s - _NAP_S / 2, _NAP_S)):
                 return False
-        sleep_until(due_ns)
+        SYSTEM.sleep_until(due_ns)
         return not self._stop.is_set()
 
     def _write(self, moment: Moment) -> None:

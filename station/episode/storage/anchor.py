@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from datetime import datetime
 
 import msgspec
 
 from station.bus.stamp import boot_id
+from station.clock import SYSTEM, Clock
 
 _INT64 = 1 << 63
 
@@ -33,11 +33,11 @@ class Anchor(msgspec.Struct, frozen=True):
         return self.wall_ns + mono_ns - self.mono_ns
 
 
-def take_anchor() -> Anchor:
+def take_anchor(clock: Clock = SYSTEM) -> Anchor:
     """Read both clocks, the wall clock between two readings of the monotonic one."""
-    before = time.monotonic_ns()
-    wall = time.time_ns()
-    after = time.monotonic_ns()
+    before = clock.monotonic_ns()
+    wall = clock.wall_ns()
+    after = clock.monotonic_ns()
     return Anchor(wall_ns=wall, mono_ns=(before + after) // 2, boot=boot_id())
 
 

@@ -3,17 +3,15 @@ from __future__ import annotations
 import itertools
 import os
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from station.bus.tap import Write
-from station.episode.recorder import free_space, room
 from station.episode.recorder.options import Notice, RecordingOptions
 from station.episode.recorder.room import Meter, Room
-from tests.waiting import wait_until
+from tests.virtual.clock import VirtualClock
 
 MB = 1_000_000
 Make = Callable[..., Room]
@@ -28,31 +26,36 @@ class FakeDisk:
         may_answer: Cleared, it hangs.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: VirtualClock) -> None:
         self.free, self.blocks = 1000 * MB, 1 << 40
         self.may_answer = threading.Event()
         self.may_answer.set()
+        self._clock = clock
 
     def __call__(self, _path: object) -> os.statvfs_result:
-        self.may_answer.wait(30)
+        self._clock.wait(self.may_answer)
         return os.statvfs_result((1, 1, self.blocks, self.free, self.free, 0, 0, 0, 0, 255))
 
 
 @pytest.fixture
-def disk(monkeypatch: pytest.MonkeyPatch) -> FakeDisk:
-    fake = FakeDisk()
+def clock() -> Iterator[VirtualClock]:
+    with VirtualClock() as made:
+        yield made
+
+
+@pytest.fixture
+def disk(clock: VirtualClock, monkeypatch: pytest.MonkeyPatch) -> FakeDisk:
+    fake = FakeDisk(clock)
     monkeypatch.setattr(os, "statvfs", fake)
-    monkeypatch.setattr(free_space, "_LOOK_EVERY_S", 0.005)
-    monkeypatch.setattr(room, "_SETTLED_S", 0.02)
     return fake
 
 
 @pytest.fixture
-def make(tmp_path: Path, disk: FakeDisk) -> Iterator[Make]:
+def make(clock: VirtualClock, tmp_path: Path, disk: FakeDisk) -> Iterator[Make]:
     made: list[Room] = []
 
     def build(**options: float) -> Room:
-        made.append(Room(RecordingOptions(data=tmp_path, **options)))  # type: ignore[arg-type]
+        made.append(Room(RecordingOptions(data=tmp_path, **options), clock))  # type: ignore[arg-type]
         return made[-1]
 
     yield build
@@ -65,12 +68,12 @@ def written(count: int, size: int) -> list[Write]:
     return [Write("k", bytes(size), None, 0)] * count
 
 
-def followed(one: Room, size: Callable[[], int | None], seconds: float) -> list[Notice]:
+def followed(clock: VirtualClock, one: Room, size: Callable[[], int | None], seconds: float) -> list[Notice]:
     """Follow an episode for so long; return what was said."""
-    said, deadline = [], time.monotonic() + seconds
-    while time.monotonic() < deadline:
+    said, end_s = [], clock.monotonic_s() + seconds
+    while clock.monotonic_s() < end_s:
         said += one.follow(size())
-        time.sleep(0.001)
+        clock.sleep(0.02)
     return said
 
 
@@ -124,55 +127,68 @@ def test_a_file_system_that_tells_no_size_refuses_nothing(make: Make, disk: Fake
 
 
 def test_a_disk_that_hangs_refuses_a_start_and_never_holds_up_who_asks(
-    make: Make, disk: FakeDisk, monkeypatch: pytest.MonkeyPatch
+    make: Make, disk: FakeDisk, clock: VirtualClock
 ) -> None:
-    monkeypatch.setattr(room, "_STUCK_S", 0.1)
     one = make()
     disk.may_answer.clear()
-    wait_until(lambda: one.refusal(0) is not None)
-    assert "its disk is silent for" in (one.refusal(0) or "")
-    assert [notice.name for notice in followed(one, lambda: None, 0.05)] == ["disk-stuck"]
+    hung_s = clock.monotonic_s()
+    said = followed(clock, one, lambda: None, 10.0)
+    assert clock.monotonic_s() - hung_s == pytest.approx(10.0, abs=0.1), "it waits for no disk"
+    assert [notice.name for notice in said] == ["disk-stuck"]
+    began_s = clock.monotonic_s()
+    assert "its disk is silent for 9 s" in (one.refusal(0) or "")
+    assert clock.monotonic_s() - began_s < 0.1
     disk.may_answer.set()
-    wait_until(lambda: one.refusal(0) is None)
-    assert [notice.name for notice in followed(one, lambda: None, 0.05)] == ["disk-answers"]
+    assert [notice.name for notice in followed(clock, one, lambda: None, 0.1)] == ["disk-answers"]
+    assert one.refusal(0) is None
 
 
-def test_it_warns_below_the_limit_and_at_each_half_and_says_when_all_is_well_again(make: Make, disk: FakeDisk) -> None:
-    one, began = make(min_free_mb=0, warn_minutes=10), time.monotonic()
+def test_it_warns_below_the_limit_and_at_each_half_and_says_when_all_is_well_again(
+    make: Make, disk: FakeDisk, clock: VirtualClock
+) -> None:
+    one, began_s = make(min_free_mb=0, warn_minutes=10), clock.monotonic_s()
 
     def size() -> int:
-        return int((time.monotonic() - began) * 60 * MB)  # in the first second a meter shows what came so far
+        return int((clock.monotonic_s() - began_s) * MB)
 
-    disk.free = 60 * 60 * 60 * MB  # an hour
+    disk.free = 60 * 60 * MB  # an hour
     one.begin()
-    assert followed(one, size, 0.3) == []
+    assert followed(clock, one, size, 40.0) == []
     said: list[Notice] = []
     for _ in range(40):
         disk.free = int(disk.free * 0.8)
-        said += followed(one, size, 0.02)
+        said += followed(clock, one, size, 2.0)
     minutes = [notice.numbers["minutes_left"] for notice in said]
     assert {(notice.name, notice.severity) for notice in said} == {("disk-low", "warning")}
     assert minutes[0] <= 10
     assert all(later < earlier / 2 for earlier, later in itertools.pairwise(minutes))
     assert 4 < len(minutes) < 12
-    disk.free = 60 * 60 * 60 * MB
-    assert [notice.name for notice in followed(one, size, 0.1)] == ["disk-ok"]
+    disk.free = 60 * 60 * MB
+    assert [notice.name for notice in followed(clock, one, size, 2.0)] == ["disk-ok"]
 
 
-def test_an_episode_should_end_when_only_that_is_left_which_stays_free(make: Make, disk: FakeDisk) -> None:
+def test_an_episode_should_end_when_only_that_is_left_which_stays_free(
+    make: Make, disk: FakeDisk, clock: VirtualClock
+) -> None:
     one = make(min_free_mb=500)
     assert not one.is_used_up
     disk.free = 499 * MB
-    wait_until(lambda: one.is_used_up)
+    clock.sleep(1.1)
+    assert one.is_used_up
     assert "full but for the 500 MB that stay free" in one.used_up
 
 
-def test_minutes_left_come_from_the_bus_until_the_file_has_grown_for_a_while(make: Make, disk: FakeDisk) -> None:
+def test_minutes_left_come_from_the_bus_until_the_file_has_grown_for_a_while(
+    make: Make, disk: FakeDisk, clock: VirtualClock
+) -> None:
     one = make(min_free_mb=400)
     one.note(written(10, MB - 64))
     assert one.refusal(0) is None  # which measures
     assert one.minutes_left == pytest.approx(600 / 10 / 60, rel=0.02)
     one.begin()
-    followed(one, lambda: int(time.monotonic() * MB), 0.1)
+    began_s = clock.monotonic_s()
+    followed(clock, one, lambda: int((clock.monotonic_s() - began_s) * MB), 4.0)
     assert one.minutes_left is not None
-    assert one.minutes_left > 5  # the file grew by a tenth of a megabyte
+    assert one.minutes_left < 5, "it has not grown for long"
+    followed(clock, one, lambda: int((clock.monotonic_s() - began_s) * MB), 4.0)
+    assert one.minutes_left == pytest.approx(600 / 1 / 60, rel=0.05)

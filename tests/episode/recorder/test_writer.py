@@ -204,6 +204,7 @@ print(writer.state, put - writer.dropped, writer.error)
 
 
 @pytest.mark.parametrize("key", ["large", keys.camera_image("head")])
+@pytest.mark.usefixtures("processes")
 def test_a_full_disk_ends_the_episode_and_keeps_every_whole_flush_of_each_file(tmp_path: Path, key: str) -> None:
     result = subprocess.run(
         [sys.executable, "-c", FULL_DISK, str(tmp_path), key], capture_output=True, text=True, timeout=60, check=True

@@ -156,6 +156,7 @@ print(writer.state, "google.protobuf" in sys.modules)
 
 
 @pytest.mark.parametrize(("key", "is_loaded"), [(BODY, False), (HEAD, True)])
+@pytest.mark.usefixtures("processes")
 def test_a_recorder_loads_protobuf_for_pictures_alone(tmp_path: Path, key: str, is_loaded: bool) -> None:
     command = [sys.executable, "-c", LOADED, str(tmp_path), key]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)

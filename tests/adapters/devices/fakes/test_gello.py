@@ -17,9 +17,10 @@ import pytest
 from adapters.devices.fakes.gello import FakeGello
 from adapters.devices.gello.device import Gello
 from station.errors import BadFile
+from station.operator.reading import Reading
 from tests.adapters.devices.by_hand import HandClock
-from tests.adapters.devices.gello.test_device import OTHER, POSE, joints, near
-from tests.waiting import DEADLINE_S
+from tests.adapters.devices.gello.test_device import OTHER, POSE, near
+from tests.waiting import DEADLINE_S, wait_until
 
 Play = Callable[..., FakeGello]
 
@@ -66,6 +67,7 @@ def test_a_script_is_played_alike_every_time(play: Play) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.usefixtures("processes")
 def test_the_fake_as_a_process_says_how_to_use_it(tmp_path: Path, number: signal.Signals) -> None:
     file = tmp_path / "script.json"
     file.write_text(json.dumps({"device": "gello", "steps": [{"at_s": 0, "left": POSE}]}))
@@ -78,7 +80,9 @@ def test_the_fake_as_a_process_says_how_to_use_it(tmp_path: Path, number: signal
         folder = line.split("gello.calibrations=")[1].strip()
         device = Gello(ports_wanted=(str(port),), calibrations_folder=Path(folder), by_id=port.parent)
         try:
-            assert joints(device) == near(POSE)
+            found: list[Reading] = []
+            wait_until(lambda: found.append(reading) if (reading := device.read()) else found)
+            assert found[0].joints == near(POSE)
         finally:
             device.close()
             process.send_signal(number)

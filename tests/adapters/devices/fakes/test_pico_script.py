@@ -88,6 +88,7 @@ def test_a_file_that_is_not_there_or_not_json_is_told_of(tmp_path: Path) -> None
         load(tmp_path / "wve.json")
 
 
+@pytest.mark.usefixtures("processes")
 def test_the_program_ends_in_one_line(tmp_path: Path) -> None:
     with PicoService(0) as service:
         (tmp_path / "bad").mkdir()

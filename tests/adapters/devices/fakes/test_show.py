@@ -26,6 +26,7 @@ def command(device: str, *arguments: str) -> list[str]:
 
 
 @pytest.mark.parametrize("device", STEPS)
+@pytest.mark.usefixtures("processes")
 def test_changes_are_shown_until_the_device_is_gone(device: str, tmp_path: Path) -> None:
     file = tmp_path / "script.json"
     file.write_text(json.dumps({"device": device, "steps": STEPS[device]}))
@@ -37,6 +38,7 @@ def test_changes_are_shown_until_the_device_is_gone(device: str, tmp_path: Path)
 
 
 @pytest.mark.parametrize("device", [*STEPS, "gello"])
+@pytest.mark.usefixtures("processes")
 def test_a_mistake_is_one_line_and_exit_code_two(device: str, tmp_path: Path) -> None:
     ended = subprocess.run(command(device), capture_output=True, text=True, timeout=DEADLINE_S, check=False)
     assert (ended.returncode, ended.stderr) == (2, f"usage: python -m adapters.devices.fakes.{device} FILE\n")

@@ -54,6 +54,7 @@ def test_a_bad_script_is_refused_before_anything_is_replaced(tmp_path: Path) -> 
         install(file)
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_process_that_ends_without_closing_its_fake_ends_cleanly(tmp_path: Path) -> None:
     file = tmp_path / "rest.json"
     file.write_text('{"device": "spacemouse", "steps": [{"at_s": 0}]}')

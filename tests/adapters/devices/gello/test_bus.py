@@ -1,4 +1,4 @@
-"""The real dynamixel-sdk on a pseudo terminal with fake servos."""
+"""The real dynamixel-sdk with fake servos: on lines in memory, in virtual time; and on a real pseudo terminal."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import os
 import sys
 import termios
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -16,6 +16,9 @@ from adapters.devices.fakes.gello.servos import Chain, Servo
 from adapters.devices.gello import bus as buses
 from adapters.devices.gello.bus import MotorBus, PortGone
 from station.operator.device import DeviceError
+from tests.adapters.devices.gello.serial_line import LinePort, lines_in_memory
+from tests.virtual.clock import VirtualClock
+from tests.waiting import wait_until
 
 TICKS = {1: 2048, 2: -1024, 3: 0xFDFFFF, 4: 0, 5: 4095}
 """Half a turn, a quarter back, a position whose bytes are the header of a packet, …"""
@@ -27,14 +30,37 @@ def servos() -> list[Servo]:
 
 
 @pytest.fixture
-def port(servos: list[Servo], tmp_path: Path) -> Iterator[FakePort]:
+def clock() -> Iterator[VirtualClock]:
+    with VirtualClock() as made:
+        yield made
+
+
+@pytest.fixture
+def line(clock: VirtualClock) -> Iterator[Callable[..., LinePort]]:
+    """Makes lines in memory; nothing else can be opened meanwhile."""
+    with lines_in_memory(clock) as made:
+        yield made
+
+
+@pytest.fixture
+def bus(line: Callable[..., LinePort], servos: list[Servo], tmp_path: Path) -> Iterator[MotorBus]:
+    port = line(tmp_path, "FT1", Chain(servos))
+    opened = MotorBus(str(port.path), 57600, port.clock)
+    yield opened
+    opened.close()
+    port.close()
+
+
+@pytest.fixture
+def port(servos: list[Servo], tmp_path: Path, processes: object) -> Iterator[FakePort]:
+    """A pseudo terminal: its servos answer from a thread, in real time."""
     fake = FakePort(tmp_path, "FT1", Chain(servos))
     yield fake
     fake.close()
 
 
 @pytest.fixture
-def bus(port: FakePort) -> Iterator[MotorBus]:
+def real_bus(port: FakePort) -> Iterator[MotorBus]:
     opened = MotorBus(str(port.path), 57600)
     yield opened
     opened.close()
@@ -45,6 +71,30 @@ def test_positions_are_radians_with_their_sign(bus: MotorBus) -> None:
     assert shown is not None
     assert shown.tolist() == pytest.approx([ticks * math.pi / 2048 for ticks in TICKS.values()])
     assert shown[:2].tolist() == pytest.approx([math.pi, -math.pi / 2])
+
+
+def test_a_pseudo_terminal_gives_the_same_positions_whoever_is_silent_or_torn(
+    real_bus: MotorBus, servos: list[Servo]
+) -> None:
+    expected = pytest.approx([ticks * math.pi / 2048 for ticks in TICKS.values()])
+    assert _shown(real_bus) == expected
+    servos[3].is_silent = True
+    assert real_bus.positions(list(TICKS)) is None
+    servos[3].is_silent, servos[2].broken_answers = False, 1
+    assert real_bus.positions(list(TICKS)) is None
+    assert _shown(real_bus) == expected
+
+
+def _shown(bus: MotorBus) -> list[float]:
+    found: list[float] = []
+
+    def look() -> bool:
+        shown = bus.positions(list(TICKS))
+        found[:] = [] if shown is None else shown.tolist()
+        return bool(found)
+
+    wait_until(look)  # on a busy machine an answer may come later than the library waits
+    return found
 
 
 def test_a_subset_can_be_read_after_all(bus: MotorBus) -> None:
@@ -88,21 +138,38 @@ def test_a_torn_answer_is_no_position_and_the_next_is_right(bus: MotorBus, servo
     assert bus.positions(list(TICKS)) is not None
 
 
-def test_servos_at_another_rate_hear_only_noise(servos: list[Servo], tmp_path: Path) -> None:
-    fake = FakePort(tmp_path, "FAST", Chain(servos), baud=termios.B1000000)
+@pytest.mark.parametrize("set_s", [-3600.0, 3600.0])
+def test_a_wall_clock_that_is_set_spoils_no_reading(
+    bus: MotorBus, servos: list[Servo], clock: VirtualClock, set_s: float
+) -> None:
+    servos[3].is_silent = True
+    at_ns = clock.monotonic_ns() + 10_000_000  # while the library waits
+    clock.call_at(at_ns, lambda: setattr(clock, "wall_ahead_ns", round(set_s * 1e9)))
+    began_s = clock.monotonic_s()
+    assert bus.positions(list(TICKS)) is None
+    assert 0.03 < clock.monotonic_s() - began_s < 0.06, "the library's own time-out, whatever the wall clock does"
+    servos[3].is_silent = False
+    assert bus.positions(list(TICKS)) is not None
+
+
+def test_servos_at_another_rate_hear_only_noise(
+    line: Callable[..., LinePort], servos: list[Servo], tmp_path: Path
+) -> None:
+    fake = line(tmp_path, "FAST", Chain(servos), baud=termios.B1000000)
     try:
-        slow = MotorBus(str(fake.path), 57600)
+        slow = MotorBus(str(fake.path), 57600, fake.clock)
         assert slow.ping([1]) == {}
         slow.close()
-        fast = MotorBus(str(fake.path), 1_000_000)
+        fast = MotorBus(str(fake.path), 1_000_000, fake.clock)
         assert fast.ping([1]) == {1: 1200}
         fast.close()
     finally:
         fake.close()
 
 
-def test_a_port_that_is_torn_out_is_gone_for_every_call(bus: MotorBus, port: FakePort) -> None:
-    assert bus.positions([1]) is not None
+def test_a_port_that_is_torn_out_is_gone_for_every_call(real_bus: MotorBus, port: FakePort) -> None:
+    bus = real_bus
+    assert _shown(bus)
     port.unplug()
     for _ in range(2):
         with pytest.raises(PortGone, match=r"FT1-if00-port0: gone \(.*plug the leader in again"):
@@ -113,9 +180,9 @@ def test_a_port_that_is_torn_out_is_gone_for_every_call(bus: MotorBus, port: Fak
     bus.close()
 
 
-def test_a_port_is_read_by_one_process_only(bus: MotorBus) -> None:
+def test_a_port_is_read_by_one_process_only(real_bus: MotorBus) -> None:
     with pytest.raises(DeviceError, match="in use by another process; stop it first"):
-        MotorBus(bus.port, 57600)
+        MotorBus(real_bus.port, 57600)
 
 
 @pytest.mark.parametrize(

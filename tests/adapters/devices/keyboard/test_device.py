@@ -137,6 +137,7 @@ def test_the_terminal_shows_nothing_and_is_put_back(terminal: tuple[int, int], o
     device.close()
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_process_that_forgets_to_close_puts_the_terminal_back(terminal: tuple[int, int]) -> None:
     before = termios.tcgetattr(terminal[1])
     code = (

@@ -26,10 +26,17 @@ def service() -> Iterator[PicoService]:
         yield service
 
 
-@pytest.fixture
-def wearer(service: PicoService) -> Iterator[Wearer]:
-    with wearing(service) as wearer:
+@pytest.fixture(scope="module")
+def worn(processes: None) -> Iterator[Wearer]:
+    """A headset that is worn for all tests: the library takes half a second to connect, and another to let go."""
+    with PicoService(0) as service, wearing(service) as wearer:
         yield wearer
+
+
+@pytest.fixture
+def wearer(worn: Wearer) -> Wearer:
+    worn.begin()
+    return worn
 
 
 def python(code: str) -> subprocess.CompletedProcess[str]:
@@ -91,28 +98,29 @@ def test_a_pose_of_zeros_is_no_pose(wearer: Wearer) -> None:
     assert sample["head"] is None
 
 
-def test_a_frame_with_the_same_stamp_is_no_new_sample(wearer: Wearer, service: PicoService) -> None:
+def test_a_frame_with_the_same_stamp_is_no_new_sample(wearer: Wearer) -> None:
     assert wearer.after(frame(1 * MS))["capture_ns"] == 1 * MS
-    service.send(frame(1 * MS, Head=head(f"0,1,0,{IDENTITY}")))
+    wearer.send(frame(1 * MS, Head=head(f"0,1,0,{IDENTITY}")))
     assert wearer.after(frame(2 * MS))["capture_ns"] == 2 * MS
 
 
-def test_a_torn_frame_is_lost_and_the_next_one_comes(wearer: Wearer, service: PicoService) -> None:
-    service.send(frame(1 * MS, Controller={"left": {"pose": f"0,0,0,{IDENTITY}"}, "right": {}}))
+def test_a_torn_frame_is_lost_and_the_next_one_comes(wearer: Wearer) -> None:
+    wearer.send(frame(1 * MS, Controller={"left": {"pose": f"0,0,0,{IDENTITY}"}, "right": {}}))
     while wearer.after(frame(3 * MS))["capture_ns"] != 3 * MS:  # the torn one may count, by its stamp
         pass
 
 
-def test_it_comes_back_with_a_service_that_was_away_for_too_short_to_be_noticed(
-    wearer: Wearer, service: PicoService
-) -> None:
-    wearer.after(frame(1 * MS))
-    service.stop()
-    service.start()
-    assert service.wait_for_listener(30.0)
-    assert wearer.after(frame(2 * MS))["capture_ns"] == 2 * MS
+@pytest.mark.usefixtures("processes")
+def test_it_comes_back_with_a_service_that_was_away_for_too_short_to_be_noticed(service: PicoService) -> None:
+    with wearing(service, patience_s=0.2) as wearer:
+        wearer.after(frame(1 * MS))
+        service.stop()
+        service.start()
+        assert service.wait_for_listener(30.0)
+        assert wearer.after(frame(2 * MS))["capture_ns"] == 2 * MS
 
 
+@pytest.mark.usefixtures("processes")
 def test_opening_closing_and_leaving_are_safe_and_nothing_of_the_library_is_on_stdout() -> None:
     """Each of these ends the process where the library is used as it comes."""
     done = python(
@@ -135,6 +143,7 @@ def test_opening_closing_and_leaving_are_safe_and_nothing_of_the_library_is_on_s
     ]
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_service_without_a_headset_is_told_from_no_service(service: PicoService) -> None:
     done = python(
         f"from adapters.devices.pico.headset import Headset\nprint(Headset(port={service.port}).why_silent())\n"
@@ -143,6 +152,7 @@ def test_a_service_without_a_headset_is_told_from_no_service(service: PicoServic
     assert done.stdout.startswith(f"no headset yet: the PC service at 127.0.0.1:{service.port} has none; in the")
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_missing_library_is_one_line_with_the_extra_to_install() -> None:
     done = python(
         "import sys; sys.modules['xrobotoolkit_sdk'] = None\n"

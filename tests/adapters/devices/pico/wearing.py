@@ -1,6 +1,6 @@
 """A headset in a process of its own, as the library wants it; each of its samples is a line of JSON.
 
-``python -m tests.adapters.devices.pico.wearing PORT`` prints one for each new sample until its input ends.
+``python -m tests.adapters.devices.pico.wearing PORT PATIENCE_S`` prints one for each new sample until its input ends.
 """
 
 from __future__ import annotations
@@ -20,29 +20,43 @@ from station.operator.device import DeviceError
 from station.operator.reading import Pose, Reading
 from tests.waiting import DEADLINE_S
 
+_GONE_NS = 3_600_000_000_000
+
 
 class Wearer:
     """The process, seen from the test."""
 
     def __init__(self, process: subprocess.Popen[str], service: PicoService) -> None:
         self._process, self._service = process, service
+        self._epoch_ns = 0
+
+    def begin(self) -> None:
+        """Begin a new test, at a time of the headset's at which all that was seen before is long gone."""
+        self._epoch_ns += _GONE_NS
+
+    def send(self, frame: dict[str, Any]) -> None:
+        """Send a frame, whose times are of this test."""
+        self._service.send(_at(frame, self._epoch_ns))
 
     def after(self, frame: dict[str, Any]) -> dict[str, Any]:
         """Send a frame and return the sample that comes of it."""
-        self._service.send(frame)
+        self.send(frame)
         return self.next()
 
     def next(self) -> dict[str, Any]:
         assert self._process.stdout is not None
-        ready, _, _ = select.select([self._process.stdout], [], [], DEADLINE_S)
-        assert ready, "no sample came"
-        sample: dict[str, Any] = json.loads(self._process.stdout.readline())
-        return sample
+        while True:
+            ready, _, _ = select.select([self._process.stdout], [], [], DEADLINE_S)
+            assert ready, "no sample came"
+            sample: dict[str, Any] = json.loads(self._process.stdout.readline())
+            sample["capture_ns"] -= self._epoch_ns
+            if sample["capture_ns"] > 0:
+                return sample
 
 
 @contextmanager
-def wearing(service: PicoService) -> Iterator[Wearer]:
-    command = [sys.executable, "-m", "tests.adapters.devices.pico.wearing", str(service.port)]
+def wearing(service: PicoService, patience_s: float = 2 * DEADLINE_S) -> Iterator[Wearer]:
+    command = [sys.executable, "-m", "tests.adapters.devices.pico.wearing", str(service.port), str(patience_s)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1) as process:
         assert process.stdin is not None
         try:
@@ -52,6 +66,15 @@ def wearing(service: PicoService) -> Iterator[Wearer]:
             assert process.wait(DEADLINE_S) == 0, "it must end cleanly"
         finally:
             process.kill()
+
+
+def _at(frame: dict[str, Any], epoch_ns: int) -> dict[str, Any]:
+    """Return a frame with its time, and that of its body, moved."""
+    moved = {
+        name: _at(kind, epoch_ns) if isinstance(kind, dict) and "timeStampNs" in kind else kind
+        for name, kind in frame.items()
+    }
+    return moved | {"timeStampNs": frame["timeStampNs"] + epoch_ns}
 
 
 def _plain(reading: Reading) -> dict[str, Any]:
@@ -71,8 +94,8 @@ def _plain(reading: Reading) -> dict[str, Any]:
 
 
 def main() -> None:
-    port = int(sys.argv[1])
-    headset = Headset(port=port, patience_s=0.2)
+    port, patience_s = int(sys.argv[1]), float(sys.argv[2])
+    headset = Headset(port=port, patience_s=patience_s)
     while not select.select([sys.stdin], [], [], 0.0)[0]:
         try:
             reading = headset.read()

@@ -109,8 +109,7 @@ def test_a_deflection_that_nothing_confirms_counts_as_let_go(
 ) -> None:
     # One report of motion and then silence: what is left when a wireless mouse moves out of reach.
     plug(scripted(clock, MouseStep(at_s=0.0, report="01 00 00 a2 fe 00 00")))
-    monkeypatch.setattr("adapters.devices.spacemouse.device.time.monotonic", clock)
-    opened.append(device := Spacemouse(silence_s=0.5))
+    opened.append(device := Spacemouse(silence_s=0.5, clock=clock))
     assert twist(device) == list(FORWARD)
     clock.pass_(0.49)
     assert twist(device) == list(FORWARD)

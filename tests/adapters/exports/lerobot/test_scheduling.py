@@ -104,13 +104,16 @@ def _raised_threads_of_others() -> None:
     thread.join()
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_thread_that_was_raised_is_told_as_before_and_so_are_those_it_starts() -> None:
     alone("_raised_and_put_back")
 
 
+@pytest.mark.usefixtures("processes")
 def test_scheduling_is_put_back_also_where_the_library_fails() -> None:
     alone("_raised_by_one_that_fails")
 
 
+@pytest.mark.usefixtures("processes")
 def test_threads_that_the_library_started_are_put_back_too() -> None:
     alone("_raised_threads_of_others")
