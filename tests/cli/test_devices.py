@@ -155,7 +155,7 @@ def test_a_fake_headset_begins_with_the_first_that_listens(home: Home) -> None:
     with home.running("devices", "fake", "pico", "--port", "0") as fake:
         fake.wait_for("waits for a pico server with --set pico.port=")
         port = fake.text.split("pico.port=")[1].split(";")[0]
-        reader = [sys.executable, "-m", "tests.adapters.devices.pico.wearing", port]
+        reader = [sys.executable, "-m", "tests.adapters.devices.pico.wearing", port, "60"]
         with subprocess.Popen(reader, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as worn:
             assert worn.stdout is not None
             assert json.loads(worn.stdout.readline())["head"] is not None
