@@ -105,8 +105,8 @@ class Deaths:
     def _tell(self, name: str, what: str, event: str) -> None:
         keys = "; r starts it again, Ctrl-C takes the station down" if self._asks else ""
         self._supervisor.tell(event, "error", server=name, reason=what)
+        self._offer()  # before it is said: a key that is pressed at the sight of the line counts
         self._face.say(f"server {name!r} {what}{keys}", "error")
-        self._offer()
 
     def _offer(self) -> None:
         if self._asks:

@@ -51,7 +51,7 @@ class Person:
         return self.answer
 
     def offer(self, restart: str) -> None:
-        self.offered = restart
+        self.offered, self.wants_restart = restart, False  # a key that was pressed before does not count
 
     def take_restart(self) -> bool:
         wanted, self.wants_restart = self.wants_restart, False
