@@ -15,6 +15,7 @@ from station.life.events import Event
 from tests.virtual.clock import VirtualClock
 from tests.virtual.network import Network
 from tests.virtual.station import FORM, ControlledRobot, Walk, commander, events, states
+from tests.virtual.trial import alone
 
 FIRST, SECOND = Walk(0.5, 0.1), Walk(-0.4, 0.3)
 
@@ -94,6 +95,21 @@ def test_whoever_begins_last_is_obeyed_where_that_is_configured(clock: VirtualCl
     seen = len(robot.ticks)
     clock.sleep(2.0)
     assert {tick.vector[0] for tick in robot.ticks[seen:]} == {SECOND.speed}
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_nothing_of_a_stock_script_is_taken_for_ours_though_word_of_its_writes_comes_late(seed: int) -> None:
+    """What was read comes on one line, word of writes on another, and a network delays each as it likes."""
+    with alone(), VirtualClock(seed, late_ns=200_000) as clock:
+        network = Network(clock, latency_ns=(10_000, 300_000))
+        robot = ControlledRobot(network)
+        clock.sleep(0.1)
+        commander(network, "first", "teleop", FIRST)
+        clock.until(lambda: follows(robot, FIRST))
+        commander(network, "second", "stock", SECOND)  # its period is longer, so that they meet again and again
+        seen = len(robot.ticks)
+        clock.sleep(6.0)
+        assert {tick.vector[0] for tick in robot.ticks[seen:]} == {FIRST.speed}
 
 
 @pytest.mark.parametrize("second", ["stock", "elsewhere", "teleop"])
