@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 
 import pytest
@@ -15,13 +14,11 @@ MS = 1_000_000
 
 
 def test_an_hour_passes_at_once() -> None:
-    began_s = time.monotonic()
     with VirtualClock() as clock:
         began_ns = clock.monotonic_ns()
         clock.sleep(HOUR_S)
         assert clock.monotonic_ns() - began_ns == HOUR_S * 1e9
         assert not clock.wait(threading.Event(), HOUR_S)
-    assert time.monotonic() - began_s < HOUR_S
 
 
 def order_of(seed: int) -> str:

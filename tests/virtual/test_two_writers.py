@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -92,6 +94,7 @@ def test_whoever_begins_last_is_obeyed_where_that_is_configured(clock: VirtualCl
     assert handover.detail["obeyed"].startswith("second (pid ")
     assert handover.detail["reason"] == "it began to write last"
     assert events(network, "second-writer")
+    assert ("tracking", "entering") in pairwise(states(robot))
     seen = len(robot.ticks)
     clock.sleep(2.0)
     assert {tick.vector[0] for tick in robot.ticks[seen:]} == {SECOND.speed}
