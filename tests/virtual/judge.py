@@ -204,9 +204,10 @@ class Judge:
         """A command is entered with a blend of a second."""
         since_s = 0.0
         for before, tick in pairwise(self._ticks):
-            if before.state != "entering" == tick.state:
+            if before.state != "entering":
                 since_s = tick.now_s
-            if before.state == "entering" and tick.state == "tracking" and tick.now_s - since_s < BLEND_S - EPSILON:
+            is_entered = tick.state == "tracking" and before.state not in ("tracking", "holding")
+            if is_entered and tick.now_s - since_s < BLEND_S - EPSILON:
                 yield before, tick, f"tracks a command {tick.now_s - since_s:.3f} s after it began to enter it"
 
     def _latched(self) -> Iterator[Complaint]:

@@ -52,6 +52,7 @@ class Trial:
             self._is_told = rng.random() > 0.05
             if not self._is_told:
                 self.network.server.refused.add(b"CONFIG")
+            self._has_operator = rng.random() < 0.5
             self._is_real = rng.random() < 0.4
             gate = GateConfig(rivals=rng.choice(["keep-first", "keep-first", "newest"]))
             self.robot = ControlledRobot(
@@ -78,14 +79,17 @@ class Trial:
             return [*judge.complaints(), *complaints]
 
     def _actions(self) -> list[Callable[[], None]]:
-        return [
+        commanding = [
             self._command, self._command, self._kill, self._leave, self._freeze_commander, self._freeze_commander,
-            self._freeze_line, self._freeze_line, self._cut_line, self._freeze_robots_line, self._cut_robots_line,
-            self._freeze_bus, self._restart_bus, self._freeze_robot, self._press, self._stop, self._overwritten_stop,
-            self._release, self._release, self._release_in_a_pause, self._release_in_a_pause,
-            self._release_button, self._stop_past_the_bus, self._arm, self._arm,
-            self._disarm, self._garbage, self._set_wall_clock, self._switch_notifications_off,
+            self._freeze_line, self._kill_behind_a_frozen_line, self._cut_line, self._freeze_robots_line,
+            self._cut_robots_line, self._freeze_bus, self._restart_bus, self._freeze_robot, self._garbage,
+            self._set_wall_clock, self._switch_notifications_off,
         ]  # fmt: skip
+        operating = [
+            self._press, self._stop, self._overwritten_stop, self._release, self._release, self._release_in_a_pause,
+            self._release_in_a_pause, self._release_button, self._stop_past_the_bus, self._arm, self._arm, self._disarm,
+        ]  # fmt: skip
+        return [*commanding, *operating] if self._has_operator else commanding
 
     def _tell(self, what: str) -> None:
         self.story.append(f"{self.clock.monotonic_s():.4f} {what}")
@@ -129,6 +133,15 @@ class Trial:
             seconds = self._rng.choice([0.05, 0.15, 0.24, 0.26, 0.4, 1.5]) * self._rng.uniform(0.9, 1.1)
             self._tell(f"the line of {found.process.name} is frozen for {seconds:.3f} s")
             self.network.freeze(found.process, seconds)
+
+    def _kill_behind_a_frozen_line(self) -> None:
+        """What its line still holds comes when it has been dead for a while."""
+        if (found := self._one()) is not None:
+            seconds = self._rng.uniform(0.2, 1.0)
+            self._tell(f"{found.process.name} is killed while its line is frozen for {seconds:.3f} s")
+            self.network.freeze(found.process, seconds)
+            self.clock.sleep(self._rng.uniform(0.03, 0.2))
+            self.clock.kill(found.process)
 
     def _cut_line(self) -> None:
         if (found := self._one()) is not None:
