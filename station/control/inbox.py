@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from station.bus import keys, stamp
@@ -14,7 +14,7 @@ from station.bus.connection import Connection
 from station.bus.heard import Heard
 from station.bus.outage import Outages
 from station.bus.sample import Sample
-from station.bus.watch import Watch
+from station.bus.watch import Read, Watch
 from station.control.inlet import CommandSample
 from station.control.stop_trace import StopNews, StopTrace
 from station.control.writers import Writers
@@ -23,6 +23,7 @@ from station.life.rivals import FOREIGN
 _PROBE_S = 0.05  # who waits for a silence waits this much longer; a probe takes 0.1 ms
 _MOST = 16  # writers between two looks; a stranger may invent names
 _AHEAD = 2  # writes that were read before they were told of, at most: each is told of within a round trip
+_CONTEST_NS = 1_000_000_000  # so long after a foreign write the next may come
 _MOST_WRITES = 4096  # between two looks: eight seconds of two who write at 250 Hz; more are forgotten
 
 
@@ -80,6 +81,7 @@ class CommandWatch(Watch):
         self._numbers: dict[str, int] = {}  # of each native writer's newest write that was read
         self._ahead = 0
         self._is_doubtful = False
+        self._foreign_ns = -_CONTEST_NS  # when a writer without stamps wrote the key last
         self._stops = StopTrace()
         self.urgent = threading.Event()
         self.doubtful = 0
@@ -130,12 +132,14 @@ class CommandWatch(Watch):
             wanted = [key for key in self._keys if touched[key] or touched[keys.stamp(key)]]
             values = self._fetch(reader, wanted)
             later = self._told_meanwhile()
-            if keys.ESTOP in values and self._stops.may_have_missed(values[keys.ESTOP][0]) and self._events:
+            if self._events is not None and self._must_know_all(values):
                 self._hear_all(self._events, later)
             told = touched + later
             native, every = told[keys.stamp(self._shared_key)], told[self._shared_key]
             self._is_doubtful = 0 < native < every
             now_ns = self.clock.monotonic_ns()
+            if native < every:
+                self._foreign_ns = now_ns
             with self._changed:
                 for key, (value, mark) in values.items():
                     self._put(key, value, mark, now_ns, is_foreign=touched[key] > touched[keys.stamp(key)])
@@ -143,6 +147,17 @@ class CommandWatch(Watch):
                     self._note_overwritten(values[self._shared_key][1], touched[keys.stamp(self._shared_key)], now_ns)
                 self._changed.notify_all()
             touched = later
+
+    def _must_know_all(self, values: Mapping[str, Read]) -> bool:
+        """Whether what was read says something only together with every write until then.
+
+        Word of a write comes on another line than what was read, and on a network may come after it: beside a writer
+        without stamps a value is nobody's before all is told.
+        """
+        is_contested = self.clock.monotonic_ns() - self._foreign_ns < _CONTEST_NS
+        return (self._shared_key in values and is_contested) or (
+            keys.ESTOP in values and self._stops.may_have_missed(values[keys.ESTOP][0])
+        )
 
     def _told_meanwhile(self) -> Counter[str]:
         """Count the writes that we are told of by now."""

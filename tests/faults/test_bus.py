@@ -6,13 +6,10 @@ import os
 import signal
 from pathlib import Path
 
-from station.bus import keys
 from station.bus.address import BusAddress
-from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.control.gate import GateConfig
 from station.episode.storage.manifest import load_manifest
-from tests.bus.proxy import Proxy
 from tests.cli.running import COMMANDS_ONLY, SHORT, new_home
 from tests.faults.bus_station import (
     Writers,
@@ -25,7 +22,6 @@ from tests.faults.bus_station import (
 )
 from tests.faults.bus_trials import cut_every_connection, freeze_the_bus, kill_the_bus_twice
 from tests.faults.recorded_station import recorded_station
-from tests.servers.g1_station import LIGHT, G1Process, Log, StockCommander, logged
 from tests.waiting import wait_until
 
 
@@ -90,51 +86,3 @@ def test_in_station_up_a_killed_bus_is_started_again_and_the_station_goes_on(pro
     assert {"bus-lost", "hole"} <= {found["kind"] for found in shown["interruptions"]}
     assert "bus: lost once" in text
     assert "1 hole in the recording" in text
-
-
-def test_a_stop_that_was_pressed_while_the_robot_could_not_hear_is_obeyed_and_a_reset_is_not(
-    bus_server: BusAddress,
-) -> None:
-    with (
-        Proxy(bus_server) as network,
-        Bus(bus_server, name="operator", timeout_s=5.0) as operator,
-        logged(bus_server) as log,
-        G1Process(network.address, *LIGHT),
-        StockCommander(bus_server),
-    ):
-        wait_until(lambda: log.gate()["state"] == "tracking")
-        _unheard(network, operator, log, b'{"stop": true}')
-        wait_until(lambda: log.gate()["state"] == "stopped")
-        _unheard(network, operator, log, b'{"stop": false}')
-        seen = len(log.states())
-        wait_until(lambda: len(log.states()) > seen + 20)
-        assert set(log.states()[seen:]) == {"stopped"}
-        operator.publish({keys.ESTOP: b'{"stop": false}'})
-        wait_until(lambda: log.gate()["state"] == "waiting")
-
-
-def test_a_stop_is_obeyed_though_somebody_has_switched_off_what_tells_the_robot_of_it(bus_server: BusAddress) -> None:
-    """The usual idiom of who wants to hear of expired keys alone, right before the stop; nothing is written again."""
-    with (
-        logged(bus_server) as log,
-        G1Process(bus_server, *LIGHT),
-        StockCommander(bus_server),
-        Bus(bus_server, name="operator", timeout_s=5.0) as operator,
-    ):
-        wait_until(lambda: log.gate()["state"] == "tracking")
-        operator.call("CONFIG", "SET", "notify-keyspace-events", "Ex")
-        operator.call("SET", keys.ESTOP, b'{"stop": true}')
-        wait_until(lambda: log.gate()["state"] == "stopped")
-        told = log.wait_for("watch-back")
-        assert "some client set notify-keyspace-events to 'xE'" in told.detail["reason"]
-        operator.publish({keys.ESTOP: b'{"stop": false}'})
-        wait_until(lambda: log.gate()["state"] == "waiting")
-
-
-def _unheard(network: Proxy, operator: Bus, log: Log, request: bytes) -> None:
-    """Write a request while the robot is cut off, and wait until it is back."""
-    told = len(log.events("bus-back"))
-    network.cut()
-    operator.publish({keys.ESTOP: request})
-    network.mend()
-    wait_until(lambda: len(log.events("bus-back")) > told)

@@ -88,22 +88,6 @@ def test_the_emergency_stop_damps_and_is_left_only_by_a_reset(bus_server: BusAdd
     stop_and_reset(bus_server, stop, *PATIENT)
 
 
-def test_a_stop_that_stood_before_the_server_started_holds(bus_server: BusAddress) -> None:
-    with logged(bus_server) as log, Bus(bus_server, name="anna", timeout_s=5.0) as bus:
-        bus.publish({keys.ESTOP: b"1"})
-        with G1Process(bus_server, *LIGHT):
-            wait_until(lambda: ticks(log) > 10)
-            assert set(log.states()) == {"stopped"}
-
-
-def test_a_command_left_over_from_another_time_moves_nothing(bus_server: BusAddress) -> None:
-    with logged(bus_server) as log, Bus(bus_server, name="ghost", timeout_s=5.0) as bus:
-        publish(bus, leaning(0.0))
-        with G1Process(bus_server, *LIGHT):
-            wait_until(lambda: ticks(log) > 20)
-            assert set(log.states()) == {"waiting"}
-
-
 def test_two_writers_of_the_command_are_an_event_that_names_both(bus_server: BusAddress) -> None:
     with logged(bus_server) as log, G1Process(bus_server, *LIGHT), Bus(bus_server, name="native", timeout_s=5.0) as bus:
         wait_until(lambda: ticks(log) > 5)
@@ -135,22 +119,6 @@ def test_a_fall_is_one_event_and_the_robot_is_put_back_on_its_feet_when_asked(bu
 
 def height_m(log: Log) -> float:
     return float(codec.parse_f64(log.last(keys.sim_qpos(ROBOT)))[2])
-
-
-def test_a_disarmed_robot_is_not_moved_until_it_is_armed(bus_server: BusAddress) -> None:
-    with (
-        logged(bus_server) as log,
-        G1Process(bus_server, *LIGHT, "start_armed=false"),
-        Bus(bus_server, name="anna", timeout_s=5.0) as bus,
-    ):
-        wait_until(lambda: ticks(log) > 10)
-        assert not any(codec.parse_f64(value)[29:].any() for value in log.values(keys.target(ROBOT)))
-        assert len(set(log.values(keys.sim_qpos(ROBOT)))) == 1
-        bus.publish({keys.ESTOP: b'{"stop": false, "arm": true}'})
-        wait_until(lambda: log.gate()["arming"] == "armed")
-        stiffness = [codec.parse_f64(value)[29] for value in log.values(keys.target(ROBOT))]
-    assert np.diff(stiffness).max() < 100.0 * 0.1
-    assert stiffness[-1] == 100.0
 
 
 def test_without_a_bus_the_loop_goes_on_and_says_so_when_the_bus_is_back(processes: None, tmp_path: Path) -> None:

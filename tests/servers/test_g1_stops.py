@@ -1,4 +1,4 @@
-"""No stop escapes a robot, whatever is written after it; and a release starts no motion."""
+"""A motion ends with the stop of its robot. What a stop does to the robot is in `tests/virtual/test_stops.py`."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import Connection
-from tests.control.test_stop_trace import HIDDEN
-from tests.servers.g1_station import LIGHT, ROBOT, G1Process, StockCommander, logged, motion_process, ticks
+from tests.servers.g1_station import ROBOT, logged, motion_process
 from tests.waiting import wait_until
 
 
@@ -32,46 +31,6 @@ def waving(address: BusAddress, *settings: str) -> Iterator[subprocess.Popen[str
             yield motion
         finally:
             motion.kill()
-
-
-def test_a_stop_is_obeyed_though_it_is_overwritten_or_deleted_in_the_same_breath(
-    bus_server: BusAddress, line: Connection
-) -> None:
-    with logged(bus_server) as log, G1Process(bus_server, *LIGHT):
-        wait_until(lambda: log.gate()["state"] == "waiting")
-        kinds = [
-            requests for how, requests in HIDDEN.items() if how != "flushed"
-        ]  # what the robot said is not at stake
-        for count, requests in enumerate(kinds, 1):
-            line.pipeline(requests)
-            log.wait_for("estop", count)
-            wait_until(lambda: log.gate()["state"] == "stopped")
-            acted = ticks(log)
-            wait_until(lambda acted=acted: ticks(log) > acted + 25)  # type: ignore[misc]  # else nothing is released
-            line.call("SET", keys.ESTOP, b"0")
-            log.wait_for("operator-reset", count)
-        assert len(log.events("estop")) == len(kinds)
-
-
-def test_a_release_in_the_middle_of_a_running_command_starts_no_motion(
-    bus_server: BusAddress, line: Connection
-) -> None:
-    with logged(bus_server) as log, G1Process(bus_server, *LIGHT):
-        with StockCommander(bus_server):
-            wait_until(lambda: log.gate()["state"] == "tracking")
-            line.call("SET", keys.ESTOP, b"1")
-            wait_until(lambda: log.gate()["state"] == "stopped")
-            line.call("SET", keys.ESTOP, b"0")
-            log.wait_for("operator-reset")
-            wait_until(lambda: log.gate()["state"] == "waiting")
-            seen, before = len(log.states()), ticks(log)
-            wait_until(lambda: ticks(log) > before + 75)
-            assert set(log.states()[seen:]) == {"waiting"}
-            assert log.gate()["reason"] == "there was a stop; let go, then engage anew"
-        before = ticks(log)
-        wait_until(lambda: ticks(log) > before + 25)
-        with StockCommander(bus_server):
-            wait_until(lambda: log.gate()["state"] == "tracking")
 
 
 @pytest.mark.parametrize("settings", [(), ("pace=state", "patience_s=0.2")], ids=["by the clock", "in lock-step"])

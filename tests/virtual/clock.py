@@ -187,6 +187,17 @@ class VirtualClock(Clock):
         """Whether a process has a thread that has not ended."""
         return not process.is_killed and any(thread.process is process for thread in self._threads)
 
+    def until(self, condition: Callable[[], object], within_s: float = 60.0) -> None:
+        """Wait until something holds that is asked every millisecond.
+
+        Raises:
+            AssertionError: it does not within a time [s].
+        """
+        end_ns = self._now_ns + round(within_s * 1e9)
+        while not condition():
+            assert self._now_ns < end_ns, f"not within {within_s:g} s (seed {self.seed})"
+            self.sleep(0.001)
+
     def call_at(self, instant_ns: int, action: Callable[[], None]) -> None:
         """Have something done at an instant [ns] that waits for nothing: by a network, not by a process."""
         self._count += 1

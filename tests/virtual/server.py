@@ -64,10 +64,14 @@ class Server:
                 if channel in client.channels:
                     client.out(_array([b"message", channel, event.encode()]))
 
-    def put(self, db: int, key: bytes, value: bytes) -> None:
-        """Set a key; it does not expire."""
+    def change(self, db: int, key: bytes, value: bytes) -> None:
+        """Change what a key holds; it expires as before."""
         self.keys(db)[key] = value
         self.journal.append((self._clock.monotonic_ns(), key, value))
+
+    def put(self, db: int, key: bytes, value: bytes) -> None:
+        """Set a key; it does not expire."""
+        self.change(db, key, value)
         self._expiry.pop((db, key), None)
 
     def remove(self, db: int, key: bytes) -> bytes | None:
@@ -87,11 +91,16 @@ class Server:
 
         self._call_at(due_ns, go)
 
-    def move_expiry(self, db: int, source: bytes, target: bytes) -> None:
-        """Let one key expire when another one would have."""
-        due_ns = self._expiry.pop((db, source), None)
+    def copy_expiry(self, db: int, source: bytes, target: bytes) -> None:
+        """Let one key expire when another one does."""
+        due_ns = self._expiry.get((db, source))
         if due_ns is not None:
             self.expire(db, target, max(0, (due_ns - self._clock.monotonic_ns()) // 1_000_000))
+
+    def move_expiry(self, db: int, source: bytes, target: bytes) -> None:
+        """Let one key expire when another one would have."""
+        self.copy_expiry(db, source, target)
+        self._expiry.pop((db, source), None)
 
     @property
     def flags(self) -> bytes:
@@ -267,6 +276,52 @@ def _rename(client: Client, arguments: list[bytes]) -> Reply:
     return _OK
 
 
+def _append(client: Client, arguments: list[bytes]) -> Reply:
+    key, piece = arguments
+    return _grow(client, key, client.server.keys(client.db).get(key, b"") + piece, "append")
+
+
+def _setrange(client: Client, arguments: list[bytes]) -> Reply:
+    key, offset, piece = arguments[0], int(arguments[1]), arguments[2]
+    value = client.server.keys(client.db).get(key, b"")
+    if not piece:
+        return _integer(len(value))
+    value = value.ljust(offset, b"\0")
+    return _grow(client, key, value[:offset] + piece + value[offset + len(piece) :], "setrange")
+
+
+def _grow(client: Client, key: bytes, value: bytes, event: str) -> Reply:
+    client.server.change(client.db, key, value)
+    client.server.touch(client.db, event, "$", key)
+    return _integer(len(value))
+
+
+def _copy(client: Client, arguments: list[bytes]) -> Reply:
+    source, target, *options = arguments
+    held = client.server.keys(client.db)
+    if source == target:
+        return _error("ERR source and destination objects are the same")
+    if source not in held or (target in held and b"REPLACE" not in options):
+        return _integer(0)
+    client.server.put(client.db, target, held[source])
+    client.server.copy_expiry(client.db, source, target)
+    client.server.touch(client.db, "copy_to", "g", target)
+    return _integer(1)
+
+
+def _move(client: Client, arguments: list[bytes]) -> Reply:
+    key, db = arguments[0], int(arguments[1])
+    if db == client.db:
+        return _error("ERR source and destination objects are the same")
+    if key not in client.server.keys(client.db) or key in client.server.keys(db):
+        return _integer(0)
+    client.server.put(db, key, client.server.keys(client.db)[key])
+    client.server.remove(client.db, key)
+    client.server.touch(client.db, "move_from", "g", key)
+    client.server.touch(db, "move_to", "g", key)
+    return _integer(1)
+
+
 def _pexpire(client: Client, arguments: list[bytes]) -> Reply:
     if arguments[0] not in client.server.keys(client.db):
         return _integer(0)
@@ -338,6 +393,6 @@ _COMMANDS: dict[bytes, Callable[[Client, list[bytes]], Reply]] = {
     b"PING": _ping, b"SELECT": _select, b"SET": _set, b"MSET": _mset, b"GET": _get, b"MGET": _mget, b"DEL": _del,
     b"GETDEL": _getdel, b"RENAME": _rename, b"PEXPIRE": _pexpire, b"FLUSHALL": _flushall, b"FLUSHDB": _flushdb,
     b"CONFIG": _config, b"SUBSCRIBE": _subscribe, b"SCAN": _scan, b"MULTI": _multi, b"DISCARD": _discard,
-    b"EXEC": _exec,
+    b"EXEC": _exec, b"UNLINK": _del, b"APPEND": _append, b"SETRANGE": _setrange, b"COPY": _copy, b"MOVE": _move,
 }  # fmt: skip
 """A command that is not in here ends the test that uses it."""

@@ -28,6 +28,7 @@ from station.control.inlet import CommandSample
 from station.control.low_level import LowLevelLoop, result_values
 from station.errors import BusError, Refused
 from station.life.estop import StopWatch
+from station.life.events import Event, decode
 from station.life.leash import Leash
 from station.life.loop import Rate
 from station.life.pace import WallPace
@@ -94,6 +95,7 @@ class ControlledRobot:
     ) -> None:
         self.ticks: list[Tick] = []
         self.life: Life | None = None
+        self.control: ControlStep | None = None
         self.gate = gate or GateConfig()
         self._is_simulated, self._thinks_s = is_simulated, thinks_s
         self._network = network
@@ -110,6 +112,11 @@ class ControlledRobot:
         """State of the gate; "" before the first step."""
         return self.ticks[-1].state if self.ticks else ""
 
+    @property
+    def refused(self) -> int:
+        """How many commands were refused."""
+        return self.control.commanded.inlet.refused.total() if self.control is not None else 0
+
     def stop_past_the_bus(self) -> None:
         """Ask for the emergency stop as the supervisor does, by the leash."""
         assert self.life is not None
@@ -121,7 +128,7 @@ class ControlledRobot:
         clock = self._network.clock
         robot = (IdealSimulation if self._is_simulated else IdealRobot)(clock.monotonic_ns)
         policy = Thinking(clock, self._thinks_s)
-        control = LoggedControl(
+        control = self.control = LoggedControl(
             robot, policy, FORM, gate=self.gate, is_armed=self._is_simulated, clock=clock, ticks=self.ticks
         )
         life._leash = _NoSupervisor()
@@ -323,6 +330,21 @@ COMMANDERS: dict[str, Callable[[Network, Commander, str], None]] = {
 """Who may command: servers of ours, a stock script, a server on another machine."""
 
 
+# ---- what is told ----
+
+
+def events(network: Network, name: str) -> list[Event]:
+    """Return the events of a name that were told on a bus, in order."""
+    key = keys.EVENT.encode()
+    told = [decode(value) for _, written, value in network.server.journal if written == key and value is not None]
+    return [event for event in told if event is not None and event.name == name]
+
+
+def states(robot: ControlledRobot, since: int = 0) -> list[str]:
+    """Return the states of a robot's gate, tick by tick, from a tick on."""
+    return [tick.state for tick in robot.ticks[since:]]
+
+
 # ---- who asks ----
 
 
@@ -339,6 +361,6 @@ def ask(network: Network, act: Callable[[Bus], object]) -> None:
     network.clock.spawn(run, "operator")
 
 
-def arm_request(action: str) -> bytes:
+def request_to(action: str) -> bytes:
     """Return a request to arm or disarm the robot."""
     return json.dumps({"action": action, "id": "x", "who": "anna"}).encode()

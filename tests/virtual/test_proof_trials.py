@@ -7,7 +7,7 @@ import pytest
 from tests.figures import Figures
 from tests.virtual.trial import play
 
-TRIALS = 5_000
+TRIALS = 3_000
 
 
 @pytest.mark.timeout(3600)

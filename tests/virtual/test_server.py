@@ -34,7 +34,9 @@ def command(rng: random.Random) -> list[Any]:
         ["CONFIG", "GET", "notify-keyspace-events"], ["CONFIG", "SET", "notify-keyspace-events", flags],
         ["CONFIG", "SET", "notify-keyspace-events", "K$gx"], ["CONFIG", "SET", "notify-keyspace-events", "Kq"],
         ["CONFIG", "GET", "no-such-setting"], ["PING"], ["PING", "now"], ["SELECT", "1"], ["SELECT", "0"],
-        ["SELECT", "0"], ["MULTI"], ["EXEC"], ["EXEC"], ["DISCARD"], ["FLUSHDB"], ["FLUSHALL"],
+        ["SELECT", "0"], ["MULTI"], ["EXEC"], ["EXEC"], ["UNLINK", key, other], ["APPEND", key, value],
+        ["SETRANGE", key, "2", value], ["COPY", key, other], ["COPY", key, other, "REPLACE"], ["MOVE", key, "1"],
+        ["DISCARD"], ["FLUSHDB"], ["FLUSHALL"],
     ])  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from station.life.stop_button import StopButton
 from tests.virtual.clock import VirtualClock
 from tests.virtual.judge import Bus, Judge
 from tests.virtual.network import Network
-from tests.virtual.station import COMMANDERS, FORM, Commander, ControlledRobot, Walk, arm_request, ask, commander
+from tests.virtual.station import COMMANDERS, FORM, Commander, ControlledRobot, Walk, ask, commander, request_to
 
 SETTLED_S = 0.6
 """After a disturbance is over: so long until the robot's server hears everything again [s]."""
@@ -250,11 +250,11 @@ class Trial:
 
     def _arm(self) -> None:
         self._tell("arm")
-        ask(self.network, lambda bus: bus.publish({keys.ARM: arm_request("arm")}))
+        ask(self.network, lambda bus: bus.publish({keys.ARM: request_to("arm")}))
 
     def _disarm(self) -> None:
         self._tell("disarm")
-        ask(self.network, lambda bus: bus.publish({keys.ARM: arm_request("disarm")}))
+        ask(self.network, lambda bus: bus.publish({keys.ARM: request_to("disarm")}))
 
     # -- the end -----------------------------------------------------------------------------------------------------
     def _set_right(self) -> list[str]:

@@ -31,7 +31,7 @@ from tests.virtual.clock import Process, VirtualClock
 from tests.virtual.network import Network
 from tests.virtual.written import Log
 
-SEEDS = range(20)
+SEEDS = range(12)
 SECONDS = 12.0
 RESUME_S = 5.0
 PATIENCE_S = 4.0
