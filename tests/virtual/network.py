@@ -97,6 +97,11 @@ class Network:
         """Return the instant before which nothing of a link reaches the other end."""
         return max(link.frozen_until_ns, self._frozen_until_ns)
 
+    @property
+    def free_ns(self) -> int:
+        """The instant from which no link is frozen and what was held has passed."""
+        return max(self.passes_ns(link) for link in self._links.values())
+
     def forget(self, stream: Stream) -> None:
         """Let go of a line that is closed."""
         if stream in self._streams:

@@ -262,7 +262,7 @@ class Trial:
         for found in self._commanders:
             self.clock.kill(found.process)
         self._cut_robots_line()
-        self.clock.sleep_until(round(max(end_s for _, end_s in self._disturbed) * 1e9))
+        self.clock.sleep_until(max(self.network.free_ns, round(max(end_s for _, end_s in self._disturbed) * 1e9)))
         self._button("the stop is released", lambda button: button.release("the end", arm=self._is_real))
         self.clock.sleep(0.5)
         self._arm()
