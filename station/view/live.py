@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +39,10 @@ class LiveView:
         robot: Suffix of the robot; "" takes the one that writes a state.
         robot_model: MJCF of the robot, path or ``collection:path``; None for the one that its server names.
 
+    Attributes:
+        robot: Suffix of the robot that is drawn.
+        clock: Time where the bus is.
+
     Raises:
         NotReady: no robot writes a state on this bus.
         AssetMissing, BadFile: `robot_model` is not there, or is none.
@@ -56,12 +59,13 @@ class LiveView:
         self._model, self.warnings = find_model(_stated(bus), self.robot, robot_model)
         self._seen: dict[str, Sample] = {}
         self._states: dict[str, str] = {}
-        self._began_s = time.monotonic()
+        self.clock = bus.clock
+        self._began_s = self.clock.monotonic_s()
         self._prepare()
 
     def look(self) -> int:
         """Draw what is new since the last look; return how many keys that were."""
-        self._recording.set_time(layout.TIMELINE, duration=time.monotonic() - self._began_s)
+        self._recording.set_time(layout.TIMELINE, duration=self.clock.monotonic_s() - self._began_s)
         wanted = (*self._contracts, *self._shown, keys.EVENT)
         fresh = {key: sample for key in wanted if (sample := self._fresh(key)) is not None}
         numbers = {key: found for key in self._contracts if key in fresh and (found := self._numbers(fresh[key]))}
@@ -147,7 +151,7 @@ class LiveView:
 
 def run(view: LiveView, stop: threading.Event, *, rate_hz: float = RATE_HZ) -> None:
     """Look at a fixed rate until asked to stop."""
-    rate = Rate(rate_hz)
+    rate = Rate(rate_hz, view.clock)
     while not stop.is_set():
         rate.wait()
         view.look()

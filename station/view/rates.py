@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections import deque
 
 import msgspec
@@ -42,6 +41,7 @@ class RateMeter:
     """
 
     def __init__(self, address: BusAddress) -> None:
+        self._clock = address.clock
         self._link = Connection(address, timeout_s=1.0)
         if not enable_notifications(self._link):
             self._link.close()
@@ -49,17 +49,16 @@ class RateMeter:
         self._prefix = f"__keyspace@{address.db}__:"
         self._link.send("PSUBSCRIBE", self._prefix + "*")
         self._link.receive(1.0)
-        self._began_s = time.monotonic()
+        self._began_s = self._clock.monotonic_s()
         self._writes: dict[str, deque[float]] = {}
         self._counts: dict[str, int] = {}
         self._lock = threading.Lock()
         self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="key-rates", daemon=True)
-        self._thread.start()
+        self._thread = self._clock.start(self._run, "key-rates")
 
     def rates(self) -> dict[str, KeyRate]:
         """Return the rate of every key seen so far."""
-        now_s = time.monotonic()
+        now_s = self._clock.monotonic_s()
         span_s = min(_WINDOW_S, max(now_s - self._began_s, 1e-3))
         with self._lock:
             return {key: self._rate(key, times, now_s, span_s) for key, times in self._writes.items()}
@@ -67,7 +66,7 @@ class RateMeter:
     def close(self) -> None:
         """Stop counting."""
         self._closed.set()
-        self._thread.join(2.0)
+        self._clock.join(self._thread, 2.0)
         self._link.close()
 
     def __enter__(self) -> RateMeter:
@@ -96,7 +95,7 @@ class RateMeter:
     def _count(self, key: str) -> None:
         if keys.is_stamp(key):
             return
-        now_s = time.monotonic()
+        now_s = self._clock.monotonic_s()
         with self._lock:
             times = self._writes.setdefault(key, deque(maxlen=4096))
             times.append(now_s)

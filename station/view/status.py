@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import msgspec
@@ -68,7 +67,7 @@ def look(bus: Bus, meter: RateMeter) -> Status:
                 role=known.role if known else "unknown",
                 writer=mark.writer if mark else "foreign",
                 rate_hz=rate.rate_hz if rate else 0.0,
-                age_s=_age(rate, mark.wall_ns if mark else None),
+                age_s=_age(rate, mark.wall_ns if mark else None, bus.clock.wall_ns()),
             )
         )
     by_role = sorted(found, key=lambda item: (item.role, item.key))
@@ -78,7 +77,7 @@ def look(bus: Bus, meter: RateMeter) -> Status:
 def look_once(bus: Bus, seconds: float = _LOOK_S) -> Status:
     """Count for a moment and return the status."""
     with RateMeter(bus.address) as meter:
-        time.sleep(seconds)
+        bus.clock.sleep(seconds)
         return look(bus, meter)
 
 
@@ -111,10 +110,10 @@ def _stamps(bus: Bus) -> dict[str, Stamp | None]:
     return {name: stamps.decode(mark) if mark else None for name, mark in zip(names, marks, strict=True)}
 
 
-def _age(rate: KeyRate | None, written_wall_ns: int | None) -> float | None:
+def _age(rate: KeyRate | None, written_wall_ns: int | None, now_wall_ns: int) -> float | None:
     if rate is not None and rate.age_s is not None:
         return rate.age_s
-    return None if written_wall_ns is None else (time.time_ns() - written_wall_ns) * 1e-9
+    return None if written_wall_ns is None else (now_wall_ns - written_wall_ns) * 1e-9
 
 
 def _hertz(rate_hz: float) -> str:

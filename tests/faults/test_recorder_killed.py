@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +27,6 @@ from tests.faults.killed_recorder import (
     kill_while_it_starts,
 )
 from tests.faults.recorded_station import BODY, Writers, assert_holds_everything, recorded_station
-from tests.servers.g1_station import logged
 from tests.waiting import wait_until
 
 RECORDED = ("--yes", "--record", "--task", "t", "--set", "motion.loop=true", *SHORT)
@@ -156,16 +154,3 @@ def test_a_server_that_no_longer_has_it_leaves_a_hole_that_is_measured_and_check
     quality = check(reader)
     assert quality.verdict == "reject"
     assert {"lost", "holes"} <= {reason.rule for reason in quality.reasons}
-
-
-def test_one_that_dies_at_once_again_and_again_is_given_up(bus_server: BusAddress, tmp_path: Path) -> None:
-    with recorded_station(bus_server, tmp_path) as station, logged(bus_server) as log:
-        folder = Path(station.ask("start", task="walk").path or "")
-        while "recorder" not in station.supervisor.ended():
-            pid = station.pid
-            with suppress(ProcessLookupError):  # it has ended by itself
-                station.kill()
-            wait_until(lambda pid=pid: station.pid != pid or "recorder" in station.supervisor.ended())  # type: ignore[misc]
-        wait_until(lambda: log.events("server-given-up"))
-        assert "dies within 3 s each time" in log.events("server-given-up")[0].detail["reason"]
-    assert (folder / "signals.mcap.active").exists()

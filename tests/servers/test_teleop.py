@@ -24,7 +24,6 @@ from tests.servers.operated_station import START_PAUSE, OperatedStation
 from tests.servers.operated_trials import (
     SAME,
     X,
-    Y,
     be_silent_and_crash,
     is_of_the_device,
     record_and_begin_anew,
@@ -115,12 +114,6 @@ def test_an_arm_button_that_nobody_answers_is_told(bus_server: BusAddress) -> No
 
 def test_buttons_record_mark_and_begin_anew(tmp_path: Path) -> None:
     expect_no_worse_but_late("usable", record_and_begin_anew(tmp_path))
-
-
-def test_request_that_nobody_answers_is_told(tmp_path: Path) -> None:
-    with OperatedStation(tmp_path) as station:
-        station.press(Y, until=lambda: station.told("operator-record-refused"))
-        assert "no recorder runs" in station.told("operator-record-refused")[0].detail["reason"]
 
 
 def test_facts_tell_what_the_buttons_mean(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ from tests.virtual.clock import Process, VirtualClock
 from tests.virtual.network import Network
 from tests.virtual.written import Log
 
-SEEDS = range(20)
+SEEDS = range(12)
 SECONDS = 12.0
 RESUME_S = 5.0
 PATIENCE_S = 4.0
@@ -40,12 +40,6 @@ COUNT = "count"
 PERIOD_S = 0.1
 _FIELDS: dict[str, dict[str, Any]] = {"start": {"task": "t"}, "mark": {"label": "x"}}
 LOOK_S = 0.05  # the tap's, and what a line takes
-
-
-@pytest.fixture(autouse=True)
-def _own_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.setattr("sys.setswitchinterval", lambda seconds: None)  # of the process that runs all tests
 
 
 class Asked(NamedTuple):
@@ -127,7 +121,9 @@ class Station:
 
 @contextmanager
 def station(tmp_path: Path, seed: int) -> Iterator[Station]:
-    with VirtualClock(seed, late_ns=1_000_000) as clock:
+    with pytest.MonkeyPatch.context() as patch, VirtualClock(seed, late_ns=1_000_000) as clock:
+        patch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # of the recorders' locks
+        patch.setattr("sys.setswitchinterval", lambda seconds: None)  # of the process that runs all tests
         yield Station(clock, tmp_path / "data")
 
 
@@ -204,6 +200,11 @@ def spoil(place: Station, rng: random.Random) -> str:
 def test_whatever_befalls_it_each_start_is_one_whole_episode_and_what_it_lacks_is_told(
     tmp_path: Path, seed: int
 ) -> None:
+    play(seed, tmp_path)
+
+
+def play(seed: int, tmp_path: Path) -> None:
+    """Run a trial and judge it."""
     rng = random.Random(seed)
     with station(tmp_path, seed) as place:
         end_s = place.clock.monotonic_s() + SECONDS
