@@ -205,7 +205,10 @@ class LowLevelLoop(Generic[StateT, RecordT]):
     def _obey_stop(self, now_s: float) -> bool:
         if self._is_stopped_past_bus:
             self._is_stopped_past_bus = False
+            before = self._watch.take_stop()  # what was written until now releases nothing
             self._stop("key in `station up`")
+            if before is not None and (before.is_release_refused or not before.request.stop):
+                self._life.event("release-refused", severity="warning", reason=_TOO_EARLY)
             return True
         news = self._watch.take_stop()
         if news is None:

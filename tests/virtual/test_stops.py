@@ -126,6 +126,21 @@ def test_a_restarted_bus_that_has_forgotten_a_stop_is_told_again(
     assert len(events(network, "estop-restated")) == 3
 
 
+def test_a_release_from_before_a_stop_past_the_bus_does_not_release_it(
+    clock: VirtualClock, network: Network, robot: ControlledRobot, line: Connection
+) -> None:
+    seen = len(robot.ticks)
+    clock.until(lambda: len(robot.ticks) > seen)  # both come between two ticks
+    line.call("SET", keys.ESTOP, b"0")
+    clock.sleep(0.002)
+    robot.stop_past_the_bus()
+    clock.until(lambda: robot.state == "stopped", 0.05)
+    seen = len(robot.ticks)
+    clock.sleep(0.5)
+    assert set(states(robot, seen)) == {"stopped"}
+    assert len(events(network, "release-refused")) == 1
+
+
 def test_a_stop_past_the_bus_is_obeyed_though_the_bus_is_gone(
     clock: VirtualClock, network: Network, robot: ControlledRobot
 ) -> None:
