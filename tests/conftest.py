@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, settings
 
 from station.bus.address import BusAddress
 from station.software import software
-from tests import figures, leftovers, progress, tiers
+from tests import examples, figures, leftovers, progress, tiers
 from tests.figures import Figures
 from tests.shared_bus import SharedBus
 from tests.warm.starts import WarmStarts
@@ -39,9 +39,11 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     # How long an example takes is the machine's business. The same code gets the same verdict: new examples are drawn
     # where defects are looked for (`make hunt`, proofs).
+    is_new = bool(config.getoption("--new-examples")) or config.getoption("-m") == "proof"
+    examples.draw_new(is_new)
     settings.register_profile(
         "patient", settings(), deadline=None, suppress_health_check=[HealthCheck.too_slow],
-        derandomize=not (config.getoption("--new-examples") or config.getoption("-m") == "proof"),
+        derandomize=not is_new, max_examples=examples.examples(100),
     )  # fmt: skip
     settings.load_profile("patient")
     config.pluginmanager.register(progress.Progress(config), "station-progress")

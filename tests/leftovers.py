@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import signal
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from tests.waiting import wait_until
 from tests.warm.starts import LASTING
 
 ROOT = Path(__file__).parents[1]
+_ALL = "all of them"
 LINES = 40
 """Of each log in the report of a failure, the last."""
 KEYS = 100
@@ -33,13 +35,18 @@ _KNOWN = frozenset({".pytest_cache", ".mypy_cache", ".ruff_cache", "__pycache__"
 
 @contextlib.contextmanager
 def none_left() -> Iterator[None]:
-    """Fail the test whose length this block has when it leaves processes, or real-time scheduling.
+    """Fail the test whose length this block has when it leaves processes, real-time scheduling, or silent loggers.
 
     A process of a fixture that several tests share may stay.
     """
-    children = _children()
+    children, loggers = _children(), _loggers()
     yield
     found = []
+    if (levels := _loggers()) != loggers:
+        found.append(f"levels of loggers: {levels}, before it {loggers}")
+        logging.disable(loggers.pop(_ALL))
+        for name, level in loggers.items():
+            logging.getLogger(name).setLevel(level)
     if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK != os.SCHED_OTHER:
         found.append(f"real-time scheduling (policy {os.sched_getscheduler(0)})")
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
@@ -88,6 +95,11 @@ def _children() -> dict[int, str]:
                 with contextlib.suppress(FileNotFoundError, ProcessLookupError):
                     found[pid] = Path(f"/proc/{pid}/comm").read_text().strip()
     return found
+
+
+def _loggers() -> dict[str, int]:
+    """Return the levels that decide what is logged of the station."""
+    return {name: logging.getLogger(name).level for name in ("root", "station")} | {_ALL: logging.root.manager.disable}
 
 
 def files_in_checkout() -> set[str]:

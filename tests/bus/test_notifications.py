@@ -115,6 +115,6 @@ def test_a_server_that_cuts_the_line_again_and_again_is_not_rushed_and_is_told_o
     answers[b"CONFIG"] = b"*2\r\n$1\r\nx\r\n$4\r\nK$gx\r\n"
     with answering(tmp_path / "bus.sock", answers) as address, Watch(address, ["k"], probe_s=0.001) as watch:
         began_ns = time.monotonic_ns()
-        wait_until(lambda: watch.connections == 10)
+        wait_until(lambda: watch.connections >= 10)
         assert time.monotonic_ns() - began_ns > 0.3 * 1e9, "a twentieth of a second between two"
     assert len([record for record in caplog.records if record.levelno == logging.WARNING]) == 1

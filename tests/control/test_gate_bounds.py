@@ -22,6 +22,7 @@ from station.errors import ConfigError
 from station.life.rivals import FOREIGN
 from station.motion.playback import Playback
 from station.protocols import CommandFormat, Floats, Motion
+from tests.examples import examples
 
 DT = 0.02
 FORMS: dict[str, CommandFormat] = {name: registry.find("command", name) for name in ("twist2", "twist")}
@@ -187,7 +188,7 @@ class WritersAndClocks(RuleBasedStateMachine):
 
 
 TestWritersAndClocks = WritersAndClocks.TestCase
-TestWritersAndClocks.settings = settings(max_examples=60, stateful_step_count=25, deadline=None)
+TestWritersAndClocks.settings = settings(max_examples=examples(60), stateful_step_count=25, deadline=None)
 
 
 @given(

@@ -12,6 +12,7 @@ from station.bus import contracts
 from station.control.gate import Decision, Gate, GateConfig
 from station.control.slew import Bounds
 from station.protocols import CommandFormat, Floats
+from tests.examples import examples
 
 DT = 0.02
 ROUNDING = 1e-9
@@ -124,7 +125,7 @@ _histories = st.lists(
 )  # fmt: skip
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(_histories, st.sampled_from([1.0, 0.5, 3.0]))
 def test_in_no_history_do_velocities_grow_unfollowed_outlive_200_ms_of_it_or_break_their_rate(
     history: list[tuple[str, int, int]], factor: float

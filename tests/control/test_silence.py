@@ -20,6 +20,7 @@ from station.control.inlet import CommandSample
 from station.control.silence import Quiet, Silence
 from tests.control.arm_bench import FORM, STEP
 from tests.control.ideal_arm import TICK_S, IdealArm
+from tests.examples import examples
 
 NEEDED_S = GateConfig().return_after_s
 PROBE_S, GAP_S = 0.05, 0.2  # of a watch that a robot's commands come by
@@ -266,7 +267,7 @@ class OneWhoDoesNotLetGo(RuleBasedStateMachine):
 
 Goes = Callable[[OneWhoDoesNotLetGo], None]
 TestOneWhoDoesNotLetGo = OneWhoDoesNotLetGo.TestCase
-TestOneWhoDoesNotLetGo.settings = settings(max_examples=100, stateful_step_count=30, deadline=None)
+TestOneWhoDoesNotLetGo.settings = settings(max_examples=examples(100), stateful_step_count=30, deadline=None)
 
 
 def stopped_in_motion() -> OneWhoDoesNotLetGo:

@@ -20,6 +20,7 @@ from station.control.gate import Decision, GateConfig
 from station.control.inbox import Arrival, CommandWatch, Inbox, Taken, writer_of
 from station.control.writers import Writers
 from station.protocols import Floats
+from tests.examples import examples
 
 DT_NS = 20_000_000
 START_NS = 5_000_000_000_000
@@ -226,7 +227,7 @@ def expect_nothing_stale_moves(
 SCENES = (st.lists(_steady, max_size=3), st.lists(_messages, max_size=30))
 
 
-@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(400), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(*SCENES)
 def test_nothing_stale_moves_a_joint(
     steady: list[tuple[int, int, float]], messages: list[tuple[int, str, float | int, float]]

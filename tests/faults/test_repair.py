@@ -28,6 +28,7 @@ from station.episode.storage.records import ChunkPlace
 from station.episode.writing.repair import repair
 from station.errors import EpisodeError
 from tests.episode.writes import Native, foreign
+from tests.examples import examples
 from tests.waiting import wait_until
 
 BODY = keys.action_body()
@@ -98,7 +99,7 @@ def assert_good(folder: Path, episode: Episode, kept: int) -> None:
         assert sum(1 for _ in library.iter_messages(topics=[BODY])) == kept // episode.per_chunk * PER_FLUSH
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(cut=st.integers(0, 1 << 30))
 def test_a_file_cut_at_any_byte_becomes_one_that_holds_exactly_the_whole_chunks_before_it(
     episode: Episode, bench: Path, cut: int
@@ -114,7 +115,7 @@ def test_a_file_cut_at_any_byte_becomes_one_that_holds_exactly_the_whole_chunks_
     assert (cut_file, at + cut_bytes) == ("signals.mcap", len(torn))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(bit=st.integers(0, 1 << 40), cut=st.none() | st.integers(0, 1 << 30))
 def test_a_bit_that_flipped_costs_what_stands_behind_it_and_nothing_before(
     episode: Episode, bench: Path, bit: int, cut: int | None

@@ -12,6 +12,7 @@ from station import rotations
 from station.operator import deltas
 from station.operator.deadman import DeadMan, Snapshot
 from station.operator.reading import Pose
+from tests.examples import examples
 
 HERE = Pose(np.array([0.1, 0.2, 1.0]), np.array([1.0, 0.0, 0.0, 0.0]))
 THERE = Pose(np.array([0.4, 0.0, 0.2]), rotations.normalized([0.8, 0.1, -0.5, 0.3]))
@@ -209,5 +210,5 @@ class Session(RuleBasedStateMachine):
             assert (self.deadman.snapshot is not None) is self.deadman.is_engaged
 
 
-Session.TestCase.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+Session.TestCase.settings = settings(max_examples=examples(60), stateful_step_count=40, deadline=None)
 TestSession = Session.TestCase

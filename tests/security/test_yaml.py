@@ -14,6 +14,7 @@ from station import config, safe_yaml
 from station.episode.storage.manifest import Manifest, dump_manifest, parse_manifest
 from station.errors import BadFile, ConfigError, EpisodeError, UsageError
 from station.supervision import runbook
+from tests.examples import examples
 
 _LAUGHS = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 12)
@@ -105,7 +106,7 @@ def test_a_manifest_as_large_as_they_come_is_read() -> None:
     assert parse_manifest(dump_manifest(manifest), "manifest.yaml") == manifest
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(st.one_of(st.text(max_size=60), st.text("{}[]&*!?:-,|>%@`\"'# \n\tab01<", max_size=60)))
 def test_any_text_is_data_or_refused(text: str) -> None:
     with contextlib.suppress(safe_yaml.BadYaml):

@@ -23,9 +23,9 @@ def clock() -> Iterator[VirtualClock]:
 
 
 @pytest.fixture
-def network(clock: VirtualClock) -> Network:
+def network(clock: VirtualClock, caplog: pytest.LogCaptureFixture) -> Network:
     """A bus 10 to 300 us away."""
-    logging.getLogger("station").setLevel(logging.ERROR)
+    caplog.set_level(logging.ERROR, "station")
     return Network(clock, latency_ns=(10_000, 300_000))
 
 

@@ -16,6 +16,7 @@ from station.operator.buttons import Buttons, button_map
 from station.operator.driving import Driving
 from station.operator.reading import Pose, Reading
 from station.protocols import Floats
+from tests.examples import examples
 
 TICK_S = 0.004
 SPEED = 0.3
@@ -98,7 +99,7 @@ class Pilot:
         self.command = command
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(q=poses, begins=st.sampled_from(["joints", "tool"]), segments=st.lists(segment, min_size=1, max_size=8))
 def test_no_limit_is_passed_no_joint_too_fast_no_jump_at_engaging_and_rest_in_the_tick_of_letting_go(
     q: Floats, begins: str, segments: list[tuple[Wish, int, int, str, bool]]

@@ -11,6 +11,7 @@ from adapters.motions.bad_frames import Limits, mend
 from station import rotations
 from station.errors import BadFile
 from tests.adapters.motions.made import smooth, spoiled
+from tests.examples import examples
 
 GOOD = smooth()
 LAST = len(GOOD) - 1
@@ -115,7 +116,7 @@ frames = st.integers(0, LAST)
 numbers = st.one_of(st.floats(), st.sampled_from([np.nan, np.inf, -np.inf, 0.0, 1e300]))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(["root_pos", "root_quat_wxyz", "q"]), frames, numbers), max_size=6))
 def test_whatever_is_spoiled_what_comes_out_is_good_or_refused(changes: list[tuple[str, int, float]]) -> None:
     bad = GOOD

@@ -13,6 +13,7 @@ from adapters.robots.kassow.kinematics import KR810, REACHING_DOWN
 from station.operator import deltas
 from station.operator.reading import Pose
 from station.protocols import Floats
+from tests.examples import examples
 
 LIMITS = arm_limits.load("kassow", "kr810")
 LOWER, UPPER = LIMITS.q_min + arm_limits.SOFT_MARGIN_RAD, LIMITS.q_max - arm_limits.SOFT_MARGIN_RAD
@@ -56,7 +57,7 @@ def test_it_arrives(spread_rad: float, reach_rad: float, most: int, goals: int, 
     assert np.mean(arrived) >= part
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(q=within, goal=within, reach_rad=st.sampled_from([TICK_RAD, 0.05]), away=st.floats(0.0, 3.0))
 def test_no_joint_leaves_its_range_or_is_faster_whatever_is_asked_and_from_wherever(
     q: tuple[float, ...], goal: tuple[float, ...], reach_rad: float, away: float

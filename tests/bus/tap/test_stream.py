@@ -14,6 +14,7 @@ from station.bus.tap import Write, not_mirrored
 from station.bus.tap.base import PROBE, Snapshot
 from station.bus.tap.stream import Stream, encoded_length
 from station.errors import BusError
+from tests.examples import examples
 
 names = st.sampled_from([b"a", b"b", b"a@", b"unitree", b"\xff\xfe"])
 values = st.one_of(
@@ -36,7 +37,7 @@ def test_length_is_right_where_the_number_of_digits_changes(size: int) -> None:
     assert encoded_length([b"SET", b"k", b"x" * size]) == len(pack(b"SET", b"k", b"x" * size))
 
 
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 @given(commands, st.lists(st.integers(1, 60), min_size=1, max_size=20), st.integers(0, 1 << 50))
 def test_pieces_of_any_size_give_the_same_writes_and_the_exact_offset(
     stream_commands: list[tuple[bytes, ...]], sizes: list[int], offset: int

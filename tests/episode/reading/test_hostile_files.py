@@ -30,9 +30,10 @@ from station.errors import StationError
 from tests.episode.crafted import channel, chunk, frame_that_claims, record, silent_bomb, text
 from tests.episode.linear_policy import LinearPolicy
 from tests.episode.synthetic import ROBOT, EpisodeBuilder, walk
+from tests.examples import examples
 
 _SLACK = 48 << 20  # bytes: what reading takes of any file, however small
-FUZZ = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FUZZ = settings(max_examples=examples(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 Flips = st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(1, 255)), min_size=1, max_size=20)
 HOSTILE = (

@@ -22,6 +22,7 @@ from station.episode.storage.manifest import Event, Manifest, dump_manifest, loa
 from station.episode.writing.repair import repair
 from tests.episode.recorded import recorded
 from tests.episode.writes import Native, foreign
+from tests.examples import examples
 
 HASH, NUMBER, LONG = "deadbeef" * 30, int("1" * 201), "x" * 1_000_000
 CLIENT = Native("client")
@@ -148,7 +149,7 @@ def test_any_mix_of_writes_leaves_a_manifest_that_can_be_read(tmp_path: Path, mi
     assert dump_manifest(manifest) == dump_manifest(parse_manifest(dump_manifest(manifest), "again"))
 
 
-@settings(max_examples=100)
+@settings(max_examples=examples(100))
 @given(ODD_VALUE)
 def test_any_plain_data_can_be_written_and_read(value: Any) -> None:
     manifest = Manifest(runbook={"value": value}, quality={"value": value}, events=[Event(at_s=0.0, name="e")])

@@ -12,6 +12,7 @@ from station.bus import keys
 from station.bus.tap import Position, Write
 from station.episode.recorder.queue import Batch, WriteQueue
 from station.episode.storage.drops import Drops, is_bulky
+from tests.examples import examples
 
 BODY = keys.action_body()
 KB, MB = 1000, 1_000_000
@@ -35,7 +36,7 @@ def waiting(queue: WriteQueue) -> list[Write]:
     return [found for batch in copy.deepcopy(queue).take(1 << 60) for found in batch.writes]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.lists(st.one_of(PUT, TAKE), max_size=40))
 def test_for_any_batches_and_any_pace_it_is_bounded_keeps_the_order_and_loses_count_of_nothing(
     steps: list[tuple[str, object]],
@@ -66,7 +67,7 @@ def test_for_any_batches_and_any_pace_it_is_bounded_keeps_the_order_and_loses_co
     assert (queue.writes, queue.size, bool(queue)) == (0, 0, False)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.lists(st.one_of(SMALL, LARGE), min_size=40, max_size=150))
 def test_no_signal_is_dropped_while_an_image_waits(values: list[tuple[str, int]]) -> None:
     queue = WriteQueue(MOST_WRITES, MOST_BYTES)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from station.episode.storage.bounds import cut, size_of
 from station.episode.storage.manifest import Event, Stream
+from tests.examples import examples
 
 TEXT = st.one_of(st.text(max_size=30), st.text(st.sampled_from("a'\n \x01é\U0010ffff"), max_size=400))
 VALUE = st.recursive(
@@ -20,7 +21,7 @@ VALUE = st.recursive(
 )
 
 
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 @given(VALUE, st.integers(0, 3_000))
 def test_what_is_cut_has_the_size_and_what_is_not_cut_is_the_same(value: Any, most: int) -> None:
     found = cut(value, most)

@@ -18,6 +18,7 @@ from station import assets, rotations
 from station.bus.joints import ARM_7
 from station.errors import ConfigError
 from station.protocols import Floats
+from tests.examples import examples
 
 LIMITS = arm_limits.load("kassow", "kr810")
 anywhere = st.lists(st.floats(-6.28, 6.28), min_size=7, max_size=7).map(np.array)
@@ -28,7 +29,7 @@ def model() -> Any:
     return mujoco.MjModel.from_xml_path(str(assets.resolve("builtin:kassow_kr810.xml")))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(q=anywhere)
 def test_flange_and_jacobian_are_where_mujoco_has_them(model: Any, q: Floats) -> None:
     data = mujoco.MjData(model)
@@ -43,7 +44,7 @@ def test_flange_and_jacobian_are_where_mujoco_has_them(model: Any, q: Floats) ->
     assert posture.jacobian() == pytest.approx(np.vstack([along, about]), abs=1e-9)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(q=anywhere)
 def test_the_quaternion_of_a_pose_is_its_rotation_also_where_that_is_half_a_turn(q: Floats) -> None:
     posture = KR810.posture(q)
