@@ -1,5 +1,5 @@
 """Every built-in clip holds in physics, not only in kinematics: by the policy that is built in, and by TWIST2's, which
-does all of them in `tests/test_proof_rehearse.py`."""
+does all of them in `tests/test_proof_rehearse.py`. The tour is the demo's (`tests/cli/test_demo.py`)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TRIED_WITH_TWIST2 = ("squat", "walk-forward")
 
 
 def test_our_policy_does_every_clip_without_a_fall() -> None:
-    assert_done("tracker", builtin.names())
+    assert_done("tracker", [name for name in builtin.names() if name != "tour"])
 
 
 @pytest.mark.assets
