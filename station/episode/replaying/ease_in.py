@@ -5,7 +5,6 @@ From the default pose, where a robot without commands stands; from where it is, 
 
 from __future__ import annotations
 
-import time
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,6 @@ import numpy as np
 from station import registry
 from station.bus import codec, keys
 from station.bus.client import Bus
-from station.clock import SYSTEM
 from station.episode.reading.reader import EpisodeReader
 from station.protocols import CommandFormat, Floats
 
@@ -41,12 +39,12 @@ def ease_in(bus: Bus, reader: EpisodeReader, duration_s: float) -> float:
     if blend is None or duration_s <= 0.0:
         return 0.0
     steps = max(1, round(blend.duration_s * _RATE_HZ))
-    began_ns = time.monotonic_ns()
+    began_ns = bus.clock.monotonic_ns()
     for step in range(steps):
-        SYSTEM.sleep_until(began_ns + round(step / _RATE_HZ * 1e9))
+        bus.clock.sleep_until(began_ns + round(step / _RATE_HZ * 1e9))
         vector = blend.start + (blend.goal - blend.start) * (step / steps)
         bus.publish({blend.key: codec.json_vector(vector)})
-    SYSTEM.sleep_until(began_ns + round(steps / _RATE_HZ * 1e9))
+    bus.clock.sleep_until(began_ns + round(steps / _RATE_HZ * 1e9))
     return steps / _RATE_HZ
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from array import array
 from collections import deque
 from collections.abc import Collection, Iterator
@@ -17,7 +16,6 @@ import numpy as np
 from station.bus import contracts
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.clock import SYSTEM
 from station.episode.reading.reader import EpisodeReader, Message
 from station.episode.replaying.ease_in import ease_in
 from station.episode.replaying.replay_target import look_at, roles_for
@@ -164,11 +162,12 @@ class _Player:
 
     def __init__(self, bus: Bus, report: Replay, speed: float, stop: threading.Event) -> None:
         self._bus, self._report, self._speed, self._stop = bus, report, speed, stop
+        self._clock = bus.clock
         self._lateness: array[int] = array("q")
 
     def run(self, recorded: Iterator[Moment]) -> None:
         ahead = deque(islice(recorded, 1))
-        began_ns = time.monotonic_ns()
+        began_ns = self._clock.monotonic_ns()
         first_ns = ahead[0].at_ns if ahead else 0
         while ahead and not self._stop.is_set():
             moment = ahead.popleft()
@@ -176,17 +175,17 @@ class _Player:
             self._read_ahead(ahead, recorded, due_ns)
             if not self._wait(due_ns):
                 break
-            self._lateness.append(max(0, time.monotonic_ns() - due_ns))
+            self._lateness.append(max(0, self._clock.monotonic_ns() - due_ns))
             self._write(moment)
         else:
             self._report.is_complete = not ahead
-        self._conclude((time.monotonic_ns() - began_ns) * 1e-9)
+        self._conclude((self._clock.monotonic_ns() - began_ns) * 1e-9)
 
     def _delay_ns(self, recorded_ns: int) -> int:
         return 0 if math.isinf(self._speed) else round(recorded_ns / self._speed)
 
     def _read_ahead(self, ahead: deque[Moment], recorded: Iterator[Moment], due_ns: int) -> None:
-        while not ahead or (len(ahead) < _AHEAD and time.monotonic_ns() < due_ns - _SLACK_NS):
+        while not ahead or (len(ahead) < _AHEAD and self._clock.monotonic_ns() < due_ns - _SLACK_NS):
             found = next(recorded, None)
             if found is None:
                 return
@@ -194,10 +193,10 @@ class _Player:
 
     def _wait(self, due_ns: int) -> bool:
         """Sleep until a deadline; False when asked to stop before."""
-        while (left_s := (due_ns - time.monotonic_ns()) * 1e-9) > _NAP_S:
-            if self._stop.wait(min(left_s - _NAP_S / 2, _NAP_S)):
+        while (left_s := (due_ns - self._clock.monotonic_ns()) * 1e-9) > _NAP_S:
+            if self._clock.wait(self._stop, min(left_s - _NAP_S / 2, _NAP_S)):
                 return False
-        SYSTEM.sleep_until(due_ns)
+        self._clock.sleep_until(due_ns)
         return not self._stop.is_set()
 
     def _write(self, moment: Moment) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Collection
 from dataclasses import dataclass
 from typing import get_args
@@ -107,7 +106,7 @@ def _written_now(bus: Bus) -> dict[str, list[str]]:
     suspects = {item.key: item.role for item in contracts.contracts() if item.role in ("state", "command")}
     written: dict[str, list[str]] = {"state": [], "command": []}
     with bus.watch(list(suspects)) as watch:
-        time.sleep(_LISTEN_S)
+        bus.clock.sleep(_LISTEN_S)
         for key, role in suspects.items():
             sample = watch.latest(key)
             if sample is not None and sample.arrived_ns is not None:
