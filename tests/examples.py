@@ -1,8 +1,12 @@
-"""How many random examples a test tries: a third in `make test`, where they are the same ones every time; all of them
-where new ones are drawn (``--new-examples``: `make hunt` and the proofs)."""
+"""How much of a sweep or of random examples a test tries: in `make test` a third, the same one every time; with
+``--new-examples`` all of it, and examples of this day (`make hunt`, and `tests/test_proof_examples.py`)."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import TypeVar
+
+_Case = TypeVar("_Case")
 _LEAST = 10
 _draws = {"new": False}
 
@@ -13,5 +17,10 @@ def draw_new(is_new: bool) -> None:
 
 
 def examples(count: int) -> int:
-    """Return how many of `count` examples are tried in this run."""
+    """Return how many of `count` random examples are tried in this run."""
     return count if _draws["new"] else max(_LEAST, count // 3)
+
+
+def some(cases: Iterable[_Case]) -> list[_Case]:
+    """Return which cases of a sweep are tried in this run: every third, from the first."""
+    return list(cases) if _draws["new"] else list(cases)[::3]

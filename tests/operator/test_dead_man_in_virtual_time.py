@@ -25,11 +25,12 @@ from station.life.serving import serve
 from station.operator.device import Device, DeviceError
 from station.operator.reading import Reading
 from station.operator.serve import serve_device
+from tests.examples import some
 from tests.virtual.clock import Process, VirtualClock
 from tests.virtual.network import Network
 from tests.virtual.written import Log
 
-SEEDS = range(12)
+SEEDS = some(range(12))
 SECONDS = 8.0
 FRESH_S = 0.1 + 0.1 + 0.25 + 0.1
 """The oldest sample by which anybody drives: live by its server's word, newly heard, on its way; and the ticks [s]."""

@@ -18,11 +18,12 @@ from station.life.event_feed import EventFeed
 from station.life.restarts import Restarts
 from station.supervision import supervisor as supervisors
 from station.supervision.supervisor import Supervisor
+from tests.examples import some
 from tests.supervision.processes_in_virtual_time import FakeProcess, Processes, Script, processes_in
 from tests.virtual.clock import VirtualClock
 from tests.virtual.network import Network
 
-SEEDS = range(40)
+SEEDS = some(range(40))
 SHORT_LIFE_S = 3.0
 DELAYS_S = (0.0, 0.25, 0.5, 1.0, 2.0)
 """Before the restarts after one short life, two in a row, and so on; after six it is given up."""

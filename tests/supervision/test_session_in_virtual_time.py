@@ -16,12 +16,13 @@ from station.life.server import HEARTBEAT_S
 from station.supervision import deaths, runbook
 from station.supervision.session import Session
 from station.supervision.supervisor import _STOP_S, Supervisor
+from tests.examples import some
 from tests.supervision.place import Person
 from tests.supervision.processes_in_virtual_time import FakeProcess, Processes, Script, processes_in
 from tests.virtual.clock import VirtualClock
 from tests.virtual.network import Network
 
-SEEDS = range(60)
+SEEDS = some(range(60))
 BOOK = """
 runbook: t
 robot: unitree_g1_with_hands

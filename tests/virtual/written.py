@@ -19,17 +19,16 @@ class Written(NamedTuple):
 
 
 class Log:
-    """Hears a network's server from now on; a restarted one as well."""
+    """What is written on a network's server from now on; on a restarted one as well."""
 
     def __init__(self, network: Network) -> None:
-        self.writes: list[Written] = []
-        server, put = network.server, network.server.put
+        self._journal = network.server.journal
+        self._begin = len(self._journal)
 
-        def put_and_note(db: int, key: bytes, value: bytes) -> None:
-            self.writes.append(Written(network.clock.monotonic_s(), key.decode(), value))
-            put(db, key, value)
-
-        server.put = put_and_note  # type: ignore[method-assign]
+    @property
+    def writes(self) -> list[Written]:
+        new = self._journal[self._begin :]
+        return [Written(at_ns * 1e-9, key.decode(), value) for at_ns, key, value in new if value is not None]
 
     def of(self, key: str) -> list[Written]:
         return [write for write in self.writes if write.key == key]

@@ -24,6 +24,7 @@ from station.bus.joints import G1_29
 from station.operator.reading import Body
 from station.protocols import Reference
 from tests.adapters.retarget.people import ADULT, PERIOD_NS, doing, moved
+from tests.examples import some
 
 RETARGET = BodyRetarget(of_person(ADULT))
 
@@ -35,12 +36,14 @@ def fresh() -> BodyRetarget:
 
 @pytest.mark.parametrize(
     ("clip", "height_m", "legs_rad", "worst_rad"),
-    [
-        ("wave", 1.9, 0.006, 0.08),
-        ("squat", 1.5, 0.012, 0.08),
-        ("walk-forward", 1.9, 0.022, 0.3),
-        ("turn-left", 1.5, 0.025, 0.3),
-    ],
+    some(
+        [
+            ("walk-forward", 1.9, 0.022, 0.3),
+            ("squat", 1.5, 0.012, 0.08),
+            ("turn-left", 1.5, 0.025, 0.3),
+            ("wave", 1.9, 0.006, 0.08),
+        ]
+    ),
 )
 def test_what_a_person_imitates_comes_back(clip: str, height_m: float, legs_rad: float, worst_rad: float) -> None:
     score = evaluate(load(f"builtin:{clip}"), height_m)
@@ -108,7 +111,7 @@ def commands_are_continuous(references: list[Reference]) -> None:
     assert (np.abs(vectors[:, :2]) <= 2.5 * np.sqrt(2) * 1.01).all()
 
 
-@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=len(some(range(12))), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     shift=st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-0.5, 0.5)),
     turn=st.floats(-3.0, 3.0),
@@ -152,7 +155,7 @@ def test_how_far_a_joint_goes_in_a_frame_is_by_the_devices_clock(period_ns: int)
     assert fastest == pytest.approx(Limits().joint_rad_s, rel=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", some(range(4)))
 def test_bodies_that_nobody_has_give_finite_joints_within_their_ranges(seed: int) -> None:
     retarget, random = fresh(), np.random.default_rng(seed)
     for index in range(120):

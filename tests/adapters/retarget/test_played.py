@@ -21,6 +21,7 @@ from station.errors import BadFile, UsageError
 from station.operator.reading import Body
 from station.rehearse import rehearse
 from tests.adapters.retarget.people import ADULT, doing
+from tests.examples import some
 
 
 def test_a_file_gives_back_what_was_written(tmp_path: Path) -> None:
@@ -115,7 +116,7 @@ def test_who_is_how_tall_must_be_known() -> None:
         person_of(load("builtin:wave"), 17)
 
 
-@pytest.mark.parametrize("clip", ["walk-forward", "squat"])
+@pytest.mark.parametrize("clip", some(["walk-forward", "squat"]))
 def test_the_tracker_follows_what_a_person_does_as_it_follows_the_clip(clip: str) -> None:
     """Real policy, real physics, a tracker with noise: no fall, and hardly more error than of the clip itself."""
     rig = build(RigConfig(physics_dt_s=0.002))

@@ -28,6 +28,7 @@ from station.bus.joints import G1_29
 from station.control.inlet import CommandSample
 from station.control.rig import RigConfig, build
 from station.protocols import Floats, Reference
+from tests.examples import some
 
 TICK_S = 0.02
 FEET = ("left_ankle_roll", "right_ankle_roll")
@@ -98,7 +99,7 @@ def test_the_tracker_stays_in_a_fast_curve(turn: float) -> None:
     assert abs(reached[1]) < 0.08
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", some(range(4)))
 def test_whatever_the_sticks_do_nothing_jumps_and_no_joint_leaves_its_range(seed: int) -> None:
     walker = Walker()
     before, velocity = walker.step(TICK_S, Wish()), walker.velocity
@@ -114,7 +115,7 @@ def test_whatever_the_sticks_do_nothing_jumps_and_no_joint_leaves_its_range(seed
     assert walker.velocity == pytest.approx(np.zeros(3))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", some(range(4)))
 def test_feet_that_carry_stand_still(seed: int) -> None:
     _, references = walked(any_wishes(seed, seconds=6.0))
     feet = soles(references)
@@ -126,7 +127,7 @@ def test_feet_that_carry_stand_still(seed: int) -> None:
 
 
 def test_the_rate_of_ticks_does_not_change_where_it_goes() -> None:
-    wishes = [(0.5, Wish()), (3.0, Wish(0.5, 0.1, 0.4)), (1.0, Wish(-0.3)), (4.0, Wish())]
+    wishes = [(0.3, Wish()), (2.0, Wish(0.5, 0.1, 0.4)), (0.8, Wish(-0.3)), (3.0, Wish())]
     slow, fast = (walked(wishes, tick_s)[1][-1].root_pos for tick_s in (0.02, 0.005))
     assert fast == pytest.approx(slow, abs=0.03)
 

@@ -10,6 +10,7 @@ from station_kord import KordBridge, OutOfLimits, State
 
 from adapters.robots.arm_limits import load
 from tests.bridges.kord.arms import LIMITS, ONE_JOINT, arm, ids
+from tests.examples import some
 
 _SHIPPED = load("kassow", "kr810")
 FAST = dataclasses.replace(LIMITS, qd_max=tuple(_SHIPPED.qd_max), qdd_max=tuple(_SHIPPED.qdd_max))
@@ -52,7 +53,7 @@ def _course(bridge: KordBridge, speed_radps: float, then: str, missing: int, how
 @pytest.mark.parametrize("how", ["failed send", "missed heartbeat"])
 @pytest.mark.parametrize("speed_radps", [0.3, 2.0, 2.6])
 def test_one_command_that_did_not_leave_is_no_torque_deviation(speed_radps: float, how: str, then: str) -> None:
-    for missing in (*range(1, LONG, 7), *range(LONG, LONG + 70, 2), LONG + 23, LONG + 25):
+    for missing in some([*range(1, LONG, 7), *range(LONG, LONG + 70, 2), LONG + 23, LONG + 25]):
         with arm(limits=FAST) as bridge:
             state = _course(bridge, speed_radps, then, missing, how)
             assert ids(state) == [], f"missing in tick {missing}"
@@ -62,7 +63,7 @@ def test_one_command_that_did_not_leave_is_no_torque_deviation(speed_radps: floa
 
 @pytest.mark.parametrize("speed_radps", [0.3, 2.0, 2.6])
 def test_one_command_that_is_lost_unseen_while_a_speed_grows_is_no_torque_deviation(speed_radps: float) -> None:
-    for missing in range(1, LONG, 3):
+    for missing in some(range(1, LONG, 3)):
         with arm(limits=FAST) as bridge:
             assert ids(_course(bridge, speed_radps, "cease", missing, "lost frame")) == [], f"missing in tick {missing}"
 
@@ -70,7 +71,7 @@ def test_one_command_that_is_lost_unseen_while_a_speed_grows_is_no_torque_deviat
 @pytest.mark.parametrize("how", ["failed send", "missed heartbeat", "lost frame"])
 def test_a_range_ends_without_a_fault_though_a_command_is_missing_before_it(how: str) -> None:
     begin = (LIMITS.q_max[0] - 0.15, *(0.0,) * 6)
-    for missing in range(60, 125, 2):
+    for missing in some(range(60, 125, 2)):
         with arm(limits=FAST, q_start=begin) as bridge:
             for tick in range(160):
                 bridge.velocity_j(0.5 * ONE_JOINT)

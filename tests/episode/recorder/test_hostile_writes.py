@@ -140,7 +140,7 @@ ODD_WRITE = st.one_of(
 folders: Iterator[int] = itertools.count()
 
 
-@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@settings(max_examples=examples(30), suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(st.lists(st.tuples(ODD_WRITE, st.sampled_from([1, 1, 50])), max_size=10))
 def test_any_mix_of_writes_leaves_a_manifest_that_can_be_read(tmp_path: Path, mix: list[tuple[Write, int]]) -> None:
     folder = recorded(tmp_path / str(next(folders)), [write for write, times in mix for _ in range(times)])

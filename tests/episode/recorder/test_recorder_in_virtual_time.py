@@ -27,11 +27,12 @@ from station.episode.storage.request import Action, RecordAnswer
 from station.errors import StationError
 from station.life.server import Life, ServerKind
 from station.life.serving import serve
+from tests.examples import some
 from tests.virtual.clock import Process, VirtualClock
 from tests.virtual.network import Network
 from tests.virtual.written import Log
 
-SEEDS = range(12)
+SEEDS = some(range(12))
 SECONDS = 12.0
 RESUME_S = 5.0
 PATIENCE_S = 4.0
