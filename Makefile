@@ -20,7 +20,7 @@ test: $(VENV)/.installed-test $(VENV)/.installed-kord   ## the test suite, witho
 	@$(PYTEST) -m "not proof" --changed-builds
 
 quick: $(VENV)/.installed-test   ## only the tests that start no process
-	@$(PYTEST) -m unit
+	@$(BIN)/python -m pytest -n logical --dist worksteal -m unit
 
 prove: $(VENV)/.installed-test $(VENV)/.installed-kord   ## promises in milliseconds, on a quiet machine; writes their figures into docs/
 	@$(BIN)/python -m pytest -m proof --write-figures

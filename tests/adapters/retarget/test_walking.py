@@ -69,7 +69,7 @@ def test_it_stands_as_the_policy_does_until_it_is_told_to_walk() -> None:
 
 
 @pytest.mark.parametrize(
-    "velocity", [(0.5, 0.0, 0.0), (-0.4, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, -0.3, -0.8), (0.7, 0.0, 0.8)]
+    "velocity", some([(0.5, 0.0, 0.0), (-0.4, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, -0.3, -0.8), (0.7, 0.0, 0.8)])
 )
 def test_it_goes_as_fast_as_it_is_told_and_comes_to_a_stand(velocity: tuple[float, float, float]) -> None:
     walker, references = walked([(0.5, Wish()), (6.0, Wish(*velocity)), (5.0, Wish())])
@@ -91,7 +91,7 @@ def test_more_than_the_legs_can_is_cut_off() -> None:
     assert walker.velocity[0] == pytest.approx(-FASTEST_BACK)
 
 
-@pytest.mark.parametrize("turn", [1.0, -1.0])
+@pytest.mark.parametrize("turn", some([1.0, -1.0]))
 def test_the_tracker_stays_in_a_fast_curve(turn: float) -> None:
     asked = (FASTEST[0], 0.0, turn * FASTEST[2])
     reached = velocity_reached(build(RigConfig()), asked)
