@@ -75,12 +75,16 @@ def test_what_the_runbook_wants_started_again_is_whoever_attends(place: Place) -
 
 @contextmanager
 def _running(place: Place, text: str, person: Person, *, unattended: bool = False) -> Iterator[list[int]]:
-    """Run a session in a thread; its exit code is in the list once it has ended, at the latest after the block."""
+    """Run a session in a thread, from its last step on; its exit code is in the list once it has ended.
+
+    A server that dies before the step that starts it is done has failed to start, which is another matter.
+    """
     codes: list[int] = []
     session = place.session(text, person, unattended=unattended)
     thread = threading.Thread(target=lambda: codes.append(session.run(place.stop)))
     thread.start()
     try:
+        wait_until(lambda: person.heard("done start motion"))
         yield codes
     finally:
         place.stop.set()
