@@ -12,7 +12,8 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from station.bus import joints, keys
+from station.bus import keys
+from station.elements import Element, elements, names_of, positions
 from station.errors import ConfigError
 from station.protocols import Floats, Reference
 
@@ -94,6 +95,7 @@ class JointCommand:
 
     name: str
     robot: str
+    elements: tuple[Element, ...]
     default: Floats
     lower: Floats
     upper: Floats
@@ -101,15 +103,26 @@ class JointCommand:
     rate: Floats
     stays: bool = True
     velocities: tuple[int, ...] = ()
+    note: str = ""
 
     @classmethod
-    def within(cls, name: str, robot: str, *, lower: Floats, upper: Floats, margin: Floats, rate: Floats) -> Self:
-        """Return the command of a robot, given by its keys' suffix, between limits of shape (7,), which are copied."""
+    def within(
+        cls, name: str, robot: str, joint_names: tuple[str, ...], *, lower: Floats, upper: Floats, margin: Floats,
+        rate: Floats,
+    ) -> Self:  # fmt: skip
+        """Return the command of a robot's n joints, between limits of shape (n,), which are copied.
+
+        Args:
+            name: Of the format.
+            robot: Suffix of the robot's keys.
+            joint_names: Of its joints, in order.
+            lower, upper, margin, rate: As in `station.protocols.CommandFormat`.
+        """
         default = np.clip(np.zeros(len(lower)), lower, upper)
         lower, upper, margin, rate = (np.array(array) for array in (lower, upper, margin, rate))
         for array in (default, lower, upper, margin, rate):
             array.flags.writeable = False
-        return cls(name, robot, default, lower, upper, margin, rate)
+        return cls(name, robot, elements((positions(joint_names), "rad")), default, lower, upper, margin, rate)
 
     @property
     def companions(self) -> Mapping[str, Floats]:
@@ -122,17 +135,18 @@ class JointCommand:
         return keys.action_joints(self.robot)
 
     def encode(self, reference: Reference, joint_names: tuple[str, ...]) -> Floats:
-        """Return the joints of a reference that are the arm's, shape (7,).
+        """Return the joints of a reference that are the arm's, shape (n,).
 
         Raises:
             ConfigError: the reference lacks one of them.
         """
-        for name in joints.ARM_7:
+        wanted = [element.name.removesuffix("_pos") for element in self.elements]
+        for name in wanted:
             if name not in joint_names:
-                raise ConfigError(f"the motion has no joint {name!r}; the arm needs {', '.join(joints.ARM_7)}")
-        return np.array([reference.q[joint_names.index(name)] for name in joints.ARM_7])
+                raise ConfigError(f"the motion has no joint {name!r}; the arm needs {', '.join(wanted)}")
+        return np.array([reference.q[joint_names.index(name)] for name in wanted])
 
     def facts(self) -> dict[str, Any]:
         """Return what a manifest says of this command, so that what was sent can be derived again."""
         arrays = {name: getattr(self, name).tolist() for name in ("lower", "upper", "margin", "rate")}
-        return {"format": self.name, "key": self.key, **arrays}
+        return {"format": self.name, "key": self.key, "elements": names_of(self.elements), **arrays}

@@ -15,6 +15,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from station.elements import Element
+
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
@@ -252,6 +254,16 @@ class CommandFormat(Protocol):
     @property
     def key(self) -> str:
         """Bus key that carries the vector."""
+        ...
+
+    @property
+    def elements(self) -> tuple[Element, ...]:
+        """Name and unit of each of the m numbers; a joint's position is ``<joint>_pos`` [rad]."""
+        ...
+
+    @property
+    def note(self) -> str:
+        """What the names do not say, frames above all, in a sentence; "" for nothing."""
         ...
 
     @property

@@ -19,6 +19,7 @@ from station.control.gate import GateConfig
 from station.control.inlet import CommandSample
 from station.control.rig import Rig, RigConfig, build
 from station.control.tracking import TrackingError
+from station.elements import names_of
 from station.motion.playback import Frame, Playback
 from station.protocols import CommandFormat, Motion, Policy, Robot
 
@@ -77,7 +78,7 @@ def rehearse(
         robot.reset()
     control = ControlStep(robot, policy, form, gate=gate)
     playback = Playback(motion, form, lead_s=lead_s)
-    error = TrackingError(form.key, robot.joint_names)
+    error = TrackingError(names_of(form.elements), robot.joint_names)
     started_s = time.perf_counter()
     tick, fell_at_s = 0, None
     while not playback.is_done and fell_at_s is None:

@@ -30,6 +30,7 @@ def arm_command(maker: str, limits: ArmLimits, *, speed_rad_s: float = math.inf,
     return JointCommand.within(
         maker,
         robot or f"{maker}_{limits.model}",
+        limits.joint_names,
         lower=lower,
         upper=upper,
         margin=np.full(len(lower), BEYOND_RAD),

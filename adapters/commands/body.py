@@ -10,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from adapters.robots.g1 import joints as g1
+from station.elements import Element, elements, positions
 from station.errors import ConfigError
 from station.protocols import Floats, Reference
 
@@ -22,6 +23,7 @@ class Bound:
     """One element of the head.
 
     Attributes:
+        name, unit: What it is.
         default: Its value when standing.
         lower, upper: Its range.
         margin: How far outside it is still clamped.
@@ -29,6 +31,8 @@ class Bound:
         is_velocity: Whether it is a velocity of the root.
     """
 
+    name: str
+    unit: str
     default: float
     lower: float
     upper: float
@@ -49,6 +53,8 @@ class BodyCommand:
     name: str
     robot: str
     key: str
+    elements: tuple[Element, ...]
+    note: str
     companions: Mapping[str, Floats]
     default: Floats
     lower: Floats
@@ -75,6 +81,7 @@ def body_command(
     name: str,
     robot: str,
     key: str,
+    note: str,
     companions: Mapping[str, int],
     bounds: tuple[Bound, ...],
     joint_names: tuple[str, ...],
@@ -92,6 +99,8 @@ def body_command(
         name=name,
         robot=robot,
         key=key,
+        elements=(*(Element(bound.name, bound.unit) for bound in bounds), *elements((positions(joint_names), "rad"))),
+        note=note,
         companions=MappingProxyType({other: _frozen(np.zeros(size)) for other, size in companions.items()}),
         default=whole("default", pose),
         lower=whole("lower", g1.lower(joint_names)),

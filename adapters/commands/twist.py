@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 
 from adapters.commands.body import Bound, body_command, standing
-from adapters.commands.twist2 import HEIGHT_RATE, TILT, VELOCITY, YAW_RATE
+from adapters.commands.twist2 import PITCH, ROLL, YAW_RATE, height, velocity
 from station.bus import joints, keys
 from station.protocols import Reference
 from station.rotations import roll_pitch_yaw
@@ -28,21 +28,16 @@ def _head(reference: Reference) -> list[float]:
     return [float(reference.root_pos[2]), *rotation, *velocity, float(reference.root_ang_vel[2])]
 
 
+# A heading that passes the half turn jumps by a whole one.
+_YAW = Bound("root_yaw", "rad", 0.0, lower=-math.pi, upper=math.pi, margin=0.1, rate=math.inf)
+
 FORMAT = body_command(
     name="twist",
     robot=keys.TWIST_ROBOT,
     key=keys.action_mimic(),
     companions={keys.action_hands(): 14},
-    bounds=(
-        Bound(0.793, 0.2, 1.2, 0.1, HEIGHT_RATE),
-        TILT,
-        TILT,
-        Bound(0.0, -math.pi, math.pi, 0.1, math.inf),  # a heading that passes the half turn jumps by a whole one
-        VELOCITY,
-        VELOCITY,
-        VELOCITY,
-        YAW_RATE,
-    ),
+    note="yaw is absolute, in the reference's world",
+    bounds=(height(0.793), ROLL, PITCH, _YAW, velocity("x"), velocity("y"), velocity("z"), YAW_RATE),
     joint_names=joints.G1_25,
     default_pose=standing(shoulder_roll=0.2),
     head=_head,

@@ -27,17 +27,28 @@ def _head(reference: Reference) -> list[float]:
 
 # Rates: joints have their motors'. Those of the head leave room above what people walk with once it is retargeted and
 # differentiated frame by frame: 22 m/s^2, 1.2 m/s up and down, 2.9 rad/s of lean, 100 rad/s^2 of turn (1.2 x speed).
-VELOCITY = Bound(default=0.0, lower=-3.0, upper=3.0, margin=1.0, rate=30.0, is_velocity=True)
-TILT = Bound(default=0.0, lower=-1.3, upper=1.3, margin=0.2, rate=6.0)
-YAW_RATE = Bound(default=0.0, lower=-6.0, upper=6.0, margin=3.0, rate=150.0, is_velocity=True)
-HEIGHT_RATE = 3.0
+def velocity(axis: str) -> Bound:
+    """Velocity of the root in its own frame."""
+    return Bound(f"root_vel_{axis}", "m/s", 0.0, lower=-3.0, upper=3.0, margin=1.0, rate=30.0, is_velocity=True)
+
+
+def height(standing_m: float) -> Bound:
+    """Height of the root above ground."""
+    return Bound("root_height", "m", standing_m, lower=0.2, upper=1.2, margin=0.1, rate=3.0)
+
+
+ROLL, PITCH = (
+    Bound(f"root_{tilt}", "rad", 0.0, lower=-1.3, upper=1.3, margin=0.2, rate=6.0) for tilt in ("roll", "pitch")
+)
+YAW_RATE = Bound("root_yaw_rate", "rad/s", 0.0, lower=-6.0, upper=6.0, margin=3.0, rate=150.0, is_velocity=True)
 
 FORMAT = body_command(
     name="twist2",
     robot=keys.TWIST2_ROBOT,
     key=keys.action_body(),
     companions={keys.action_hand("left"): 7, keys.action_hand("right"): 7, keys.action_neck(): 2},
-    bounds=(VELOCITY, VELOCITY, Bound(0.8, 0.2, 1.2, 0.1, HEIGHT_RATE), TILT, TILT, YAW_RATE),
+    note="root velocities in the root frame; height above ground; heading is not commanded",
+    bounds=(velocity("x"), velocity("y"), height(0.8), ROLL, PITCH, YAW_RATE),
     joint_names=joints.G1_29,
     default_pose=standing(shoulder_roll=0.4),
     head=_head,

@@ -72,6 +72,7 @@ class ArmLimits:
         model: Which arm it is, for example ``kr810``.
         source: Where the numbers come from.
         file: What they were read from.
+        joint_names: From the base to the flange.
         q_min, q_max: Ranges of the joints [rad]; never wrapped, a range may be wider than a turn.
         qd_max, qdd_max: Greatest speeds [rad/s] and accelerations [rad/s2].
     """
@@ -79,6 +80,7 @@ class ArmLimits:
     model: str
     source: str
     file: Path
+    joint_names: tuple[str, ...]
     q_min: Floats
     q_max: Floats
     qd_max: Floats
@@ -127,6 +129,6 @@ def load(maker: str, model: str, file: Path | None = None) -> ArmLimits:
         return values
 
     return ArmLimits(
-        model, read.source, path, column("lower_rad"), column("upper_rad"), column("speed_rad_s"),
+        model, read.source, path, names, column("lower_rad"), column("upper_rad"), column("speed_rad_s"),
         column("acceleration_rad_s2"),
     )  # fmt: skip

@@ -3,17 +3,8 @@
 from __future__ import annotations
 
 from station.bus import joints, keys
-from station.bus.contract import (
-    POSE,
-    TIMING_STAGES,
-    Codec,
-    Contract,
-    Element,
-    Role,
-    elements,
-    positions,
-    velocities,
-)  # fmt: skip
+from station.bus.contract import POSE, TIMING_STAGES, Codec, Contract, Role
+from station.elements import Element, elements, positions, velocities
 
 COUNTERS = (
     "tick", "stream_j_sends", "direct_sends", "move_sends", "commands_dropped_by_throttle", "slewed_sends",

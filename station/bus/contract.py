@@ -6,21 +6,11 @@ from typing import Literal, get_args
 
 import msgspec
 
+from station.elements import Element, elements, names_of
+
 Role = Literal["command", "state", "policy", "sensor", "network", "event", "control"]
 VectorCodec = Literal["json-vector", "f32", "f64"]
 Codec = Literal[VectorCodec, "json", "jpeg", "text", "integer"]
-
-
-class Element(msgspec.Struct, frozen=True):
-    """One number of a vector: a name that is a valid field name anywhere, and its unit ("" for none)."""
-
-    name: str
-    unit: str
-
-    @property
-    def title(self) -> str:
-        """What a person reads of it: ``left_knee_pos [rad]``, or its name alone where it has no unit."""
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
 class Contract(msgspec.Struct, frozen=True, kw_only=True):
@@ -28,7 +18,7 @@ class Contract(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         key: The key.
-        family: ``twist``, ``twist2`` or ``station``.
+        family: Whose key it is: ``station``, or the name of the command format or the programs that speak it.
         role: What the value is to a station.
         codec: How the bytes are read.
         elements: Names and units of a vector's numbers in order; empty for other values.
@@ -37,7 +27,7 @@ class Contract(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     key: str
-    family: Literal["twist", "twist2", "station"]
+    family: str
     role: Role
     codec: Codec
     elements: tuple[Element, ...] = ()
@@ -47,27 +37,12 @@ class Contract(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the elements, in order."""
-        return tuple(element.name for element in self.elements)
+        return names_of(self.elements)
 
     @property
     def vector_codec(self) -> VectorCodec | None:
         """How its bytes are read as numbers in order; None where they are none."""
         return next((codec for codec in get_args(VectorCodec) if codec == self.codec), None)
-
-
-def elements(*groups: tuple[tuple[str, ...], str]) -> tuple[Element, ...]:
-    """Build elements from groups of names that share a unit."""
-    return tuple(Element(name, unit) for names, unit in groups for name in names)
-
-
-def positions(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Element names of joint positions."""
-    return tuple(f"{name}_pos" for name in names)
-
-
-def velocities(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Element names of joint velocities."""
-    return tuple(f"{name}_vel" for name in names)
 
 
 POSE = elements((("x", "y", "z"), "m"), (("qw", "qx", "qy", "qz"), ""))

@@ -7,23 +7,13 @@ from __future__ import annotations
 
 from functools import cache
 
+from station import registry
 from station.bus import arm_contracts, joints, keys
-from station.bus.contract import (
-    POSE,
-    TIMING_STAGES,
-    Codec,
-    Contract,
-    Element,
-    Role,
-    elements,
-    positions,
-    velocities,
-)  # fmt: skip
+from station.bus.contract import POSE, TIMING_STAGES, Codec, Contract, Role
+from station.elements import Element, elements, positions, velocities
+from station.protocols import CommandFormat
 
-__all__ = [
-    "BODY_COMMAND_TWIST", "BODY_COMMAND_TWIST2", "TIMING_STAGES", "Codec", "Contract", "Element", "Role", "contract",
-    "contracts", "elements", "positions", "velocities",
-]  # fmt: skip
+__all__ = ["TIMING_STAGES", "Codec", "Contract", "Role", "contract", "contracts"]
 
 
 def contract(key: str) -> Contract | None:
@@ -36,20 +26,6 @@ def contracts() -> tuple[Contract, ...]:
     return tuple(_catalogue().values())
 
 
-BODY_COMMAND_TWIST2 = elements(
-    (("root_vel_x", "root_vel_y"), "m/s"),
-    (("root_height",), "m"),
-    (("root_roll", "root_pitch"), "rad"),
-    (("root_yaw_rate",), "rad/s"),
-    (positions(joints.G1_29), "rad"),
-)
-BODY_COMMAND_TWIST = elements(
-    (("root_height",), "m"),
-    (("root_roll", "root_pitch", "root_yaw"), "rad"),
-    (("root_vel_x", "root_vel_y", "root_vel_z"), "m/s"),
-    (("root_yaw_rate",), "rad/s"),
-    (positions(joints.G1_25), "rad"),
-)
 _GYRO = ("gyro_x", "gyro_y", "gyro_z")
 _QUAT = ("root_quat_w", "root_quat_x", "root_quat_y", "root_quat_z")
 _NECK = elements((("neck_yaw", "neck_pitch"), "rad"))
@@ -66,8 +42,6 @@ def _twist2() -> list[Contract]:
 
     state = elements((_GYRO, "rad/s"), (("root_roll", "root_pitch"), "rad"), (positions(joints.G1_29), "rad"))
     return [
-        make(keys.action_body(), "command", "json-vector", BODY_COMMAND_TWIST2,
-             "root velocities in the root frame; height above ground; heading is not commanded"),
         *(make(keys.action_hand(side), "command", "json-vector", _hand(side)) for side in ("left", "right")),
         make(keys.action_neck(), "command", "json-vector", _NECK),
         make(keys.T_ACTION, "command", "integer", note="wall clock of the command, milliseconds since the epoch"),
@@ -99,7 +73,6 @@ def _twist() -> list[Contract]:
         )
 
     return [
-        make(keys.action_mimic(robot), "command", BODY_COMMAND_TWIST, "yaw is absolute, in the reference's world"),
         make(keys.action_hands(robot), "command", hands, "left hand, then right hand"),
         make(keys.state_body(robot), "state", scaled,
              "scaled proprioception; ankle velocities are zero; stock servers write 105 zeros once at start"),
@@ -107,8 +80,21 @@ def _twist() -> list[Contract]:
     ]  # fmt: skip
 
 
-def _ours(robot: str, command: tuple[Element, ...], names: tuple[str, ...]) -> list[Contract]:
+def _commands() -> list[CommandFormat]:
+    """The command formats that are registered; their elements are those of their keys."""
+    return [registry.find("command", name) for name in registry.names("command")]
+
+
+def _of_command(form: CommandFormat) -> Contract:
+    return Contract(
+        key=form.key, family=form.name, role="command", codec="json-vector", elements=form.elements, rate_hz=50.0,
+        note=form.note,
+    )  # fmt: skip
+
+
+def _ours(robot: str, names: tuple[str, ...]) -> list[Contract]:
     """Contracts of the station's own keys for a robot whose n joints are named."""
+    command = next((form.elements for form in _commands() if form.robot == robot), ())
 
     def make(key: str, role: Role, codec: Codec, items: tuple[Element, ...] = (), note: str = "") -> Contract:
         return Contract(key=key, family="station", role=role, codec=codec, elements=items, rate_hz=50.0, note=note)
@@ -219,10 +205,11 @@ def _of_camera(key: str) -> Contract | None:
 @cache
 def _catalogue() -> dict[str, Contract]:
     every = [
+        *(_of_command(form) for form in _commands()),
         *_twist2(),
         *_twist(),
-        *_ours(keys.TWIST2_ROBOT, BODY_COMMAND_TWIST2, joints.G1_29),
-        *_ours(keys.TWIST_ROBOT, BODY_COMMAND_TWIST, joints.G1_29),
+        *_ours(keys.TWIST2_ROBOT, joints.G1_29),
+        *_ours(keys.TWIST_ROBOT, joints.G1_29),
         *arm_contracts.of(keys.KASSOW_KR810),
         *_station(),
     ]

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from station.bus import codec, contracts
+from station.bus import codec
 from station.protocols import CommandFormat, Floats
 
 RefusalKind = Literal["not-json", "wrong-length", "not-finite", "out-of-range", "second-writer", "stale", "wrong-clock"]
@@ -55,7 +55,7 @@ def check_command(data: bytes, form: CommandFormat) -> Checked | Refusal:
     if len(vector) != size:
         return Refusal("wrong-length", f"{len(vector)} values, expected {size}")
     if not np.isfinite(vector).all():
-        return Refusal("not-finite", f"{element_name(form, int(np.argmin(np.isfinite(vector))))} is not finite")
+        return Refusal("not-finite", f"{form.elements[int(np.argmin(np.isfinite(vector)))].name} is not finite")
     beyond = (vector < form.lower - form.margin) | (vector > form.upper + form.margin)
     if beyond.any():
         return Refusal("out-of-range", _describe(vector, int(np.argmax(beyond)), form))
@@ -182,13 +182,6 @@ class Inlet:
         return Refusal("wrong-clock", f"stamped {-delay_s:.3g} s after it came: not by this machine's monotonic clock")
 
 
-def element_name(form: CommandFormat, index: int) -> str:
-    """Return the name of an element of a command."""
-    contract = contracts.contract(form.key)
-    names = contract.names if contract is not None else ()
-    return names[index] if len(names) == len(form.default) else f"element {index}"
-
-
 def _describe(vector: Floats, index: int, form: CommandFormat) -> str:
     low, high = form.lower[index] - form.margin[index], form.upper[index] + form.margin[index]
-    return f"{element_name(form, index)} is {vector[index]:.4g}, allowed {low:.4g} to {high:.4g}"
+    return f"{form.elements[index].name} is {vector[index]:.4g}, allowed {low:.4g} to {high:.4g}"

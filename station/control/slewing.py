@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from station.control.inlet import element_name
 from station.protocols import CommandFormat
 
 _CALM_S = 0.5  # a command on the edge of what is allowed is slewed now and then; that is one story
@@ -36,4 +35,4 @@ class Slewing:
             self._ticks, self._elements = 0, set()
 
     def _names(self, indices: tuple[int, ...] | set[int]) -> list[str]:
-        return [element_name(self._form, index) for index in sorted(indices)]
+        return [self._form.elements[index].name for index in sorted(indices)]

@@ -12,7 +12,6 @@ import math
 
 import numpy as np
 
-from station.bus import contracts
 from station.protocols import Floats
 
 
@@ -20,13 +19,11 @@ class TrackingError:
     """Accumulates the errors of a run.
 
     Args:
-        command_key: Key of the command; its contract names the elements.
+        names: Of the command's elements.
         joint_names: Joints of the robot, in the order of `q`.
     """
 
-    def __init__(self, command_key: str, joint_names: tuple[str, ...]) -> None:
-        contract = contracts.contract(command_key)
-        names = contract.names if contract is not None else ()
+    def __init__(self, names: tuple[str, ...], joint_names: tuple[str, ...]) -> None:
         pairs = [
             (joint, names.index(f"{name}_pos"))
             for joint, name in enumerate(joint_names)

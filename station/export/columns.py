@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 import msgspec
 
 from station.bus import contracts, keys
-from station.bus.contract import Contract, Element, Role, VectorCodec
+from station.bus.contract import Contract, Role, VectorCodec
+from station.elements import Element
 from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
 from station.errors import EpisodeError, did_you_mean

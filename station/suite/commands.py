@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from station.bus import contracts
+from station.elements import names_of
 from station.errors import ConfigError
 from station.motion.playback import Playback
 from station.protocols import CommandFormat, Floats, Motion
@@ -109,8 +109,7 @@ class _Arm:
 
 def _arms(form: CommandFormat) -> list[dict[str, int]]:
     """Elements of the command that are joints of the left and of the right arm, by the name of the joint."""
-    contract = contracts.contract(form.key)
-    names = contract.names if contract is not None else ()
+    names = names_of(form.elements)
     joints = {name.removesuffix("_pos"): index for index, name in enumerate(names) if name.endswith("_pos")}
     return [
         {name: i for name, i in joints.items() if name.startswith(side) and any(word in name for word in _ARM_WORDS)}

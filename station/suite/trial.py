@@ -15,6 +15,7 @@ from station.control.control import ControlStep, StepRecord
 from station.control.inlet import CommandSample
 from station.control.rig import Rig, RigConfig, build
 from station.control.tracking import TrackingError
+from station.elements import names_of
 from station.errors import ConfigError
 from station.protocols import Floats, Motion, RobotState, SimulatedRobot
 from station.rehearse import rehearse
@@ -55,7 +56,7 @@ class _Watch:
         self.ticks = 0
         self.falls: list[Fell] = []
         self.lean_rad = 0.0
-        self.error = TrackingError(rig.form.key, rig.robot.joint_names)
+        self.error = TrackingError(names_of(rig.form.elements), rig.robot.joint_names)
         self._period_s = rig.period_s
         self._places: list[Floats] = []  # x, y [m] and yaw [rad] of the root
 

@@ -9,7 +9,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from station.bus.contracts import Contract, Element
+from station.bus.contracts import Contract
+from station.elements import Element
 from station.protocols import Floats
 
 CURVES = "curves"

@@ -12,7 +12,8 @@ import pytest
 from PIL import Image
 
 from station.bus import codec, keys
-from station.bus.contracts import Element, contract
+from station.bus.contracts import contract
+from station.elements import Element
 from station.enrich import source
 from station.enrich.enrich import Enriched, enrich
 from station.episode.reading.frames import frames

@@ -10,6 +10,7 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.control.rig import RigConfig
 from station.control.tracking import TrackingError
+from station.elements import names_of
 from station.rehearse import rehearse_all
 from tests.servers.g1_station import FORM, LIGHT, ROBOT, G1Process, Log, logged, motion_process, publish, ticks
 from tests.waiting import wait_until
@@ -53,7 +54,7 @@ def test_a_motion_through_the_lock_step_station_gives_the_figures_of_its_rehears
         with motion_process(bus_server, f"motion={WALK}", "pace=state") as motion:
             _, err = motion.communicate(timeout=100)
             assert motion.returncode == 0, err
-    error = TrackingError(FORM.key, registry.find("command", "twist2").joint_names)
+    error = TrackingError(names_of(FORM.elements), registry.find("command", "twist2").joint_names)
     for state, used, qpos, source in _steps(log):
         if codec.parse_json(source)["phase"] == "playing":
             error.add(codec.parse_f64(state)[:29], codec.parse_f64(used), codec.parse_f64(qpos)[2])

@@ -11,6 +11,7 @@ from adapters.robots.g1.joints import select
 from station import registry
 from station.bus.joints import G1_29
 from station.control.gate import Gate
+from station.elements import elements
 from station.errors import ConfigError
 from station.protocols import CommandFormat, Floats, Motion
 from station.suite import commands
@@ -111,6 +112,6 @@ def test_a_seed_gives_the_same_arms_every_time_and_another_gives_others() -> Non
 
 def test_arms_need_a_format_with_arms_and_a_robot_that_knows_its_speeds() -> None:
     with pytest.raises(ConfigError, match="no element is named after a shoulder, elbow or wrist"):
-        commands.RandomArms(replace(FORM, key="unknown"), SPEEDS, 1)  # type: ignore[type-var]
+        commands.RandomArms(replace(FORM, elements=elements((("joint_1_pos",), "rad"))), SPEEDS, 1)  # type: ignore[type-var]
     with pytest.raises(ConfigError, match="left_shoulder_pitch"):
         commands.RandomArms(FORM, {}, 1)

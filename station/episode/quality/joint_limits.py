@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from station import registry
-from station.bus import contracts
 from station.protocols import CommandFormat, Floats
 
 _JOINT = "_pos"
@@ -31,8 +30,7 @@ def limits(robot: str, joints: tuple[str, ...]) -> JointLimits | None:
     said_by = []
     for name in registry.names("command"):
         form: CommandFormat = registry.find("command", name)
-        contract = contracts.contract(form.key) if form.robot == robot else None
-        known = {item: index for index, item in enumerate(contract.names)} if contract is not None else {}
+        known = {element.name: i for i, element in enumerate(form.elements)} if form.robot == robot else {}
         places = [
             (column, known[f"{joint}{_JOINT}"]) for column, joint in enumerate(joints) if f"{joint}{_JOINT}" in known
         ]

@@ -141,7 +141,7 @@ class StepMeter:
         (asked_names, asked), (names, measured) = used, state
         if self._tracking is None:
             self._joints = tuple(name.removesuffix("_pos") for name in names if name.endswith("_pos"))
-            self._tracking = TrackingError(keys.command_used(self.robot), self._joints)
+            self._tracking = TrackingError(asked_names, self._joints)
         q = measured[: len(self._joints)]
         truth = self._named(step, keys.sim_qpos(self.robot))
         self._tracking.add(q, asked, None if truth is None else float(truth[1][truth[0].index("root_z")]))

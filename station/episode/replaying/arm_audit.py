@@ -106,9 +106,11 @@ def _stated(reader: EpisodeReader, robot: str) -> tuple[JointCommand, GateConfig
     names = ("lower", "upper", "margin", "rate")
     try:
         arrays = {name: np.array(stated[name], dtype=np.float64) for name in names} if isinstance(stated, dict) else {}
-        if any(array.shape != (7,) or not np.isfinite(array).all() for array in arrays.values()) or not arrays:
-            raise ValueError("its limits are not seven numbers each")
-        return JointCommand.within("audit", robot, **arrays), msgspec.convert(facts.get("gate"), GateConfig)
+        count = len(arrays["lower"]) if arrays and arrays["lower"].ndim == 1 else 0
+        if not count or any(array.shape != (count,) or not np.isfinite(array).all() for array in arrays.values()):
+            raise ValueError("its limits are not one number for each joint")
+        joints = tuple(f"joint_{number}" for number in range(1, count + 1))
+        return JointCommand.within("audit", robot, joints, **arrays), msgspec.convert(facts.get("gate"), GateConfig)
     except (KeyError, TypeError, ValueError, msgspec.ValidationError, ConfigError) as error:
         raise EpisodeError(
             f"episode {reader.episode_id}: its manifest does not say how commands of {robot} were limited ({error}); "

@@ -10,6 +10,7 @@ from adapters.commands.body import BodyCommand
 from adapters.motions.load import load
 from station import registry, rotations
 from station.bus import contracts, joints, keys
+from station.elements import positions
 from station.errors import ConfigError
 from station.protocols import CommandFormat, Reference
 
@@ -82,7 +83,7 @@ def test_a_format_fits_its_contract_and_its_registration(form: BodyCommand) -> N
     assert described is not None
     count = len(described.elements)
     assert [len(vector) for vector in (form.default, form.lower, form.upper, form.margin)] == [count] * 4
-    assert described.names[-len(form.joint_names) :] == contracts.positions(form.joint_names)
+    assert described.names[-len(form.joint_names) :] == positions(form.joint_names)
 
 
 @pytest.mark.parametrize("form", BOTH, ids=lambda form: form.name)

@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from adapters.commands.twist2 import FORMAT
 from adapters.exports.kinds import LEROBOT
 from adapters.exports.lerobot.features import INDEX
 from adapters.exports.lerobot.kind import LeRobotOptions
@@ -21,6 +22,7 @@ from adapters.exports.lerobot.modality import groups
 from adapters.exports.lerobot.plan import Camera
 from adapters.exports.lerobot.video import packets
 from station.bus import codec, contracts, keys
+from station.elements import names_of
 from station.errors import EpisodeError
 from station.export import shards
 from station.export.kind import Source
@@ -215,7 +217,7 @@ def test_groups_of_every_contract_cover_it_without_a_gap() -> None:
         spans = list(groups(contract.names).values())
         assert [span["start"] for span in spans] == [0, *(span["end"] for span in spans)][: len(spans)]
         assert not spans or spans[-1]["end"] == len(contract.names)
-    assert set(groups(contracts.BODY_COMMAND_TWIST2 and [item.name for item in contracts.BODY_COMMAND_TWIST2])) == {
+    assert set(groups(names_of(FORMAT.elements))) == {
         "root", "left_leg", "right_leg", "waist", "left_arm", "right_arm",
     }  # fmt: skip
 
