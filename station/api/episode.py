@@ -205,8 +205,8 @@ class Episode:
             robot: One of `robots`; None for the only one that has policy steps.
 
         Raises:
-            UnknownName: no such robot has policy steps.
-            EpisodeError: none is named, and none or several have some; or its file is damaged.
+            UnknownName: no such robot has policy steps, others have.
+            EpisodeError: no robot has policy steps, or several have and none is named; or its file is damaged.
         """
         steps = read_steps(self._reader, robot)
         for table in steps.parts().values():
@@ -302,7 +302,9 @@ class Episode:
         """Say how the values of a key that holds no numbers are read."""
         names = {topic: name for name, topic in frames.cameras(self._reader).items()}
         how = {"pictures": f"pictures({names.get(key)!r})", "json": f"json({key!r})"}.get(held, f"raw({key!r})")
-        raise EpisodeError(f"{self.id}: key {key!r} holds {held}, no numbers with a contract; episode.{how} reads it")
+        has_contract = any(channel.contract is not None for channel in self._channels[key])
+        why = f"holds {held}, no numbers" if has_contract else "has no contract, so nothing says what its numbers are"
+        raise EpisodeError(f"{self.id}: key {key!r} {why}; episode.{how} reads it")
 
     def _table(self, key: str, columns: Sequence[str]) -> Table | Records:
         return self.json(key) if self._holds(key) == "json" and not columns else self.numpy(key, *columns)

@@ -111,14 +111,15 @@ def read_steps(reader: EpisodeReader, robot: str | None) -> Steps:
     """Read the policy steps of a robot; None for the only one that has some.
 
     Raises:
-        UnknownName: no such robot has policy steps.
-        EpisodeError: none is named, and none or several have some.
+        UnknownName: no such robot has policy steps, others have.
+        EpisodeError: no robot has policy steps, or several have and none is named.
     """
     topics = reader.topics()
     known = recorded.robots(topics)
-    if robot is None and len(known) != 1:
-        which = f"policy steps of {' and '.join(known)}; name the robot" if known else "no policy steps in it"
-        raise EpisodeError(f"{reader.episode_id}: {which}")
+    if not known:
+        raise EpisodeError(f"{reader.episode_id}: no policy steps in it")
+    if robot is None and len(known) > 1:
+        raise EpisodeError(f"{reader.episode_id}: policy steps of {' and '.join(known)}; name the robot")
     robot = known[0] if robot is None else robot
     if robot not in known:
         raise UnknownName("robot with policy steps", robot, known)

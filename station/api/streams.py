@@ -14,6 +14,8 @@ from station.episode.storage.manifest import Stream as ListedStream
 
 Holds = Literal["numbers", "json", "pictures", "text", "bytes"]
 
+_TOLD = ("control", "event")
+
 
 @dataclass(frozen=True)
 class Stream:
@@ -92,13 +94,16 @@ def _stream(one: ListedStream, channel: Channel) -> Stream:
 
 
 def lines(streams: Sequence[Stream]) -> list[str]:
-    """Return a line of text per stream, in columns."""
-    width = max((len(stream.key) for stream in streams), default=0)
-    return [
+    """Return a line of text per stream, in columns; what the station's processes tell each other is counted in one."""
+    shown = [stream for stream in streams if stream.role not in _TOLD]
+    width = max((len(stream.key) for stream in shown), default=0)
+    rows = [
         f"  {one.key:<{width}}  {_what(one):<12} {'' if one.rate_hz is None else f'{one.rate_hz:.1f} Hz':>10}"
         f" {one.count:>8} × {one.writer}"
-        for one in streams
+        for one in shown
     ]
+    left_out = f"  and {len(streams) - len(shown)} more of the roles {' and '.join(_TOLD)}, in episode.streams"
+    return [*rows, left_out] if len(shown) < len(streams) else rows
 
 
 def _what(stream: Stream) -> str:

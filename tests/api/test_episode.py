@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -116,6 +117,7 @@ def test_a_robot_that_the_station_has_never_heard_of_has_its_names_and_units(tmp
     assert steps.state["front_knee_pos"].tolist() == [0.0, 1.0, 2.0]
     assert (steps.command.names, steps.command.units) == (("forward_vel",), ("m/s",))
     assert steps.observation.values.shape == (3, 0)
+    assert np.isnan(steps.timing["command_written"]).all()  # a zero of the recording: nothing knows when
 
 
 def test_policy_steps_are_rows_of_what_was_seen_asked_and_done(episode: station.Episode) -> None:
@@ -151,15 +153,15 @@ def test_of_two_robots_in_an_episode_each_has_its_own_steps(tmp_path: Path) -> N
 
 def test_values_that_do_not_fit_are_left_out_and_said(tmp_path: Path) -> None:
     builder = EpisodeBuilder(tmp_path)
-    walk(builder, seconds=0.1)
     state = {STATE: codec.f64(np.zeros(64)), keys.robot_state("odd"): b"1"}
     results = {
-        keys.command_used(ROBOT): codec.f64(np.zeros(3)),
+        keys.command_used(ROBOT): codec.f64(np.zeros(36)),
         keys.policy_timing(ROBOT): b"[1]",
         keys.command_gate(ROBOT): b"{",
     }
-    builder.write(state, at_s=0.5)
-    builder.write(results, at_s=0.503)
+    builder.write(state, at_s=0.05)
+    builder.write(results, at_s=0.053)
+    walk(builder, seconds=0.1)
     episode = station.open_episode(builder.finish())
     with pytest.warns(UserWarning, match=f"{STATE}: 1 of 6 values do not fit"):
         table = episode.numpy(STATE)
@@ -171,9 +173,9 @@ def test_values_that_do_not_fit_are_left_out_and_said(tmp_path: Path) -> None:
         STATE, keys.command_used(ROBOT), keys.policy_timing(ROBOT),
     }  # fmt: skip
     assert len(steps) == 6
-    assert [np.isnan(table.values[-1]).all() for table in steps.parts().values()] == [True] * 6
-    assert not np.isnan(steps.command.values[:-1]).any()
-    assert steps.gate.tolist() == ["tracking"] * 5 + [""]
+    assert [np.isnan(table.values[0]).all() for table in steps.parts().values()] == [True] * 6
+    assert not np.isnan(steps.command.values[1:]).any()
+    assert steps.gate.tolist() == ["", *["tracking"] * 5]
     with pytest.warns(UserWarning, match="1 of 6 values are no JSON"):
         assert len(episode.json(keys.command_gate(ROBOT))) == 5
 
@@ -224,7 +226,10 @@ def test_json_and_events_are_lists_with_times(tmp_path: Path) -> None:
     assert station.open_episode(builder.finish()).events() == []
     builder = EpisodeBuilder(tmp_path, number=2)
     builder.event("fall", at_s=1.5, severity="warning", tilt_rad=1.2)
-    ((time_s, event),) = station.open_episode(builder.finish()).events()
+    episode = station.open_episode(builder.finish())
+    ((time_s, event),) = episode.events()
+    with pytest.raises(station.StationError, match="no policy steps in it"):
+        episode.steps(ROBOT)
     assert time_s == pytest.approx(1.5002)
     assert (event["name"], event["detail"]) == ("fall", {"tilt_rad": 1.2})
 
@@ -250,6 +255,9 @@ def test_counts_of_a_finished_episode_are_those_of_its_recorder(tmp_path: Path) 
     listed = {"key": "own", "source": counted.source, "writer": "x", "count": 1, "lost": 7}
     (folder / "manifest.yaml").write_text(f"streams: [{listed}]")
     assert [stream.lost for stream in station.open_episode(folder).streams] == [7]
+    (folder / "signals.mcap").rename(folder / "signals.mcap.active")
+    assert [stream.lost for stream in station.open_episode(folder).streams] == [0]
+    (folder / "signals.mcap.active").rename(folder / "signals.mcap")
     (folder / "manifest.yaml").write_text(f"streams: [{listed | {'key': 'other'}}]")
     assert [(stream.key, stream.lost) for stream in station.open_episode(folder).streams] == [("own", 0)]
 
@@ -265,9 +273,9 @@ def test_what_cannot_be_read_as_numbers_says_why_and_what_to_do(tmp_path: Path) 
     for key, why in {
         mistaken: rf"unknown key of .* \(did you mean '{STATE}'\?\); known: action_body_.*, target_",
         "gone": "unknown key of .* 'gone'",
-        gate: rf"'{gate}' holds json, no numbers .*; episode.json\('{gate}'\)",
-        "camera_image_head": r"holds pictures, no numbers .*; episode.pictures\('head'\)",
-        "notes": r"holds bytes, no numbers .*; episode.raw\('notes'\)",
+        gate: rf"'{gate}' holds json, no numbers; episode.json\('{gate}'\)",
+        "camera_image_head": r"holds pictures, no numbers; episode.pictures\('head'\)",
+        "notes": r"has no contract, so nothing says what its numbers are; episode.raw\('notes'\)",
     }.items():
         with pytest.raises(station.StationError, match=why):
             episode.numpy(key)
@@ -306,3 +314,16 @@ def test_a_library_that_is_not_installed_is_named_with_the_extra(
             station.StationError, match=rf"{name} frame needs {name} .*; pip install 'teleop-station\[fr"
         ):
             getattr(episode, name)(STATE)
+
+
+def test_an_episode_prints_as_task_length_robots_and_streams(tmp_path: Path) -> None:
+    builder = EpisodeBuilder(tmp_path)
+    walk(builder, seconds=1.0)
+    builder.event("fall", at_s=0.5)
+    builder.foreign("own\x1b[2J", b"1", at_s=0.5)
+    folder = builder.finish({"quality": {"verdict": "usable"}, "timing": {"duration_s": 12.3}})
+    text = repr(station.open_episode(folder))
+    assert text.startswith(f"episode {folder.name}: task walk, 12.3 s, usable, {ROBOT}\n")
+    assert re.search(rf"^  {STATE} +65 numbers +50.0 Hz +50 × g1$", text, re.MULTILINE)
+    assert r"own\x1b[2J" in text
+    assert text.endswith("\n  and 1 more of the roles control and event, in episode.streams")
