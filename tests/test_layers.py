@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[1]
 ARCHITECTURE = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
 HEAVY = (
     "av", "dynamixel_sdk", "grpc", "hid", "hidraw", "matplotlib", "mink", "mujoco", "onnxruntime", "pooch",
-    "pygame", "rerun", "serial", "simplejpeg", "station_kord", "torch", "xrobotoolkit_sdk", "zmq",
+    "pandas", "polars", "pygame", "rerun", "serial", "simplejpeg", "station_kord", "torch", "xrobotoolkit_sdk", "zmq",
 )  # fmt: skip
 
 NO_VERBS = {
@@ -133,6 +133,17 @@ print(json.dumps(heavy))
 """
     said = subprocess.run([sys.executable, "-B", "-c", program], capture_output=True, text=True, check=True).stdout
     assert {what: loaded for what, loaded in json.loads(said).items() if loaded} == {}
+
+
+@pytest.mark.usefixtures("processes")
+def test_the_package_itself_loads_nothing_before_a_name_of_it_is_used() -> None:
+    code = "import station, sys; print(*(m for m in sys.modules if m.startswith('station'))); station.open_episode\n"
+    code += f"print(*(m for m in {HEAVY} if m in sys.modules), dir(station))"
+    run = subprocess.run([sys.executable, "-B", "-c", code], capture_output=True, text=True, check=True)
+    before, after = run.stdout.splitlines()
+    assert before == "station"
+    assert after.startswith("[")  # none of the heavy ones before it
+    assert "'open_episode'" in after
 
 
 @pytest.mark.usefixtures("processes")

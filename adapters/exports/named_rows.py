@@ -100,9 +100,7 @@ class Rows:
         if not self.columns:
             raise EpisodeError(f"{source.episode_id}: no key in it whose numbers have names, so nothing to export")
         self.left_out = sorted(set(found) - set(self.columns))
-        streams = self.reader.streams()
-        anchor = self.reader.anchor
-        self.start_ns = anchor.wall_ns if anchor else min((one.first_ns for one in streams if one.count), default=0)
+        self.start_ns = self.reader.start_ns
         self.counts: Counter[str] = Counter()
         self.unfit: Counter[str] = Counter()
         self.first_ns = self.last_ns = 0

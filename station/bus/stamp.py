@@ -48,7 +48,7 @@ class Stamp(msgspec.Struct, frozen=True):
     @property
     def is_from_this_boot(self) -> bool:
         """Whether `mono_ns` is comparable with this process's monotonic clock."""
-        return self.source.split(".")[2:3] == [boot_id()]
+        return boot_of(self.source) == boot_id()
 
     def encode(self) -> bytes:
         """Return the stamp as it stands on the bus."""
@@ -83,6 +83,11 @@ def integer(digits: bytes) -> int:
 def new_source(name: str) -> str:
     """Return the source of a process that starts now under a server name."""
     return f"{name.replace('.', '-').replace(' ', '-')}.{os.getpid()}.{boot_id()}.{secrets.token_hex(2)}"
+
+
+def boot_of(source: str) -> str:
+    """Return the boot that a source names, whose monotonic clock it has; "" where it names none."""
+    return next(iter(source.split(".")[2:3]), "")
 
 
 @cache

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from station.bus import codec
+from station.bus import stamp as stamps
 from station.episode.reading import frames
 from station.episode.reading.messages import Channel, Ints, Message
 from station.episode.reading.reader import EpisodeReader
@@ -103,7 +104,7 @@ def written_ns(message: Message, boot: str) -> int:
 
 def shares_clock(channel: Channel, boot: str) -> bool:
     """Whether a writer stamped on the monotonic clock that the recorder had (the same machine, not restarted)."""
-    return bool(boot) and channel.source.split(".")[2:3] == [boot]
+    return bool(boot) and stamps.boot_of(channel.source) == boot
 
 
 def skipped(recorded: Recorded) -> Mapping[str, int]:

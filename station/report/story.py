@@ -12,7 +12,6 @@ import numpy as np
 from station.bus import codec, keys
 from station.bus.contracts import Contract
 from station.episode.quality import interruptions
-from station.episode.quality.measuring import start_ns
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step, StepJoiner
@@ -91,7 +90,7 @@ def read(reader: EpisodeReader) -> Story:
         EpisodeError: a chunk in the middle of the file is damaged.
     """
     streams = [stream for stream in reader.streams() if stream.count]
-    begin_ns = start_ns(reader)
+    begin_ns = reader.start_ns
     story = Story(robot=phases.robot_of(reader))
     story.first_s = (min((stream.first_ns for stream in streams), default=begin_ns) - begin_ns) * 1e-9
     story.last_s = (max((stream.last_ns for stream in streams), default=begin_ns) - begin_ns) * 1e-9

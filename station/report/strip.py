@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from typing import NamedTuple
 
-from station.episode.quality.measuring import start_ns
 from station.episode.reading import frames
 from station.episode.reading.frames import Frame
 from station.episode.reading.reader import EpisodeReader
@@ -25,7 +24,7 @@ class Small(NamedTuple):
 
 def strips(reader: EpisodeReader) -> dict[str, list[Small]]:
     """Return small pictures of each camera by its name; one picture of the episode is in memory at a time."""
-    begin_ns = start_ns(reader)
+    begin_ns = reader.start_ns
     counts: dict[str, int] = {}
     for stream in reader.streams():
         if not stream.channel.is_deletion:

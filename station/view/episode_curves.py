@@ -38,8 +38,7 @@ class Source:
             for stream in reader.streams()
             if stream.count and stream.channel.contract is not None and not stream.channel.is_deletion
         }
-        first_ns = min((stream.first_ns for stream in reader.streams() if stream.count), default=0)
-        self._start_ns = reader.anchor.wall_ns if reader.anchor is not None else first_ns
+        self._start_ns = reader.start_ns
         self._cache: dict[str, Numbers | None] = {}
 
     def seconds(self, times_ns: Ints) -> Floats:

@@ -15,7 +15,6 @@ from station import rotations
 from station.bus import keys
 from station.episode.quality import falls
 from station.episode.quality.findings import FallSeen
-from station.episode.quality.measuring import start_ns
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.vectors import numbers
@@ -92,7 +91,7 @@ def read_run(reader: EpisodeReader) -> Run:
     """Read from an episode what pictures show of it, in one pass over its signals."""
     robot = phases.robot_of(reader)
     held = reader.collect(_topics(robot))
-    begin_ns = start_ns(reader)
+    begin_ns = reader.start_ns
     find = _finder(held)
     measured = poses.measured(find, robot)
     name = phases.PhaseNames(phases.motion_facts(reader, robot))

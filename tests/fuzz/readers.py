@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import warnings
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 
 from adapters.policies.tracker.policy import TrackerPolicy
 from station import assets
+from station.api.episode import Episode
 from station.bus import arm_contracts, codec, contracts, keys
 from station.config import to_plain
 from station.control.gate import GateConfig
@@ -75,6 +77,20 @@ def _audited(reader: EpisodeReader) -> None:
     audit(reader, policy=_policy(), robot=ROBOT)
 
 
+def _in_a_notebook(reader: EpisodeReader) -> None:
+    episode = Episode(reader)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # they tell of values that do not fit
+        for key in episode.keys:
+            episode.json(key)
+            try:
+                episode.numpy(key)
+            except StationError:
+                continue
+        for robot in (ROBOT, ARM):
+            episode.steps(robot)
+
+
 _QUALITY, _REPLAYING = "station.episode.quality.", "station.episode.replaying."
 READERS = (
     Reader("check", _checked, (
@@ -84,6 +100,7 @@ READERS = (
     Reader("show", read_run, ("station.view.phases",)),
     Reader("enrich", enrich, ("station.enrich.enrich", "station.enrich.siblings")),
     Reader("export", _numbers, ("station.export.tracks", "station.episode.reading.reader")),
+    Reader("notebook", _in_a_notebook, ("station.api.steps",)),
     Reader("replay", _eased, (_REPLAYING + "ease_in",)),
     Reader("audit", _audited, (_REPLAYING + "arm_audit", _REPLAYING + "audit")),
 )  # fmt: skip

@@ -37,7 +37,7 @@ class Measuring:
 
     def __init__(self, reader: EpisodeReader) -> None:
         topics = reader.topics()
-        self.start_ns = start_ns(reader)
+        self.start_ns = reader.start_ns
         self.counter = StreamCounter()
         self.steps = {robot: StepMeter(robot, self.start_ns) for robot in steps.robots(topics)}
         self.alignment = {robot: AlignmentMeter(robot) for robot in self.steps}
@@ -79,10 +79,3 @@ class Measuring:
         self.events.append(((message.log_ns - self.start_ns) * 1e-9 - interruptions.late_s(event), event))
         if (end := pauses.end_of(message, event)) is not None and len(self.ends) < pauses.MOST_ENDS:
             self.ends.append(end)
-
-
-def start_ns(reader: EpisodeReader) -> int:
-    """Return the instant that times are told from: the anchor, else the first message [ns since the epoch]."""
-    if reader.anchor is not None:
-        return int(reader.anchor.wall_ns)
-    return int(min((stream.first_ns for stream in reader.streams() if stream.count), default=0))

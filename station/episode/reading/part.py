@@ -111,7 +111,7 @@ class Part:
             wanted[number] = channel if is_chosen else None
             return wanted[number]
 
-        with self.path.open("rb") as file:
+        with self._opened() as file:
             for place in places:
                 found: list[Message] = []
                 for number, sequence, log_ns, publish_ns, data in parse_chunk(self._read(file, place), records):
@@ -121,6 +121,12 @@ class Part:
                     value = self._picture(data, channel) if channel.is_typed else data
                     found.append(Message(channel.topic, value, log_ns, publish_ns, sequence, channel))
                 yield place, found
+
+    def _opened(self) -> BinaryIO:
+        try:
+            return self.path.open("rb")
+        except OSError as error:  # a recording that ends renames it
+            raise EpisodeError(f"{self.path}: cannot be read: {error.strerror}; open the episode anew") from error
 
     def _channel(self, record: mcap.records.Channel) -> Channel:
         return channel_of(record, file=self._name, first_id=self._first_id)

@@ -64,6 +64,13 @@ class EpisodeReader:
         """The episode's id."""
         return self.manifest.episode_id or self._contents.metadata.get(layout.EPISODE_RECORD, {}).get("episode_id", "")
 
+    @property
+    def start_ns(self) -> int:
+        """The instant that times are told from: the anchor, else the first message [ns since the epoch]."""
+        if self.anchor is not None:
+            return self.anchor.wall_ns
+        return min((stream.first_ns for stream in self.streams() if stream.count), default=0)
+
     def streams(self) -> list[StreamInfo]:
         """Return every channel with its message count, by topic; the recorder's own bookkeeping is left out."""
         if self._streams is None:
@@ -182,7 +189,7 @@ def open_episode(episode: str | Path, data: Path | None = None) -> EpisodeReader
     """Open an episode named by path, id, unique beginning of an id, or ``latest``.
 
     Args:
-        episode: Folder, MCAP file, id, beginning of an id, or ``latest``.
+        episode: Folder, MCAP file, id, ``task/id``, beginning of an id, or ``latest``.
         data: Data folder to look ids up in; None takes ``$STATION_DATA``, else ``./data``.
 
     Raises:

@@ -54,13 +54,16 @@ class Step:
     before: dict[str, bytes]
 
 
-def robots(topics: Iterable[str]) -> list[str]:
-    """Return the suffixes of the robots whose policy steps are among the topics, sorted."""
-    prefix = keys.policy_timing("")
-    others = keys.policy_obs("")
+def robots(topics: Iterable[str], families: Iterable[Family] = (keys.policy_timing, keys.policy_obs)) -> list[str]:
+    """Return the suffixes of the robots of which keys of some families are among the topics, sorted.
+
+    Args:
+        topics: Keys.
+        families: Of keys; by default those that only policy steps have.
+    """
+    prefixes = [family("") for family in families]
     own = [topic for topic in topics if not keys.is_stamp(topic)]  # a stamp that was deleted is a topic too
-    found = {topic.removeprefix(p) for topic in own for p in (prefix, others) if topic.startswith(p)}
-    return sorted(found)
+    return sorted({topic.removeprefix(p) for topic in own for p in prefixes if topic.startswith(p)})
 
 
 class StepJoiner:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from station.bus.contracts import Codec
+from station.bus.contracts import Codec, Contract
 from station.episode.reading.messages import Message, Vectors
 from station.errors import EpisodeError
+
+Row = Sequence[Any] | NDArray[Any]
 
 _decode_list = msgspec.json.Decoder(list[float]).decode
 _decode_integer = msgspec.json.Decoder(int).decode
@@ -35,24 +37,32 @@ def numbers(topic: str, messages: Sequence[Message]) -> tuple[Vectors, int]:
     if contract is None or contract.codec not in _TYPES:
         holds = "no contract" if contract is None else f"values of kind {contract.codec}"
         raise EpisodeError(f"{topic}: {holds}, so no numbers; read its messages instead")
-    decode = decoder(contract.codec)
-    kept: list[Message] = []
-    rows: list[Any] = []
-    length = len(contract.elements) or None
-    for message in writes:
-        row = decode(message.data)
-        if row is None or (length is not None and len(row) != length):
-            continue
-        length = len(row)
-        rows.append(row)
-        kept.append(message)
-    values = np.array(rows, dtype=_TYPES[contract.codec]).reshape(len(rows), length or 0)
+    found = fitting(contract, (message.data for message in writes))
+    kept = [message for message, row in zip(writes, found, strict=True) if row is not None]
+    rows = [row for row in found if row is not None]
+    width = len(rows[0]) if rows else len(contract.elements)
+    values = np.array(rows, dtype=_TYPES[contract.codec]).reshape(len(rows), width)
     log_ns = np.fromiter((message.log_ns for message in kept), np.int64, len(kept))
     publish_ns = np.fromiter((message.publish_ns for message in kept), np.int64, len(kept))
     return Vectors(log_ns, publish_ns, values), len(writes) - len(kept)
 
 
-def decoder(codec: Codec) -> Callable[[bytes], Sequence[Any] | NDArray[Any] | None]:
+def fitting(contract: Contract, values: Iterable[bytes | None]) -> list[Row | None]:
+    """Return the numbers of each value, all of one length; None for one that does not fit, and for None."""
+    decode = decoder(contract.codec)
+    length = len(contract.elements) or None
+    rows: list[Row | None] = []
+    for value in values:
+        row = decode(value) if value is not None else None
+        if row is not None and length is not None and len(row) != length:
+            row = None
+        if row is not None:
+            length = len(row)
+        rows.append(row)
+    return rows
+
+
+def decoder(codec: Codec) -> Callable[[bytes], Row | None]:
     """Return what makes numbers of the bytes of one value; it returns None for bytes that hold none."""
     if codec == "json-vector":
         return _json_vector

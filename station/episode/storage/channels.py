@@ -45,7 +45,7 @@ class Channel:
         self.encoding = encoding
         self.file = file
         self.contract: Contract | None = contract(key)
-        self.shares_clock = bool(source) and source.split(".")[2:3] == [stamps.boot_id()]
+        self.shares_clock = stamps.boot_of(source) == stamps.boot_id()
         self.count = self.lost = self.repeated = self.last_sequence = 0
         self.first_ns = self.last_ns = self.longest_gap_ns = 0
 

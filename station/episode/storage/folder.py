@@ -71,7 +71,7 @@ def find_episodes(data: Path | None = None) -> list[Path]:
 
 
 def resolve(episode: str | Path, data: Path | None = None) -> Path:
-    """Return the folder (or file) of an episode named by path, id, unique beginning of an id, or ``latest``.
+    """Return the folder (or file) of an episode named by path, id, ``task/id``, beginning of an id, or ``latest``.
 
     Raises:
         EpisodeError: not found, or ambiguous; says what comes close.
@@ -84,7 +84,7 @@ def resolve(episode: str | Path, data: Path | None = None) -> Path:
     episodes = find_episodes(base)
     if name == LATEST and episodes:
         return episodes[-1]
-    exact = [folder for folder in episodes if folder.name == name]
+    exact = [folder for folder in episodes if name in (folder.name, f"{folder.parent.name}/{folder.name}")]
     found = exact or [folder for folder in episodes if folder.name.startswith(name)]
     if len(found) == 1:
         return found[0]
@@ -94,9 +94,10 @@ def resolve(episode: str | Path, data: Path | None = None) -> Path:
     if is_there and path.is_dir():
         raise EpisodeError(f"{path}: no episode: expected {layout.SIGNALS} or {layout.ACTIVE} in it")
     known = [folder.name for folder in episodes]
+    cure = "`station episodes list` shows them" if known else "record one"
     raise EpisodeError(
-        f"episode {name!r}: not found in {base}, which holds {len(known)} episodes{did_you_mean(name, known)}; "
-        "`station episodes list` shows them, --data names another folder"
+        f"episode {name!r}: not found in {base.absolute()}, which holds {len(known)} episodes"
+        f"{did_you_mean(name, known)}; {cure}, or name another folder with --data or ${DATA_VARIABLE}"
     )
 
 

@@ -65,6 +65,7 @@ def test_episodes_are_found_by_path_id_beginning_and_latest(tmp_path: Path) -> N
     assert resolve(old) == old
     assert resolve("2026-11-20-g1-walk-0001", tmp_path) == old
     assert resolve("2026-11-21-g1-s", tmp_path) == newer
+    assert resolve("squat/2026-11-21-g1-squat-0001", tmp_path) == newer
     assert resolve("latest", tmp_path) == newest
     assert signals_file(newest) == newest / "signals.mcap"
 

@@ -1,0 +1,1 @@
+"""What a notebook or a script uses of the station; ``import station`` offers it by name."""

@@ -1,0 +1,336 @@
+"""A recorded episode for notebooks and scripts: its streams as arrays and frames, its policy steps, its pictures."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from station.api import streams as found
+from station.api.steps import Steps, names_and_units, read_steps
+from station.api.streams import Holds, Stream
+from station.api.table import Record, Records, Table
+from station.bus import keys
+from station.episode.reading import frames, reader
+from station.episode.reading.messages import Channel, Ints
+from station.episode.reading.reader import EpisodeReader
+from station.episode.reading.steps import robots
+from station.episode.reading.vectors import numbers
+from station.episode.storage.manifest import Manifest
+from station.errors import EpisodeError, UnknownName
+from station.printable import printable
+from station.protocols import Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import polars as pl
+
+_NANOSECONDS = 1e-9
+_OF_A_ROBOT = (keys.policy_timing, keys.policy_obs, keys.robot_state, keys.state_joints, keys.state_body)
+"""Families of keys of which every robot has one."""
+
+
+def open_episode(episode: str | Path = "latest", data: str | Path | None = None) -> Episode:
+    """Open a recorded episode.
+
+    Args:
+        episode: ``latest``, an id or its unique beginning, ``task/id``, or the path of a folder or an MCAP file.
+        data: Folder of episodes in which ids are looked up; None takes ``$STATION_DATA``, else ``./data``.
+
+    Raises:
+        EpisodeError: not found, ambiguous, or no episode; one line that says what is there.
+    """
+    folder = None if data is None else Path(data).expanduser()
+    return Episode(reader.open_episode(Path(episode).expanduser(), folder))
+
+
+class Episode:
+    """A recorded episode. Values are read from its files when they are asked for.
+
+    Times are seconds from the start of the episode, by the clock of the recorder; `wall_ns` and `mono_ns` turn them
+    into times of the wall clock and of the recorder's monotonic clock. Recorded values that do not fit what their key
+    holds are left out: a Python warning tells how many, and so does ``skipped`` of a `Table` or of `Records`.
+
+    Args:
+        source: What reads its files.
+    """
+
+    def __init__(self, source: EpisodeReader) -> None:
+        self._reader = source
+
+    @property
+    def id(self) -> str:
+        """Name of the episode, unique in its data folder."""
+        return self._reader.episode_id or self.folder.name
+
+    @property
+    def folder(self) -> Path:
+        """Folder of its files."""
+        return self._reader.folder
+
+    @property
+    def manifest(self) -> Manifest:
+        """What was recorded, by whom, with what: task, operator, policy, servers, events, quality."""
+        return self._reader.manifest
+
+    @property
+    def torn(self) -> str | None:
+        """One line that says what its files lack, or that they were never finished; None for whole files."""
+        return self._reader.torn
+
+    @property
+    def verdict(self) -> str:
+        """What the last `station check` wrote: ``good``, ``usable`` or ``reject``; "" before one."""
+        return str(self.manifest.quality.get("verdict", ""))
+
+    @property
+    def duration_s(self) -> float:
+        """Length from start to stop [s]; of torn or unfinished files, from the start to the last message."""
+        recorded = self.manifest.timing.duration_s
+        if self.torn is None and recorded is not None:
+            return recorded
+        last_ns = max((stream.last_ns for stream in self._reader.streams()), default=self._reader.start_ns)
+        return (last_ns - self._reader.start_ns) * _NANOSECONDS
+
+    @cached_property
+    def robots(self) -> list[str]:
+        """Names of its robots, which end their keys: ``robot_state_<name>``."""
+        named = [self.manifest.robot.suffix] if self.manifest.robot.suffix else []
+        return sorted({*robots(self.keys, _OF_A_ROBOT), *named})
+
+    @property
+    def keys(self) -> list[str]:
+        """Every key that has values."""
+        return sorted(self._channels)
+
+    @cached_property
+    def cameras(self) -> list[str]:
+        """Names of its cameras."""
+        return list(frames.cameras(self._reader))
+
+    @cached_property
+    def streams(self) -> list[Stream]:
+        """What each key holds, its names, units, rates and counts, by key and writer; `pandas.DataFrame` takes it."""
+        return found.read_streams(self._reader)
+
+    def numpy(self, key: str, *columns: str) -> Table:
+        """Return the numbers of a key: values (n, m) float64 with names and units, and a time per row.
+
+        Args:
+            key: The key.
+            columns: Names of columns, or patterns such as ``"*_pos"``; none for all columns.
+
+        Raises:
+            UnknownName: the episode has no such key, or the key no such column; says which there are.
+            EpisodeError: the key holds no numbers, or its file is damaged.
+        """
+        held = self._holds(key)
+        if held != "numbers":
+            self._refuse(key, held)
+        messages = self._reader.collect([key])[key]
+        contract = next((message.channel.contract for message in messages if message.channel.contract), None)
+        vectors, skipped = numbers(key, messages)
+        if skipped:
+            _warn(f"{key}: {skipped} of {skipped + len(vectors.values)} values do not fit its contract; left out")
+        width = vectors.values.shape[1]
+        names, units = ((), ()) if contract is None else names_and_units(contract, width)
+        values = np.asarray(vectors.values, dtype=np.float64)
+        table = Table(
+            key, self._seconds(vectors.log_ns), self._seconds(vectors.publish_ns), values, names, units, skipped
+        )
+        return table.select(*columns) if columns else table
+
+    def pandas(self, key: str, *columns: str) -> pd.DataFrame:
+        """Return the values of a key as a pandas frame: index ``time_s`` [s], a column per number or JSON member.
+
+        ``frame.attrs["units"]`` holds the units by column.
+
+        Args:
+            key: The key.
+            columns: Of numbers: names of columns, or patterns such as ``"*_pos"``; none for all columns.
+
+        Raises:
+            StationError: pandas is not installed, or as `numpy` and `json`.
+        """
+        return self._table(key, columns).pandas()
+
+    def polars(self, key: str, *columns: str) -> pl.DataFrame:
+        """Return the values of a key as a polars frame: column ``time_s`` [s], a column per number or JSON member.
+
+        Args:
+            key: The key.
+            columns: Of numbers: names of columns, or patterns such as ``"*_pos"``; none for all columns.
+
+        Raises:
+            StationError: polars is not installed, or as `numpy` and `json`.
+        """
+        return self._table(key, columns).polars()
+
+    def json(self, key: str) -> Records:
+        """Return the JSON values of a key, each with its time.
+
+        Raises:
+            UnknownName: the episode has no such key.
+            EpisodeError: its file is damaged.
+        """
+        self._holds(key)
+        return self._json(key)
+
+    def events(self) -> Records:
+        """Return every event of the station in order of arrival: ``value`` has name, severity, source and detail."""
+        return self._json(keys.EVENT)
+
+    def raw(self, key: str) -> Iterator[tuple[float, bytes]]:
+        """Iterate over the values of a key as they were written: time [s] and the exact bytes.
+
+        Raises:
+            UnknownName: the episode has no such key.
+            EpisodeError: its file is damaged.
+        """
+        self._holds(key)
+        for message in self._reader.messages([key]):
+            if not message.channel.is_deletion:
+                yield (message.log_ns - self._reader.start_ns) * _NANOSECONDS, message.data
+
+    def steps(self, robot: str | None = None) -> Steps:
+        """Return the policy steps of a robot as arrays: command as used, state, observation, action, target, timing.
+
+        Args:
+            robot: One of `robots`; None for the only one that has policy steps.
+
+        Raises:
+            UnknownName: no such robot has policy steps, others have.
+            EpisodeError: no robot has policy steps, or several have and none is named; or its file is damaged.
+        """
+        steps = read_steps(self._reader, robot)
+        for table in steps.parts().values():
+            if table.skipped:
+                _warn(f"{table.key}: {table.skipped} values do not fit its contract; their steps hold NaN")
+        return steps
+
+    def pictures(self, camera: str | None = None) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+        """Iterate over the pictures of a camera: time of capture [s], and RGB, shape (height, width, 3), uint8.
+
+        One picture is in memory at a time. A picture that cannot be decoded is left out, with a warning.
+
+        Args:
+            camera: One of `cameras`; None for the only one.
+
+        Raises:
+            UnknownName: there is no such camera.
+            EpisodeError: none is named, and there is none or there are several; or its file is damaged.
+        """
+        for time_s, jpeg in self.jpegs(camera):
+            rgb = _decoded(jpeg)
+            if rgb is None:
+                _warn(f"camera {camera or self.cameras[0]}: the picture of {time_s:.3f} s cannot be decoded; left out")
+            else:
+                yield time_s, rgb
+
+    def jpegs(self, camera: str | None = None) -> Iterator[tuple[float, bytes]]:
+        """Iterate over the pictures of a camera as recorded: time of capture [s], and the bytes of the JPEG file.
+
+        Args:
+            camera: One of `cameras`; None for the only one.
+
+        Raises:
+            UnknownName: there is no such camera.
+            EpisodeError: none is named, and there is none or there are several; or its file is damaged.
+        """
+        by_name = frames.cameras(self._reader)
+        if camera is None and len(by_name) != 1:
+            which = f"cameras {' and '.join(by_name)}; name one" if by_name else "no camera in it"
+            raise EpisodeError(f"{self.id}: {which}")
+        name = next(iter(by_name)) if camera is None else camera
+        if name not in by_name:
+            raise UnknownName(f"camera of {self.id}", name, by_name)
+        for frame in frames.frames(self._reader, by_name[name]):
+            yield (frame.captured_ns - self._reader.start_ns) * _NANOSECONDS, frame.jpeg
+
+    def wall_ns(self, time_s: ArrayLike) -> Ints:
+        """Return times of the episode on the wall clock [ns since the Unix epoch]; shape as given.
+
+        The wall clock is read once, at the start of an episode, so a step of it bends no times.
+
+        Args:
+            time_s: Times from the start of the episode [s]: of a table, a step, a picture, the index of a frame.
+        """
+        return np.rint(np.asarray(time_s, dtype=np.float64) / _NANOSECONDS).astype(np.int64) + self._reader.start_ns
+
+    def mono_ns(self, time_s: ArrayLike) -> Ints:
+        """Return times of the episode on the monotonic clock of the machine that recorded it [ns]; shape as given.
+
+        Args:
+            time_s: Times from the start of the episode [s].
+
+        Raises:
+            EpisodeError: the episode does not say how its clocks lie.
+        """
+        anchor = self._reader.anchor
+        if anchor is None:
+            raise EpisodeError(f"{self.id}: its file does not say what the monotonic clock was")
+        return self.wall_ns(time_s) - anchor.wall_ns + anchor.mono_ns
+
+    def __repr__(self) -> str:
+        head = (
+            f"episode {self.id}: task {self.manifest.task.name}, {self.duration_s:.1f} s, "
+            f"{self.verdict or 'unchecked'}, {', '.join(self.robots) or 'no robot'}"
+        )
+        torn = [] if self.torn is None else [f"  torn: {self.torn}"]
+        return "\n".join(printable(line) for line in [head, *torn, *found.lines(self.streams)])
+
+    @cached_property
+    def _channels(self) -> dict[str, list[Channel]]:
+        """Channels with values by key."""
+        by_key: dict[str, list[Channel]] = {}
+        for channel in found.values_of(self._reader):
+            by_key.setdefault(channel.topic, []).append(channel)
+        return by_key
+
+    def _holds(self, key: str) -> Holds:
+        if key not in self._channels:
+            raise UnknownName(f"key of {self.id}", key, self._channels)
+        return found.holds(self._channels[key])
+
+    def _refuse(self, key: str, held: Holds) -> NoReturn:
+        """Say how the values of a key that holds no numbers are read."""
+        names = {topic: name for name, topic in frames.cameras(self._reader).items()}
+        how = {"pictures": f"pictures({names.get(key)!r})", "json": f"json({key!r})"}.get(held, f"raw({key!r})")
+        has_contract = any(channel.contract is not None for channel in self._channels[key])
+        why = f"holds {held}, no numbers" if has_contract else "has no contract, so nothing says what its numbers are"
+        raise EpisodeError(f"{self.id}: key {key!r} {why}; episode.{how} reads it")
+
+    def _table(self, key: str, columns: Sequence[str]) -> Table | Records:
+        return self.json(key) if self._holds(key) == "json" and not columns else self.numpy(key, *columns)
+
+    def _json(self, key: str) -> Records:
+        start_ns = self._reader.start_ns
+        records = Records(Record((log_ns - start_ns) * _NANOSECONDS, value) for log_ns, value in self._reader.json(key))
+        records.skipped = self._reader.skipped[key]
+        if records.skipped:
+            _warn(f"{key}: {records.skipped} of {records.skipped + len(records)} values are no JSON; left out")
+        return records
+
+    def _seconds(self, times_ns: Ints) -> Floats:
+        return np.asarray((times_ns - self._reader.start_ns) * _NANOSECONDS, dtype=np.float64)
+
+
+def _decoded(jpeg: bytes) -> NDArray[np.uint8] | None:
+    """Return a picture as RGB, shape (height, width, 3), or None for bytes that are none."""
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(jpeg), formats=("JPEG",)) as picture:
+            return np.asarray(picture.convert("RGB"))
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):  # what Pillow says of broken bytes
+        return None
+
+
+def _warn(text: str) -> None:
+    warnings.warn(printable(text), stacklevel=3)
