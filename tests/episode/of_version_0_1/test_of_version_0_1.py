@@ -14,10 +14,7 @@ from typing import Any
 
 import pytest
 
-from station import registry
 from tests.episode.of_version_0_1.figures import figures
-
-registry.find("robot", "g1-mujoco")  # loads MuJoCo, which starts a process when it is imported; no unit test may
 
 PLACE = Path(__file__).parent
 EXPECTED: dict[str, dict[str, Any]] = json.loads((PLACE / "figures.json").read_text(encoding="utf-8"))
