@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, Self
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from station.bus import joints, keys
 from station.errors import ConfigError
-from station.protocols import Floats, Reference
+
+if TYPE_CHECKING:  # NumPy is loaded where vectors are made: `station doctor` makes none
+    from station.protocols import Floats, Reference
 
 
 def remedy_of(fault: str) -> str:
@@ -105,6 +105,8 @@ class JointCommand:
     @classmethod
     def within(cls, name: str, robot: str, *, lower: Floats, upper: Floats, margin: Floats, rate: Floats) -> Self:
         """Return the command of a robot, given by its keys' suffix, between limits of shape (7,), which are copied."""
+        import numpy as np
+
         default = np.clip(np.zeros(len(lower)), lower, upper)
         lower, upper, margin, rate = (np.array(array) for array in (lower, upper, margin, rate))
         for array in (default, lower, upper, margin, rate):
@@ -127,6 +129,8 @@ class JointCommand:
         Raises:
             ConfigError: the reference lacks one of them.
         """
+        import numpy as np
+
         for name in joints.ARM_7:
             if name not in joint_names:
                 raise ConfigError(f"the motion has no joint {name!r}; the arm needs {', '.join(joints.ARM_7)}")

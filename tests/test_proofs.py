@@ -67,7 +67,9 @@ def bounds_a_duration(node: ast.AST) -> bool:
 
 
 def test_only_proofs_excuse_a_machine_that_was_late() -> None:
-    found = {str(path.relative_to(ROOT)) for path, tree in trees("lateness", "late_verdicts") if imported(tree) & OF_LATENESS}
+    found = {
+        str(path.relative_to(ROOT)) for path, tree in trees("lateness", "late_verdicts") if imported(tree) & OF_LATENESS
+    }
     assert [name for name in sorted(found - MAY_EXCUSE) if not is_proof(Path(name))] == []
 
 
