@@ -106,9 +106,9 @@ def _owner(name: str, folder: Path) -> Distribution | None:
     """Return the distribution, other than ours, that has installed a package into a folder."""
     from importlib.metadata import distributions
 
-    files = (f"{name}/__init__.py,", f"{name}.py,")
+    files = (f"\n{name}/__init__.py,", f"\n{name}.py,")
     for each in distributions(path=[str(folder)]):
-        recorded = (each.read_text("RECORD") or "").splitlines()
-        if any(line.startswith(files) for line in recorded) and each.name != DISTRIBUTION:
+        recorded = f"\n{each.read_text('RECORD') or ''}"  # of some distributions ten thousand lines
+        if any(file in recorded for file in files) and each.name != DISTRIBUTION:
             return each
     return None

@@ -22,6 +22,8 @@ BUILD = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["to
 PACKAGES: list[str] = BUILD["wheel"]["packages"]
 ELSEWHERE: list[str] = BUILD["wheel"]["exclude"]
 
+pytestmark = pytest.mark.timeout(300)  # a cold start of everything, on a busy machine
+
 DRY_RUNS = """
 import station
 from station import packages
