@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, Self
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from station.bus import keys
 from station.elements import Element, elements, names_of, positions
 from station.errors import ConfigError
-from station.protocols import Floats, Reference
+
+if TYPE_CHECKING:  # NumPy is loaded where vectors are made: `station doctor` makes none
+    from station.protocols import Floats, Reference
 
 
 def remedy_of(fault: str) -> str:
@@ -118,6 +118,8 @@ class JointCommand:
             joint_names: Of its joints, in order.
             lower, upper, margin, rate: As in `station.protocols.CommandFormat`.
         """
+        import numpy as np
+
         default = np.clip(np.zeros(len(lower)), lower, upper)
         lower, upper, margin, rate = (np.array(array) for array in (lower, upper, margin, rate))
         for array in (default, lower, upper, margin, rate):
@@ -140,6 +142,8 @@ class JointCommand:
         Raises:
             ConfigError: the reference lacks one of them.
         """
+        import numpy as np
+
         wanted = [element.name.removesuffix("_pos") for element in self.elements]
         for name in wanted:
             if name not in joint_names:

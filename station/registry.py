@@ -10,7 +10,8 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal
 
-from station.errors import UnknownName
+from station import packages
+from station.errors import StationError, UnknownName
 
 Kind = Literal[
     "server",
@@ -70,8 +71,20 @@ def find(kind: Kind, name: str) -> Any:
 
     Raises:
         UnknownName: nothing is registered under it; the message lists what is.
+        StationError: a package of somebody else has the name of one of ours, and hides it.
     """
     entry = _entries(kind).get(name)
     if entry is None:
         raise UnknownName(kind, name, _entries(kind))
-    return entry.load()
+    _expect_our_packages()
+    try:
+        return entry.load()
+    except ImportError as error:
+        if (foreign := next(packages.foreign(), None)) is not None:
+            raise StationError(f"{foreign} ({error})") from error
+        raise
+
+
+@cache
+def _expect_our_packages() -> None:
+    packages.expect_ours()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib
 import json
+import os
 import re
 import subprocess
 import sys
@@ -17,6 +18,7 @@ import pytest
 
 from station import registry
 from station.bus import keys
+from station.bus.address import BusAddress
 from station.cli.main import VERBS, module_of
 
 ROOT = Path(__file__).parents[1]
@@ -27,7 +29,8 @@ HEAVY = (
 )  # fmt: skip
 
 NO_VERBS = {
-    "__init__", "calibrate_operator", "face", "fields", "keyboard", "main", "options", "quality", "stop_key", "tables",
+    "__init__", "calibrate_operator", "candidates", "face", "fields", "keyboard", "main", "options", "quality",
+    "stop_key", "tables",
 }  # fmt: skip
 """Modules of `station.cli` that verbs share."""
 
@@ -135,6 +138,33 @@ print(json.dumps(heavy))
     assert {what: loaded for what, loaded in json.loads(said).items() if loaded} == {}
 
 
+NUMBERS = ("numpy", "scipy", "pandas", "google.protobuf", "redis")
+"""Loaded by what makes vectors: NumPy alone takes longer than all else that `station estop` does."""
+
+RUN = """
+import sys
+from station.cli import main
+for line in sys.argv[1:]:
+    sys.argv = ["station", *line.split()]
+    try:
+        main.main()
+    except SystemExit:
+        pass
+    print("loaded by", line, *sys.modules)
+"""
+
+
+def loaded_by(*lines: str, bus: BusAddress | None = None) -> dict[str, set[str]]:
+    """Run command lines one after another in a process that is started cold; return what each of them has loaded, and
+    those before it."""
+    environment = os.environ | ({} if bus is None else {"STATION_BUS": bus.url})
+    done = subprocess.run(
+        [sys.executable, "-B", "-c", RUN, *lines], capture_output=True, text=True, check=True, env=environment
+    )
+    told = [said.removeprefix("loaded by ") for said in done.stdout.splitlines() if said.startswith("loaded by ")]
+    return {line: set(said.removeprefix(line).split()) for line, said in zip(lines, told, strict=True)}
+
+
 @pytest.mark.usefixtures("processes")
 def test_the_package_itself_loads_nothing_before_a_name_of_it_is_used() -> None:
     code = "import station, sys; print(*(m for m in sys.modules if m.startswith('station'))); station.open_episode\n"
@@ -148,12 +178,13 @@ def test_the_package_itself_loads_nothing_before_a_name_of_it_is_used() -> None:
 
 @pytest.mark.usefixtures("processes")
 def test_help_of_all_verbs_imports_none_of_them() -> None:
-    code = (
-        "import sys; from station.cli import main; sys.argv = ['station', '--help']\n"
-        "try: main.main()\n"
-        "except SystemExit: print(*sys.modules)"
-    )
-    loaded = subprocess.run(
-        [sys.executable, "-B", "-c", code], capture_output=True, text=True, check=True
-    ).stdout.split()
+    loaded = loaded_by("--help")["--help"]
     assert not [verb for verb in VERBS if module_of(verb) in loaded]
+    assert not loaded & {*HEAVY, *NUMBERS, "msgspec", "rich.console", "ssl", "yaml", "importlib.metadata"}
+
+
+def test_verbs_that_are_to_answer_at_once_load_no_numpy(bus_server: BusAddress) -> None:
+    lines = ("estop", "estop --reset", "status", "bus info", "episodes list", "record --help", "arm --help",
+             "disarm --help", "kassow --help", "doctor --help", "completion --help", "up --help")  # fmt: skip
+    for line, loaded in loaded_by(*lines, bus=bus_server).items():
+        assert not loaded & {*HEAVY, *NUMBERS}, f"station {line}"

@@ -6,24 +6,28 @@ A contract is written beside the bytes of a recording, never into them, so a wro
 from __future__ import annotations
 
 from functools import cache
+from typing import TYPE_CHECKING
 
 from station import registry
 from station.bus import arm_contracts, joints, keys
 from station.bus.contract import POSE, TIMING_STAGES, Codec, Contract, Role
 from station.elements import Element, elements, positions, velocities
-from station.protocols import CommandFormat
+
+if TYPE_CHECKING:  # it loads NumPy
+    from station.protocols import CommandFormat
 
 __all__ = ["TIMING_STAGES", "Codec", "Contract", "Role", "contract", "contracts"]
 
 
 def contract(key: str) -> Contract | None:
     """Return the contract of a key, or None for a key that nobody has described."""
-    return _catalogue().get(key) or _by_prefix(key) or _of_operator(key) or _of_camera(key) or _of_another_arm(key)
+    of_station = _of_station().get(key) or _by_prefix(key) or _of_operator(key) or _of_camera(key)
+    return of_station or _of_robots().get(key) or _of_another_arm(key)
 
 
 def contracts() -> tuple[Contract, ...]:
     """Return every contract with a fixed key, in catalogue order."""
-    return tuple(_catalogue().values())
+    return (*_of_robots().values(), *_of_station().values())
 
 
 _GYRO = ("gyro_x", "gyro_y", "gyro_z")
@@ -203,7 +207,12 @@ def _of_camera(key: str) -> Contract | None:
 
 
 @cache
-def _catalogue() -> dict[str, Contract]:
+def _of_station() -> dict[str, Contract]:
+    return {item.key: item for item in _station()}
+
+
+@cache
+def _of_robots() -> dict[str, Contract]:
     every = [
         *(_of_command(form) for form in _commands()),
         *_twist2(),
@@ -211,6 +220,5 @@ def _catalogue() -> dict[str, Contract]:
         *_ours(keys.TWIST2_ROBOT, joints.G1_29),
         *_ours(keys.TWIST_ROBOT, joints.G1_29),
         *arm_contracts.of(keys.KASSOW_KR810),
-        *_station(),
     ]
     return {item.key: item for item in every}

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from station.cli.options import data_option, json_option
+from station.cli.options import data_option, episode_argument, json_option
 
 if TYPE_CHECKING:
     from station.episode.replaying.arm_audit import ArmAudit
 
 
 @click.command("audit")
-@click.argument("episode")
+@episode_argument
 @data_option
 @click.option("--checkpoint", default=None, help="Where the checkpoint is, when it is not where it was.")
 @click.option("--robot", default=None, help="Suffix of the robot, when the episode has several.")

@@ -7,12 +7,12 @@ from pathlib import Path
 import click
 import msgspec
 
-from station.cli.options import data_option, json_option
+from station.cli.options import data_option, episode_argument, json_option
 
 
 def _print_rules(context: click.Context, _option: click.Parameter, is_wanted: bool) -> None:
     """Print the rules that ship with us, to be edited, and leave."""
-    if is_wanted:
+    if is_wanted and not context.resilient_parsing:
         from station.episode.quality.rule_file import SHIPPED
 
         click.echo(SHIPPED.read_text(encoding="utf-8"), nl=False)
@@ -20,7 +20,7 @@ def _print_rules(context: click.Context, _option: click.Parameter, is_wanted: bo
 
 
 @click.command("check")
-@click.argument("episode")
+@episode_argument
 @click.option("--rules", metavar="FILE", default=None, type=click.Path(dir_okay=False, path_type=Path),
               help="Judge by these rules.  [default: those of $XDG_CONFIG_HOME/station/, else shipped]")  # fmt: skip
 @click.option("--print-rules", is_flag=True, is_eager=True, expose_value=False, callback=_print_rules,

@@ -18,7 +18,7 @@ from rich.markup import escape
 
 from station import registry
 from station.camera.source import CameraError, CameraKind
-from station.cli import calibrate_operator
+from station.cli import calibrate_operator, candidates
 from station.cli.options import Verbs, json_option, set_option
 from station.cli.tables import Column, plain, print_table
 from station.errors import UsageError
@@ -130,7 +130,7 @@ def _row(found: _Found) -> Sequence[str]:
 
 
 @command.command("fake")
-@click.argument("device")
+@click.argument("device", shell_complete=candidates.registered("device"))
 @click.option(
     "--play", metavar="FILE", default=None, type=click.Path(path_type=Path),
     help="Script of what the operator does, a file or builtin:DEVICE/NAME.json (`station assets list builtin`).  "
@@ -175,7 +175,7 @@ def calibrate() -> None:
 
 
 @command.command("voices")
-@click.argument("voice", default="")
+@click.argument("voice", default="", shell_complete=candidates.registered("voice"))
 @click.option("--words", default="recording take 7", show_default=True, help="What VOICE is to say.")
 @set_option("key=value")
 @json_option
@@ -219,7 +219,7 @@ def _try_voice(kind: VoiceKind, words: str, sets: tuple[str, ...]) -> None:
 
 
 @command.command("buttons")
-@click.argument("device", default="")
+@click.argument("device", default="", shell_complete=candidates.registered("device"))
 @click.option(
     "--map", "changes", metavar="FILE", default=None, type=click.Path(path_type=Path),
     help="YAML file that changes what the buttons of DEVICE mean, as the teleop server's setting `buttons`.",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
+from station.cli import candidates
 from station.cli.options import data_option, json_option
 from station.errors import EpisodeError, UsageError
 from station.printable import printable
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @click.command("enrich")
-@click.argument("episodes", metavar="[EPISODE]...", nargs=-1)
+@click.argument("episodes", metavar="[EPISODE]...", nargs=-1, shell_complete=candidates.episodes)
 @click.option("--all", "is_all", is_flag=True, help="Every finished episode that was not discarded.")
 @click.option("--force", "is_forced", is_flag=True, help="Make files anew though nothing has changed.")
 @data_option

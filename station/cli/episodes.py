@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Literal
 import click
 import msgspec
 
-from station.cli import check, enrich
-from station.cli.options import Verbs, data_option, json_option
+from station.cli import candidates, check, enrich
+from station.cli.options import Verbs, data_option, episode_argument, json_option
 from station.printable import printable
 
 _LONGEST = 10_000  # characters of a line of a manifest
@@ -31,7 +31,7 @@ command.add_command(enrich.command, "enrich")
 
 
 @command.command("list")
-@click.option("--task", default=None, help="Episodes of this task alone.")
+@click.option("--task", default=None, shell_complete=candidates.tasks, help="Episodes of this task alone.")
 @click.option("--operator", default=None, help="Episodes of this operator alone.")
 @click.option("--min-quality", "least", type=click.Choice(("good", "usable")), default=None,
               help="Checked to be this or better, and not discarded.")  # fmt: skip
@@ -101,7 +101,7 @@ def _print_rows(rows: Sequence[EpisodeRow]) -> None:
 
 
 @command.command("show")
-@click.argument("episode")
+@episode_argument
 @data_option
 @json_option
 def show(episode: str, data: Path | None, as_json: bool) -> None:
@@ -126,7 +126,7 @@ def show(episode: str, data: Path | None, as_json: bool) -> None:
 
 
 @command.command("repair")
-@click.argument("episode", required=False)
+@click.argument("episode", required=False, shell_complete=candidates.episodes)
 @click.option("--all", "is_all", is_flag=True, help="Every episode that a dead recorder left open.")
 @click.option(
     "--out", metavar="DIR", default=None, type=click.Path(file_okay=False, path_type=Path),

@@ -11,12 +11,15 @@ import click
 import msgspec
 
 from station import registry
+from station.cli import candidates
 from station.cli.fields import options_of
 from station.cli.options import Decorator, Verbs, data_option, jobs_option, json_option, task_option
 from station.errors import StationError, UnknownName, UsageError
 from station.printable import printable
 
 if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
     from station.export.columns import KeyColumns
     from station.export.kind import ExportKind, LeftOut
     from station.export.run import Exported, Preview, Where
@@ -46,13 +49,17 @@ class _Formats(Verbs):
             raise UnknownName("export format", args[0], known)
         return super().resolve_command(ctx, args)
 
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Return the names alone: a format is not loaded to be completed."""
+        return candidates.names("export", incomplete) + click.Command.shell_complete(self, ctx, incomplete)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Formats"):
             formatter.write_dl([(name, _summary(name)) for name in registry.names("export")])
 
 
 def _list(ctx: click.Context, _option: click.Parameter, is_asked: bool) -> None:
-    if is_asked:
+    if is_asked and not ctx.resilient_parsing:
         width = max((len(name) for name in registry.names("export")), default=0)
         for name in registry.names("export"):
             click.echo(f"{name:{width}}  {_summary(name)}")
@@ -118,7 +125,7 @@ def _of_every_format(function: Callable[..., None]) -> Callable[..., None]:
     folder = click.Path(file_okay=False, path_type=Path)
     on_ray = "Work on a Ray cluster: host:port, ray://host:port, auto, or local (extra 'ray')."
     options: list[Decorator] = [
-        click.argument("episodes", nargs=-1),
+        click.argument("episodes", nargs=-1, shell_complete=candidates.episodes),
         click.option("--out", "-o", metavar="DIR", type=folder, help="Folder to make."),
         data_option,
         task_option,

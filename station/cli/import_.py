@@ -10,6 +10,7 @@ import click
 import msgspec
 
 from station import registry
+from station.cli import candidates
 from station.cli.options import data_option, jobs_option, json_option
 from station.errors import BadFile, UnknownName
 from station.printable import printable
@@ -23,14 +24,14 @@ _TOLD = 20
 
 
 def _list(ctx: click.Context, _option: click.Parameter, is_asked: bool) -> None:
-    if is_asked:
+    if is_asked and not ctx.resilient_parsing:
         for name in registry.names("foreign"):
             click.echo(f"{name}  {registry.find('foreign', name).summary}")
         ctx.exit()
 
 
 @click.command("import")
-@click.argument("format_", metavar="FORMAT")
+@click.argument("format_", metavar="FORMAT", shell_complete=candidates.registered("foreign"))
 @click.argument(
     "folders", metavar="FOLDERS...", nargs=-1, required=True, type=click.Path(file_okay=False, path_type=Path)
 )

@@ -12,8 +12,13 @@ from station.cli.options import json_option
 from station.errors import UsageError, did_you_mean
 
 
+def _known(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[str]:
+    """Return what a shell may complete."""
+    return [item.key for item in contracts.contracts() if item.key.startswith(begun)]
+
+
 @click.command("keys")
-@click.argument("key", default="")
+@click.argument("key", default="", shell_complete=_known)
 @json_option
 def command(key: str, as_json: bool) -> None:
     """List the keys that have a contract, or show the one of KEY element by element."""

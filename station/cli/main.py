@@ -7,14 +7,17 @@ import keyword
 import logging
 import os
 import sys
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 from station import python_child
-from station.cli.options import Verbs
+from station.cli.options import COMPLETION_VARIABLE, PROGRAM, Verbs
 from station.errors import StationError
 from station.printable import printable
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 _LONGEST = 4000  # characters of an error; the name of a bad thing is cut where it is quoted
 _LEVELS = ("DEBUG", "INFO", "WARNING", "ERROR", "CRITICAL")
@@ -44,6 +47,7 @@ VERBS = {
     "keys": "Say what each key of the bus holds.",
     "devices": "Find operators' devices, play fakes of them, show their buttons, calibrate.",
     "assets": "Find and fetch policies, robot models and motions.",
+    "completion": "Print a script that lets bash, zsh or fish complete all of this.",
 }
 """What each verb does; its module holds its ``command``."""
 
@@ -65,6 +69,12 @@ class _LazyVerbs(Verbs):
         command: click.Command = importlib.import_module(module_of(cmd_name)).command
         return command
 
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        from click.shell_completion import CompletionItem
+
+        verbs = [CompletionItem(verb, help=what) for verb, what in VERBS.items() if verb.startswith(incomplete)]
+        return verbs + click.Command.shell_complete(self, ctx, incomplete)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl(list(VERBS.items()))
@@ -79,6 +89,8 @@ def cli() -> None:
 def main() -> NoReturn:
     """Run the command line; every known error is one line on stderr and an exit code."""
     python_child.protect_children()
+    if COMPLETION_VARIABLE in os.environ:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # a shell would show it amid what is being typed
     level = os.environ.get("STATION_LOG", "").upper()
     logging.basicConfig(level=level if level in _LEVELS else "INFO")
     for handler in logging.getLogger().handlers:
@@ -86,7 +98,7 @@ def main() -> NoReturn:
     logging.captureWarnings(True)
     os.environ.setdefault("RUST_LOG", "off")  # Rerun's own log, on stderr in colours: what matters of it is raised
     try:
-        code = cli.main(prog_name="station", standalone_mode=False)
+        code = cli.main(prog_name=PROGRAM, complete_var=COMPLETION_VARIABLE, standalone_mode=False)
     except click.ClickException as error:
         _show(error)
         code = error.exit_code

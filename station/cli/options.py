@@ -5,13 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from station.bus import address as addresses
-from station.bus.address import BusAddress
+from station.cli import candidates
 from station.errors import UnknownName
+
+if TYPE_CHECKING:
+    from station.bus.address import BusAddress
+
+PROGRAM = "station"
+COMPLETION_VARIABLE = "_STATION_COMPLETE"
+"""Set by the shell that wants a command line completed."""
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -19,6 +25,8 @@ Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 def _without_password(_context: click.Context, _option: click.Parameter, url: str | None) -> str | None:
     """Warn of a password among the arguments; a URL that is none is told of where it is read."""
     if url and re.match(r"^[^/]*//[^/@]*:[^/@]+@", url):
+        from station.bus import address as addresses
+
         click.echo(
             "station: a password in --bus shows in the process list of every user; "
             f"put it into a file that ${addresses.PASSWORD_FILE_VARIABLE} names",
@@ -39,8 +47,10 @@ jobs_option: Decorator = click.option(
     "--jobs", metavar="N", default=0, type=click.IntRange(0), help="Processes side by side.  [default: one per core]"
 )
 task_option: Decorator = click.option(
-    "--task", metavar="NAME", multiple=True, help="Episodes of this task alone; may repeat."
-)
+    "--task", metavar="NAME", multiple=True, shell_complete=candidates.tasks,
+    help="Episodes of this task alone; may repeat.",
+)  # fmt: skip
+episode_argument: Decorator = click.argument("episode", shell_complete=candidates.episodes)
 json_option: Decorator = click.option("--json", "as_json", is_flag=True, help="Print JSON for programs.")
 
 
@@ -68,4 +78,6 @@ def set_option(form: str) -> Decorator:
 
 def address_of(bus: str | None) -> BusAddress:
     """Return the bus that ``--bus`` names, or the default one."""
+    from station.bus import address as addresses
+
     return addresses.parse(bus) if bus else addresses.default()

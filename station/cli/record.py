@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from station import config
+from station.cli import candidates
 from station.cli.options import Verbs, address_of, bus_option, json_option
 from station.printable import printable
 
@@ -23,7 +24,8 @@ def command() -> None:
 
 
 @command.command("start")
-@click.option("--task", default="", help="Name of the task; episodes of a task share a folder.")
+@click.option("--task", default="", shell_complete=candidates.tasks,
+              help="Name of the task; episodes of a task share a folder.")  # fmt: skip
 @click.option("--instruction", default="", help="Language instruction.")
 @click.option("--operator", default="", help="Who operates.  [default: your login name]")
 @click.option("--planned", metavar="DURATION", default=None, help="Refuse when the disk cannot hold this long (2min).")

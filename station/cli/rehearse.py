@@ -12,6 +12,7 @@ import click
 import msgspec
 
 from station import assets, registry
+from station.cli import candidates
 from station.cli.options import json_option
 from station.cli.tables import Column, print_table
 from station.errors import UnknownName, UsageError
@@ -27,7 +28,7 @@ _TOLD = 8  # cases of a group that failed and are told
 
 
 @click.command("rehearse")
-@click.argument("motions", nargs=-1)
+@click.argument("motions", nargs=-1, shell_complete=candidates.files)
 @click.option("--suite", is_flag=True, help="Run the evaluation of a policy, with all clips there are or with MOTIONS.")
 @click.option("--policy", default="", help="Name of the policy family (tracker, twist2, …).  [default: the station's]")
 @click.option("--checkpoint", default="", help="File of the policy.  [default: the family's]")

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from station.cli.options import bus_option, data_option, json_option
+from station.cli.options import bus_option, data_option, episode_argument, json_option
 
 if TYPE_CHECKING:
     from station.episode.reading.reader import EpisodeReader
 
 
 @click.command("replay")
-@click.argument("episode")
+@episode_argument
 @click.option("--to", "target", type=click.Choice(["bus", "sim", "rerun"]), required=True, help="Where to.")
 @click.option("--speed", default=1.0, show_default=True, help="Times the recorded speed (bus).")
 @click.option(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from station.cli import candidates
 from station.cli.options import data_option, task_option
 from station.errors import UsageError
 from station.printable import printable
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @click.command("report")
-@click.argument("episodes", metavar="[EPISODE]...", nargs=-1)
+@click.argument("episodes", metavar="[EPISODE]...", nargs=-1, shell_complete=candidates.episodes)
 @click.option("--out", metavar="FILE.html", required=True, type=click.Path(dir_okay=False, path_type=Path),
               help="The file; replaced when it is there.")  # fmt: skip
 @task_option

@@ -9,12 +9,13 @@ import click
 import msgspec
 
 from station import config, registry
+from station.cli import candidates
 from station.cli.options import bus_option, set_option
 from station.errors import ConfigError
 
 
 @click.command("serve")
-@click.argument("server")
+@click.argument("server", shell_complete=candidates.registered("server"))
 @bus_option
 @set_option("key=value")
 @click.option("--name", default="", help="Name on the bus, when two of a kind run.  [default: the server's]")

@@ -13,6 +13,7 @@ import click
 
 from station import config
 from station.bus.client import Bus
+from station.cli import candidates
 from station.cli.options import bus_option, data_option, set_option
 from station.episode.storage.folder import data_folder
 from station.episode.storage.request import RecordAnswer
@@ -23,12 +24,13 @@ from station.supervision.supervisor import Supervisor, how_it_ended, log_folder
 
 
 @click.command("up")
-@click.argument("runbook")
+@click.argument("runbook", shell_complete=candidates.runbooks)
 @click.option(
     "--yes", is_flag=True, help="Answer confirmations with yes; recorded as unattended, refused for a real robot."
 )
 @click.option("--record", is_flag=True, help="Record an episode from before the robot moves until the end.")
-@click.option("--task", default="", help="Name of the task, for the episode.  [default: the runbook's name]")
+@click.option("--task", default="", shell_complete=candidates.tasks,
+              help="Name of the task, for the episode.  [default: the runbook's name]")  # fmt: skip
 @click.option("--instruction", default="", help="Language instruction, for the episode.")
 @click.option("--operator", default="", help="Who operates, for the episode.  [default: your login name]")
 @click.option("--for", "for_", metavar="DURATION", default=None, help="Stop after this long (25s, 2min).")

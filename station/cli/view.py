@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from station.cli import candidates
 from station.cli.options import address_of, bus_option, data_option
 from station.errors import StationError, UsageError
 
@@ -23,7 +24,7 @@ _IN_ITS_FOLDER = ""  # FILE was left out
 
 
 @click.command("view")
-@click.argument("episode", required=False)
+@click.argument("episode", required=False, shell_complete=candidates.episodes)
 @click.option("--save", "save_as", type=click.Path(dir_okay=False, path_type=Path), default=None,
               help="Write this .rrd file instead of opening the viewer; needs no display.")  # fmt: skip
 @click.option("--contact-sheet", metavar="[FILE]", is_flag=False, flag_value=_IN_ITS_FOLDER, default=None,

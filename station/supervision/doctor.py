@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -20,9 +21,11 @@ from station.errors import BusError, StationError, UnknownName
 from station.life import stop_file
 from station.life.server import Health, read_health
 from station.life.stop_file import LatchedStop, StopFile
-from station.protocols import CommandFormat
-from station.supervision.findings import Finding, bus_access, machine
+from station.supervision.findings import Finding, bus_access, hidden_packages, machine
 from station.supervision.supervisor import log_folder
+
+if TYPE_CHECKING:
+    from station.protocols import CommandFormat
 
 _LOOK_S = 1.0
 _SETTINGS = ("notify-keyspace-events", "maxmemory-policy", "proto-max-bulk-len")
@@ -258,7 +261,9 @@ def _recorder(bus: Bus, servers: list[Health]) -> Iterator[Finding]:
 
 
 def run(address: BusAddress) -> list[Finding]:
-    """Examine a station; a bus that cannot be reached is the first finding."""
+    """Examine a station; packages of others that hide ours, or a bus that cannot be reached, are the first finding."""
+    if hidden := hidden_packages():
+        return [*hidden, _estop(StopFile(address).read()), *machine()]
     try:
         bus = Bus(address, name="doctor", timeout_s=1.0)
     except StationError as error:

@@ -10,11 +10,11 @@ from typing import Literal
 
 import msgspec
 
-from station import assets
+from station import assets, packages
 from station.bus.client import Bus
 from station.bus.protection import REMEDY, look
 
-_PACKAGES = ("teleop-station", "mujoco", "onnxruntime", "numpy", "redis", "mcap", "rerun-sdk")
+_PACKAGES = (packages.DISTRIBUTION, "mujoco", "onnxruntime", "numpy", "redis", "mcap", "rerun-sdk")
 
 
 class Finding(msgspec.Struct, frozen=True):
@@ -42,8 +42,14 @@ def bus_access(bus: Bus) -> Finding:
     return Finding(level, "bus access", protection.found, "" if level == "ok" else REMEDY)
 
 
+def hidden_packages() -> list[Finding]:
+    """Look whether packages of others hide ours; without ours nothing can be found by its name."""
+    return [Finding("broken", f"package {name}", found.found, found.remedy)
+            for name in packages.IMPORTED if (found := packages.hiding(name)) is not None]  # fmt: skip
+
+
 def machine() -> Iterator[Finding]:
-    """Look at this machine: upstream data, versions, scheduling."""
+    """Look at this machine: upstream data, packages, versions, scheduling."""
     base = assets.root()
     if base is None:
         yield Finding("ok", "assets", f"built in; ${assets.ENVIRONMENT_VARIABLE} is not set, cache {assets.cache()}")
@@ -51,6 +57,9 @@ def machine() -> Iterator[Finding]:
         yield Finding("broken", "assets", f"{base} is not a folder", f"mend ${assets.ENVIRONMENT_VARIABLE}")
     else:
         yield Finding("ok", "assets", str(base))
+    for name in packages.IMPORTED:
+        if (shared := packages.sharing(name)) is not None:
+            yield Finding("warning", f"package {name}", shared.found, shared.remedy)
     missing = [name for name in _PACKAGES if _version(name) is None]
     versions = ", ".join(f"{name} {_version(name) or 'MISSING'}" for name in _PACKAGES)
     yield Finding("broken" if missing else "ok", "versions", f"python {platform.python_version()}, {versions}",

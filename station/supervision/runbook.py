@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 
 import msgspec
 
-from station import config, registry
+from station import config, packages, registry
 from station.bus.client import Bus
 from station.errors import ConfigError, did_you_mean
 from station.life import arm_request
@@ -146,9 +146,7 @@ def find(reference: str) -> Path:
     path = Path(reference)
     if path.exists() or path.suffix:
         return path
-    import runbooks  # a data folder beside this package
-
-    return Path(next(iter(runbooks.__path__))) / f"{reference}.yaml"
+    return packages.RUNBOOKS / f"{reference}.yaml"
 
 
 def load(path: Path, sets: Sequence[str] = ()) -> Runbook:

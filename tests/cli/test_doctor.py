@@ -51,6 +51,8 @@ def writing(address: BusAddress, *names: str) -> Iterator[None]:
     for thread in threads:
         thread.start()
     try:
+        if lines:
+            wait_until(lambda: lines[0].get(KEY) is not None)  # a doctor that looks before it finds no writer at all
         yield
     finally:
         stop.set()

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import msgspec
-import numpy as np
 
 _VALUE = 40  # as many bytes for each value: a reader takes 8,000,000 bytes and 200,000 values (`station.safe_yaml`)
 _STUB = 80  # of a text or a list of which nothing is left but a word that it was there
@@ -102,6 +101,8 @@ def _level(sizes: Sequence[int], least: Sequence[int], most: int) -> int:
     """Return up to which size members stay whole so that all together have a size."""
     if sum(sizes) <= most:
         return max(sizes, default=0)
+    import numpy as np  # for what is too large: a list of episodes is there sooner without
+
     wanted, floors = np.array(sizes), np.array(least)
     low, high = 0, max(0, most)
     while low < high:

@@ -70,6 +70,28 @@ def find_episodes(data: Path | None = None) -> list[Path]:
     return sorted(found, key=lambda folder: (started_ns(folder), folder.name))
 
 
+def newest_ids(data: Path | None, beginning: str, most: int) -> list[str]:
+    """Return ids with some beginning, the newest first by the day that they name; opens no file."""
+    names = {entry.name for task in tasks(data) for entry in _folders(data_folder(data) / task)}
+    return sorted((name for name in names if _NUMBERED.fullmatch(name) and name.startswith(beginning)), reverse=True)[
+        :most
+    ]
+
+
+def tasks(data: Path | None = None) -> list[str]:
+    """Return the names of the folders of a data folder, sorted."""
+    return sorted(entry.name for entry in _folders(data_folder(data)))
+
+
+def _folders(folder: Path) -> list[os.DirEntry[str]]:
+    """Return the folders in a folder; none where it cannot be read."""
+    try:
+        with os.scandir(folder) as entries:
+            return [entry for entry in entries if entry.is_dir()]
+    except OSError:
+        return []
+
+
 def resolve(episode: str | Path, data: Path | None = None) -> Path:
     """Return the folder (or file) of an episode named by path, id, ``task/id``, beginning of an id, or ``latest``.
 

@@ -1,0 +1,67 @@
+"""What a shell may complete beside verbs and options: quick to find, and found without a bus."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
+
+import click
+
+from station import packages
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
+    from station.registry import Kind
+
+    Candidates = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
+
+_NEWEST = 30  # episodes; more do not help anybody to choose
+_ONE_WORD = re.compile(r"[\w.-]+")  # to a shell; it takes other names apart
+
+
+def files(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Files."""
+    from click.shell_completion import CompletionItem
+
+    return [CompletionItem(begun, type="file")]
+
+
+def runbooks(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Runbooks that ship, and files."""
+    shipped = sorted(path.stem for path in packages.RUNBOOKS.glob("*.yaml"))
+    return files(context, parameter, begun) + _fitting(begun, shipped)
+
+
+def episodes(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """The newest episodes of the data folder, and files."""
+    from station.episode.storage.folder import LATEST, newest_ids
+
+    known = [LATEST, *newest_ids(context.params.get("data"), begun, _NEWEST)]
+    return files(context, parameter, begun) + _fitting(begun, known)
+
+
+def tasks(context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Tasks that have a folder of episodes."""
+    from station.episode.storage.folder import tasks
+
+    return _fitting(begun, tasks(context.params.get("data")))
+
+
+def registered(kind: Kind) -> Candidates:
+    """Return what finds names that are registered."""
+    return lambda _context, _parameter, begun: names(kind, begun)
+
+
+def names(kind: Kind, begun: str) -> list[CompletionItem]:
+    """Return registered names; loads nothing that they stand for."""
+    from station import registry
+
+    return _fitting(begun, registry.names(kind))
+
+
+def _fitting(begun: str, known: Iterable[str]) -> list[CompletionItem]:
+    from click.shell_completion import CompletionItem
+
+    return [CompletionItem(name) for name in known if name.startswith(begun) and _ONE_WORD.fullmatch(name)]
