@@ -27,7 +27,7 @@ def write_atomic(path: Path, data: bytes, *, sync: bool = True, mode: int = 0o64
         finally:
             os.close(descriptor)
         os.replace(temporary, path)
-    except OSError:
+    except BaseException:  # an interrupt too
         Path(temporary).unlink(missing_ok=True)
         raise
     if sync:

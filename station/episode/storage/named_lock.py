@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import io
 import os
@@ -39,3 +40,11 @@ def is_named(path: Path, file: io.FileIO | io.BufferedIOBase) -> bool:
         return os.path.samestat(path.stat(), os.fstat(file.fileno()))
     except FileNotFoundError:
         return False
+
+
+def remove_unlocked(path: Path) -> None:
+    """Remove the file of a name unless a process has it locked; what cannot be removed is left."""
+    with contextlib.suppress(OSError), io.FileIO(path, "rb+") as file:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if is_named(path, file):
+            path.unlink()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import os
 from collections.abc import Iterator
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from station.atomic_file import sync_folder
-from station.episode.storage.named_lock import is_named, open_locked
+from station.episode.storage.named_lock import open_locked, remove_unlocked
 from station.errors import EpisodeError, StationError
 
 
@@ -30,21 +29,23 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
         OutputRefused: the disk refused it.
     """
     part = path.with_name(f".{path.name}.part")
-    with _claimed(part) as claim:
-        try:
-            with _refusals():
-                claim.truncate(0)
-            with io.BufferedWriter(_Output(claim.fileno(), "ab", closefd=False)) as file:
-                yield file
-                file.flush()
-            with _refusals():
-                os.fsync(claim.fileno())
-                os.replace(part, path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                if is_named(part, claim):
-                    part.unlink()
-            raise
+    claim: io.FileIO | None = None
+    try:
+        with _refusals():
+            claim = _claimed(part)
+            claim.truncate(0)
+        with io.BufferedWriter(_Output(claim.fileno(), "ab", closefd=False)) as file:
+            yield file
+            file.flush()
+        with _refusals():
+            os.fsync(claim.fileno())
+            os.replace(part, path)
+            claim.close()
+    except BaseException:
+        if claim is not None:
+            claim.close()
+        remove_unlocked(part)  # an interrupt may come at any moment, also before we know that we have it
+        raise
     with _refusals():
         sync_folder(path.parent)
 
@@ -72,16 +73,12 @@ class _Output(io.FileIO):
             return super().write(data)
 
 
-@contextmanager
-def _claimed(part: Path) -> Iterator[io.FileIO]:
-    """Open the file of that name and have it for this process."""
-    with _refusals():
-        try:
-            claim = open_locked(part, waits=False)
-        except BlockingIOError:
-            raise EpisodeError(f"{part}: another process is writing this file; wait for it") from None
-    with claim:
-        yield claim
+def _claimed(part: Path) -> io.FileIO:
+    """Open the file of that name and have it for this process, until it is closed."""
+    try:
+        return open_locked(part, waits=False)
+    except BlockingIOError:
+        raise EpisodeError(f"{part}: another process is writing this file; wait for it") from None
 
 
 @contextmanager

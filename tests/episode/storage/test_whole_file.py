@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import io
 import resource
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import pytest
 
-from station.episode.storage.whole_file import named_file
+from station.episode.storage import whole_file as module
+from station.episode.storage.whole_file import named_file, whole_file
 from station.errors import EpisodeError, StationError
+
+OURS = str(Path(str(module.__file__)).parent)
 
 
 @contextmanager
@@ -39,6 +46,52 @@ def test_it_takes_the_place_of_an_older_one_and_leaves_nothing_beside_it(tmp_pat
     (tmp_path / ".report.html.part").write_bytes(b"what a killed process left, which is longer")
     write(path)
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {"report.html": b"new"}
+
+
+class Interrupted:
+    """Raises `KeyboardInterrupt` before one of the lines that our own code executes within a block.
+
+    Attributes:
+        lines: How many were executed.
+    """
+
+    def __init__(self, before_line: int) -> None:
+        self.lines, self._before = 0, before_line
+
+    def __enter__(self) -> Interrupted:
+        sys.settrace(self._see)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        sys.settrace(None)
+
+    def _see(self, frame: FrameType, event: str, _: object) -> Any:
+        if not frame.f_code.co_filename.startswith(OURS):
+            return None
+        if event == "line":
+            self.lines += 1
+            if self.lines == self._before:
+                raise KeyboardInterrupt
+        return self._see
+
+
+@pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # of who is interrupted as it opens one
+def test_an_interrupt_at_any_moment_leaves_the_older_one_or_the_new_one_and_nothing_beside_it(tmp_path: Path) -> None:
+    path, line, left = tmp_path / "report.html", 0, set()
+    while True:
+        path.write_bytes(b"an older one")
+        line += 1
+        try:
+            with Interrupted(before_line=line) as trial, whole_file(path) as file:
+                file.write(b"new")
+        except KeyboardInterrupt:
+            gc.collect()
+            left |= {read.read_bytes() for read in tmp_path.iterdir()}
+            assert [found.name for found in tmp_path.iterdir()] == [path.name], f"before line {line}"
+            continue
+        break
+    assert trial.lines == line - 1 > 20
+    assert left == {b"an older one", b"new"}
 
 
 def test_what_fails_half_way_leaves_the_older_one(tmp_path: Path) -> None:
