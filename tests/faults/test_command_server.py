@@ -5,7 +5,7 @@ How soon the robot holds is in `test_proof_control`: here it waits for its comma
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from random import Random, SystemRandom
 
@@ -28,12 +28,18 @@ def station(processes: None, tmp_path_factory: pytest.TempPathFactory) -> Iterat
         yield made
 
 
+def went_to_stand(gates: Sequence[str]) -> bool:
+    """Whether the gate held, returned and waits; where the machine stood still for a second there was no step to hold."""
+    left = [gate for gate in gates if gate not in ("entering", "tracking")]
+    return left in (["holding", "returning", "waiting"], ["returning", "waiting"])
+
+
 @pytest.mark.parametrize("kind", ["kill", "freeze", "cut"])
 def test_the_robot_holds_returns_and_stands_and_follows_again(station: MovingStation, kind: Kind) -> None:
     seed = SystemRandom().randrange(10**6)
     trial = random_trial(station, kind, Random(seed), SHORTLY_S, enter_s=0.1)
     told = f"seed {seed}: {trial}"
-    assert trial.gates[-3:] == ("holding", "returning", "waiting"), told
+    assert went_to_stand(trial.gates), told
     expect_safe(trial, PATIENT.hold_after_s, told)
 
 
@@ -47,4 +53,4 @@ def test_a_bus_that_is_killed_and_started_again_is_followed_again(station: Movin
 
 def test_where_the_bus_never_returns_the_robot_stands(tmp_path: Path) -> None:
     with MovingStation(tmp_path, record=False, gate=PATIENT, physics_dt_s=0.002) as station:
-        assert stands_without_a_bus(station)[-3:] == ["holding", "returning", "waiting"]
+        assert went_to_stand(stands_without_a_bus(station))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import gc
 import io
 import resource
 import sys
@@ -77,19 +76,17 @@ class Interrupted:
 
 @pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # of who is interrupted as it opens one
 def test_an_interrupt_at_any_moment_leaves_the_older_one_or_the_new_one_and_nothing_beside_it(tmp_path: Path) -> None:
-    path, line, left = tmp_path / "report.html", 0, set()
-    while True:
+    path, line, left, is_interrupted = tmp_path / "report.html", 0, set(), True
+    while is_interrupted:
         path.write_bytes(b"an older one")
-        line += 1
+        line, is_interrupted = line + 1, False
         try:
             with Interrupted(before_line=line) as trial, whole_file(path) as file:
                 file.write(b"new")
         except KeyboardInterrupt:
-            gc.collect()
-            left |= {read.read_bytes() for read in tmp_path.iterdir()}
-            assert [found.name for found in tmp_path.iterdir()] == [path.name], f"before line {line}"
-            continue
-        break
+            is_interrupted = True
+        left.add(path.read_bytes())
+        assert [found.name for found in tmp_path.iterdir()] == [path.name], f"before line {line}"
     assert trial.lines == line - 1 > 20
     assert left == {b"an older one", b"new"}
 
