@@ -29,7 +29,7 @@ def station(processes: None, tmp_path_factory: pytest.TempPathFactory) -> Iterat
 
 
 def went_to_stand(gates: Sequence[str]) -> bool:
-    """Whether the gate held, returned and waits; where the machine stood still for a second there was no step to hold."""
+    """Whether the gate held, returned and waits; a machine that stands still for a second makes no step to hold in."""
     left = [gate for gate in gates if gate not in ("entering", "tracking")]
     return left in (["holding", "returning", "waiting"], ["returning", "waiting"])
 
