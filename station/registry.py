@@ -56,6 +56,11 @@ def names(kind: Kind) -> list[str]:
     return sorted(_entries(kind))
 
 
+def is_ours(kind: Kind, name: str) -> bool:
+    """Whether a registered name stands for something of our own packages; imports nothing."""
+    return _entries(kind)[name].value.partition(".")[0] in packages.IMPORTED
+
+
 def expect(kind: Kind, name: str) -> None:
     """Check a name without loading what it names, for a configuration's ``__post_init__``.
 

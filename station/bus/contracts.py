@@ -5,6 +5,7 @@ A contract is written beside the bytes of a recording, never into them, so a wro
 
 from __future__ import annotations
 
+import logging
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -12,9 +13,12 @@ from station import registry
 from station.bus import arm_contracts, joints, keys
 from station.bus.contract import POSE, TIMING_STAGES, Codec, Contract, Role
 from station.elements import Element, elements, positions, velocities
+from station.errors import StationError
 
 if TYPE_CHECKING:  # it loads NumPy
     from station.protocols import CommandFormat
+
+log = logging.getLogger(__name__)
 
 __all__ = ["TIMING_STAGES", "Codec", "Contract", "Role", "contract", "contracts"]
 
@@ -84,21 +88,31 @@ def _twist() -> list[Contract]:
     ]  # fmt: skip
 
 
-def _commands() -> list[CommandFormat]:
-    """The command formats that are registered; their elements are those of their keys."""
-    return [registry.find("command", name) for name in registry.names("command")]
+@cache
+def _commands() -> list[tuple[str, Contract]]:
+    """Contracts of the commands whose formats are registered, with the robot that each is for.
 
-
-def _of_command(form: CommandFormat) -> Contract:
-    return Contract(
-        key=form.key, family=form.name, role="command", codec="json-vector", elements=form.elements, rate_hz=50.0,
-        note=form.note,
-    )  # fmt: skip
+    Ours come first: where several are for one robot, the first one names its `keys.command_used`.
+    """
+    found = []
+    for name in sorted(registry.names("command"), key=lambda name: not registry.is_ours("command", name)):
+        try:
+            form: CommandFormat = registry.find("command", name)
+            made = Contract(
+                key=form.key, family=form.name, role="command", codec="json-vector", elements=form.elements,
+                rate_hz=50.0, note=form.note,
+            )  # fmt: skip
+        except (ImportError, AttributeError, TypeError, ValueError, StationError) as error:
+            # A recorder records what comes, whatever is wrong with somebody's format.
+            log.warning("command format %r: its key has no contract: %s: %s", name, type(error).__name__, error)
+        else:
+            found.append((form.robot, made))
+    return found
 
 
 def _ours(robot: str, names: tuple[str, ...]) -> list[Contract]:
     """Contracts of the station's own keys for a robot whose n joints are named."""
-    command = next((form.elements for form in _commands() if form.robot == robot), ())
+    command = next((made.elements for suffix, made in _commands() if suffix == robot), ())
 
     def make(key: str, role: Role, codec: Codec, items: tuple[Element, ...] = (), note: str = "") -> Contract:
         return Contract(key=key, family="station", role=role, codec=codec, elements=items, rate_hz=50.0, note=note)
@@ -214,7 +228,7 @@ def _of_station() -> dict[str, Contract]:
 @cache
 def _of_robots() -> dict[str, Contract]:
     every = [
-        *(_of_command(form) for form in _commands()),
+        *(made for _, made in _commands()),
         *_twist2(),
         *_twist(),
         *_ours(keys.TWIST2_ROBOT, joints.G1_29),

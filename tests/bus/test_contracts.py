@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import keyword
+import sys
 from collections import Counter
+from pathlib import Path
+from subprocess import run
 
 import pytest
 
@@ -127,3 +130,37 @@ def test_what_is_no_key_of_an_arm_has_no_contract() -> None:
     for key in ("action_joints_kassow_", "kassow_kr810", "action_body_kassow_kr810",
                 keys.stamp(keys.state_joints("kassow_kr1018"))):  # fmt: skip
         assert contracts.contract(key) is None, key
+
+
+FORMATS = """
+import numpy as np
+
+class WithoutElements:
+    name, robot, key, note = "broken", "unitree_g1_with_hands", "action_broken", ""
+
+class Another(WithoutElements):
+    from station.elements import elements
+    name, key, elements = "another", "action_another", elements((("speed",), "m/s"))
+"""
+ENTRIES = "[station.commands]\naaa = formats:Another\nbroken = formats:WithoutElements\ngone = not_here:FORMAT\n"
+ASK = f"""
+import sys; sys.path.insert(0, {{folder!r}})
+from station.bus import contracts, keys
+print(contracts.contract("action_another").names, contracts.contract("action_broken"))
+print(len(contracts.contract(keys.command_used({keys.TWIST2_ROBOT!r})).names))
+"""
+
+
+@pytest.mark.usefixtures("processes")
+def test_formats_of_others_take_no_key_from_ours_and_those_that_are_broken_no_contract(tmp_path: Path) -> None:
+    metadata = tmp_path / "formats-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: formats\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text(ENTRIES)
+    (tmp_path / "formats.py").write_text(FORMATS)
+    done = run(
+        [sys.executable, "-B", "-c", ASK.format(folder=str(tmp_path))], capture_output=True, text=True, check=False
+    )
+    assert done.stdout.splitlines() == ["('speed',) None", "35"], done.stderr
+    told = [line for line in done.stderr.splitlines() if "its key has no contract" in line]
+    assert [line.split("'")[1] for line in told] == ["broken", "gone"]
