@@ -115,7 +115,7 @@ reveal_type(registry.names("server"))
 
 
 @pytest.fixture(scope="module")
-def wheel(processes: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def built_wheel(processes: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel, built of this checkout."""
     folder = tmp_path_factory.mktemp("wheel")
     pip("wheel", str(ROOT), "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(folder))
@@ -124,13 +124,13 @@ def wheel(processes: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def python(built_wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An interpreter where the wheel is installed; what it depends on is that of the tests."""
     folder = tmp_path_factory.mktemp("installed") / "env"
     venv.create(folder)
     made = folder / "bin" / "python"
     (site,) = folder.glob("lib/python*/site-packages")
-    pip("--python", str(made), "install", "--no-deps", "--no-index", "--no-compile", str(wheel))
+    pip("--python", str(made), "install", "--no-deps", "--no-index", "--no-compile", str(built_wheel))
     # Of a folder that a .pth names no .pth is read: the checkout stays unknown.
     (site / "dependencies.pth").write_text("\n".join(path for path in sys.path if path.endswith("-packages")))
     return made
@@ -160,8 +160,8 @@ def run(home: Home, folder: Path, *command: str) -> subprocess.CompletedProcess[
     return done
 
 
-def test_every_file_of_our_packages_is_in_the_wheel(wheel: Path) -> None:
-    packed = set(zipfile.ZipFile(wheel).namelist())
+def test_every_file_of_our_packages_is_in_the_wheel(built_wheel: Path) -> None:
+    packed = set(zipfile.ZipFile(built_wheel).namelist())
     files = {
         path.relative_to(ROOT).as_posix()
         for package in PACKAGES

@@ -1,13 +1,13 @@
 """Tiers of the suite: which tests run when. What a test uses decides, by its fixtures; no test is marked by hand.
 
-========= ==================== ==============================================================
-tier      fixture that decides a test in it
-========= ==================== ==============================================================
-`proof`   `proof`              measures a promise in milliseconds, or breaks things for minutes
-`build`   `compiler`           compiles, or runs sanitizers
-`station` `processes`          starts real processes; a bus server is one
-`unit`    none of these        starts no process and waits for no clock
-========= ==================== ==============================================================
+========= =========================== ==============================================================
+tier      fixture that decides        a test in it
+========= =========================== ==============================================================
+`proof`   `proof`                     measures a promise in milliseconds, or breaks things for minutes
+`build`   `compiler`, `built_wheel`   compiles, runs sanitizers, or builds what is installed
+`station` `processes`                 starts real processes; a bus server is one
+`unit`    none of these               starts no process and waits for no clock
+========= =========================== ==============================================================
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from typing import Any
 
 import pytest
 
-TIERS = {"proof": "proof", "build": "compiler", "station": "processes"}
-"""Fixture that puts a test into a tier, the strongest first."""
+DECIDES = {"proof": "proof", "compiler": "build", "built_wheel": "build", "processes": "station"}
+"""Tier that a fixture puts a test into, the strongest first."""
 
 LONGEST_SLEEP_S = 0.1
 """Of a unit test: a thread may be given a moment, time is not waited for [s]."""
 
 ROOT = Path(__file__).parents[1]
-BUILT_FROM = ("bridges/kord", "tests/bridges/kord", "tests/adapters/cameras/fake_v4l2")
+BUILT_FROM = ("bridges/kord", "tests/bridges/kord", "pyproject.toml", "tests/test_wheel.py")
 
 _PROCESS_EVENTS = ("subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn")
 _ASKED_BY_LIBRARIES = ("fc-list",)  # matplotlib, once in a run
@@ -45,7 +45,7 @@ class NotInItsTier(AssertionError):
 
 def tier_of(fixtures: set[str]) -> str:
     """Return the tier of a test from the names of all fixtures that it uses, directly or not."""
-    return next((tier for tier, fixture in TIERS.items() if fixture in fixtures), "unit")
+    return next((tier for fixture, tier in DECIDES.items() if fixture in fixtures), "unit")
 
 
 def mark(items: list[pytest.Item]) -> None:
@@ -110,7 +110,8 @@ def _refuse_process(what: str) -> None:
 def sources_hash() -> str:
     """Return a hash of what the tests of the build tier build, and of the compiler."""
     found = hashlib.sha256()
-    for path in sorted(path for folder in BUILT_FROM for path in (ROOT / folder).rglob("*") if path.is_file()):
+    every = [path for name in BUILT_FROM for path in (ROOT / name, *(ROOT / name).rglob("*")) if path.is_file()]
+    for path in sorted(every):
         if "__pycache__" not in path.parts and "build" not in path.parts:
             found.update(str(path.relative_to(ROOT)).encode() + b"\0" + path.read_bytes())
     if (compiler := shutil.which("c++")) is not None:

@@ -134,4 +134,5 @@ def _show(error: click.ClickException) -> None:
     elif error.format_message() == context.get_help():
         click.echo(error.format_message(), err=True)
     else:
-        _complain(f"{error.format_message()} See `{context.command_path} --help`.")
+        told = " ".join(error.format_message().split()).rstrip(".")  # click lists choices in lines of their own
+        _complain(f"{told}. See `{context.command_path} --help`.")

@@ -72,6 +72,7 @@ def test_a_bad_motion_file(bus_home: Home, tmp_path: Path, name: str) -> None:
         (["upp"], "unknown `station` command 'upp' (did you mean 'up'?)"),
         (["record", "strt"], "unknown `station record` command 'strt' (did you mean 'start'?)"),
         (["up"], "Missing argument 'RUNBOOK'. See `station up --help`."),
+        (["completion"], "Choose from: bash, zsh, fish. See `station completion --help`."),
         (["up", "--recrd"], "No such option '--recrd'"),
         (["up", "g1-sim-moton"], "no such file (did you mean 'g1-sim-motion.yaml'?)"),
         (["up", COMMANDS_ONLY, "--for", "soon"], "--for: expected a duration such as 20s, 500ms or 2min, got 'soon'"),

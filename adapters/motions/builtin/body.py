@@ -125,4 +125,4 @@ def turned(vectors: Floats, angle: Floats | float) -> Floats:
     """Turn vectors of the plane, shape (..., 2), to the left by angles [rad], shape (...)."""
     x, y = vectors[..., 0], vectors[..., 1]
     cosine, sine = np.cos(angle), np.sin(angle)
-    return np.stack([x * cosine - y * sine, x * sine + y * cosine], axis=-1)
+    return rotations.joined(x * cosine - y * sine, x * sine + y * cosine)

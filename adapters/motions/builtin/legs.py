@@ -9,7 +9,6 @@ from adapters.robots.g1 import kinematics
 from station.bus.joints import LEGS
 from station.errors import ConfigError
 from station.protocols import Floats
-from station.rotations import normalized
 
 SIDES = ("left", "right")
 """Order of the two feet in every array of this package."""
@@ -19,8 +18,10 @@ STANDING_LEGS = np.array(FORMAT.default[6:18])
 
 _CHAIN = [kinematics.LINKS[kinematics.INDEX[name]] for name in LEGS[:6]]
 _MIRROR = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 1.0]])  # the right leg is the left one mirrored, to 0.1 mm
-_AT_ZERO = kinematics.matrix(normalized([link.quat_wxyz for link in _CHAIN]))
-_AXES = {"x": 0, "y": 1, "z": 2}
+_FIXED, _BY_SINE, _BY_COSINE = kinematics.turns(_CHAIN)
+_PLACES = np.array([link.position for link in _CHAIN]) * _MIRROR[:, None, None]  # (2, 1, 6, 3), in the parent's frame
+_AXES = ["xyz".index(link.axis) for link in _CHAIN]
+_EYE = np.eye(6)
 _ROUNDS = 12
 _CLOSE = 1e-6  # m and rad
 _HIP = np.array(_CHAIN[0].position) + _CHAIN[1].position  # where a leg hangs in the pelvis' frame: its roll axis
@@ -72,7 +73,7 @@ def solve(hips: Floats, turned: Floats, feet: Floats, feet_turned: Floats, *, gu
         if np.abs(error).max() < _CLOSE:
             return np.concatenate(list(q), axis=-1)
         # A little damping keeps a nearly straight leg from swinging through; it dies out with the error, almost.
-        damping = (1e-9 + 1e-3 * np.minimum(np.square(error).sum(axis=-1), 1.0))[..., None, None] * np.eye(6)
+        damping = (1e-9 + 1e-3 * np.minimum(np.square(error).sum(axis=-1), 1.0))[..., None, None] * _EYE
         normal = jacobian.swapaxes(-1, -2) @ jacobian + damping
         step = np.linalg.solve(normal, jacobian.swapaxes(-1, -2) @ error[..., None])[..., 0]
         q += np.clip(step, -0.5, 0.5)
@@ -85,17 +86,17 @@ def solve(hips: Floats, turned: Floats, feet: Floats, feet_turned: Floats, *, gu
 
 def _forward(q: Floats) -> tuple[Floats, Floats, Floats]:
     """Poses of the feet in the pelvis' frame, (2, n, 3) and (2, n, 3, 3), and how joints move them, (2, n, 6, 6)."""
-    rotation = np.broadcast_to(np.eye(3), (*q.shape[:2], 3, 3))
-    position = np.zeros((*q.shape[:2], 3))
-    origins, axes = [], []
-    for index, link in enumerate(_CHAIN):
-        position = position + (rotation @ (np.array(link.position) * _MIRROR)[:, None, :, None])[..., 0]
-        rotation = rotation @ _AT_ZERO[index] @ kinematics.about(link.axis, q[..., index])
-        origins.append(position)
-        axes.append(rotation[..., _AXES[link.axis]])
-    turning = np.stack(axes, axis=-1)
-    moving = _cross(turning, position[..., None] - np.stack(origins, axis=-1))
-    return position, rotation, np.concatenate([moving, turning], axis=-2)
+    poses = np.empty((*q.shape, 3, 4))  # rotation and position of each link in its parent's frame, then in the pelvis'
+    poses[..., :3] = _FIXED + np.sin(q)[..., None, None] * _BY_SINE + np.cos(q)[..., None, None] * _BY_COSINE
+    poses[..., 3] = _PLACES
+    for index in range(1, len(_CHAIN)):
+        parent = poses[:, :, index - 1]
+        poses[:, :, index] = parent[..., :3] @ poses[:, :, index]
+        poses[:, :, index, :, 3] += parent[..., 3]
+    position = poses[:, :, -1, :, 3]
+    turning = poses[:, :, range(len(_CHAIN)), :, _AXES].transpose(1, 2, 3, 0)
+    moving = _cross(turning, position[..., None] - poses[..., 3].swapaxes(-1, -2))
+    return position, poses[:, :, -1, :, :3], np.concatenate([moving, turning], axis=-2)
 
 
 def _cross(left: Floats, right: Floats) -> Floats:

@@ -6,13 +6,13 @@ unitree_rl_gym (BSD-3-Clause); `tests/adapters/robots/g1/test_kinematics.py` com
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from station import rotations
-from station.bus.joints import G1_29
 from station.protocols import Floats
 
 Vector = tuple[float, float, float]
@@ -151,11 +151,11 @@ def forward(root_pos: Floats, root_quat_wxyz: Floats, q: Floats) -> LinkPoses:
     position = np.empty((len(LINKS), len(q), 3))
     rotation = np.empty((len(LINKS), len(q), 3, 3))
     position[0], rotation[0] = root_pos, matrix(root_quat_wxyz)
-    turns = _joint_turns(q)
+    turned = _FIXED + np.sin(q)[..., None, None] * _BY_SINE + np.cos(q)[..., None, None] * _BY_COSINE
     for index in range(1, len(LINKS)):
         parent = rotation[_PARENT[index]]
         position[index] = position[_PARENT[index]] + parent @ _POSITION[index]
-        rotation[index] = parent @ turns[index - 1]
+        rotation[index] = parent @ turned[:, index - 1]
     return LinkPoses(position, rotation)
 
 
@@ -176,13 +176,13 @@ def about(axis: str, angle: Floats) -> Floats:
     return turned
 
 
-_AT_ZERO = matrix(rotations.normalized([link.quat_wxyz for link in LINKS]))
+def turns(links: Sequence[Link]) -> tuple[Floats, Floats, Floats]:
+    """Return what a link's rotation in its parent's frame is made of: the part that its joint does not change, and
+    what the sine and the cosine of its joint's angle are multiplied by; each of shape (links, 3, 3)."""
+    at_zero = matrix(rotations.normalized([link.quat_wxyz for link in links]))
+    axes = np.array([[link.axis == axis for axis in "xyz"] for link in links], dtype=np.float64)
+    along = axes[:, :, None] * axes[:, None, :]
+    return at_zero @ along, at_zero @ np.cross(axes[:, None], -np.eye(3)), at_zero @ (np.eye(3) - along)
 
 
-def _joint_turns(q: Floats) -> Floats:
-    """Rotation of every jointed link in its parent's frame, shape (29, n, 3, 3)."""
-    turns = np.empty((len(G1_29), len(q), 3, 3))
-    for axis in "xyz":
-        moved = [index - 1 for index, link in enumerate(LINKS) if link.axis == axis]
-        turns[moved] = _AT_ZERO[[index + 1 for index in moved], None] @ about(axis, q.T[moved])
-    return turns
+_FIXED, _BY_SINE, _BY_COSINE = turns(LINKS[1:])
