@@ -16,6 +16,7 @@ import numpy as np
 import redis
 
 from adapters.cameras.encode import Encoder
+from adapters.robots.g1 import twist_keys
 from benchmarks import processes
 from benchmarks.harness import Benchmark, Rounds, Row, Settings, Target, alternate, compare, mean, p50, p99
 from benchmarks.recorded import wait_active
@@ -27,7 +28,7 @@ from station.life.loop import Rate
 
 _FPS, _WIDTH, _HEIGHT, _QUALITY, _PICTURES = 30.0, 640, 480, 90, 30
 _MANY, _READY_S = 4, 30.0
-_ROBOT = keys.TWIST2_ROBOT
+_ROBOT = twist_keys.TWIST2_ROBOT
 _TIME = struct.Struct("<q")  # behind the picture of the bare loop, which has no stamp
 BARE = "bare loop"
 

@@ -7,9 +7,10 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.robots.g1 import twist_keys
 from benchmarks import stock
 from benchmarks.processes import Stop
-from station.bus import codec, keys
+from station.bus import codec
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.clock import SYSTEM
@@ -29,7 +30,7 @@ def vectors() -> list[Floats]:
 def encoded(values: list[Floats], time_ns: int) -> dict[str, bytes]:
     """Return what `station.bus.client.Bus.publish` takes."""
     pairs = zip(stock.COMMAND_KEYS, values, strict=True)
-    return {key: codec.json_vector(vector) for key, vector in pairs} | {keys.T_ACTION: b"%d" % time_ns}
+    return {key: codec.json_vector(vector) for key, vector in pairs} | {twist_keys.T_ACTION: b"%d" % time_ns}
 
 
 def write_native(stop: Stop, address: BusAddress, hz: float, is_fifo: bool = False) -> int:

@@ -11,13 +11,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from adapters.robots.g1 import twist_keys
 from benchmarks import commands, processes, traffic, upstream
 from benchmarks.harness import Benchmark, Rounds, Row, Settings, Target, alternate, compare, p50, p99
 from benchmarks.recorded import recorder, wait_active
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.bus.contracts import TIMING_STAGES
+from station.contract import TIMING_STAGES
 from station.episode.recorder import remote
 
 _SMALL_PER_S, _IMAGE_MB_PER_S, _COMMAND_HZ = 1_000.0, 30.0, 100.0
@@ -105,7 +106,7 @@ def _with_recorder(address: BusAddress, folder: Path, seconds: float) -> Seen:
 
 def _watch(address: BusAddress, seconds: float) -> Seen:
     """Look on while the loop runs for so long; a look costs it a notification of 50 writes a second."""
-    key = keys.policy_timing(keys.TWIST2_ROBOT)
+    key = keys.policy_timing(twist_keys.TWIST2_ROBOT)
     steps: list[np.ndarray] = []
     with Bus(address, name="bench") as line, line.watch([key]) as watch:
         time.sleep(_SETTLE_S)

@@ -10,6 +10,7 @@ from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
+from adapters.robots.g1 import twist_keys
 from benchmarks import network, processes, stock
 from benchmarks.harness import Benchmark, Rounds, Row, Settings, Target, alternate, compare, p50, p99
 from benchmarks.processes import Stop
@@ -18,15 +19,15 @@ from station import registry
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.bus.contracts import TIMING_STAGES
 from station.bus.tap import Tap, open_tap
+from station.contract import TIMING_STAGES
 from station.motion.playback import Playback
 
 _STEP_MS, _LOOP_HZ = 20.0, 50.0
 _PAUSE_S = (0.12, 0.16)  # between stops; its spread is two steps, so every phase of a step is met
 _GIVE_UP_S = 5.0
 OURS, STOCK = "ours", "polled once per step"
-ROBOT = keys.TWIST2_ROBOT
+ROBOT = twist_keys.TWIST2_ROBOT
 
 METHOD = """\
 The G1 server (built-in model and policy, scheduled as it asks for) follows a walk that is played in a loop;

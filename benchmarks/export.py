@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from adapters.robots.g1 import twist_keys
 from benchmarks.harness import Benchmark, Row, Settings, Target, alternate, compare, p50
 from station import registry
 from station.bus import codec, contracts, keys
@@ -32,7 +33,7 @@ from station.export.run import Exported, Where, export
 from station.export.select import sources
 from station.export.shards import Outcome
 
-ROBOT = keys.TWIST2_ROBOT
+ROBOT = twist_keys.TWIST2_ROBOT
 CAMERA = keys.camera_image("head")
 _STATE_HZ, _FRAME_HZ = 50, 30
 _WALL_NS, _MONO_NS = 1_795_000_000_000_000_000, 1_000_000_000_000

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import msgspec
 
+from adapters.robots.g1 import twist_keys
 from benchmarks import processes, upstream
 from benchmarks.harness import Benchmark, Row, Settings, Target, alternate, compare
 from station import assets
@@ -21,7 +22,7 @@ from station.bus.client import Bus
 from station.errors import BusError
 
 _LIMIT_S = 120.0
-_STATE = keys.state_body(keys.TWIST2_ROBOT)
+_STATE = twist_keys.state_body(twist_keys.TWIST2_ROBOT)
 
 METHOD = """\
 From the start of the process to the first state on the bus (`station serve g1` on a running bus), to the motion
@@ -141,7 +142,7 @@ def _is_active(address: BusAddress, name: str) -> bool:
 def _is_following(address: BusAddress) -> bool:
     """Whether the robot has begun to blend into the motion: its first moving frame."""
     with contextlib.suppress(BusError), Bus(address, name="bench") as line:
-        data = line.get(keys.command_gate(keys.TWIST2_ROBOT))
+        data = line.get(keys.command_gate(twist_keys.TWIST2_ROBOT))
         return data is not None and msgspec.json.decode(data).get("state") == "entering"
     return False
 

@@ -18,9 +18,14 @@ import numpy as np
 import redis
 from numpy.typing import NDArray
 
-from station.bus import keys
+from adapters.robots.g1 import twist_keys
 
-COMMAND_KEYS = (keys.action_body(), keys.action_hand("left"), keys.action_hand("right"), keys.action_neck())
+COMMAND_KEYS = (
+    twist_keys.action_body(),
+    twist_keys.action_hand("left"),
+    twist_keys.action_hand("right"),
+    twist_keys.action_neck(),
+)
 COMMAND_SIZES = (35, 7, 7, 2)
 RECORDER_HZ = 30.0
 
@@ -38,7 +43,7 @@ class Client:
         """Write body, hands, neck and the time in one pipeline, as the stock teleoperation does."""
         for key, vector in zip(COMMAND_KEYS, vectors, strict=True):
             self._pipeline.set(key, json.dumps(vector.tolist()))
-        self._pipeline.set(keys.T_ACTION, time_ns)
+        self._pipeline.set(twist_keys.T_ACTION, time_ns)
         self._pipeline.execute()
 
     def read_command(self) -> list[Floats]:
@@ -49,7 +54,7 @@ class Client:
 
     def read_command_and_time(self) -> tuple[list[Floats], int]:
         """Read them and the time of the command."""
-        for key in (*COMMAND_KEYS, keys.T_ACTION):
+        for key in (*COMMAND_KEYS, twist_keys.T_ACTION):
             self._pipeline.get(key)
         *values, time_ns = self._pipeline.execute()
         return [np.array(json.loads(value)) for value in values], int(time_ns)

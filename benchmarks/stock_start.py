@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import redis
 
+from adapters.robots.g1 import twist_keys
 from benchmarks import stock
-from station.bus import keys
 
 
 def main(port: int, model: Path, checkpoint: Path) -> None:
@@ -19,7 +19,7 @@ def main(port: int, model: Path, checkpoint: Path) -> None:
     zeros = np.zeros(29)
     simulation = stock.Simulation(model, checkpoint, zeros, zeros, zeros, zeros)
     simulation.run([np.zeros(35)])
-    client.set(keys.state_body(keys.TWIST2_ROBOT), json.dumps([0.0] * 34))
+    client.set(twist_keys.state_body(twist_keys.TWIST2_ROBOT), json.dumps([0.0] * 34))
 
 
 if __name__ == "__main__":

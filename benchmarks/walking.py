@@ -9,10 +9,10 @@ import numpy as np
 
 from adapters.drivers.hands import HandsDriver
 from adapters.retarget.walking import Walker, Wish
+from adapters.robots.g1.joints import G1_29
 from benchmarks.harness import Benchmark, Row, Settings, Target, compare, mean, p50, p99
 from station import rotations
 from station.bus import codec
-from station.bus.joints import G1_29
 from station.control.control import ControlStep, StepRecord
 from station.control.inlet import CommandSample
 from station.control.rig import Rig, RigConfig, build

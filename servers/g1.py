@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from adapters.robots.g1 import wire
+from adapters.robots.g1 import description, wire
 from station import registry
 from station.config import to_plain
 from station.control.gate import GateConfig
@@ -122,6 +122,7 @@ def _facts(config: G1Config, name: str, rig: Rig) -> dict[str, Any]:
         "server": name,
         "role": KIND.role,
         "robot": rig.form.robot,
+        "description": to_plain(description.of_server(rig.form)),
         "robot_facts": rig.robot.facts(),
         "policy": {
             "name": spec.name,

@@ -22,6 +22,7 @@ from adapters.robots import arm_limits
 from adapters.robots.arm_limits import ArmLimits
 from adapters.robots.kassow import session as sessions
 from adapters.robots.kassow import wire
+from adapters.robots.kassow.description import of_joints
 from adapters.robots.kassow.names import MAKER, suffix
 from adapters.robots.kassow.native import kord
 from adapters.robots.kassow.session import KordSession
@@ -285,6 +286,7 @@ def _facts(
         "server": name,
         "role": KIND.role,
         "robot": config.robot,
+        "description": to_plain(of_joints(config.robot, limits.joints())),
         "command": form.facts(),
         "robot_facts": {
             "maker": MAKER,

@@ -142,8 +142,7 @@ def _watched_keys(command: CommandFormat) -> list[str]:
         command.key,
         keys.robot_state(command.robot),
         keys.MOTION_CONTROL,
-        keys.MOTION_START_SIGNAL,
-        keys.MOTION_EXIT_SIGNAL,
+        *command.stock.signals,
         *StopWatch.watched(command.robot),
     ]
 
@@ -171,14 +170,14 @@ class Player:
             at_end=config.at_end,
         )  # fmt: skip
         self._writer = _Writer(life, motion, command)
-        self._requests = Requests(life, watch, self._playback)
+        self._requests = Requests(life, watch, self._playback, command.stock.signals)
         self._story = _Story(life, self._playback)
         self._own_key = OwnKey(life, command.key)
         self._stop = StopWatch(watch, command.robot)
         self._preview = _open_preview(config, life, motion)
         if config.wait_for_start:
             # As stock does: a "1" that an earlier session left behind must not start this one.
-            life.bus.publish({keys.MOTION_START_SIGNAL: b"0", keys.MOTION_EXIT_SIGNAL: b"0"})
+            life.bus.publish(dict.fromkeys(command.stock.signals, b"0"))
 
     def run(self) -> None:
         """Play to the end; on an error blend back to the default first, then raise it."""
@@ -272,7 +271,7 @@ class _Writer:
             {
                 self._command.key: codec.json_vector(frame.command),
                 **self._companions,
-                keys.T_ACTION: b"%d" % (self._life.clock.wall_ns() // 1_000_000),
+                **dict.fromkeys(self._command.stock.clocks, b"%d" % (self._life.clock.wall_ns() // 1_000_000)),
                 keys.command_source(self._command.robot): codec.json_object(source),
             }
         )

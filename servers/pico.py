@@ -21,8 +21,9 @@ import msgspec
 
 from adapters.devices.pico.headset import DEFAULT_PORT, Headset
 from adapters.devices.pico.stock import controller_data
+from adapters.robots.g1 import twist_keys
 from station import python_child
-from station.bus import codec, keys
+from station.bus import codec
 from station.config import to_plain
 from station.errors import NotReady
 from station.life.server import Life, ServerKind
@@ -82,7 +83,7 @@ KIND = ServerKind(
 
 
 def _stock(reading: Reading) -> Mapping[str, bytes]:
-    return {keys.CONTROLLER_DATA: codec.json_object(controller_data(reading))}
+    return {twist_keys.CONTROLLER_DATA: codec.json_object(controller_data(reading))}
 
 
 class _Fake:

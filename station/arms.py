@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from station.bus import keys
-from station.elements import Element, elements, names_of, positions
+from station.contract import Element, elements, names_of, positions
 from station.errors import ConfigError
 
 if TYPE_CHECKING:  # NumPy is loaded where vectors are made: `station doctor` makes none
-    from station.protocols import Floats, Reference
+    from station.protocols import Floats, Reference, StockKeys
 
 
 def remedy_of(fault: str) -> str:
@@ -130,6 +130,13 @@ class JointCommand:
     def companions(self) -> Mapping[str, Floats]:
         """Nothing goes beside an arm's command."""
         return {}
+
+    @property
+    def stock(self) -> StockKeys:
+        """No stock program commands an arm."""
+        from station.protocols import StockKeys
+
+        return StockKeys()
 
     @property
     def key(self) -> str:

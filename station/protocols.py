@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from station.elements import Element
+from station.contract import Element
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -238,6 +238,22 @@ class Motion(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class StockKeys:
+    """What programs of others expect of whoever commands, beside the values of `CommandFormat.companions`.
+
+    Attributes:
+        returning: Those of the companions that go back to their default when who drives leaves; others keep their
+            value, as a hand that holds something does.
+        clocks: Keys that hold the wall clock of the command [ms since the epoch].
+        signals: Keys with which a remote starts a motion or has it leave: ``1`` while its button is down.
+    """
+
+    returning: frozenset[str] = frozenset()
+    clocks: tuple[str, ...] = ()
+    signals: Mapping[str, Literal["start", "leave"]] = field(default_factory=dict)
+
+
 class CommandFormat(Protocol):
     """A whole-body command vector as it stands on the bus; m is its length."""
 
@@ -269,6 +285,11 @@ class CommandFormat(Protocol):
     @property
     def companions(self) -> Mapping[str, Floats]:
         """Keys that stock readers expect beside it (hands, neck), with the value that asks for nothing."""
+        ...
+
+    @property
+    def stock(self) -> StockKeys:
+        """What else stock programs expect; ``StockKeys()`` for nothing."""
         ...
 
     @property

@@ -16,6 +16,7 @@ from station.errors import StationError, UnknownName
 Kind = Literal[
     "server",
     "robot",
+    "family",
     "policy",
     "motion",
     "command",
@@ -32,6 +33,7 @@ Kind = Literal[
 _GROUPS: dict[str, str] = {
     "server": "station.servers",
     "robot": "station.robots",
+    "family": "station.families",
     "policy": "station.policies",
     "motion": "station.motions",
     "command": "station.commands",

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from adapters.robots.kassow.names import ARM_7
 from station.arms import JointCommand, remedy_of
-from station.bus import joints
 
 
 def test_a_command_keeps_limits_of_its_own_and_leaves_those_that_it_was_given_as_they_are() -> None:
     given = {
         name: np.full(7, value) for name, value in (("lower", 0.5), ("upper", 3.0), ("margin", 0.2), ("rate", 1.0))
     }
-    form = JointCommand.within("kassow", "kassow_kr810", joints.ARM_7, **given)
+    form = JointCommand.within("kassow", "kassow_kr810", ARM_7, **given)
     for name, array in given.items():
         array[:] = 9.0  # they are the caller's, who may change them
         kept = getattr(form, name)

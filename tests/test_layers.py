@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from station import registry
-from station.bus import keys
 from station.bus.address import BusAddress
 from station.cli.main import VERBS, module_of
 
@@ -38,10 +38,11 @@ A_KEY = re.compile(
     r"(action_(body|hand|neck|mimic|joints)|state_(body|hand|neck|joints|tcp|counters|controller)|robot_state|policy_(obs|action|timing)|target|sim_qpos"
     r"|command_(gate|used|source))_(?=$|\{|g1|unitree|kassow)"
     r"|^operator_(status|controls|head|left|right|body_(pos|quat)|hand_(left|right)|twist|joints)_(?=$|\{)"
-    r"|^camera_image_(?=$|\{)"
+    r"|^camera_image_(?=$|\{)|^(action|state)_$"
     r"|^station:\S|^t_(action|state)$|^controller_data$"
-    r"|^motion_(start|exit)_signal$|" + keys.TWIST2_ROBOT
+    r"|^motion_(start|exit)_signal$|" + twist_keys.TWIST2_ROBOT
 )
+SPELLS_KEYS = ("station/bus/keys.py", "adapters/robots/g1/twist_keys.py")
 NO_KEYS = {("station/episode/storage/layout.py", "station:recorder:stamps")}
 """A topic of a file, which no bus ever sees."""
 
@@ -77,7 +78,7 @@ def test_only_one_module_spells_the_keys_of_the_bus() -> None:
         for path in sources("station", "servers", "adapters")
         for name in [str(path.relative_to(ROOT))]
         for text in sorted(set(strings(path)))
-        if A_KEY.search(text) and name != "station/bus/keys.py" and (name, text) not in NO_KEYS
+        if A_KEY.search(text) and name not in SPELLS_KEYS and (name, text) not in NO_KEYS
     ]
     assert spelled == []
 
@@ -94,11 +95,34 @@ def strings(path: Path) -> Iterator[str]:
 def test_the_pattern_knows_every_key() -> None:
     spelled = [
         text
-        for text in strings(ROOT / "station/bus/keys.py")
-        if text not in ("@", "_", keys.TWIST_ROBOT, keys.KASSOW_FAMILY, "kr810")
+        for name in SPELLS_KEYS
+        for text in strings(ROOT / name)
+        if text not in ("@", "_", twist_keys.TWIST2_ROBOT, twist_keys.TWIST_ROBOT)
     ]
     assert spelled
     assert [text for text in spelled if not A_KEY.search(text)] == []
+
+
+A_ROBOT = re.compile(r"g1\b|kassow|unitree|kr810|twist2|(?<!_)\b(left_|right_)?(hip|knee|ankle|waist|wrist)(_|\b)")
+NAMES_ROBOTS = {
+    "station/bus/joints.py": "joints of a person",
+    "station/control/rig.py": "what is driven where nobody names anything",
+    "station/suite/promise.py": "motions that a policy is judged by",
+    "station/suite/commands.py": "joints of arms by what arms have",
+    "station/supervision/doctor.py": "commands that it suggests",
+    **dict.fromkeys((f"station/cli/{verb}.py" for verb in ("demo", "kassow", "main", "rehearse", "status")), "verbs"),
+}
+"""Files of the station that may, and why."""
+
+
+def test_the_station_knows_no_robot() -> None:
+    spelled = {
+        str(path.relative_to(ROOT)): found
+        for path in sources("station")
+        if (found := sorted(text for text in set(strings(path)) if A_ROBOT.search(text)))
+    }
+    assert {name: found for name, found in spelled.items() if name not in NAMES_ROBOTS} == {}
+    assert set(NAMES_ROBOTS) <= set(spelled), "no longer needed"
 
 
 def test_every_module_of_the_command_line_is_a_verb_or_shared() -> None:

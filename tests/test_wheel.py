@@ -45,7 +45,7 @@ from adapters.commands.twist2 import FORMAT
 from servers.recorder import KIND
 from station import assets, registry
 from station.bus.client import Bus
-from station.bus.keys import action_body
+from adapters.robots.g1.twist_keys import action_body
 from station.bus.sample import Sample
 from station.errors import StationError, UnknownName
 from station.life.server import Life, ServerKind

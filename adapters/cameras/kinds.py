@@ -8,6 +8,7 @@ from typing import Literal
 
 import msgspec
 
+from adapters.robots.g1 import twist_keys
 from station.bus import keys
 from station.camera.source import Camera, CameraKind, Newest, Wishes
 
@@ -53,7 +54,7 @@ class MujocoOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
     camera: str = "head"
     model: str = "builtin:g1.xml"
-    robot: str = keys.TWIST2_ROBOT
+    robot: str = twist_keys.TWIST2_ROBOT
     detail: Literal["plain", "fine"] = "plain"
 
 

@@ -17,10 +17,10 @@ from adapters.cameras.pace import Pace
 from adapters.robots import model_cache
 from adapters.robots.g1 import mjcf
 from adapters.robots.g1.addresses import Addresses
+from adapters.robots.g1.joints import G1_29
 from adapters.robots.picture import Camera as Eye
 from station import assets
 from station.bus import codec
-from station.bus.joints import G1_29
 from station.bus.sample import Sample
 from station.camera.source import CameraError, Drops, Newest, Picture, Wishes
 from station.errors import StationError

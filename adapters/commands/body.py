@@ -10,9 +10,9 @@ from types import MappingProxyType
 import numpy as np
 
 from adapters.robots.g1 import joints as g1
-from station.elements import Element, elements, positions
+from station.contract import Element, elements, positions
 from station.errors import ConfigError
-from station.protocols import Floats, Reference
+from station.protocols import Floats, Reference, StockKeys
 
 JOINT_MARGIN_RAD = 0.2
 """Retargeting overshoots a range by a few hundredths; 0.2 rad beyond it is another robot, or a fault."""
@@ -56,6 +56,7 @@ class BodyCommand:
     elements: tuple[Element, ...]
     note: str
     companions: Mapping[str, Floats]
+    stock: StockKeys
     default: Floats
     lower: Floats
     upper: Floats
@@ -83,6 +84,7 @@ def body_command(
     key: str,
     note: str,
     companions: Mapping[str, int],
+    stock: StockKeys,
     bounds: tuple[Bound, ...],
     joint_names: tuple[str, ...],
     default_pose: Mapping[str, float],
@@ -102,6 +104,7 @@ def body_command(
         elements=(*(Element(bound.name, bound.unit) for bound in bounds), *elements((positions(joint_names), "rad"))),
         note=note,
         companions=MappingProxyType({other: _frozen(np.zeros(size)) for other, size in companions.items()}),
+        stock=stock,
         default=whole("default", pose),
         lower=whole("lower", g1.lower(joint_names)),
         upper=whole("upper", g1.upper(joint_names)),

@@ -6,7 +6,7 @@
 | 2 | root height above ground [m] |
 | 3, 4 | roll, pitch [rad] |
 | 5 | yaw rate about the root's z [rad/s] |
-| 6-34 | 29 joint positions in the order of `station.bus.joints.G1_29` [rad] |
+| 6-34 | 29 joint positions in the order of `adapters.robots.g1.G1_29` [rad] |
 
 Heading and place are not commanded: they drift freely. Source: amazon-far/TWIST2, motion and teleoperation servers.
 """
@@ -14,8 +14,9 @@ Heading and place are not commanded: they drift freely. Source: amazon-far/TWIST
 from __future__ import annotations
 
 from adapters.commands.body import Bound, body_command, standing
-from station.bus import joints, keys
-from station.protocols import Reference
+from adapters.robots.g1 import twist_keys
+from adapters.robots.g1.joints import G1_29
+from station.protocols import Reference, StockKeys
 from station.rotations import roll_pitch_yaw
 
 
@@ -44,12 +45,17 @@ YAW_RATE = Bound("root_yaw_rate", "rad/s", 0.0, lower=-6.0, upper=6.0, margin=3.
 
 FORMAT = body_command(
     name="twist2",
-    robot=keys.TWIST2_ROBOT,
-    key=keys.action_body(),
-    companions={keys.action_hand("left"): 7, keys.action_hand("right"): 7, keys.action_neck(): 2},
+    robot=twist_keys.TWIST2_ROBOT,
+    key=twist_keys.action_body(),
+    companions={twist_keys.action_hand("left"): 7, twist_keys.action_hand("right"): 7, twist_keys.action_neck(): 2},
+    stock=StockKeys(
+        returning=frozenset({twist_keys.action_neck()}),
+        clocks=(twist_keys.T_ACTION,),
+        signals={twist_keys.MOTION_START_SIGNAL: "start", twist_keys.MOTION_EXIT_SIGNAL: "leave"},
+    ),
     note="root velocities in the root frame; height above ground; heading is not commanded",
     bounds=(velocity("x"), velocity("y"), height(0.8), ROLL, PITCH, YAW_RATE),
-    joint_names=joints.G1_29,
+    joint_names=G1_29,
     default_pose=standing(shoulder_roll=0.4),
     head=_head,
 )

@@ -21,9 +21,8 @@ from adapters.drivers.arm_options import ArmOptions
 from adapters.drivers.arm_tool import ArmTool
 from adapters.robots import arm_limits
 from adapters.robots.kassow import kinematics
-from adapters.robots.kassow.names import MAKER, suffix
+from adapters.robots.kassow.names import ARM_7, MAKER, suffix
 from station import rotations
-from station.bus.joints import ARM_7
 from station.errors import ConfigError
 from station.operator import deltas
 from station.operator.deadman import Snapshot

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from adapters.drivers.sticks import live, summed
-from station.bus.joints import ARM_7
+from adapters.robots.kassow.names import ARM_7
 from station.operator import deltas
 from station.operator.reading import Pose, Reading, Side
 from station.protocols import Floats

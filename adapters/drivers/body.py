@@ -13,8 +13,9 @@ from adapters.drivers.fingers import Fingers
 from adapters.drivers.neck import SCALE, Neck
 from adapters.drivers.outlet import Outlet
 from adapters.retarget.arm_ik import ARMS
+from adapters.robots.g1.joints import G1_29
 from station.blends import times_to_standing
-from station.bus.joints import G1_29, SMPL_24
+from station.bus.joints import SMPL_24
 from station.errors import StationError
 from station.operator import deltas
 from station.operator.deadman import Snapshot

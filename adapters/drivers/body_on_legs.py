@@ -12,7 +12,7 @@ from adapters.drivers.outlet import Outlet
 from adapters.drivers.sticks import Sticks
 from adapters.retarget.arm_ik import ARMS
 from adapters.retarget.walking import Walker, Wish
-from station.bus.joints import G1_29
+from adapters.robots.g1.joints import G1_29
 from station.protocols import Floats
 
 HEAD = len(FORMAT.default) - len(G1_29)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from station.bus import keys
+from adapters.robots.g1 import twist_keys
 from station.operator.reading import Side
 from station.protocols import Floats
 
@@ -49,4 +49,4 @@ class Fingers:
     @property
     def commands(self) -> dict[str, Floats]:
         """Joints of both hands by bus key, shape (7,) [rad]."""
-        return {keys.action_hand(side): self.closed[side] * CLOSED[side] for side in self.closed}
+        return {twist_keys.action_hand(side): self.closed[side] * CLOSED[side] for side in self.closed}

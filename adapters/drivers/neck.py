@@ -12,8 +12,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from adapters.robots.g1 import twist_keys
 from station import rotations
-from station.bus import keys
 from station.protocols import Floats
 
 SCALE = 1.5
@@ -40,7 +40,7 @@ class Neck:
     @property
     def command(self) -> Mapping[str, Floats]:
         """Yaw and pitch by bus key, shape (2,) [rad]."""
-        return {keys.action_neck(): self._q.copy()}
+        return {twist_keys.action_neck(): self._q.copy()}
 
     def follow(self, chest_wxyz: Floats, head_wxyz: Floats, dt_s: float) -> None:
         """Go on for a period [s] towards what a head does on a chest; both look along their x and have z upwards."""

@@ -17,7 +17,6 @@ import msgspec
 
 from adapters.exports.named_rows import Plan, Rows, in_seconds
 from station.errors import EpisodeError
-from station.export.columns import contract_of
 from station.export.kind import Made, Source
 
 FIRST_COLUMNS = ("log_time_s", "publish_time_s", "sequence")
@@ -67,7 +66,7 @@ def file_names(keys: Any) -> dict[str, str]:
 
 def _contents(rows: Rows, names: dict[str, str]) -> dict[str, Any]:
     manifest = rows.reader.manifest
-    contracts = {key: contract_of(rows.recorded, key) for key in rows.columns}
+    contracts = {key: rows.reader.contract(key) for key in rows.columns}
     return {
         "episode_id": rows.reader.episode_id,
         "task": manifest.task.name,

@@ -18,7 +18,7 @@ from station.bus import contracts
 from station.episode.reading.reader import EpisodeReader, open_episode
 from station.episode.reading.vectors import decoder
 from station.errors import EpisodeError, UsageError
-from station.export.columns import KeyColumns, key_columns, recorded_contracts
+from station.export.columns import KeyColumns, key_columns
 from station.export.kind import ExportOptions, Made, MinQuality, Source
 
 _NANOSECONDS = 1_000_000_000
@@ -94,7 +94,7 @@ class Rows:
 
     def __init__(self, source: Source, keys: Sequence[str]) -> None:
         self.reader: EpisodeReader = open_episode(Path(source.folder))
-        self.recorded = found = recorded_contracts(self.reader)
+        self.recorded = found = self.reader.recorded
         named = [key for key, one in found.items() if one is not None and one.elements and one.vector_codec]
         self.columns: Mapping[str, KeyColumns] = {key: key_columns(self.reader, key) for key in keys or named}
         if not self.columns:

@@ -15,6 +15,7 @@ from typing import Any
 
 from adapters.foreign import twist2_file
 from adapters.foreign.twist2_file import INDEX, PICTURE, TIMES, VECTORS, Document
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, contracts, keys
 from station.foreign.kind import ForeignKind, ForeignWrite, Recording, Times
 
@@ -58,7 +59,7 @@ def read(folder: Path) -> Recording:
         sha256=document.sha256,
         task=whole.parent.name or "untitled",
         operator=author if isinstance(author, str) else "",
-        robot=keys.TWIST2_ROBOT,
+        robot=twist_keys.TWIST2_ROBOT,
         times=times,
         length_ns=at_ns[-1],
         cameras=[camera] if has_pictures else [],
@@ -88,8 +89,8 @@ def _times(document: Document) -> tuple[Times, Sequence[int]]:
     """
     notes = {
         twist2_file.T_IMAGE: "t_img, the recorder's wall clock as it copied the picture of a tick, in milliseconds",
-        keys.T_ACTION: "t_action, the wall clock of whoever commanded, in milliseconds; t_img cannot be used",
-        keys.T_STATE: "t_state, the wall clock of the robot's server, in milliseconds; t_img cannot be used",
+        twist_keys.T_ACTION: "t_action, the wall clock of whoever commanded, in milliseconds; t_img cannot be used",
+        twist_keys.T_STATE: "t_state, the wall clock of the robot's server, in milliseconds; t_img cannot be used",
     }
     for name in TIMES:
         stamps: list[Any] = [entry.get(name) for entry in document.data]

@@ -10,24 +10,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from station.bus import keys
+from adapters.robots.g1 import twist_keys
 from station.errors import BadFile
 
 NAME = "data.json"
 VECTORS = {
-    "state_body": keys.state_body(keys.TWIST2_ROBOT),
-    "state_hand_left": keys.state_hand("left"),
-    "state_hand_right": keys.state_hand("right"),
-    "state_neck": keys.state_neck(),
-    "action_body": keys.action_body(),
-    "action_hand_left": keys.action_hand("left"),
-    "action_hand_right": keys.action_hand("right"),
-    "action_neck": keys.action_neck(),
+    "state_body": twist_keys.state_body(twist_keys.TWIST2_ROBOT),
+    "state_hand_left": twist_keys.state_hand("left"),
+    "state_hand_right": twist_keys.state_hand("right"),
+    "state_neck": twist_keys.state_neck(),
+    "action_body": twist_keys.action_body(),
+    "action_hand_left": twist_keys.action_hand("left"),
+    "action_hand_right": twist_keys.action_hand("right"),
+    "action_neck": twist_keys.action_neck(),
 }
 """Fields that hold lists of numbers, and the keys that the recorder read them from."""
 
 T_IMAGE = "t_img"
-TIMES = (T_IMAGE, keys.T_ACTION, keys.T_STATE)
+TIMES = (T_IMAGE, twist_keys.T_ACTION, twist_keys.T_STATE)
 """Fields that hold a wall clock, milliseconds since the epoch."""
 
 PICTURE, INDEX = "rgb", "idx"

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from adapters.motions.raw import RawMotion
 from adapters.motions.report import Finding, RangeViolation, Report
 from adapters.robots.g1 import joints as g1
+from adapters.robots.g1.joints import G1_29
 from station import rotations
-from station.bus import joints
 from station.errors import BadFile
 from station.protocols import Floats
 
@@ -97,7 +97,7 @@ def _valid_frames(motion: RawMotion) -> tuple[NDArray[np.bool_], list[Finding]]:
         sane = np.abs(table) <= _LARGEST  # false for NaN
         for frame in np.flatnonzero(~sane.all(axis=1)):
             column = int(np.flatnonzero(~sane[frame])[0])
-            what = f"{name} of {joints.G1_29[column]}" if table is motion.q else f"{name}[{column}]"
+            what = f"{name} of {G1_29[column]}" if table is motion.q else f"{name}[{column}]"
             findings.append(Finding(int(frame), what, float(table[frame, column]), _LARGEST))
             valid[frame] = False
     norms = np.full(len(motion), np.nan)
@@ -134,7 +134,7 @@ def _good_steps(motion: RawMotion, valid: NDArray[np.bool_], limits: Limits) -> 
     for row, kind in np.argwhere(speeds > greatest):
         frame, (what, unit) = int(starts[row]), _STEPS[kind]
         if what == "joint speed":
-            what = f"speed of {joints.G1_29[int(np.abs(motion.q[frame + 1] - motion.q[frame]).argmax())]}"
+            what = f"speed of {G1_29[int(np.abs(motion.q[frame + 1] - motion.q[frame]).argmax())]}"
         findings.append(Finding(frame, what, float(speeds[row, kind]), float(greatest[kind]), unit, frame + 1))
     return steps, findings
 
@@ -235,12 +235,12 @@ def _cut(motion: RawMotion, first: int, last: int) -> RawMotion:
 
 
 def _violations(motion: RawMotion, first: int) -> tuple[RangeViolation, ...]:
-    beyond = np.maximum(g1.lower(joints.G1_29) - motion.q, motion.q - g1.upper(joints.G1_29))
+    beyond = np.maximum(g1.lower(G1_29) - motion.q, motion.q - g1.upper(G1_29))
     found = []
     for column in np.flatnonzero((beyond > _RANGE_TOLERANCE).any(axis=0)):
         worst = int(beyond[:, column].argmax())
         count = int((beyond[:, column] > _RANGE_TOLERANCE).sum())
-        found.append(RangeViolation(joints.G1_29[column], count, float(beyond[worst, column]), first + worst))
+        found.append(RangeViolation(G1_29[column], count, float(beyond[worst, column]), first + worst))
     return tuple(found)
 
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from adapters.motions.raw import RawMotion
+from adapters.robots.g1.joints import G1_29
 from station import rotations
-from station.bus import joints
 from station.protocols import Floats, Reference
 
 
@@ -43,7 +43,7 @@ class Clip:
     @property
     def joint_names(self) -> tuple[str, ...]:
         """The 29 joints of the G1."""
-        return joints.G1_29
+        return G1_29
 
     @property
     def duration_s(self) -> float:

@@ -1,7 +1,7 @@
 """Motions of the LAFAN1-retargeted kind: text, a frame per line, no header, no rate.
 
 36 columns: root position x y z [m], root quaternion **x y z w**, 29 joints [rad] in the order of
-`station.bus.joints.G1_29`. The published set has 30 frames per second.
+`adapters.robots.g1.joints.G1_29`. The published set has 30 frames per second.
 """
 
 from __future__ import annotations

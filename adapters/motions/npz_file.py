@@ -6,7 +6,7 @@
 | ``root_pos`` | (n, 3) float64 | position of the pelvis in the motion's world, z up from the ground [m] |
 | ``root_quat_wxyz`` | (n, 4) float64 | orientation of the pelvis in that world |
 | ``joint_pos`` | (n, k) float64 | joint positions [rad] |
-| ``joint_names`` | (k,) text | names of the columns, as in `station.bus.joints.G1_29`; wrists may be absent |
+| ``joint_names`` | (k,) text | names of the columns, as in `adapters.robots.g1.joints.G1_29`; wrists may be absent |
 
 Members beyond these are ignored, so a writer may add what it likes.
 """

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from station.bus import joints
+from adapters.robots.g1.joints import G1_23, G1_29
 from station.errors import BadFile
 from station.protocols import Floats
 
@@ -30,7 +30,7 @@ class RawMotion:
         fps: Frames per second; need not be whole.
         root_pos: Position of the pelvis in the motion's world, z up, shape (n, 3) [m].
         root_quat_wxyz: Orientation of the pelvis in that world, shape (n, 4).
-        q: Joint positions in the order of `station.bus.joints.G1_29`, shape (n, 29) [rad].
+        q: Joint positions in the order of `adapters.robots.g1.G1_29`, shape (n, 29) [rad].
         filled: Joints that the file does not have; they are zero.
     """
 
@@ -100,9 +100,9 @@ def build(
     if len(columns) < 2:
         raise BadFile(f"{path}: {len(columns)} frames; a motion has at least 2")
     names = _names_by_count(path, columns.shape[1]) if joint_names is None else _known(path, joint_names, columns)
-    ordered = np.zeros((len(columns), len(joints.G1_29)))
-    ordered[:, [joints.G1_29.index(name) for name in names]] = columns
-    filled = tuple(name for name in joints.G1_29 if name not in names)
+    ordered = np.zeros((len(columns), len(G1_29)))
+    ordered[:, [G1_29.index(name) for name in names]] = columns
+    filled = tuple(name for name in G1_29 if name not in names)
     return RawMotion(path, format, checked_fps(path, fps), position, orientation, ordered, filled)
 
 
@@ -134,7 +134,7 @@ def _table(path: Path, name: str, value: Any, width: int | None) -> Floats:
 
 
 def _names_by_count(path: Path, count: int) -> tuple[str, ...]:
-    for names in (joints.G1_29, joints.G1_23):
+    for names in (G1_29, G1_23):
         if count == len(names):
             return names
     raise BadFile(f"{path}: {count} joints per frame; expected 29 (TWIST2, LAFAN1 for the G1) or 23 (TWIST)")
@@ -146,10 +146,10 @@ def _known(path: Path, names: tuple[str, ...], columns: Floats) -> tuple[str, ..
         raise BadFile(
             f"{path}: {len(set(short))} different joint names for {columns.shape[1]} columns; expected one each"
         )
-    unknown = [name for name in short if name not in joints.G1_29]
-    missing = [name for name in joints.G1_23 if name not in short]
+    unknown = [name for name in short if name not in G1_29]
+    missing = [name for name in G1_23 if name not in short]
     if unknown:
-        raise BadFile(f"{path}: joint {unknown[0]!r} is none of the G1's; names are as in station.bus.joints.G1_29")
+        raise BadFile(f"{path}: joint {unknown[0]!r} is none of the G1's; names are as in adapters.robots.g1.G1_29")
     if missing:
         raise BadFile(f"{path}: joint {missing[0]!r} is missing; only wrists may be left out")
     return short

@@ -16,8 +16,8 @@ import numpy as np
 
 from adapters.policies.history import FrameHistory
 from adapters.policies.twist2 import ACTION_CLIP, ACTION_SCALE, ANKLES, GYRO_SCALE, VELOCITY_SCALE, gains
+from adapters.robots.g1.joints import G1_23, G1_25, G1_29
 from station.assets import sha256
-from station.bus.joints import G1_23, G1_25, G1_29
 from station.errors import BadFile, StationError
 from station.protocols import Floats, Floats32, JointTargets, PolicySpec, RobotState
 from station.rotations import roll_pitch_yaw

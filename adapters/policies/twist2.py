@@ -15,8 +15,8 @@ import numpy as np
 
 from adapters.policies.history import FrameHistory
 from adapters.policies.onnx_network import OnnxNetwork
+from adapters.robots.g1.joints import G1_29
 from station.assets import sha256
-from station.bus.joints import G1_29
 from station.errors import ConfigError
 from station.protocols import Floats, Floats32, JointTargets, PolicySpec, RobotState
 from station.rotations import roll_pitch_yaw

@@ -14,8 +14,8 @@ import numpy as np
 
 from adapters.commands.twist2 import FORMAT
 from adapters.robots.g1 import joints as g1
+from adapters.robots.g1.joints import G1_29, LEGS
 from station import assets
-from station.bus.joints import G1_29, LEGS
 from station.errors import StationError
 from station.operator.reading import Pose, Side
 from station.protocols import Floats

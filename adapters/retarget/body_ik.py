@@ -17,8 +17,8 @@ from adapters.retarget.bone_frames import to_quats
 from adapters.retarget.scaling import Aim
 from adapters.retarget.weights import Weights
 from adapters.robots.g1 import joints as g1
+from adapters.robots.g1.joints import G1_29
 from station import assets
-from station.bus.joints import G1_29
 from station.errors import StationError
 from station.protocols import Floats
 

@@ -17,7 +17,7 @@ _HIP_ON_AXIS = np.array([0.0, G1_SIZED.hip_half_width - 0.064452, 0.0])  # in th
 
 
 ARMS = np.array([range(15, 22), range(22, 29)])
-"""Places of the joints of each arm in `station.bus.joints.G1_29`, shape (2, 7)."""
+"""Places of the joints of each arm in `adapters.robots.g1.joints.G1_29`, shape (2, 7)."""
 
 
 class BoneTask(mink.Task):

@@ -14,7 +14,8 @@ from adapters.retarget.contact import FootHold
 from adapters.retarget.derivatives import RootVelocity
 from adapters.retarget.scaling import Scaler
 from adapters.retarget.smoothing import BodySmoother
-from station.bus.joints import G1_29, SMPL_24
+from adapters.robots.g1.joints import G1_29
+from station.bus.joints import SMPL_24
 from station.errors import StationError
 from station.operator.reading import Body
 from station.protocols import Floats, Reference

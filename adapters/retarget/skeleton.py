@@ -29,7 +29,7 @@ def skeleton_of(
 
     Args:
         reference: What the robot does; or its qpos: position and quaternion wxyz of the root, then the joints of
-            `station.bus.joints.G1_29`, shape (36,).
+            `adapters.robots.g1.joints.G1_29`, shape (36,).
         height_m: How tall the person is [m]; None for a person of the robot's own size.
         lengths: The person's lengths, in place of those of an average one of that height.
     """
@@ -48,7 +48,7 @@ def skeletons(root_pos: Floats, root_quat_wxyz: Floats, q: Floats, lengths: Prop
     Args:
         root_pos: Positions of the robot's pelvis, shape (n, 3) [m].
         root_quat_wxyz: Its orientations, shape (n, 4).
-        q: Joint positions in the order of `station.bus.joints.G1_29`, shape (n, 29) [rad].
+        q: Joint positions in the order of `adapters.robots.g1.joints.G1_29`, shape (n, 29) [rad].
         lengths: The person's.
     """
     return assembled(posture_of(kinematics.forward(root_pos, root_quat_wxyz, q), lengths), lengths)

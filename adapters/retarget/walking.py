@@ -29,8 +29,8 @@ from adapters.motions.builtin.gait import ARM_SWING, ELBOW_SWING, LIFT_SWING, PE
 from adapters.retarget.steps import CARRIES_S, Steps, is_moving
 from adapters.robots.g1 import joints as g1
 from adapters.robots.g1 import kinematics
+from adapters.robots.g1.joints import G1_29, LEGS
 from station import rotations
-from station.bus.joints import G1_29, LEGS
 from station.protocols import Floats, Reference
 
 LOWEST_M, HIGHEST_M = 0.5, STANDING_HEIGHT_M
@@ -115,7 +115,7 @@ class Walker:
 
     @property
     def reference(self) -> Reference:
-        """What is asked of the whole body now; joints in the order of `station.bus.joints.G1_29`."""
+        """What is asked of the whole body now; joints in the order of `adapters.robots.g1.joints.G1_29`."""
         return self._reference
 
     def step(self, dt_s: float, wish: Wish, upper: Mapping[str, float] | None = None) -> Reference:

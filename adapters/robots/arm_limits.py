@@ -20,8 +20,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from adapters.robots.kassow.names import ARM_7
 from station import config
-from station.bus import joints
+from station.description import Joint
 from station.errors import ConfigError
 from station.protocols import Floats
 
@@ -36,7 +37,7 @@ class JointLimit(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Limits of one joint.
 
     Attributes:
-        name: As in `station.bus.joints.ARM_7`.
+        name: As in `adapters.robots.kassow.names.ARM_7`.
         lower_rad, upper_rad: Range of its position [rad].
         speed_rad_s: Greatest speed [rad/s].
         acceleration_rad_s2: Greatest acceleration [rad/s2].
@@ -86,6 +87,11 @@ class ArmLimits:
     qd_max: Floats
     qdd_max: Floats
 
+    def joints(self) -> tuple[Joint, ...]:
+        """Return the joints, as a description of the robot has them."""
+        columns = (self.q_min.tolist(), self.q_max.tolist(), self.qd_max.tolist())
+        return tuple(map(Joint, self.joint_names, *columns))
+
     def facts(self) -> dict[str, Any]:
         """Return what a manifest says of them."""
         arrays = {name: getattr(self, name).tolist() for name in ("q_min", "q_max", "qd_max", "qdd_max")}
@@ -120,8 +126,8 @@ def load(maker: str, model: str, file: Path | None = None) -> ArmLimits:
     if read.model != model:
         raise ConfigError(f"{path}: limits of model {read.model!r}, expected those of {model!r}")
     names = tuple(joint.name for joint in read.joints)
-    if names != joints.ARM_7:
-        raise ConfigError(f"{path}: joints are {', '.join(names) or 'none'}; expected {', '.join(joints.ARM_7)}")
+    if names != ARM_7:
+        raise ConfigError(f"{path}: joints are {', '.join(names) or 'none'}; expected {', '.join(ARM_7)}")
 
     def column(field: str) -> Floats:
         values = np.array([getattr(joint, field) for joint in read.joints])

@@ -20,7 +20,7 @@ from station.bus import keys
 from station.episode.reading import frames, reader
 from station.episode.reading.messages import Channel, Ints
 from station.episode.reading.reader import EpisodeReader
-from station.episode.reading.steps import robots
+from station.episode.reading.steps import robots_of
 from station.episode.reading.vectors import numbers
 from station.episode.storage.manifest import Manifest
 from station.errors import EpisodeError, UnknownName
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     import polars as pl
 
 _NANOSECONDS = 1e-9
-_OF_A_ROBOT = (keys.policy_timing, keys.policy_obs, keys.robot_state, keys.state_joints, keys.state_body)
-"""Families of keys of which every robot has one."""
 
 
 def open_episode(episode: str | Path = "latest", data: str | Path | None = None) -> Episode:
@@ -102,7 +100,7 @@ class Episode:
     def robots(self) -> list[str]:
         """Names of its robots, which end their keys: ``robot_state_<name>``."""
         named = [self.manifest.robot.suffix] if self.manifest.robot.suffix else []
-        return sorted({*robots(self.keys, _OF_A_ROBOT), *named})
+        return sorted({*robots_of(self._reader), *named})
 
     @property
     def keys(self) -> list[str]:

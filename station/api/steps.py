@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from station.api.frames import pandas_frame, polars_frame, unique_names
 from station.api.table import Table
-from station.bus import codec, contracts, keys
-from station.bus.contracts import Contract
+from station.bus import codec, keys
 from station.bus.stamp import boot_of
+from station.contract import TIMING_STAGES, Contract
 from station.episode.reading import steps as recorded
 from station.episode.reading.messages import Ints
 from station.episode.reading.reader import EpisodeReader
@@ -162,8 +162,8 @@ class _Columns:
         return self._table(key, rows, *names_and_units(contract, width), skipped)
 
     def timing(self, key: str) -> Table:
-        names = (*_COUNTERS, *contracts.TIMING_STAGES)
-        units = ("",) * len(_COUNTERS) + ("s",) * len(contracts.TIMING_STAGES)
+        names = (*_COUNTERS, *TIMING_STAGES)
+        units = ("",) * len(_COUNTERS) + ("s",) * len(TIMING_STAGES)
         rows = [self._timing(step, step.values.get(key)) for step in self._steps]
         missing = sum(key not in step.values for step in self._steps)
         if missing == len(rows):

@@ -10,9 +10,12 @@ from __future__ import annotations
 
 import hashlib
 import secrets
+from collections import defaultdict
 from collections.abc import Mapping
+from functools import cache
 
-from station.bus import keys
+from station.bus import contracts, keys
+from station.description import ROBOT
 
 _ANY = "*"
 _READ = (
@@ -22,21 +25,11 @@ _READ = (
 )
 _WRITE = "+set +mset"
 _HEALTH = (keys.server(_ANY), keys.server_config(_ANY), keys.EVENT)
-_COMMANDS = (
-    keys.action_body(_ANY), keys.action_hand(_ANY, _ANY), keys.action_neck(_ANY), keys.T_ACTION, keys.CONTROLLER_DATA,
-    keys.action_mimic(_ANY), keys.action_hands(_ANY), keys.command_source(_ANY),
-    keys.action_joints(_ANY),
-)  # fmt: skip
+_COMMANDS = (keys.action(_ANY), keys.command_source(_ANY))
 _STATES = (
-    keys.state_body(_ANY), keys.state_hand(_ANY, _ANY), keys.state_neck(_ANY), keys.T_STATE, keys.state_hands(_ANY),
-    keys.robot_state(_ANY), keys.policy_obs(_ANY), keys.policy_action(_ANY), keys.policy_timing(_ANY),
-    keys.target(_ANY), keys.sim_qpos(_ANY), keys.command_gate(_ANY), keys.command_used(_ANY),
-    keys.state_joints(_ANY), keys.state_tcp(_ANY), keys.state_counters(_ANY), keys.state_controller(_ANY),
+    keys.state(_ANY), keys.robot_state(_ANY), keys.policy_obs(_ANY), keys.policy_action(_ANY),
+    keys.policy_timing(_ANY), keys.target(_ANY), keys.sim_qpos(_ANY), keys.command_gate(_ANY), keys.command_used(_ANY),
 )  # fmt: skip
-_SIGNALS = (
-    keys.MOTION_START_SIGNAL,
-    keys.MOTION_EXIT_SIGNAL,
-)  # a robot's remote sets them, a motion server resets them
 _OPERATOR = (
     keys.operator_status(_ANY), keys.operator_controls(_ANY), keys.operator_head(_ANY), keys.operator_left(_ANY),
     keys.operator_right(_ANY), keys.operator_body_pos(_ANY), keys.operator_body_quat(_ANY),
@@ -45,16 +38,33 @@ _OPERATOR = (
 )  # fmt: skip
 _BUTTONS = (keys.ESTOP, keys.ARM, keys.RECORD)  # of a device that commands
 
-WRITES: dict[str, tuple[str, ...]] = {
-    "command": (*_COMMANDS, *_SIGNALS, *_HEALTH, *_BUTTONS),
-    "low-level": (*_STATES, *_SIGNALS, *_HEALTH, keys.ESTOP),
-    "recorder": (*_HEALTH, keys.RECORDER, keys.RECORD_ACK, keys.TAP_PROBE),
-    "sensor": (*_OPERATOR, keys.camera_image(_ANY), keys.CONTROLLER_DATA, *_HEALTH, keys.ESTOP),
-    "observer": _HEALTH,
-    "viewer": (),
-    "operator": (*_COMMANDS, *_SIGNALS, *_BUTTONS, keys.CONTROLLER, keys.EVENT, keys.MOTION_CONTROL),
-}
-"""Patterns of the keys that each role may write, stamps left out; an e-stop may come from all who can move or sense."""
+ROLES = ("command", "low-level", "recorder", "sensor", "observer", "viewer", "operator")
+
+
+@cache
+def writes() -> dict[str, tuple[str, ...]]:
+    """Return patterns of the keys that each role may write, stamps left out.
+
+    An e-stop may come from all who can move or sense. Keys of stock programs that bear no robot's name are those of
+    the families of robots that are registered; signals of a robot's remote are reset by who plays a motion.
+    """
+    shared: dict[str, list[str]] = defaultdict(list)
+    for name in contracts.robots():
+        robot = contracts.description(name)
+        for stream in robot.streams if robot is not None else ():
+            if ROBOT not in stream.key and stream.key not in shared[stream.role]:
+                shared[stream.role].append(stream.key)
+    commands, signals = (*_COMMANDS, *shared["command"], *shared["sensor"]), shared["control"]
+    return {
+        "command": (*commands, *signals, *_HEALTH, *_BUTTONS),
+        "low-level": (*_STATES, *shared["state"], *signals, *_HEALTH, keys.ESTOP),
+        "recorder": (*_HEALTH, keys.RECORDER, keys.RECORD_ACK, keys.TAP_PROBE),
+        "sensor": (*_OPERATOR, keys.camera_image(_ANY), *shared["sensor"], *_HEALTH, keys.ESTOP),
+        "observer": _HEALTH,
+        "viewer": (),
+        "operator": (*commands, *signals, *_BUTTONS, keys.CONTROLLER, keys.EVENT, keys.MOTION_CONTROL),
+    }
+
 
 _MORE = {"recorder": "+psync +replconf +del +multi +exec", "operator": "+del"}
 _PLACEHOLDER = "PASSWORD-OF-{role}"
@@ -62,7 +72,7 @@ _PLACEHOLDER = "PASSWORD-OF-{role}"
 
 def new_passwords() -> dict[str, str]:
     """Return a new password for each role; what `rules` prints of it is only its hash."""
-    return {role: secrets.token_urlsafe(24) for role in WRITES}
+    return {role: secrets.token_urlsafe(24) for role in ROLES}
 
 
 def rules(hashes: Mapping[str, str]) -> str:
@@ -72,7 +82,7 @@ def rules(hashes: Mapping[str, str]) -> str:
         hashes: SHA-256 of the password by role, in hex; a role without one gets a placeholder to be replaced.
     """
     lines = ["user default reset off"]
-    lines += [_user(role, hashes.get(role)) for role in WRITES]
+    lines += [_user(role, hashes.get(role)) for role in ROLES]
     return "\n".join(lines) + "\n"
 
 
@@ -83,7 +93,7 @@ def sha256(password: str) -> str:
 
 def _user(role: str, digest: str | None) -> str:
     password = f"#{digest}" if digest else ">" + _PLACEHOLDER.format(role=role)
-    patterns = [name for key in WRITES[role] for name in _with_stamp(key)]
+    patterns = [name for key in writes()[role] for name in _with_stamp(key)]
     writing = f"{_WRITE} {_MORE.get(role, '')}".split() if patterns else []
     keyspace = [f"%W~{pattern}" for pattern in patterns]
     return " ".join(

@@ -1,4 +1,4 @@
-"""What each key holds: role, codec, and the name and unit of every element, in order.
+"""What each key holds: what robots say of theirs, what is registered of those that say nothing, and the station's own.
 
 A contract is written beside the bytes of a recording, never into them, so a wrong contract cannot spoil one.
 """
@@ -6,13 +6,17 @@ A contract is written beside the bytes of a recording, never into them, so a wro
 from __future__ import annotations
 
 import logging
-from functools import cache
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING, Any
+
+import msgspec
 
 from station import registry
-from station.bus import arm_contracts, joints, keys
-from station.bus.contract import POSE, TIMING_STAGES, Codec, Contract, Role
-from station.elements import Element, elements, positions, velocities
+from station.bus import joints, keys
+from station.bus.robot_streams import command_stream
+from station.contract import POSE, Codec, Contract, Element, Role, elements
+from station.description import RobotDescription, RobotFamily, stated
 from station.errors import StationError
 
 if TYPE_CHECKING:  # it loads NumPy
@@ -20,76 +24,106 @@ if TYPE_CHECKING:  # it loads NumPy
 
 log = logging.getLogger(__name__)
 
-__all__ = ["TIMING_STAGES", "Codec", "Contract", "Role", "contract", "contracts"]
+
+class Contracts:
+    """Contracts of the robots that were described to it, and of all that is known without that."""
+
+    def __init__(self, servers: Iterable[Mapping[str, Any]] = ()) -> None:
+        """Take up what servers state, each in its ``station:config:<server>``."""
+        self._robots: dict[str, RobotDescription] = {}
+        self._described: dict[str, Contract] = {}
+        for facts in servers:
+            self.hear(facts)
+
+    def hear(self, facts: Mapping[str, Any]) -> None:
+        """Take up what a server states, where that describes a robot."""
+        if (robot := stated(facts)) is not None:
+            self.describe(robot)
+
+    def describe(self, robot: RobotDescription) -> None:
+        """Take up what a robot says of itself, in place of what it said before."""
+        before = self._robots.get(robot.name)
+        if before == robot:
+            return
+        for item in before.contracts() if before is not None else ():
+            self._described.pop(item.key, None)
+        self._robots[robot.name] = robot
+        self._described |= {item.key: item for item in robot.contracts()}
+
+    def get(self, key: str) -> Contract | None:
+        """Return the contract of a key, or None for a key that nothing describes."""
+        return _of_everyone(key) or self._described.get(key) or _of_families(key)
+
+    def all(self) -> tuple[Contract, ...]:
+        """Return every contract with a fixed key."""
+        return tuple({item.key: item for item in (*contracts(), *self._described.values())}.values())
+
+    def robots(self) -> tuple[str, ...]:
+        """Return the names of all robots, those first that described themselves."""
+        return tuple(dict.fromkeys((*self._robots, *robots())))
+
+    def of(self, robot: str) -> tuple[Contract, ...]:
+        """Return what the keys of a robot hold; nothing of one that nothing describes."""
+        if (described := self._robots.get(robot)) is not None:
+            return described.contracts()
+        return tuple(_of_another(robot).values())
+
+    def robot(self, name: str) -> RobotDescription | None:
+        """Return the description of a robot; None where nothing describes it."""
+        return self._robots.get(name) or description(name)
 
 
 def contract(key: str) -> Contract | None:
-    """Return the contract of a key, or None for a key that nobody has described."""
-    of_station = _of_station().get(key) or _by_prefix(key) or _of_operator(key) or _of_camera(key)
-    return of_station or _of_robots().get(key) or _of_another_arm(key)
+    """Return the contract of a key as it is known where no robot described itself, or None."""
+    return _of_everyone(key) or _of_families(key)
 
 
 def contracts() -> tuple[Contract, ...]:
     """Return every contract with a fixed key, in catalogue order."""
-    return (*_of_robots().values(), *_of_station().values())
-
-
-_GYRO = ("gyro_x", "gyro_y", "gyro_z")
-_QUAT = ("root_quat_w", "root_quat_x", "root_quat_y", "root_quat_z")
-_NECK = elements((("neck_yaw", "neck_pitch"), "rad"))
-
-
-def _hand(side: str) -> tuple[Element, ...]:
-    return elements((positions(joints.hand(side)), "rad"))
-
-
-def _twist2() -> list[Contract]:
-    def make(key: str, role: Role, codec: Codec, items: tuple[Element, ...] = (), note: str = "",
-             rate_hz: float | None = 50.0) -> Contract:  # fmt: skip
-        return Contract(key=key, family="twist2", role=role, codec=codec, elements=items, rate_hz=rate_hz, note=note)
-
-    state = elements((_GYRO, "rad/s"), (("root_roll", "root_pitch"), "rad"), (positions(joints.G1_29), "rad"))
-    return [
-        *(make(keys.action_hand(side), "command", "json-vector", _hand(side)) for side in ("left", "right")),
-        make(keys.action_neck(), "command", "json-vector", _NECK),
-        make(keys.T_ACTION, "command", "integer", note="wall clock of the command, milliseconds since the epoch"),
-        make(keys.state_body(keys.TWIST2_ROBOT), "state", "json-vector", state,
-             "gyro in the root frame, unscaled; stock servers write 127 zeros once at start"),
-        *(make(keys.state_hand(side), "state", "json-vector", _hand(side)) for side in ("left", "right")),
-        make(keys.state_neck(), "state", "json-vector", _NECK),
-        make(keys.T_STATE, "state", "integer", note="wall clock of the state, milliseconds since the epoch"),
-        make(keys.CONTROLLER_DATA, "sensor", "json", note="LeftController, RightController, timestamp [ns]",
-             rate_hz=100.0),
-        make(keys.MOTION_START_SIGNAL, "control", "text", note="1 while B is the only button, else 0"),
-        make(keys.MOTION_EXIT_SIGNAL, "control", "text", note="1 while Select is the only button, else 0"),
-    ]  # fmt: skip
-
-
-def _twist() -> list[Contract]:
-    robot = keys.TWIST_ROBOT
-    hands = _hand("left") + _hand("right")
-    scaled = (
-        elements((tuple(f"scaled_{name}" for name in _GYRO), "0.25 rad/s"), (("root_roll", "root_pitch"), "rad"))
-        + elements((tuple(f"{n}_pos_from_default" for n in joints.G1_23), "rad"))
-        + elements((tuple(f"scaled_{n}_vel" for n in joints.G1_23), "0.05 rad/s"))
-        + elements((tuple(f"{n}_previous_action" for n in joints.G1_23), ""))
-    )
-
-    def make(key: str, role: Role, items: tuple[Element, ...], note: str) -> Contract:
-        return Contract(
-            key=key, family="twist", role=role, codec="json-vector", elements=items, rate_hz=50.0, note=note
-        )
-
-    return [
-        make(keys.action_hands(robot), "command", hands, "left hand, then right hand"),
-        make(keys.state_body(robot), "state", scaled,
-             "scaled proprioception; ankle velocities are zero; stock servers write 105 zeros once at start"),
-        make(keys.state_hands(robot), "state", hands, "left hand, then right hand"),
-    ]  # fmt: skip
+    return (*_of_listed().values(), *_of_station().values())
 
 
 @cache
-def _commands() -> list[tuple[str, Contract]]:
+def description(robot: str) -> RobotDescription | None:
+    """Return the description of a robot that is known though no server describes it; None for a stranger."""
+    for family in _families():
+        if (found := family.describe(robot)) is not None:
+            return found
+    return None
+
+
+def robots() -> tuple[str, ...]:
+    """Return the names of the robots that are known though no server describes them."""
+    return tuple(name for family in _families() for name in family.names)
+
+
+def of_joints(
+    robot: str, role: Role, recorded: Iterable[Contract | None], description: RobotDescription | None
+) -> list[str]:
+    """Return which keys of a robot and a role tell of its joints, that of most joints first.
+
+    Args:
+        robot: Suffix of its keys.
+        role: ``state`` or ``command``.
+        recorded: Contracts of the keys that there are.
+        description: Names its joints; None where nothing does, and each that has a position counts.
+    """
+    wanted = None if description is None else {f"{name}_pos" for name in description.joint_names}
+    counts = {
+        item.key: sum(name in wanted if wanted is not None else name.endswith("_pos") for name in item.names)
+        for item in recorded
+        if item is not None and item.role == role and item.key.endswith(f"_{robot}")
+    }
+    return sorted(filter(counts.__getitem__, counts), key=lambda key: (-counts[key], key))
+
+
+@cache
+def _families() -> tuple[RobotFamily, ...]:
+    return tuple(registry.find("family", name) for name in registry.names("family"))
+
+
+@cache
+def _commands() -> tuple[tuple[str, Contract], ...]:
     """Contracts of the commands whose formats are registered, with the robot that each is for.
 
     Ours come first: where several are for one robot, the first one names its `keys.command_used`.
@@ -98,42 +132,56 @@ def _commands() -> list[tuple[str, Contract]]:
     for name in sorted(registry.names("command"), key=lambda name: not registry.is_ours("command", name)):
         try:
             form: CommandFormat = registry.find("command", name)
-            made = Contract(
-                key=form.key, family=form.name, role="command", codec="json-vector", elements=form.elements,
-                rate_hz=50.0, note=form.note,
-            )  # fmt: skip
+            made = command_stream(form)
         except (ImportError, AttributeError, TypeError, ValueError, StationError) as error:
             # A recorder records what comes, whatever is wrong with somebody's format.
             log.warning("command format %r: its key has no contract: %s: %s", name, type(error).__name__, error)
         else:
             found.append((form.robot, made))
+    return tuple(found)
+
+
+def _of_robot(robot: RobotDescription) -> dict[str, Contract]:
+    """Contracts of a robot that no server describes: the command that it takes is the one that is registered."""
+    commands = [made for name, made in _commands() if name == robot.name]
+    found = {item.key: item for item in (*commands, *robot.contracts())}
+    used = found.get(keys.command_used(robot.name))
+    if used is not None and not used.elements and commands:
+        found[used.key] = msgspec.structs.replace(used, elements=commands[0].elements)
     return found
 
 
-def _ours(robot: str, names: tuple[str, ...]) -> list[Contract]:
-    """Contracts of the station's own keys for a robot whose n joints are named."""
-    command = next((made.elements for suffix, made in _commands() if suffix == robot), ())
+@cache
+def _of_listed() -> dict[str, Contract]:
+    found = {made.key: made for _, made in _commands()}
+    for name in robots():
+        if (robot := description(name)) is not None:
+            found |= _of_robot(robot)
+    return found
 
-    def make(key: str, role: Role, codec: Codec, items: tuple[Element, ...] = (), note: str = "") -> Contract:
-        return Contract(key=key, family="station", role=role, codec=codec, elements=items, rate_hz=50.0, note=note)
 
-    sent = elements((positions(names), "rad"), (tuple(f"{n}_kp" for n in names), "N m/rad"),
-                    (tuple(f"{n}_kd" for n in names), "N m s/rad"))  # fmt: skip
-    state = elements((positions(names), "rad"), (velocities(names), "rad/s"), (_QUAT, ""), (_GYRO, "rad/s"))
-    qpos = elements((("root_x", "root_y", "root_z"), "m"), (_QUAT, ""), (positions(names), "rad"))
-    timing = elements((("tick", "command_seq"), ""), (TIMING_STAGES, "ns"))
-    return [
-        make(keys.robot_state(robot), "state", "f64", state, "root frame for gyro; world for the quaternion"),
-        make(keys.policy_obs(robot), "policy", "f32", note="observation of the network, in the policy's own order"),
-        make(keys.policy_action(robot), "policy", "f32", note="raw output of the network, before clipping"),
-        make(keys.policy_timing(robot), "policy", "json-vector", timing,
-             "one machine's monotonic clock; 0 where unknown, as for a foreign writer"),
-        make(keys.target(robot), "policy", "f64", sent, "as really sent, after the robot's own limits"),
-        make(keys.sim_qpos(robot), "state", "f64", qpos, "ground truth; world frame"),
-        make(keys.command_gate(robot), "policy", "json", note="state, reason and age of the command at the gate"),
-        make(keys.command_used(robot), "policy", "f64", command, "the command after the gate"),
-        make(keys.command_source(robot), "command", "json", note="file, sha256, frame and phase of the command"),
-    ]  # fmt: skip
+@cache
+def _of_another(robot: str) -> dict[str, Contract]:
+    found = description(robot)
+    return {} if found is None else _of_robot(found)
+
+
+@lru_cache(maxsize=4096)
+def _of_families(key: str) -> Contract | None:
+    """Look among the robots that are listed, then for a robot whose name is the end of the key."""
+    if (listed := _of_listed().get(key)) is not None or keys.is_stamp(key):
+        return listed
+    parts = key.split("_")
+    ends = ("_".join(parts[start:]) for start in range(1, min(len(parts), _MOST_PARTS)))
+    return next((found for end in ends if (found := _of_another(end).get(key)) is not None), None)
+
+
+def _of_everyone(key: str) -> Contract | None:
+    """Keys that are the same for every robot, device and camera."""
+    return _of_station().get(key) or _by_prefix(key) or _of_operator(key) or _of_camera(key)
+
+
+_MOST_PARTS = 12  # of a key: a stranger's may have thousands
 
 
 def _station() -> list[Contract]:
@@ -195,14 +243,6 @@ _OPERATOR: dict[str, tuple[Codec, tuple[Element, ...], str]] = {
 """Codec, elements and note by the beginning of a key; the name of the device server follows."""
 
 
-def _of_another_arm(key: str) -> Contract | None:
-    """Arms of a family differ in their limits, not in what is said of them."""
-    _, family, model = key.partition(f"_{keys.KASSOW_FAMILY}")
-    if not model or keys.is_stamp(key):
-        return None
-    return next((item for item in arm_contracts.of(family[1:] + model) if item.key == key), None)
-
-
 def _of_operator(key: str) -> Contract | None:
     for prefix, (codec, items, note) in _OPERATOR.items():
         if key.startswith(prefix) and not keys.is_stamp(key):
@@ -223,16 +263,3 @@ def _of_camera(key: str) -> Contract | None:
 @cache
 def _of_station() -> dict[str, Contract]:
     return {item.key: item for item in _station()}
-
-
-@cache
-def _of_robots() -> dict[str, Contract]:
-    every = [
-        *(made for _, made in _commands()),
-        *_twist2(),
-        *_twist(),
-        *_ours(keys.TWIST2_ROBOT, joints.G1_29),
-        *_ours(keys.TWIST_ROBOT, joints.G1_29),
-        *arm_contracts.of(keys.KASSOW_KR810),
-    ]
-    return {item.key: item for item in every}

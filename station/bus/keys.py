@@ -1,69 +1,20 @@
-"""Every key of the bus, spelled here and nowhere else.
+"""Every key of the station's own, spelled here and nowhere else; those of a robot end in its name.
 
-Three families: TWIST2 (suffix ``unitree_g1_with_hands``, fixed in the stock scripts), TWIST (suffix ``g1``) and the
-station's own. The suffix of an arm holds its model, ``kassow_kr810``: another model has other joints and limits. What a
-key holds is told by `station.bus.contracts`.
+Keys of stock programs are with the robots that they drive. What a key holds is told by `station.bus.contracts`.
 """
 
 from __future__ import annotations
 
-TWIST2_ROBOT = "unitree_g1_with_hands"
-TWIST_ROBOT = "g1"
-KASSOW_FAMILY = "kassow_"
-KASSOW_KR810 = KASSOW_FAMILY + "kr810"
 
-# -- TWIST2: one robot suffix, hard-coded upstream ---------------------------------------------------------------
-T_ACTION = "t_action"
-T_STATE = "t_state"
-CONTROLLER_DATA = "controller_data"
-MOTION_START_SIGNAL = "motion_start_signal"
-MOTION_EXIT_SIGNAL = "motion_exit_signal"
+# -- Any robot's ------------------------------------------------------------------------------------------------------
+def action(rest: str) -> str:
+    """A command, by the rest of its key: what it commands, and the robot's name."""
+    return f"action_{rest}"
 
 
-def action_body(robot: str = TWIST2_ROBOT) -> str:
-    """TWIST2's whole-body command."""
-    return f"action_body_{robot}"
-
-
-def action_hand(side: str, robot: str = TWIST2_ROBOT) -> str:
-    """TWIST2's hand command; side is ``left`` or ``right``."""
-    return f"action_hand_{side}_{robot}"
-
-
-def action_neck(robot: str = TWIST2_ROBOT) -> str:
-    """TWIST2's neck command."""
-    return f"action_neck_{robot}"
-
-
-def state_body(robot: str) -> str:
-    """Body state: raw in TWIST2, scaled proprioception in TWIST."""
-    return f"state_body_{robot}"
-
-
-def state_hand(side: str, robot: str = TWIST2_ROBOT) -> str:
-    """TWIST2's measured hand joints; side is ``left`` or ``right``."""
-    return f"state_hand_{side}_{robot}"
-
-
-def state_neck(robot: str = TWIST2_ROBOT) -> str:
-    """TWIST2's measured neck joints."""
-    return f"state_neck_{robot}"
-
-
-# -- TWIST -------------------------------------------------------------------------------------------------------
-def action_mimic(robot: str = TWIST_ROBOT) -> str:
-    """TWIST's whole-body command."""
-    return f"action_mimic_{robot}"
-
-
-def action_hands(robot: str = TWIST_ROBOT) -> str:
-    """TWIST's command of both hands in one list."""
-    return f"action_hand_{robot}"
-
-
-def state_hands(robot: str = TWIST_ROBOT) -> str:
-    """TWIST's measured joints of both hands in one list."""
-    return f"state_hand_{robot}"
+def state(rest: str) -> str:
+    """A state, likewise."""
+    return f"state_{rest}"
 
 
 # -- Ours, per robot ---------------------------------------------------------------------------------------------
@@ -128,11 +79,6 @@ def action_joints(robot: str) -> str:
 def state_joints(robot: str) -> str:
     """Positions, velocities and torques of an arm's joints, n of each, 125 times a second."""
     return f"state_joints_{robot}"
-
-
-def state_of_step(robot: str) -> str:
-    """Whichever state a robot's control step reads: an arm's joints, or all that `robot_state` holds."""
-    return state_joints(robot) if robot.startswith(KASSOW_FAMILY) else robot_state(robot)
 
 
 def state_tcp(robot: str) -> str:

@@ -103,7 +103,7 @@ def _stranger_may_write(bus: Bus) -> bool:
     nobody = msgspec.structs.replace(bus.address, username=None, password=None)
     try:
         with contextlib.closing(Connection(nobody, timeout_s=1.0)) as line:
-            line.call("SET", keys.action_body(f"nobody_{secrets.token_hex(4)}"), b"", "XX")
+            line.call("SET", keys.command_source(f"nobody_{secrets.token_hex(4)}"), b"", "XX")
     except ConnectionLost:
         raise
     except BusError:  # asked for a password, or refused the write

@@ -107,7 +107,7 @@ def acl(passwords: Path | None, hashes: tuple[str, ...]) -> None:
         password_file.write(passwords, made)
         digests |= {role: lists.sha256(password) for role, password in made.items()}
     click.echo(lists.rules(digests), nl=False)
-    missing = [role for role in lists.WRITES if role not in digests]
+    missing = [role for role in lists.ROLES if role not in digests]
     if missing:
         click.echo(f"replace PASSWORD-OF-… of {', '.join(missing)}, or let --passwords make them", err=True)
     click.echo(
@@ -122,8 +122,8 @@ def _hash(option: str) -> tuple[str, str]:
     from station.errors import UnknownName
 
     role, _, digest = option.partition("=")
-    if role not in lists.WRITES:
-        raise UnknownName("role", role, lists.WRITES)
+    if role not in lists.ROLES:
+        raise UnknownName("role", role, lists.ROLES)
     if len(digest) != 64 or set(digest.lower()) - set("0123456789abcdef"):
         raise UsageError(f"--password-hash {role}=…: expected 64 hex digits of a SHA-256")
     return role, digest.lower()

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from station import registry
-from station.bus import keys
 from station.bus.client import Bus
 from station.cli.options import Verbs, address_of, bus_option
 from station.control.arm_kind import ArmServerKind
@@ -25,7 +24,10 @@ FAULTS = ("fetch-first", "stop-point", "hold-flood", "no-throttle", "short-time"
 """The demonstrations of `station_kord.demonstrations`, which need not be installed to be named."""
 
 _robot_option = click.option(
-    "--robot", default=keys.KASSOW_KR810, show_default=True, help="Suffix of the arm's keys; holds its model."
+    "--robot",
+    default=lambda: registry.find("family", "kassow").names[0],
+    show_default="that of the KR810",
+    help="Suffix of the arm's keys; holds its model.",
 )
 
 

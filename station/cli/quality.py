@@ -212,7 +212,7 @@ def _aligned(found: Alignment, *, lock_step: bool) -> list[str]:
     lines = []
     if found.lag_s is not None and found.lag_correlation is not None:
         lines.append(
-            f"joints follow the command by {found.lag_s * 1e3:.0f} ms (correlation {found.lag_correlation:.2f})"
+            f"joints follow the command by {found.lag_s * 1e3:z.0f} ms (correlation {found.lag_correlation:.2f})"
         )
     if found.lead_p50_s is not None and not lock_step:
         p50, p99 = _unit(found.lead_p50_s, 1e3, "ms"), _unit(found.lead_p99_s, 1e3, "ms")

@@ -44,7 +44,7 @@ class ArmRecord:
         is_sent: Whether it was handed over in this tick.
         refusal: Why the session was not engaged in this tick, or did not take the target that it was handed, or "".
         command_seq: Sequence number of the command that was used; 0 when foreign or none.
-        timing_ns: The six instants of `station.bus.contracts.TIMING_STAGES`; 0 where unknown. Without a policy the
+        timing_ns: The six instants of `station.contract.TIMING_STAGES`; 0 where unknown. Without a policy the
             third and fourth are the instant that the gate was given.
         happenings: What happened, in order.
     """

@@ -43,7 +43,7 @@ class StepRecord:
         sent: Targets as really sent, after arming, stop and the robot's own limits; zero gains when disarmed.
         fall: Why the robot counts as fallen after this step, or None.
         command_seq: Sequence number of the command that was used; 0 when foreign or none.
-        timing_ns: The six instants of `station.bus.contracts.TIMING_STAGES`; 0 where unknown.
+        timing_ns: The six instants of `station.contract.TIMING_STAGES`; 0 where unknown.
         happenings: What happened, in order.
     """
 

@@ -11,7 +11,7 @@ import msgspec
 from mcap.writer import Writer
 
 from station.bus import codec
-from station.bus.contracts import Contract
+from station.contract import Contract
 from station.enrich import source
 from station.enrich.scalars import Shape
 from station.enrich.siblings import Siblings, siblings

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from station.bus import codec, keys
-from station.bus.contracts import Contract
+from station.contract import Contract
 from station.enrich.scalars import ObjectType, Shape
 from station.enrich.vector import VectorType
 from station.episode.reading.frames import captured_ns

@@ -6,7 +6,7 @@ import re
 import struct
 from collections.abc import Sequence
 
-from station.elements import Element
+from station.contract import Element
 from station.protobuf.schema import MOST_FIELDS, Field, Schema, schema
 from station.protobuf.wire import varint
 

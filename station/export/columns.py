@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import msgspec
 
-from station.bus import contracts, keys
-from station.bus.contract import Contract, Role, VectorCodec
-from station.elements import Element
+from station.bus import keys
+from station.contract import Element, Role, VectorCodec
 from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
 from station.errors import EpisodeError, did_you_mean
@@ -49,24 +48,24 @@ def key_columns(reader: EpisodeReader, key: str) -> KeyColumns:
     Raises:
         EpisodeError: the episode has no such key, or nobody has said what its numbers are; names key and cure.
     """
-    found = recorded_contracts(reader)
+    found = reader.recorded
     if key not in found:
         raise EpisodeError(
             f"{reader.episode_id}: no key {key!r} in it{did_you_mean(key, found)}; "
             f"`station episodes show {reader.episode_id}` lists its keys"
         )
-    contract = contract_of(found, key)
+    contract = reader.contract(key)
     if contract is None:
         raise EpisodeError(
-            f"{reader.episode_id}: key {key!r} has no contract, so nobody knows what its numbers are; "
-            "describe it in station/bus/contracts.py, or leave it out"
+            f"{reader.episode_id}: key {key!r} has no contract, so nothing says what its numbers are; "
+            "the server that writes it can describe it; or leave it out"
         )
     if contract.vector_codec is None:
         raise EpisodeError(f"{reader.episode_id}: key {key!r} holds {contract.codec}, no numbers; leave it out")
     if not contract.elements:
         raise EpisodeError(
             f"{reader.episode_id}: the contract of key {key!r} names no elements, so its columns would have no names; "
-            "name them in station/bus/contracts.py, or leave it out"
+            "the server that writes it can name them; or leave it out"
         )
     units = tuple(element.unit for element in contract.elements)
     return KeyColumns(
@@ -116,20 +115,6 @@ def unique_names(columns: Sequence[KeyColumns]) -> list[str]:
     """Return the name of every number of several keys: as in the contract, with the key before it where two agree."""
     counts = Counter(name for one in columns for name in one.names)
     return [name if counts[name] == 1 else f"{one.key}.{name}" for one in columns for name in one.names]
-
-
-def recorded_contracts(reader: EpisodeReader) -> Mapping[str, Contract | None]:
-    """Return the recorded contract of every key of an episode, None where it has none."""
-    found: dict[str, Contract | None] = {}
-    for stream in reader.streams():
-        if not stream.channel.is_deletion:
-            found[stream.channel.topic] = found.get(stream.channel.topic) or stream.channel.contract
-    return found
-
-
-def contract_of(recorded: Mapping[str, Contract | None], key: str) -> Contract | None:
-    """Return the contract of a key as it was recorded, else as it is today: it may have been described only since."""
-    return recorded.get(key) or contracts.contract(key)
 
 
 def robot_of(reader: EpisodeReader) -> str:

@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from station.bus import keys
 from station.episode.reading.reader import EpisodeReader
 from station.export import tracks
-from station.export.columns import contract_of, key_columns, recorded_contracts
+from station.export.columns import key_columns
 from station.protocols import Floats
 
 _STILL = 0.01  # in the unit of the key, rad for hands and neck: a sensor's noise is less
@@ -23,31 +22,22 @@ class Part(NamedTuple):
     state: str | None
 
 
-def parts(robot: str) -> dict[str, tuple[str, str]]:
-    """Return the keys of command and state of whatever a robot may have beside its body, by name, in a fixed order."""
-    return {
-        "left hand": (keys.action_hand("left", robot), keys.state_hand("left", robot)),
-        "right hand": (keys.action_hand("right", robot), keys.state_hand("right", robot)),
-        "neck": (keys.action_neck(robot), keys.state_neck(robot)),
-        "hands": (keys.action_hands(robot), keys.state_hands(robot)),
-    }
-
-
 def moving_parts(reader: EpisodeReader, robot: str) -> list[Part]:
-    """Return the parts of a robot whose command or state changed in an episode, in the order of `parts`.
+    """Return the parts of a robot whose command or state changed in an episode, in the order of its description.
 
     Only keys count whose contract names their numbers.
 
     Raises:
         EpisodeError: the file is damaged.
     """
-    recorded = recorded_contracts(reader)
 
     def if_named(key: str) -> str | None:
-        contract = contract_of(recorded, key) if key in recorded else None
+        contract = reader.contract(key) if key in reader.recorded else None
         return key if contract is not None and contract.vector_codec and contract.elements else None
 
-    found = [Part(name, if_named(action), if_named(state)) for name, (action, state) in parts(robot).items()]
+    description = reader.known.robot(robot)
+    parts = description.part_keys() if description is not None else {}
+    found = [Part(name, if_named(action), if_named(state)) for name, (action, state) in parts.items()]
     wanted = [key_columns(reader, key) for part in found for key in (part.action, part.state) if key is not None]
     read = tracks.read(reader, wanted, ()).tracks if wanted else {}
     moved = {key for key, track in read.items() if _moves(track.values)}

@@ -7,14 +7,13 @@ which would be the one before for every tick that falls into those milliseconds.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from station.bus import keys
 from station.episode.reading import steps
 from station.episode.reading.messages import Ints
 from station.errors import EpisodeError
@@ -73,17 +72,22 @@ class Table:
     without_own_step: int
 
 
-def state_of_step(key: str) -> str | None:
-    """Return the key of the state that a policy step reads before it writes a key; None for a key of no step."""
+def state_of_step(key: str, there: Iterable[str]) -> str | None:
+    """Return the key of the state that a policy step reads before it writes a key; None for a key of no step.
+
+    Args:
+        key: The key.
+        there: The keys that there are.
+    """
     for family in steps.RESULTS:
         if key.startswith(family("")):
-            return keys.state_of_step(key.removeprefix(family("")))
+            return steps.state_key(key.removeprefix(family("")), there)
     return None
 
 
 def rule_of(columns: KeyColumns, *, as_action: bool) -> str:
     """Return the name in `RULES` of what makes a key's column."""
-    return "step" if as_action and columns.role == "policy" and state_of_step(columns.key) else "newest"
+    return "step" if as_action and columns.role == "policy" and state_of_step(columns.key, ()) else "newest"
 
 
 def resample(
@@ -128,7 +132,7 @@ class _Pairs:
 
 def _pairs(recorded: Recorded, key: str, episode: str) -> _Pairs:
     """Pair every state with the first action that its own writer wrote at or after it."""
-    state_key = state_of_step(key) or key
+    state_key = state_of_step(key, recorded.tracks) or key
     states, actions = recorded.tracks[state_key], recorded.tracks[key]
     chosen = np.full(len(states.times_ns), -1, dtype=np.int64)
     is_own = np.zeros(len(chosen), dtype=np.bool_)
@@ -158,7 +162,7 @@ def _all_times(recorded: Recorded) -> dict[str, Ints]:
 def _pace(recorded: Recorded, state: Sequence[KeyColumns], made: Sequence[KeyColumns]) -> Ints:
     """Return the times of what the rows are about: the state that the policy steps read, else the fastest state."""
     if made:
-        return recorded.tracks[state_of_step(made[0].key) or made[0].key].times_ns
+        return recorded.tracks[state_of_step(made[0].key, recorded.tracks) or made[0].key].times_ns
     times = [recorded.tracks[one.key].times_ns for one in state]
     return max(times, key=len) if times else next(iter(recorded.tracks.values())).times_ns
 

@@ -230,6 +230,12 @@ def read_health(bus: Bus) -> list[Health]:
     return sorted((health for health in found if health is not None), key=lambda health: health.name)
 
 
+def read_configurations(bus: Bus) -> list[dict[str, Any]]:
+    """Return what servers state that they run; what is no JSON object states nothing."""
+    names = bus.names(keys.CONFIG_PREFIX + "*")
+    return [codec.parse_facts(sample.value) for sample in bus.read(names).values()]
+
+
 def decode_health(data: bytes) -> Health | None:
     """Return the health that bytes from the bus hold, or None when they hold none."""
     try:

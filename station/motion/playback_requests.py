@@ -1,7 +1,8 @@
-"""What an operator asks of a motion that plays: JSON on ``station:motion``, and the signals of stock TWIST2."""
+"""What an operator asks of a motion that plays: JSON on ``station:motion``, and the signals of a stock remote."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal
 
 import msgspec
@@ -31,21 +32,23 @@ class Requests:
 
     Args:
         life: Says what was done and what was refused.
-        watch: Watches the three keys.
+        watch: Watches ``station:motion`` and the keys of the signals.
         playback: What they are for.
+        signals: What each key of a stock remote asks for.
     """
 
-    def __init__(self, life: Life, watch: Watch, playback: Playback) -> None:
-        self._life, self._watch, self._playback = life, watch, playback
-        self._seen = {key: watch.latest(key) for key in (keys.MOTION_START_SIGNAL, keys.MOTION_EXIT_SIGNAL)}
-        self._seen[keys.MOTION_CONTROL] = watch.latest(keys.MOTION_CONTROL)
+    def __init__(
+        self, life: Life, watch: Watch, playback: Playback, signals: Mapping[str, Literal["start", "leave"]]
+    ) -> None:
+        self._life, self._watch, self._playback, self._signals = life, watch, playback, signals
+        self._seen = {key: watch.latest(key) for key in (*signals, keys.MOTION_CONTROL)}
 
     def obey(self) -> None:
         """Do what was newly asked for; call once per tick."""
-        if self._new(keys.MOTION_START_SIGNAL) == b"1":
-            self._playback.start()
-        if self._new(keys.MOTION_EXIT_SIGNAL) == b"1":
-            self._playback.leave()
+        verbs = {"start": self._playback.start, "leave": self._playback.leave}
+        for key, asked in self._signals.items():
+            if self._new(key) == b"1":
+                verbs[asked]()
         data = self._new(keys.MOTION_CONTROL)
         if data is None:
             return

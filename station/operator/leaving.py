@@ -8,7 +8,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from station.blends import times_to_standing
-from station.bus import keys
 from station.protocols import CommandFormat, Floats
 
 COMES_TO_REST_S = 5.0
@@ -39,12 +38,10 @@ class Leaving:
         return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.minimum(self._blended_s / time_s, 1.0)))
 
     def companions(self, values: Mapping[str, Floats]) -> Mapping[str, Floats]:
-        """Return the values beside the command: the neck goes along to its default, hands keep what they hold."""
-        key = keys.action_neck(self._form.robot)
-        rest = self._form.companions.get(key)
-        if rest is None or key not in values:
-            return values
-        return {**values, key: values[key] + self._part(self._blend_s) * (np.asarray(rest) - values[key])}
+        """Return the values beside the command: a neck goes along to its default, hands keep what they hold."""
+        going = {key: self._form.companions[key] for key in self._form.stock.returning if key in values}
+        part = self._part(self._blend_s)
+        return {**values, **{key: values[key] + part * (np.asarray(rest) - values[key]) for key, rest in going.items()}}
 
     def step(self, command: Floats, dt_s: float, *, is_still: bool) -> Floats:
         """Return the command after a period.

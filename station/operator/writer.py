@@ -50,7 +50,6 @@ class CommandWriter:
 
     def _publish(self, command: Floats, others: dict[str, bytes]) -> None:
         self.newest = command
-        if self._form.companions:  # who expects those, a stock reader, expects the wall clock too
-            others = others | {keys.T_ACTION: b"%d" % (self._life.clock.wall_ns() // 1_000_000)}
-        taken = self._life.bus.publish({self._form.key: codec.json_vector(command), **others})
+        clocks = dict.fromkeys(self._form.stock.clocks, b"%d" % (self._life.clock.wall_ns() // 1_000_000))
+        taken = self._life.bus.publish({self._form.key: codec.json_vector(command), **others, **clocks})
         self.flaw = "" if taken else "the bus is lost"

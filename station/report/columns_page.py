@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from station.bus import contracts
-from station.bus.contracts import Contract
+from station.contract import Contract
 from station.report.html import Html, details, table, tag
 
 _MOST_KEYS = 200

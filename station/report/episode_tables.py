@@ -54,7 +54,7 @@ def motion(quality: Quality) -> Html | None:
             rows.append(
                 (
                     "joints follow the command by",
-                    f"{found.lag_s * 1e3:.0f} ms (agreement {found.lag_correlation or 0.0:.2f})",
+                    f"{found.lag_s * 1e3:z.0f} ms (agreement {found.lag_correlation or 0.0:.2f})",
                 )
             )
         if found.lead_p50_s is not None and not quality.lock_step:

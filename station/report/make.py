@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TextIO
 
-from station.bus.contracts import Contract
+from station.contract import Contract
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.folder import signals_file
 from station.episode.storage.whole_file import named_file

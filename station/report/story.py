@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from station.bus import codec, keys
-from station.bus.contracts import Contract
+from station.contract import Contract
 from station.episode.quality import interruptions
+from station.episode.reading import steps
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step, StepJoiner
@@ -153,7 +154,7 @@ class _Tracker:
 
     def __init__(self, robot: str, recorded: Mapping[str, Contract], stride: int, begin_ns: int) -> None:
         self._stride, self._begin_ns = stride, begin_ns
-        self._state_key, self._asked_key = keys.state_of_step(robot), keys.command_used(robot)
+        self._state_key, self._asked_key = steps.state_key(robot, recorded), keys.command_used(robot)
         self._gate_key = keys.command_gate(robot)
         described = (recorded.get(key) for key in (self._state_key, self._asked_key))
         state, asked = (() if contract is None else contract.names for contract in described)

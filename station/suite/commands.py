@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from station.elements import names_of
+from station.contract import names_of
 from station.errors import ConfigError
 from station.motion.playback import Playback
 from station.protocols import CommandFormat, Floats, Motion

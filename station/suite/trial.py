@@ -11,11 +11,11 @@ import numpy as np
 
 from station import registry
 from station.bus import codec
+from station.contract import names_of
 from station.control.control import ControlStep, StepRecord
 from station.control.inlet import CommandSample
 from station.control.rig import Rig, RigConfig, build
 from station.control.tracking import TrackingError
-from station.elements import names_of
 from station.errors import ConfigError
 from station.protocols import Floats, Motion, RobotState, SimulatedRobot
 from station.rehearse import rehearse

@@ -9,8 +9,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from station.bus.contracts import Contract
-from station.elements import Element
+from station.contract import Contract, Element
 from station.protocols import Floats
 
 CURVES = "curves"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -12,10 +13,10 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from station.bus import keys
-from station.bus.contracts import TIMING_STAGES, Contract
+from station.contract import TIMING_STAGES, Contract
 from station.episode.reading.reader import EpisodeReader
 from station.protocols import Floats
-from station.view import curves, layout
+from station.view import curves
 from station.view.layout import JOINTS, TIMELINE
 from station.view.poses import Numbers
 
@@ -40,6 +41,15 @@ class Source:
         }
         self._start_ns = reader.start_ns
         self._cache: dict[str, Numbers | None] = {}
+
+    def groups(self, robot: str) -> dict[str, tuple[str, ...]]:
+        """Return the names of a robot's joints by limb; all as one where nothing says."""
+        description = self.reader.known.robot(robot)
+        if description is not None and description.groups:
+            return description.groups
+        used = self.contracts.get(keys.command_used(robot))
+        names = used.names if used is not None else ()
+        return {"joints": tuple(name.removesuffix("_pos") for name in names if name.endswith("_pos"))}
 
     def seconds(self, times_ns: Ints) -> Floats:
         """Return instants as seconds since the start of the episode."""
@@ -67,11 +77,11 @@ class Source:
 
 @dataclass
 class Drawn:
-    """What was drawn: entities, contracts of their keys, whether joints can be compared, and what was left out."""
+    """What was drawn: entities, contracts of their keys, limbs whose joints can be compared, and what was left out."""
 
     entities: list[str] = field(default_factory=list)
     contracts: list[Contract] = field(default_factory=list)
-    has_joints: bool = False
+    groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
 
@@ -86,7 +96,11 @@ def draw_curves(recording: rr.RecordingStream, source: Source, robot: str) -> Dr
         drawn.contracts.append(contract)
         drawn.entities += curves.send_curves(recording, contract, source.index(numbers.times_ns), numbers.values)
     joints = _draw_joints(recording, source, robot)
-    drawn.has_joints = bool(joints)
+    drawn.groups = {
+        name: limb
+        for name, limb in source.groups(robot).items()
+        if all(f"{JOINTS}/{joint}/measured" in joints for joint in limb)
+    }
     drawn.entities += joints + _draw_latency(recording, source, robot)
     return drawn
 
@@ -95,6 +109,7 @@ def _draw_joints(recording: rr.RecordingStream, source: Source, robot: str) -> l
     """Send each joint as commanded and as measured, one above the other."""
     state = source.vectors(keys.robot_state(robot)) or source.vectors(keys.state_joints(robot))
     pair = {"commanded": source.vectors(keys.command_used(robot)), "measured": state}
+    limbs = source.groups(robot).values()
     entities: list[str] = []
     for kind, numbers in pair.items():
         if numbers is None:
@@ -104,16 +119,18 @@ def _draw_joints(recording: rr.RecordingStream, source: Source, robot: str) -> l
                 continue
             joint = name.removesuffix("_pos")
             entities.append(f"{JOINTS}/{joint}/{kind}")
-            style = rr.SeriesLines(names=f"{joint} {kind} [rad]", colors=colour(joint, kind), widths=_WIDTHS[kind])
+            style = rr.SeriesLines(
+                names=f"{joint} {kind} [rad]", colors=colour(joint, kind, limbs), widths=_WIDTHS[kind]
+            )
             recording.log(entities[-1], style, static=True)
             columns = rr.Scalars.columns(scalars=numbers.values[:, index])
             recording.send_columns(entities[-1], source.index(numbers.times_ns), columns)
     return entities
 
 
-def colour(joint: str, kind: str) -> tuple[int, int, int]:
+def colour(joint: str, kind: str, limbs: Iterable[tuple[str, ...]]) -> tuple[int, int, int]:
     """Return the colour of a joint's curve: one hue per joint within its limb, paler for what was commanded."""
-    limb = next((limb for limb in layout.LIMBS.values() if joint in limb), (joint,))
+    limb = next((limb for limb in limbs if joint in limb), (joint,))
     parts = colorsys.hls_to_rgb(limb.index(joint) / len(limb), 0.75 if kind == "commanded" else 0.5, 0.8)
     red, green, blue = (round(255 * part) for part in parts)
     return red, green, blue

@@ -9,7 +9,6 @@ from pathlib import Path
 import msgspec
 import rerun as rr
 
-from station.bus import keys
 from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
 from station.errors import StationError
@@ -95,14 +94,14 @@ def draw(reader: EpisodeReader, recording: rr.RecordingStream, *, robot_model: s
     """Send an episode to any Rerun recording."""
     began = time.perf_counter()
     source = Source(reader)
-    view = View(episode_id=reader.episode_id, robot=_robot(reader.topics()))
+    view = View(episode_id=reader.episode_id, robot=next(iter(steps.robots_of(reader)), ""))
     drawn = draw_curves(recording, source, view.robot)
     view.curves = drawn.entities
     view.warnings += drawn.warnings
     view.warnings += _draw_robot(recording, source, view, robot_model)
     draw_states(recording, source, view.robot)
     view.events = draw_events(recording, source)
-    arranged = layout.layout(drawn.contracts, has_robot=view.poses > 0, has_joints=drawn.has_joints)
+    arranged = layout.layout(drawn.contracts, has_robot=view.poses > 0, groups=drawn.groups)
     recording.send_blueprint(arranged)
     view.seconds = time.perf_counter() - began
     return view
@@ -114,14 +113,9 @@ def _recording(reader: EpisodeReader) -> rr.RecordingStream:
     return recording
 
 
-def _robot(topics: list[str]) -> str:
-    """Return the suffix of the robot to draw; a stock low-level server makes no policy steps, but writes its state."""
-    stock = [robot for robot in (keys.TWIST2_ROBOT, keys.TWIST_ROBOT) if keys.state_body(robot) in topics]
-    return next(iter([*steps.robots(topics), *stock]), "")
-
-
 def _draw_robot(recording: rr.RecordingStream, source: Source, view: View, robot_model: str | Path | None) -> list[str]:
-    where = poses.measured(source.vectors, view.robot)
+    description, recorded = source.reader.known.robot(view.robot), source.contracts.values()
+    where = poses.measured(source.vectors, poses.state_keys(view.robot, recorded, description), description)
     if where is None:
         return ["the robot is not drawn: the episode holds no pose of it"] if view.robot else []
     servers = source.reader.manifest.servers.values()
@@ -131,7 +125,7 @@ def _draw_robot(recording: rr.RecordingStream, source: Source, view: View, robot
     view.poses = len(where.times_ns)
     scene.log_shapes(recording, scene.ROBOT, model)
     _send(recording, scene.ROBOT, model, where, source)
-    ghost = poses.asked(source.vectors, view.robot, where)
+    ghost = poses.asked(source.vectors, poses.command_keys(view.robot, recorded, description), where)
     if ghost is not None:
         scene.log_shapes(recording, scene.GHOST, model, is_ghost=True)
         _send(recording, scene.GHOST, model, ghost._replace(root=scene.beside(model, ghost.root)), source)

@@ -7,14 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from station import assets
-from station.bus import keys
-from station.control.rig import DEFAULT_ROBOT_MODEL
+from station.bus.contracts import Contracts
 from station.errors import StationError
 
 if TYPE_CHECKING:
     from station.view.model import RobotModel
-
-_STOCK = (keys.TWIST2_ROBOT, keys.TWIST_ROBOT, "")  # of a stock server, which says nothing
 
 
 def find_model(
@@ -58,13 +55,17 @@ def find_path(
 def _present(servers: Iterable[Mapping[str, Any]], robot: str, problems: list[str]) -> Iterator[tuple[Path, list[str]]]:
     """Yield the models that are here, the one that ran first, and what is to be said of each; the others' problems.
 
-    Of a robot whose server says nothing of a model, one that is built in under the name of its keys' suffix is taken.
+    Of a robot whose server says nothing of a model, the one that its description is drawn as is taken.
     """
     facts: Mapping[str, Any] = next(
         (found for f in servers if f.get("robot") == robot and isinstance(found := f.get("robot_facts"), Mapping)), {}
     )
     stated = str(facts.get("model") or "")
-    usual = DEFAULT_ROBOT_MODEL if robot in _STOCK else f"builtin:{robot}.xml"
+    known = Contracts(servers)
+    described = known.robot(robot or next(iter(known.robots()), ""))
+    usual = described.drawn_as if described is not None else ""
+    if not (stated or usual):
+        problems.append(f"nothing says which model {robot or 'the robot'} has; name one with --robot-model")
     for candidate in dict.fromkeys((stated, usual)):
         if not candidate:
             continue

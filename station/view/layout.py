@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
 
-from station.bus import joints
-from station.bus.contracts import Contract
+from station.contract import Contract
 from station.view import scene
 from station.view.curves import CURVES, groups
 
@@ -37,23 +36,17 @@ MOTION_COLOURS = {
     "done": 0x616161FF,
 }
 _LONGEST_LEGEND = 8
-LIMBS: dict[str, tuple[str, ...]] = {
-    "left leg": joints.LEGS[:6],
-    "right leg": joints.LEGS[6:],
-    "waist": joints.G1_29[12:15],
-    "left arm": joints.G1_29[15:22],
-    "right arm": joints.G1_29[22:],
-    "arm": joints.ARM_7,
-}
 
 
-def layout(contracts: Iterable[Contract], *, has_robot: bool, has_joints: bool, timeline: str = TIMELINE) -> Any:
+def layout(
+    contracts: Iterable[Contract], *, has_robot: bool, groups: Mapping[str, tuple[str, ...]], timeline: str = TIMELINE
+) -> Any:
     """Return the blueprint.
 
     Args:
         contracts: Keys that have curves.
         has_robot: Whether there is a robot to look at.
-        has_joints: Whether commanded and measured joints are there to be compared.
+        groups: Names of joints by limb, where commanded and measured ones are there to be compared; else none.
         timeline: The timeline that is shown.
     """
     story: list[Any] = [
@@ -65,7 +58,7 @@ def layout(contracts: Iterable[Contract], *, has_robot: bool, has_joints: bool, 
         eye = rrb.EyeControls3D(tracking_entity=f"/{scene.ROBOT}")
         story.insert(0, rrb.Spatial3DView(origin=f"/{scene.WORLD}", name="Robot and reference", eye_controls=eye))
         shares.insert(0, 6.0)
-    tabs = _tabs(list(contracts), has_joints=has_joints)
+    tabs = _tabs(list(contracts), groups)
     left = rrb.Vertical(*story, row_shares=shares)
     body = rrb.Horizontal(left, rrb.Tabs(*tabs), column_shares=[1, 1]) if tabs else left
     return rrb.Blueprint(body, rrb.TimePanel(timeline=timeline), collapse_panels=True)
@@ -79,14 +72,12 @@ def log_state_colours(recording: rr.RecordingStream) -> None:
         recording.log(f"{STATES}/{name}", configuration, static=True)
 
 
-def _tabs(contracts: list[Contract], *, has_joints: bool) -> list[Any]:
+def _tabs(contracts: list[Contract], limbs: Mapping[str, tuple[str, ...]]) -> list[Any]:
     tabs = []
-    if has_joints:
-        known = {name.removesuffix("_pos") for item in contracts for name in item.names}
+    if limbs:
         plots = [
             _plot("/", name, contents=[f"/{JOINTS}/{joint}/**" for joint in limb], lines=2 * len(limb))
-            for name, limb in LIMBS.items()
-            if known.issuperset(limb)
+            for name, limb in limbs.items()
         ]
         tabs.append(rrb.Grid(*plots, name="Commanded and measured"))
     for role in ("command", "state", "policy", "sensor"):

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import threading
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import rerun as rr
 
-from station.bus import arm_contracts, codec, contracts, keys
+from station.bus import codec, keys
 from station.bus.client import Bus
-from station.bus.contracts import Contract
+from station.bus.contracts import Contracts
 from station.bus.sample import Sample
 from station.errors import NotReady
 from station.life.loop import Rate
+from station.life.server import read_configurations
 from station.protocols import Floats
 from station.view import curves, layout, poses, scene
 from station.view.episode_story import StateOf, gate_state, level, line
@@ -51,12 +51,17 @@ class LiveView:
     def __init__(
         self, bus: Bus, recording: rr.RecordingStream, *, robot: str = "", robot_model: str | Path | None = None
     ) -> None:
-        self.robot = robot or _present_robot(bus)
+        servers = read_configurations(bus)
+        known = Contracts(servers)
+        self.robot = robot or _present_robot(bus, known)
         self._recording = recording
-        self._contracts = _of_robot(self.robot)
+        self._description = known.robot(self.robot)
+        self._contracts = {
+            item.key: item for item in curves.drawable(one for one in known.of(self.robot) if one.codec in _DECODERS)
+        }
         others = [keys.command_gate(self.robot), keys.command_source(self.robot), keys.EVENT]
         self._watch = bus.watch([*self._contracts, *others])
-        self._model, self.warnings = find_model(_stated(bus), self.robot, robot_model)
+        self._model, self.warnings = find_model(servers, self.robot, robot_model)
         self._seen: dict[str, Sample] = {}
         self._states: dict[str, str] = {}
         self.clock = bus.clock
@@ -101,7 +106,7 @@ class LiveView:
         if self._model is not None:
             scene.log_shapes(self._recording, scene.ROBOT, self._model)
             scene.log_shapes(self._recording, scene.GHOST, self._model, is_ghost=True)
-        arranged = layout.layout(self._contracts.values(), has_robot=self._model is not None, has_joints=False)
+        arranged = layout.layout(self._contracts.values(), has_robot=self._model is not None, groups={})
         self._recording.send_blueprint(arranged)
 
     def _fresh(self, key: str) -> Sample | None:
@@ -126,11 +131,14 @@ class LiveView:
         return None if sample is None else self._numbers(sample)
 
     def _pose(self) -> None:
-        where = poses.measured(self._find, self.robot)
+        states = poses.state_keys(self.robot, self._contracts.values(), self._description)
+        where = poses.measured(self._find, states, self._description)
         if self._model is None or where is None:
             return
         self._place(scene.ROBOT, where)
-        ghost = poses.asked(self._find, self.robot, where)
+        ghost = poses.asked(
+            self._find, poses.command_keys(self.robot, self._contracts.values(), self._description), where
+        )
         if ghost is not None:
             self._place(scene.GHOST, ghost._replace(root=scene.beside(self._model, ghost.root)))
 
@@ -157,23 +165,12 @@ def run(view: LiveView, stop: threading.Event, *, rate_hz: float = RATE_HZ) -> N
         view.look()
 
 
-def _of_robot(robot: str) -> dict[str, Contract]:
-    """Return the contracts of a robot's keys, and of shared ones, that have curves."""
-    known = [item for item in contracts.contracts() if item.key.endswith(f"_{robot}")]
-    every = known or arm_contracts.of(robot)  # another model, or a second arm
-    return {item.key: item for item in curves.drawable(item for item in every if item.codec in _DECODERS)}
-
-
-def _present_robot(bus: Bus) -> str:
-    for robot in (keys.TWIST2_ROBOT, keys.TWIST_ROBOT):
-        if bus.get(keys.robot_state(robot)) is not None or bus.get(keys.state_body(robot)) is not None:
+def _present_robot(bus: Bus, known: Contracts) -> str:
+    """Return the first robot whose state stands on the bus, of those that are known, listed or not."""
+    families = (keys.robot_state, keys.state_joints)
+    others = (key.removeprefix(family("")) for family in families for key in bus.names(family("*")))
+    for robot in (*known.robots(), *others):
+        states = [item.key for item in known.of(robot) if item.role == "state" and item.key.endswith(f"_{robot}")]
+        if bus.read(states):
             return robot
-    for key in bus.names(keys.state_joints("*")):
-        return key.removeprefix(keys.state_joints(""))
-    states = " or ".join(family("*") for family in (keys.robot_state, keys.state_body, keys.state_joints))
-    raise NotReady(f"bus {bus.address}: no robot writes its state ({states}); start a low-level server first")
-
-
-def _stated(bus: Bus) -> list[dict[str, Any]]:
-    names = bus.names(f"{keys.CONFIG_PREFIX}*")
-    return [codec.parse_facts(sample.value) for sample in bus.read(names).values()]
+    raise NotReady(f"bus {bus.address}: no robot writes its state; start a low-level server first")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from station.bus import codec, keys
+from station.bus import codec
 from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
 from station.view import clips
@@ -64,17 +64,9 @@ def robot_of(reader: EpisodeReader) -> str:
     That is one that a policy or an operator drove, the manifest's own where there are several; else one whose state or
     command is there (stock scripts, no robot).
     """
-    topics = reader.topics()
-    driven = steps.robots(topics)
-    if reader.manifest.robot.suffix in driven:
+    if reader.manifest.robot.suffix in steps.robots(reader.topics()):
         return reader.manifest.robot.suffix
-    others = [
-        robot
-        for family in (keys.state_body, keys.action_body, keys.action_mimic)
-        for robot in (keys.TWIST2_ROBOT, keys.TWIST_ROBOT)
-        if family(robot) in topics
-    ]
-    return next(iter([*driven, *others]), "")
+    return next(iter(steps.robots_of(reader)), "")
 
 
 def motion_facts(reader: EpisodeReader, robot: str) -> Mapping[str, Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from station.errors import StationError
 from station.protocols import FALL_TILT_RAD, Floats
 from station.view import joint_plot
 from station.view import plot_style as style
-from station.view.layout import LIMBS
 from station.view.picture_file import page, save
 from station.view.plot_lanes import draw_lanes
 from station.view.run import Run, read_run
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.gridspec import GridSpec
 
-_COLUMNS = ("left leg", "right leg", "waist", "left arm", "right arm")
-_ROWS = max(len(LIMBS[limb]) for limb in _COLUMNS)
 _HEAD_IN, _LANES_IN, _ROOT_IN, _ROW_IN, _FOOT_IN = 0.72, 0.52, 1.35, 1.36, 0.42
 _LEFT_IN, _RIGHT_IN = 0.55, 0.25
 _NAMES_IN = 0.55  # what the names beside the bars stick out to the left
@@ -52,12 +49,32 @@ def save_run(run: Run, path: Path) -> Path:
     if run.commanded is None and run.measured is None:
         raise StationError(f"{run.episode_id}: no plot, it holds neither a command nor a state with joints")
     names = joint_plot.names(run)
-    has_limbs = not names or any(joint in LIMBS[limb] for limb in _COLUMNS for joint in names)
-    below_in = _ROOT_IN + _ROWS * _ROW_IN if has_limbs else len(names) * _ROW_IN
+    if not names:
+        raise StationError(f"{run.episode_id}: no plot, nothing names the joints of {run.robot or 'its robot'}")
+    has_limbs = len(run.groups) > 1 and any(joint in limb for limb in run.groups.values() for joint in names)
+    below_in = _ROOT_IN + _places(run.groups).rows * _ROW_IN if has_limbs else len(names) * _ROW_IN
     height_in = _HEAD_IN + _LANES_IN + below_in + _FOOT_IN
     with page(style.WIDTH_PX / style.DPI, height_in) as figure:
         (_draw if has_limbs else _draw_joints)(figure, run, joint_errors(run))
         return save(figure, path)
+
+
+class _Places(NamedTuple):
+    """Rows of a page, and where there is room beside the joints: columns of lean and path, column of the errors."""
+
+    rows: int
+    lean: int
+    path: int
+    errors: int
+
+
+def _places(groups: Mapping[str, tuple[str, ...]]) -> _Places:
+    """Return where what is no joint is drawn: below short limbs, in rows of its own where all are as long."""
+    lengths = [len(limb) for limb in groups.values()]
+    errors, *others = sorted(range(len(lengths)), key=lambda column: (lengths[column], column))
+    lean, path = sorted((*others, *others)[:2])
+    rows = max(*lengths, lengths[errors] + 2, lengths[lean] + 1, lengths[path] + 1 + (lean == path))
+    return _Places(rows, lean, path, errors)
 
 
 def _draw(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
@@ -74,16 +91,19 @@ def _draw(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
     root = figure.add_subplot(top[1])
     _draw_height(root, run)
     style.time_axis(root, limits, ticks=12, unit=" s")
+    places = _places(run.groups)
     below = GridSpec(
-        _ROWS, len(_COLUMNS), figure, left=_LEFT_IN / 16, right=1 - _RIGHT_IN / 16,
+        places.rows, len(run.groups), figure, left=_LEFT_IN / 16, right=1 - _RIGHT_IN / 16,
         top=1 - (_HEAD_IN + _LANES_IN + _ROOT_IN + 0.42) / height_in, bottom=_FOOT_IN / height_in, hspace=0.5,
         wspace=0.18,
     )  # fmt: skip
     _draw_limbs(figure, below, run, errors, limits)
-    _draw_lean(figure.add_subplot(below[_ROWS - 1, 0]), run, limits)
-    _draw_path(figure.add_subplot(below[_ROWS - 1, 1]), run)
+    if run.can_fall:
+        _draw_lean(figure.add_subplot(below[places.rows - 1, places.lean]), run, limits)
+        _draw_path(figure.add_subplot(below[places.rows - 1 - (places.path == places.lean), places.path]), run)
     if errors:
-        _draw_errors(figure.add_subplot(below[len(LIMBS["waist"]) :, 2]), errors)
+        first = len([*run.groups.values()][places.errors])
+        _draw_errors(figure.add_subplot(below[first:, places.errors]), run, errors)
 
 
 def _draw_joints(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
@@ -161,8 +181,7 @@ def _draw_path(axes: Axes, run: Run) -> None:
 def _draw_limbs(
     figure: Figure, grid: GridSpec, run: Run, errors: Mapping[str, float], limits: tuple[float, float]
 ) -> None:
-    for column, limb in enumerate(_COLUMNS):
-        joints = LIMBS[limb]
+    for column, (limb, joints) in enumerate(run.groups.items()):
         for row, joint in enumerate(joints):
             axes = figure.add_subplot(grid[row, column])
             name = joint.removeprefix("left_").removeprefix("right_").replace("_", " ")
@@ -210,12 +229,13 @@ def _values(axes: Axes) -> Floats:
     return np.asarray(values[np.isfinite(values)])
 
 
-def _draw_errors(axes: Axes, errors: Mapping[str, float]) -> None:
+def _draw_errors(axes: Axes, run: Run, errors: Mapping[str, float]) -> None:
     """Draw a bar per joint, left above right."""
     style.title(axes, "mean |error| [rad]", figure="left above right")
     place = axes.get_position()
     axes.set_position((place.x0 + _NAMES_IN / 16, place.y0, place.width - _NAMES_IN / 16, place.height))
-    names = [joint.removeprefix("left_") for limb in ("left leg", "waist", "left arm") for joint in LIMBS[limb]]
+    every = (joint for limb in run.groups.values() for joint in limb)
+    names = list(dict.fromkeys(joint.removeprefix("left_").removeprefix("right_") for joint in every))
     for row, name in enumerate(names):
         if name in errors:
             axes.barh(row, errors[name], 0.5, color=style.MEASURED)

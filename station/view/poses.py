@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from station import rotations
-from station.bus import keys
-from station.bus.contracts import Contract
+from station.bus import contracts, keys
+from station.contract import Contract
+from station.description import RobotDescription
 from station.protocols import Floats
 
 Ints = NDArray[np.int64]
 STANDING_M = 0.79
 """Height at which a robot is drawn whose height nothing measures and no command says."""
-
-COMMANDS = (keys.command_used, keys.action_body, keys.action_mimic, keys.action_joints)
-"""Keys that say what a robot is asked to be, by its suffix: what the gate let through, else what is on the bus."""
 
 _AT_THE_ORIGIN = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
@@ -50,30 +48,46 @@ class Numbers(NamedTuple):
 Find = Callable[[str], Numbers | None]
 
 
-def measured(find: Find, robot: str) -> Posture | None:
-    """Return where a robot was, from the best that is there: ground truth, else what it measured of itself.
+def state_keys(robot: str, recorded: Iterable[Contract | None], description: RobotDescription | None) -> list[str]:
+    """Return the keys that say where a robot is: ground truth, else what it measured of itself."""
+    own = [keys.sim_qpos(robot), keys.robot_state(robot)]
+    return list(dict.fromkeys((*own, *contracts.of_joints(robot, "state", recorded, description))))
 
-    A robot that does not know where it stands is drawn in place; an arm stands fast, at the origin. `find` gives the
-    numbers of a key, or None.
+
+def command_keys(robot: str, recorded: Iterable[Contract | None], description: RobotDescription | None) -> list[str]:
+    """Return the keys that say what a robot is asked to be: what its gate let through, else what is on the bus."""
+    return [keys.command_used(robot), *contracts.of_joints(robot, "command", recorded, description)]
+
+
+def measured(find: Find, states: Iterable[str], description: RobotDescription | None) -> Posture | None:
+    """Return where a robot was, from the best of its states that is there.
+
+    A robot that does not know where it stands is drawn in place; one without a base stands fast, at the origin.
+
+    Args:
+        find: Gives the numbers of a key, or None.
+        states: Keys as of `state_keys`.
+        description: Says whether it has a base; None where nothing does.
     """
-    for key in (keys.sim_qpos(robot), keys.robot_state(robot), keys.state_body(robot), keys.state_joints(robot)):
+    has_base = description is None or description.has_base
+    for key in states:
         numbers = find(key)
         if numbers is None:
             continue
         names, values = numbers.contract.names, numbers.values
         joints, q = _joints(names, values)
         root = _root(names, values)
-        if root is None and key == keys.state_joints(robot):
+        if root is None and not has_base:
             root = np.tile(_AT_THE_ORIGIN, (len(values), 1))
         if joints and root is not None:
             return Posture(numbers.times_ns, root, joints, q)
     return None
 
 
-def asked(find: Find, robot: str, where: Posture) -> Posture | None:
-    """Return what a robot was asked to be: the command that its gate let through, else the one on the bus."""
-    for key in COMMANDS:
-        numbers = find(key(robot))
+def asked(find: Find, commands: Iterable[str], where: Posture) -> Posture | None:
+    """Return what a robot was asked to be, by the first of its commands that is there (`command_keys`)."""
+    for key in commands:
+        numbers = find(key)
         if numbers is not None and _joints(numbers.contract.names, numbers.values)[0]:
             return reference(numbers.times_ns, numbers.contract.names, numbers.values, where)
     return None

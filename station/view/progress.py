@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from station import rotations
-from station.bus import codec, contracts, keys
+from station.bus import codec, keys
 from station.bus.client import Bus
+from station.bus.contracts import Contracts
 from station.bus.sample import Sample
+from station.contract import TIMING_STAGES, Contract
 from station.episode.storage.request import RecorderState
 from station.life.server import Health, read_health
 from station.protocols import Floats
@@ -19,8 +21,8 @@ from station.view import clips
 
 _MEDIAN_OF = 25  # looks; a single step says little of a latency
 _FIRST_STAGE = 2  # of a timing, after tick and command_seq
-_INFERENCE = contracts.TIMING_STAGES.index("observed"), contracts.TIMING_STAGES.index("inferred")
-_WHOLE = contracts.TIMING_STAGES.index("command_written"), contracts.TIMING_STAGES.index("sent")
+_INFERENCE = TIMING_STAGES.index("observed"), TIMING_STAGES.index("inferred")
+_WHOLE = TIMING_STAGES.index("command_written"), TIMING_STAGES.index("sent")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +117,7 @@ class ProgressReader:
         return Progress(
             servers=servers,
             motion=_motion(facts[command.name], held.get(keys.command_source(suffix))) if command else None,
-            robot=_robot(low_level, suffix, held) if low_level else None,
+            robot=_robot(low_level, suffix, held, Contracts(facts.values())) if low_level else None,
             arm=_arm(low_level) if low_level else None,
             policy=self._policy(low_level, facts, held.get(keys.policy_timing(suffix))) if low_level else None,
             recorder=_recorder(held.get(keys.RECORDER)),
@@ -180,9 +182,9 @@ def _motion(facts: Mapping[str, Any], sample: Sample | None) -> MotionProgress |
     )
 
 
-def _robot(health: Health, suffix: str, held: Mapping[str, Sample]) -> RobotProgress | None:
+def _robot(health: Health, suffix: str, held: Mapping[str, Sample], known: Contracts) -> RobotProgress | None:
     for key in (keys.sim_qpos(suffix), keys.robot_state(suffix)):
-        values = _named(key, held.get(key))
+        values = _named(known.get(key), held.get(key))
         if "root_quat_w" in values:
             quat = [values[f"root_quat_{axis}"] for axis in "wxyz"]
             gate = held.get(keys.command_gate(suffix))
@@ -209,9 +211,8 @@ def _arm(health: Health) -> ArmProgress | None:
     )
 
 
-def _named(key: str, sample: Sample | None) -> dict[str, float]:
+def _named(contract: Contract | None, sample: Sample | None) -> dict[str, float]:
     """Return the numbers of a vector by their names; none when it does not fit its contract."""
-    contract = contracts.contract(key)
     if sample is None or contract is None or len(sample.value) != 8 * len(contract.elements):
         return {}
     numbers: Floats = codec.parse_f64(sample.value)

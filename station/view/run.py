@@ -49,7 +49,8 @@ class Run:
         gate: States of the gate.
         phases: What was played: names of clips while a motion plays, else the phase; or what an operator moved.
         playing: When a motion played, blends and pauses left out.
-        can_fall: Whether it is a robot that walks.
+        can_fall: Whether it is a robot that stands on its own.
+        groups: Names of its joints by limb.
         falls_s: When the robot fell [s].
         start_ns: Start of the episode on the clock of `measured` and `commanded` [ns].
     """
@@ -66,6 +67,7 @@ class Run:
     phases: list[Span] = field(default_factory=list)
     playing: list[Span] = field(default_factory=list)
     can_fall: bool = True
+    groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     falls_s: list[float] = field(default_factory=list)
     start_ns: int = 0
 
@@ -90,10 +92,13 @@ class Run:
 def read_run(reader: EpisodeReader) -> Run:
     """Read from an episode what pictures show of it, in one pass over its signals."""
     robot = phases.robot_of(reader)
-    held = reader.collect(_topics(robot))
+    description, recorded = reader.known.robot(robot), reader.recorded.values()
+    states = poses.state_keys(robot, recorded, description)
+    commands = poses.command_keys(robot, recorded, description)
+    held = reader.collect({*states, *commands, keys.command_gate(robot), keys.command_source(robot), keys.EVENT})
     begin_ns = reader.start_ns
     find = _finder(held)
-    measured = poses.measured(find, robot)
+    measured = poses.measured(find, states, description)
     name = phases.PhaseNames(phases.motion_facts(reader, robot))
     source = list(_objects(held[keys.command_source(robot)], begin_ns))
     gates = _objects(held[keys.command_gate(robot)], begin_ns)
@@ -105,21 +110,16 @@ def read_run(reader: EpisodeReader) -> Run:
         motion=name.motion,
         measured=measured,
         has_place=find(keys.sim_qpos(robot)) is not None,
-        commanded=_commanded(find, robot, begin_ns),
-        heights=_heights(find, robot, begin_ns),
+        commanded=_commanded(find, commands, begin_ns),
+        heights=_heights(find, commands, begin_ns),
         gate=phases.spans((at_s, str(value.get("state", ""))) for at_s, value in gates),
         phases=phases.spans((at_s, name(value)) for at_s, value in source),
         playing=[span for span in played if span.name == PLAYING],
-        can_fall=find(keys.state_joints(robot)) is None,
+        can_fall=description is None or description.has_base,
         falls_s=_falls(held[keys.EVENT], robot, measured, begin_ns),
         start_ns=begin_ns,
+        groups=description.groups if description is not None else {},
     )
-
-
-def _topics(robot: str) -> set[str]:
-    families = (keys.sim_qpos, keys.robot_state, keys.state_body, keys.state_joints, *poses.COMMANDS,
-                keys.command_gate, keys.command_source)  # fmt: skip
-    return {family(robot) for family in families} | {keys.EVENT}
 
 
 def _seconds(times_ns: Ints, start_ns: int) -> Floats:
@@ -145,13 +145,13 @@ def _finder(held: Mapping[str, list[Message]]) -> Callable[[str], Numbers | None
     return find
 
 
-def _first(find: poses.Find, robot: str) -> Numbers | None:
+def _first(find: poses.Find, commands: Iterable[str]) -> Numbers | None:
     """Return the command that the gate let through, else the one on the bus."""
-    return next((found for family in poses.COMMANDS if (found := find(family(robot))) is not None), None)
+    return next((found for key in commands if (found := find(key)) is not None), None)
 
 
-def _commanded(find: poses.Find, robot: str, start_ns: int) -> Joints | None:
-    command = _first(find, robot)
+def _commanded(find: poses.Find, commands: Iterable[str], start_ns: int) -> Joints | None:
+    command = _first(find, commands)
     if command is None:
         return None
     columns = [index for index, name in enumerate(command.contract.names) if name.endswith(_JOINT)]
@@ -159,8 +159,8 @@ def _commanded(find: poses.Find, robot: str, start_ns: int) -> Joints | None:
     return Joints(_seconds(command.times_ns, start_ns), names, command.values[:, columns])
 
 
-def _heights(find: poses.Find, robot: str, start_ns: int) -> tuple[Floats, Floats] | None:
-    command = _first(find, robot)
+def _heights(find: poses.Find, commands: Iterable[str], start_ns: int) -> tuple[Floats, Floats] | None:
+    command = _first(find, commands)
     if command is None or "root_height" not in command.contract.names:
         return None
     column = command.values[:, command.contract.names.index("root_height")]

@@ -10,10 +10,10 @@ from rich.console import Group
 from station.bus import keys
 from station.bus import stamp as stamps
 from station.bus.client import Bus
-from station.bus.contracts import contract
+from station.bus.contracts import Contracts
 from station.bus.stamp import Stamp
 from station.life import stop_file
-from station.life.server import Health, read_health
+from station.life.server import Health, read_configurations, read_health
 from station.life.stop_file import LatchedStop
 from station.view.rates import KeyRate, RateMeter
 from station.view.table import WIDE, Column, age_s, plain, render_servers, state_of, table_of
@@ -57,10 +57,10 @@ class Status(msgspec.Struct, frozen=True):
 
 def look(bus: Bus, meter: RateMeter) -> Status:
     """Return the status of a station whose writes a meter has been counting."""
-    rates = meter.rates()
+    rates, described = meter.rates(), Contracts(read_configurations(bus))
     found = []
     for key, mark in _stamps(bus).items():
-        known, rate = contract(key), rates.get(key)
+        known, rate = described.get(key), rates.get(key)
         found.append(
             KeyStatus(
                 key=key,

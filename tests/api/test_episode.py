@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import station
-from station.bus import codec, contracts, keys
-from station.bus.contracts import Contract, elements, positions, velocities
+from station.bus import codec, keys
+from station.contract import TIMING_STAGES, Contract, elements, positions, velocities
 from station.episode.reading.reader import open_episode
 from station.episode.reading.show import count_streams
 from tests.api.libraries import needs
@@ -42,7 +42,7 @@ def stride(builder: EpisodeBuilder, *, steps: int = 3) -> None:
     """Record steps of a robot with two joints that nothing but the contracts in the file knows of."""
     state = elements((positions(LEGS), "rad"), (velocities(LEGS), "rad/s"))
     command = elements((("forward_vel",), "m/s"))
-    timing = elements((("tick", "command_seq", *contracts.TIMING_STAGES), ""))
+    timing = elements((("tick", "command_seq", *TIMING_STAGES), ""))
     builder.contracts |= {
         one.key: one
         for one in (

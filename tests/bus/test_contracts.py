@@ -10,7 +10,10 @@ from subprocess import run
 
 import pytest
 
-from station.bus import contracts, joints, keys
+from adapters.robots.g1 import twist_keys
+from adapters.robots.g1.joints import G1_23, G1_25, G1_29
+from adapters.robots.kassow.names import KR810_ROBOT
+from station.bus import contracts, keys
 
 TWIST2_LENGTHS = {
     "action_body_unitree_g1_with_hands": 35,
@@ -52,7 +55,7 @@ def names(key: str) -> tuple[str, ...]:
 
 
 def test_twist2_command_positions() -> None:
-    order = names(keys.action_body())
+    order = names(twist_keys.action_body())
     assert order[:6] == ("root_vel_x", "root_vel_y", "root_height", "root_roll", "root_pitch", "root_yaw_rate")
     expected = {6: "left_hip_pitch", 9: "left_knee", 12: "right_hip_pitch", 18: "waist_yaw", 21: "left_shoulder_pitch",
                 24: "left_elbow", 25: "left_wrist_roll", 28: "right_shoulder_pitch", 34: "right_wrist_yaw"}  # fmt: skip
@@ -60,7 +63,7 @@ def test_twist2_command_positions() -> None:
 
 
 def test_twist_command_positions() -> None:
-    order = names(keys.action_mimic())
+    order = names(twist_keys.action_mimic())
     assert order[0] == "root_height"
     assert order[3] == "root_yaw"
     assert order[4:7] == ("root_vel_x", "root_vel_y", "root_vel_z")
@@ -73,7 +76,7 @@ def test_twist_command_positions() -> None:
 def test_twist2_state_positions() -> None:
     order = names("state_body_unitree_g1_with_hands")
     assert order[:5] == ("gyro_x", "gyro_y", "gyro_z", "root_roll", "root_pitch")
-    assert order[5:] == tuple(f"{name}_pos" for name in joints.G1_29)
+    assert order[5:] == tuple(f"{name}_pos" for name in G1_29)
 
 
 def test_twist_state_positions() -> None:
@@ -84,8 +87,12 @@ def test_twist_state_positions() -> None:
 
 
 def test_the_fingers_of_the_two_hands_stand_in_different_order() -> None:
-    assert [n.split("_")[2] for n in names(keys.state_hand("left"))] == ["thumb"] * 3 + ["middle"] * 2 + ["index"] * 2
-    assert [n.split("_")[2] for n in names(keys.state_hand("right"))] == ["thumb"] * 3 + ["index"] * 2 + ["middle"] * 2
+    assert [n.split("_")[2] for n in names(twist_keys.state_hand("left"))] == ["thumb"] * 3 + ["middle"] * 2 + [
+        "index"
+    ] * 2
+    assert [n.split("_")[2] for n in names(twist_keys.state_hand("right"))] == ["thumb"] * 3 + ["index"] * 2 + [
+        "middle"
+    ] * 2
 
 
 def test_element_names_are_unique_and_valid_anywhere() -> None:
@@ -95,13 +102,13 @@ def test_element_names_are_unique_and_valid_anywhere() -> None:
 
 
 def test_joint_orders() -> None:
-    assert len(joints.G1_29) == 29
-    assert joints.G1_29.index("left_ankle_roll") == 5
-    assert joints.G1_29.index("waist_yaw") == 12
-    assert joints.G1_29.index("left_wrist_yaw") == 21
-    assert joints.G1_25.index("left_wrist_roll") == 19
-    assert joints.G1_25.index("right_wrist_roll") == 24
-    assert len(joints.G1_23) == 23
+    assert len(G1_29) == 29
+    assert G1_29.index("left_ankle_roll") == 5
+    assert G1_29.index("waist_yaw") == 12
+    assert G1_29.index("left_wrist_yaw") == 21
+    assert G1_25.index("left_wrist_roll") == 19
+    assert G1_25.index("right_wrist_roll") == 24
+    assert len(G1_23) == 23
 
 
 def test_an_unknown_key_has_no_contract() -> None:
@@ -110,7 +117,7 @@ def test_an_unknown_key_has_no_contract() -> None:
 
 
 def test_an_arm_of_any_model_has_the_contracts_of_an_arm() -> None:
-    for robot in (keys.KASSOW_KR810, "kassow_kr1018", "kassow_kr810_left"):
+    for robot in (KR810_ROBOT, "kassow_kr1018", "kassow_kr810_left"):
         lengths = {
             keys.action_joints: 7,
             keys.state_joints: 21,
@@ -139,7 +146,7 @@ class WithoutElements:
     name, robot, key, note = "broken", "unitree_g1_with_hands", "action_broken", ""
 
 class Another(WithoutElements):
-    from station.elements import elements
+    from station.contract import elements
     name, key, elements = "another", "action_another", elements((("speed",), "m/s"))
 """
 ENTRIES = "[station.commands]\naaa = formats:Another\nbroken = formats:WithoutElements\ngone = not_here:FORMAT\n"
@@ -147,7 +154,7 @@ ASK = f"""
 import sys; sys.path.insert(0, {{folder!r}})
 from station.bus import contracts, keys
 print(contracts.contract("action_another").names, contracts.contract("action_broken"))
-print(len(contracts.contract(keys.command_used({keys.TWIST2_ROBOT!r})).names))
+print(len(contracts.contract(keys.command_used({twist_keys.TWIST2_ROBOT!r})).names))
 """
 
 

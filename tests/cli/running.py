@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from station.bus import keys
+from adapters.robots.g1 import twist_keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.errors import BusError
@@ -167,7 +167,7 @@ def status_of_motion(home: Home) -> tuple[dict[str, Any], dict[str, Any]]:
     assert motion["state"] == "active"
     assert motion["pid"] == home.pids()["motion"]
     assert row(found["servers"], name="recorder")["state"] == "active"
-    body = row(found["keys"], key=keys.action_body())
+    body = row(found["keys"], key=twist_keys.action_body())
     assert body["writer"] == "motion"
     return motion, body
 

@@ -7,14 +7,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from adapters.robots.g1 import twist_keys
+from adapters.robots.g1.joints import G1_29
 from station.bus import codec, keys
-from station.bus.joints import G1_29
 from station.bus.tap import Write
 from tests.cli.running import Home, Running, new_home
 from tests.servers.g1_station import LIGHT, Log, StockCommander, logged
 from tests.waiting import wait_until
 
-GATE = keys.command_gate(keys.TWIST2_ROBOT)
+GATE = keys.command_gate(twist_keys.TWIST2_ROBOT)
 BOOK = "runbook: t\nrobot: unitree_g1_with_hands\nsteps:\n  - start: g1\n    ready_within: 60s\n"
 SETTINGS = [word for setting in LIGHT for word in ("--set", f"g1.{setting}")]
 
@@ -37,15 +38,17 @@ def states(writes: list[Write]) -> list[str]:
 
 def stop_and_reset(home: Home) -> int:
     """Stop the robot and release it; return how many steps were published between the stop and the first damped one."""
-    with logged(home.bus) as log, StockCommander(home.bus):
-        wait_until(lambda: states(log.writes)[-1:] == ["tracking"])
-        done = home.run("estop", "--reason", "a test")
-        assert done.returncode == 0
-        assert "every robot on this bus is damped; `station estop --reset` releases" in done.stdout
-        wait_until(lambda: "stopped" in states(log.writes))
-        assert home.run("estop", "--reset").stdout == "e-stop released\n"
-        wait_until(lambda: states(after_the_stop(log))[-1:] == ["waiting"])
-    targets = [write for write in log.writes if write.key == keys.target(keys.TWIST2_ROBOT)]
+    with logged(home.bus) as log:
+        with StockCommander(home.bus):
+            wait_until(lambda: states(log.writes)[-1:] == ["tracking"])
+            done = home.run("estop", "--reason", "a test")
+            assert done.returncode == 0
+            assert "every robot on this bus is damped; `station estop --reset` releases" in done.stdout
+            wait_until(lambda: "stopped" in states(log.writes))
+            assert home.run("estop", "--reset").stdout == "e-stop released\n"
+            wait_until(lambda: states(after_the_stop(log))[-1:] == ["waiting"])
+        wait_until(lambda: not codec.parse_json(log.last(GATE))["needs_silence"])  # another one may begin
+    targets = [write for write in log.writes if write.key == keys.target(twist_keys.TWIST2_ROBOT)]
     first = next(
         n for n, write in enumerate(log.of(GATE)) if codec.parse_json(write.value or b"")["state"] == "stopped"
     )

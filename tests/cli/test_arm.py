@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.client import Bus
 from tests.cli.running import Home, Running, new_home, one_line
@@ -40,7 +41,7 @@ def armed(processes: None) -> Iterator[tuple[Home, Running]]:
 
 def arming(home: Home) -> str:
     with Bus(home.bus, name="test", timeout_s=5.0) as bus:
-        return str(codec.parse_json(bus.get(keys.command_gate(keys.TWIST2_ROBOT)) or b"{}").get("arming"))
+        return str(codec.parse_json(bus.get(keys.command_gate(twist_keys.TWIST2_ROBOT)) or b"{}").get("arming"))
 
 
 def test_a_runbook_arms_in_its_order_and_says_so(armed: tuple[Home, Running]) -> None:

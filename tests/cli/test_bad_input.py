@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from station.bus import codec, keys
+from adapters.robots.g1 import twist_keys
+from station.bus import codec
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from tests.adapters.motions.made import content, smooth
@@ -203,12 +204,12 @@ def test_a_second_writer_of_a_key_is_an_event(home: Home) -> None:
         with Bus(home.bus, name="test", timeout_s=5.0) as bus:
 
             def is_told() -> bool:
-                bus.call("SET", keys.action_body(), codec.json_vector([0.0] * 35))
+                bus.call("SET", twist_keys.action_body(), codec.json_vector([0.0] * 35))
                 return any("second-writer" in line for line in list(station.lines))
 
             wait_until(is_told)
     (line,) = [line for line in station.lines if "second-writer" in line]
-    assert line == f"! motion: second-writer key={keys.action_body()} writers=['foreign']"
+    assert line == f"! motion: second-writer key={twist_keys.action_body()} writers=['foreign']"
 
 
 def test_a_torn_episode_is_read_as_far_as_it_is_whole(wave: Wave, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -19,7 +20,7 @@ from tests.cli.running import Home
 from tests.servers.g1_station import LIGHT, G1Process
 from tests.waiting import wait_until
 
-KEY = keys.action_body()
+KEY = twist_keys.action_body()
 STANDING = codec.json_vector([0.0] * 35)
 
 
@@ -175,7 +176,7 @@ def test_a_robot_that_gets_no_command_and_then_a_bad_one(patient: tuple[Home, Bu
     home, address = patient
     with G1Process(address, *LIGHT):
         with Bus(address, name="test", timeout_s=5.0) as bus:
-            wait_until(lambda: bus.get(keys.command_gate(keys.TWIST2_ROBOT)) is not None)
+            wait_until(lambda: bus.get(keys.command_gate(twist_keys.TWIST2_ROBOT)) is not None)
         found = findings(home)
         assert found[KEY]["found"] == "nobody has ever written it"
         assert found["gate"]["found"].startswith("waiting")
@@ -190,7 +191,7 @@ def test_a_robot_that_gets_no_command_and_then_a_bad_one(patient: tuple[Home, Bu
 def test_a_robot_that_is_disarmed(patient: tuple[Home, BusAddress]) -> None:
     home, address = patient
     with G1Process(address, *LIGHT, "start_armed=false"), Bus(address, name="test", timeout_s=5.0) as bus:
-        gate = keys.command_gate(keys.TWIST2_ROBOT)
+        gate = keys.command_gate(twist_keys.TWIST2_ROBOT)
         wait_until(lambda: bus.get(gate) is not None)
         found = findings(home)["arming"]
         assert found["level"] == "broken"

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from station.bus import keys
 from tests.cli.at_terminal import AtTerminal
 from tests.cli.running import Home, new_home, one_line
@@ -65,7 +66,7 @@ def test_a_dry_run_names_episodes_and_columns_and_writes_nothing(walked: Home, t
     assert done.returncode == 0, done.stderr
     assert "goes in   2026-11-21-g1-walk-0001\n" in done.stdout
     assert "left out  2026-11-21-g1-walk-0003: reject" in done.stdout
-    state = keys.robot_state(keys.TWIST2_ROBOT)
+    state = keys.robot_state(twist_keys.TWIST2_ROBOT)
     assert f"column    observation.state: {state}, 65 numbers: left_hip_pitch_pos [rad], " in done.stdout
     assert "column    age_s.observation.state, age_s.action: how old" in done.stdout
     assert done.stdout.endswith("2 of 4 episodes would go in; nothing was written\n")
@@ -176,7 +177,7 @@ def test_recordings_of_twist2_become_episodes_that_list_check_show_and_export(ho
     assert "recorded by TWIST2's recorder, which polled: what came between is lost" in checked.stdout
     assert "not judged: slow, old-command, misaligned, jerky, jerky-command: its recorder polled" in checked.stdout
     command = ("export", "lerobot", "--task", "cabinet", "--out", str(tmp_path / "set"))
-    stock = ("--state", keys.state_body(keys.TWIST2_ROBOT), "--action", keys.action_body())
+    stock = ("--state", twist_keys.state_body(twist_keys.TWIST2_ROBOT), "--action", twist_keys.action_body())
     assert f"name other keys, such as {' '.join(stock)}" in one_line(home.run(*command))
     assert "--fps 50 is more than its state has (30.3 Hz)" in home.run(*command, *stock).stderr
     assert home.run(*command, *stock, "--fps", "30", "--camera", "none").returncode == 0
@@ -184,7 +185,7 @@ def test_recordings_of_twist2_become_episodes_that_list_check_show_and_export(ho
     assert "whether the task succeeded; whether the robot fell" in shown
     exported = home.run("export", "csv", "--out", str(tmp_path / "look"))
     assert exported.returncode == 0, exported.stderr
-    table = tmp_path / "look" / rows[0]["episode_id"] / f"{keys.action_neck()}.csv"
+    table = tmp_path / "look" / rows[0]["episode_id"] / f"{twist_keys.action_neck()}.csv"
     assert len(table.read_text().splitlines()) == 41
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from station.bus import keys
+from adapters.robots.g1 import twist_keys
 from station.bus.address import BusAddress
 from tests.cli.conftest import Wave
 from tests.cli.running import Home, new_home, row, status_of_motion
@@ -54,7 +54,7 @@ def test_check(wave: Wave, verb: tuple[str, ...]) -> None:
     found = wave.home.json(*verb, str(wave.episode), "--no-write")
     assert found["verdict"] in ("good", "usable", "reject")
     assert found["recorder_restarts"] == found["falls"] == 0
-    body = row(found["streams"], key=keys.action_body())
+    body = row(found["streams"], key=twist_keys.action_body())
     assert body["lost"] == 0
     assert body["count"] > 10
     assert body["rate_hz"] > 0
@@ -77,8 +77,8 @@ def test_bus_info(bus_home: Home) -> None:
 
 
 def test_keys(home: Home) -> None:
-    assert keys.action_body() in [item["key"] for item in home.json("keys")]
-    one = home.json("keys", keys.action_body())
+    assert twist_keys.action_body() in [item["key"] for item in home.json("keys")]
+    one = home.json("keys", twist_keys.action_body())
     assert len(one["elements"]) == 35
 
 

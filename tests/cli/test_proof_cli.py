@@ -6,7 +6,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from station.bus import keys
+from adapters.robots.g1 import twist_keys
 from station.episode.quality.check import check
 from station.episode.reading.reader import open_episode
 from tests.cli.conftest import wave_once
@@ -54,7 +54,7 @@ def test_a_motion_server_writes_fifty_commands_a_second(processes: None, proof: 
         with new_home() as home, Waits.watched() as waits:
             made = wave_once(home)
             (body,) = (
-                stream for stream in check(open_episode(made.episode)).streams if stream.key == keys.action_body()
+                stream for stream in check(open_episode(made.episode)).streams if stream.key == twist_keys.action_body()
             )
         assert body.rate_hz is not None
         assert body.rate_hz < 55

@@ -7,6 +7,7 @@ import os
 import signal
 from pathlib import Path
 
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.client import Bus
 from tests.cli.running import Home, one_line
@@ -65,7 +66,7 @@ def test_a_robot_that_is_started_alone_starts_stopped_and_says_it_to_the_bus(hom
             )
             assert home.run("estop", "--reset").stdout == "e-stop released\n"
             with Bus(home.bus, name="test", timeout_s=5.0) as line:
-                gate = codec.parse_json(line.get(keys.command_gate(keys.TWIST2_ROBOT)) or b"{}")
+                gate = codec.parse_json(line.get(keys.command_gate(twist_keys.TWIST2_ROBOT)) or b"{}")
                 assert gate["state"] == "waiting"
             os.kill(robot.process.pid, signal.SIGKILL)
         with home.running("serve", "g1", *sets):

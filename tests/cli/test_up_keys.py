@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.stamp import decode
@@ -18,7 +19,7 @@ from tests.cli.at_terminal import AtTerminal
 from tests.cli.running import COMMANDS_ONLY, SHORT, Home
 from tests.waiting import wait_until
 
-GATE = keys.command_gate(keys.TWIST2_ROBOT)
+GATE = keys.command_gate(twist_keys.TWIST2_ROBOT)
 HEAD = "runbook: t\nrobot: unitree_g1_with_hands\nsteps:\n"
 G1 = "  - start: g1\n    with: {physics_dt_s: 0.002, real_time_priority: 0}\n    ready_within: 60s\n"
 ASK = "  - confirm: Nobody stands there.\n"
@@ -76,7 +77,7 @@ def test_space_stops_the_robot_at_a_question_and_nothing_goes_past_the_stop(home
             wait_until(lambda: written_ns(bus, keys.ESTOP) > pressed_ns)  # the space bar among them stops once more
             assert gate(bus) == "stopped"
             wait_for_ticks(bus)
-            assert bus.get(keys.action_body()) is None
+            assert bus.get(twist_keys.action_body()) is None
             assert home.run("estop", "--reset").returncode == 0
             asked = terminal.wait_for("[y/N]", held)
             terminal.type(b"yes\r")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from station.bus.joints import G1_29
+from adapters.robots.g1.joints import G1_29
 from station.protocols import Fall, Floats, Floats32, JointTargets, PolicySpec, RobotState
 
 

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from adapters.robots.g1.joints import G1_29
 from station import registry
 from station.bus import codec
-from station.bus.joints import G1_29
 from station.control.commanded import Happening
 from station.control.control import ControlStep, StepRecord
 from station.control.inlet import CommandSample

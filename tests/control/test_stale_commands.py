@@ -15,12 +15,12 @@ from station.bus import codec, stamp
 from station.bus.heard import Heard
 from station.bus.sample import Sample
 from station.clock import SYSTEM
+from station.contract import elements
 from station.control.commanded import Commanded
 from station.control.gate import Decision, GateConfig
 from station.control.inbox import Arrival, CommandWatch, Inbox, Taken, writer_of
 from station.control.writers import Writers
-from station.elements import elements
-from station.protocols import Floats
+from station.protocols import Floats, StockKeys
 from tests.examples import examples
 
 DT_NS = 20_000_000
@@ -31,8 +31,9 @@ HERE = stamp.boot_id()
 KEY = "action_tiny"
 ENDS = np.array([2.0, 1.0, 3.0])
 FORM = BodyCommand(
-    name="tiny", robot="tiny", key=KEY, note="", companions={}, default=np.zeros(3), lower=-ENDS, upper=ENDS,
-    margin=np.ones(3), rate=np.array([30.0, 3.0, 20.0]), velocities=(0,), joint_names=("joint",), head=lambda _: [],
+    name="tiny", robot="tiny", key=KEY, note="", companions={}, stock=StockKeys(), default=np.zeros(3),
+    lower=-ENDS, upper=ENDS, margin=np.ones(3), rate=np.array([30.0, 3.0, 20.0]), velocities=(0,),
+    joint_names=("joint",), head=lambda _: [],
     elements=elements((("root_vel_x",), "m/s"), (("root_height",), "m"), (("joint_pos",), "rad")),
 )  # fmt: skip
 """A velocity, a height and a joint: what the gate treats differently, and no more to compute."""

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.tap import Write
 from station.episode.recorder.writer import EpisodeWriter
@@ -38,7 +39,7 @@ def walked(data: Path, *, seconds: float = 1.0, number: int = 1) -> Path:
         writer="pico",
     )
     builder.foreign("strange", b"[1, 2]", at_s=FALL_S)
-    builder.delete(keys.action_body(), at_s=FALL_S)
+    builder.delete(twist_keys.action_body(), at_s=FALL_S)
     return builder.finish()
 
 

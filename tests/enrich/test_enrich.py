@@ -11,9 +11,10 @@ import msgspec
 import pytest
 from PIL import Image
 
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.contracts import contract
-from station.elements import Element
+from station.contract import Element
 from station.enrich import source
 from station.enrich.enrich import Enriched, enrich
 from station.episode.reading.frames import frames
@@ -142,9 +143,9 @@ def test_values_that_do_not_fit_their_contract_are_counted_and_left_out(tmp_path
     builder = EpisodeBuilder(tmp_path)
     for number, value in enumerate([codec.f64([0.0] * 65), codec.f64([0.0] * 64), b"1234567"]):
         builder.write({STATE: value}, at_s=0.1 * number)
-    builder.write({keys.action_body(): b"[1, NaN]", keys.EVENT: b'{"name": 3}'}, at_s=0.5)
+    builder.write({twist_keys.action_body(): b"[1, NaN]", keys.EVENT: b'{"name": 3}'}, at_s=0.5)
     done = enriched(builder.finish())
-    assert done.unfit == {STATE: 2, keys.action_body(): 1, keys.EVENT: 1}
+    assert done.unfit == {STATE: 2, twist_keys.action_body(): 1, keys.EVENT: 1}
     assert done.messages == 1
 
 

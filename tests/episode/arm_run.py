@@ -10,7 +10,8 @@ import numpy as np
 
 from adapters.commands.arm import arm_command
 from adapters.robots import arm_limits
-from station.bus import arm_contracts, codec, keys
+from adapters.robots.kassow.names import KR810_ROBOT
+from station.bus import codec, keys, robot_streams
 from station.config import to_plain
 from station.control.arm_control import ArmControl
 from station.control.arm_values import result_values
@@ -20,7 +21,7 @@ from station.protocols import Floats
 from tests.control.ideal_arm import TICK_S, IdealArm
 from tests.episode.synthetic import MONO_START_NS, EpisodeBuilder
 
-ROBOT = keys.KASSOW_KR810
+ROBOT = KR810_ROBOT
 FORM = arm_command("kassow", arm_limits.load("kassow", "kr810"), speed_rad_s=1.0)
 
 
@@ -114,7 +115,7 @@ class ArmRun:
         )  # fmt: skip
 
     def _write_state(self, q: Floats) -> None:
-        counted = dict.fromkeys(arm_contracts.COUNTERS, 0.0)
+        counted = dict.fromkeys(robot_streams.COUNTERS, 0.0)
         counted |= {"tick": float(int(self.ticks * self.beats)), "stream_j_sends": float(self.sends),
                     "fault_count": float(self.faults)}  # fmt: skip
         times = [2e-6, 2e-6, self.latency_s, 9e-6, 0.004, 0.0041, 0.0045, np.nan]

@@ -6,6 +6,7 @@ import random
 from collections.abc import Sequence
 from pathlib import Path
 
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.tap import Write
 from station.episode.recorder.writer import EpisodeWriter
@@ -16,7 +17,7 @@ from station.episode.writing.closing import close_manifest
 from tests.episode.writes import Native
 from tests.waiting import DEADLINE_S, wait_until
 
-BODY = keys.action_body()
+BODY = twist_keys.action_body()
 HEAD, WRIST = keys.camera_image("head"), keys.camera_image("wrist")
 EXPOSED_NS = 20_000_000  # from the capture of a picture to its write
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from station.bus.joints import G1_29
+from adapters.robots.g1.joints import G1_29
 from station.protocols import Floats, Floats32, JointTargets, PolicySpec, RobotState
 
 SIZE = 4

@@ -11,14 +11,17 @@ import numpy as np
 import yaml
 from mcap.writer import CompressionType, Writer
 
-from station.bus import codec, contracts, joints, keys
+from adapters.robots.g1 import twist_keys
+from adapters.robots.g1.joints import G1_29
+from station.bus import codec, contracts, keys
 from station.bus.stamp import Stamp, boot_id
+from station.contract import Contract
 from station.protocols import Floats
 
 WALL_START_NS = 1_795_000_000_000_000_000
 MONO_START_NS = 5_000_000_000_000
 STANDING = np.array([-0.2, 0, 0, 0.4, -0.2, 0] * 2 + [0, 0, 0] + [0, 0.4, 0, 1.2, 0, 0, 0] + [0, -0.4, 0, 1.2, 0, 0, 0])
-ROBOT = keys.TWIST2_ROBOT
+ROBOT = twist_keys.TWIST2_ROBOT
 
 
 class EpisodeBuilder:
@@ -40,7 +43,7 @@ class EpisodeBuilder:
         self._channels: dict[tuple[str, str, str], int] = {}
         self._sequences: dict[tuple[str, str], int] = {}
         self._stamps: list[bytes] = []
-        self.contracts: dict[str, contracts.Contract] = {}  # in the place of today's, by key
+        self.contracts: dict[str, Contract] = {}  # in the place of today's, by key
 
     def write(self, values: Mapping[str, bytes], *, at_s: float, writer: str = "g1", lag_s: float = 0.0002) -> None:
         """One stamped `MSET`, written at a time and seen by the tap a little later."""
@@ -200,7 +203,10 @@ def tick(
 
 def _ask(builder: EpisodeBuilder, wanted: Floats, source: dict[str, Any], *, at_s: float, writer: str) -> None:
     """What a commander writes in a tick."""
-    values = {keys.action_body(): codec.json_vector(wanted), keys.command_source(ROBOT): json.dumps(source).encode()}
+    values = {
+        twist_keys.action_body(): codec.json_vector(wanted),
+        keys.command_source(ROBOT): json.dumps(source).encode(),
+    }
     builder.write(values, at_s=at_s, writer=writer)
 
 
@@ -209,7 +215,7 @@ def _read(builder: EpisodeBuilder, q: Floats, quat: Sequence[float], place: Sequ
     builder.write(
         {
             keys.robot_state(ROBOT): codec.f64(np.concatenate([q, np.zeros(29), quat, np.zeros(3)])),
-            keys.state_body(ROBOT): codec.json_vector(np.concatenate([np.zeros(5), q])),
+            twist_keys.state_body(ROBOT): codec.json_vector(np.concatenate([np.zeros(5), q])),
             keys.sim_qpos(ROBOT): codec.f64(np.concatenate([place, quat, q])),
         },
         at_s=at_s,
@@ -218,7 +224,7 @@ def _read(builder: EpisodeBuilder, q: Floats, quat: Sequence[float], place: Sequ
 
 def walk(builder: EpisodeBuilder, *, seconds: float = 2.0, rate_hz: float = 50.0, **options: Any) -> None:
     """Ticks of a run without a fault."""
-    assert len(joints.G1_29) == len(STANDING)
+    assert len(G1_29) == len(STANDING)
     for number in range(round(seconds * rate_hz)):
         tick(builder, number, at_s=0.1 + number / rate_hz, **options)
 

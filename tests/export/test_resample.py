@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from station.bus import contracts, keys
 from station.episode.reading.messages import Ints
 from station.episode.reading.reader import EpisodeReader
@@ -48,9 +49,9 @@ def test_jitter_of_the_writers_neither_repeats_nor_skips_a_step(tmp_path: Path) 
 
 
 def test_a_command_as_it_was_sent_is_the_newest_at_the_tick(tmp_path: Path) -> None:
-    table = table_of(walked(tmp_path, camera_hz=0).folder, action=keys.action_body())
-    assert (table.action[keys.action_body()].ages_s >= 0).all()
-    assert (table.action[keys.action_body()].ages_s < 0.021).all()
+    table = table_of(walked(tmp_path, camera_hz=0).folder, action=twist_keys.action_body())
+    assert (table.action[twist_keys.action_body()].ages_s >= 0).all()
+    assert (table.action[twist_keys.action_body()].ages_s < 0.021).all()
 
 
 def test_the_picture_of_a_row_is_the_nearest_by_capture_not_by_arrival(tmp_path: Path) -> None:
@@ -108,7 +109,7 @@ def test_a_key_without_a_contract_is_refused_with_what_to_do(tmp_path: Path) -> 
     builder.foreign("my_force", b"[1.0, 2.0]", at_s=0.1)
     builder.write({keys.policy_obs(ROBOT): bytes(32)}, at_s=0.1)
     reader = EpisodeReader(signals_file(builder.finish()))
-    with pytest.raises(EpisodeError, match=r"'my_force' has no contract.*describe it in station/bus/contracts\.py"):
+    with pytest.raises(EpisodeError, match=r"'my_force' has no contract.*the server that writes it can describe it"):
         key_columns(reader, "my_force")
     with pytest.raises(EpisodeError, match="names no elements"):
         key_columns(reader, keys.policy_obs(ROBOT))
@@ -143,7 +144,7 @@ def test_names_are_the_contracts_and_get_the_key_only_where_two_agree() -> None:
 def test_values_that_do_not_fit_are_left_out_and_counted(tmp_path: Path) -> None:
     builder = EpisodeBuilder(tmp_path)
     for number, value in enumerate((b"[1.0]", b"oops", b"[" + b"0.5, " * 34 + b"0.5]")):
-        builder.foreign(keys.action_body(), value, at_s=0.1 * number)
+        builder.foreign(twist_keys.action_body(), value, at_s=0.1 * number)
     reader = EpisodeReader(signals_file(builder.finish()))
-    track = tracks.read(reader, [key_columns(reader, keys.action_body())], ()).tracks[keys.action_body()]
+    track = tracks.read(reader, [key_columns(reader, twist_keys.action_body())], ()).tracks[twist_keys.action_body()]
     assert (len(track.times_ns), track.skipped) == (1, 2)

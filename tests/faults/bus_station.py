@@ -13,6 +13,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from adapters.robots.g1 import twist_keys
 from servers.g1 import G1Config
 from servers.motion import MotionConfig
 from station.bus import codec, keys
@@ -29,11 +30,12 @@ from station.errors import BusError
 from tests.faults.recorded_station import RecordedStation
 from tests.waiting import wait_until
 
-ROBOT = keys.TWIST2_ROBOT
+ROBOT = twist_keys.TWIST2_ROBOT
 SERVERS = ["g1", "motion", "recorder"]
 
 _WRITERS = """
 import sys, threading, time
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.address import parse
 from station.bus.client import Bus
@@ -59,7 +61,7 @@ threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).sta
 bus, plain, n = Bus(address, name="writer"), Connection(address, timeout_s=5.0), 0
 while not stop.is_set():
     n += 1
-    bus.publish({keys.action_body(): codec.json_vector([float(n)] * 35), "own": n.to_bytes(8, "little")})
+    bus.publish({twist_keys.action_body(): codec.json_vector([float(n)] * 35), "own": n.to_bytes(8, "little")})
     plain_set(b"%d" % n)
     time.sleep(period_s)
 while not bus.is_connected or bus.is_late:

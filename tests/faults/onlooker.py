@@ -8,18 +8,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from adapters.robots.g1 import twist_keys
 from station import registry
 from station.bus import codec, keys, stamp
 from station.bus.address import BusAddress
-from station.bus.contracts import TIMING_STAGES
 from station.bus.tap import Tap, Write, open_tap
+from station.contract import TIMING_STAGES
 from station.errors import BusError
 from station.life import events
 from station.life.events import Event
 from station.protocols import Floats
 from station.rotations import tilt
 
-ROBOT = keys.TWIST2_ROBOT
+ROBOT = twist_keys.TWIST2_ROBOT
 FORM = registry.find("command", "twist2")
 _RETRY_S = 0.05
 _TICK_S = 0.1  # the gate lets no tick count for more

@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 from mcap.reader import make_reader
 
+from adapters.robots.g1 import twist_keys
 from servers.recorder import RecorderConfig
 from station.bus import codec, keys
 from station.bus.address import BusAddress
@@ -28,13 +29,14 @@ from station.supervision.supervisor import Supervisor
 from tests.episode.filming import jpeg
 from tests.waiting import wait_until
 
-BODY = keys.action_body()
+BODY = twist_keys.action_body()
 CAMERA = keys.camera_image("head")
 STOCK = "stock_counter"
 PICTURE_HZ = 30.0
 
 _WRITERS = """
 import sys, threading, time
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.address import parse
 from station.bus.client import Bus
@@ -49,7 +51,7 @@ camera, pictures, picture_s = Bus(address, name="camera", timeout_s=5.0), 0, flo
 due = picture_due = time.monotonic()
 while not stop.is_set():
     n += 1
-    assert bus.publish({keys.action_body(): codec.json_vector([float(n)] * 35), "own": n.to_bytes(8, "little")})
+    assert bus.publish({twist_keys.action_body(): codec.json_vector([float(n)] * 35), "own": n.to_bytes(8, "little")})
     plain.call("SET", "stock_counter", b"%d" % n)
     if picture_s and time.monotonic() >= picture_due:
         pictures, picture_due = pictures + 1, picture_due + picture_s

@@ -9,15 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
+from adapters.robots.g1 import twist_keys
 from station.bus import keys
 from station.bus.address import BusAddress
-from station.bus.contracts import TIMING_STAGES
+from station.contract import TIMING_STAGES
 from station.protocols import Floats
 from tests.faults.recorded_station import RecordedStation, recorded_station
 from tests.servers.g1_station import G1Process, Log, StockCommander, logged
 from tests.waiting import wait_until
 
-TIMING = keys.policy_timing(keys.TWIST2_ROBOT)
+TIMING = keys.policy_timing(twist_keys.TWIST2_ROBOT)
 _READ = 2 + TIMING_STAGES.index("state_read")
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from adapters.robots.g1.joints import G1_29
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.bus.joints import G1_29
 from station.protocols import Floats
 from tests.faults.cuttable_line import CuttableLine
 from tests.servers.g1_station import FORM, LIGHT, ROBOT, G1Process, Log, logged, publish

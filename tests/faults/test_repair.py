@@ -16,7 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from station.bus import codec, keys
+from adapters.robots.g1 import twist_keys
+from station.bus import codec
 from station.bus.tap import Write
 from station.episode.reading.reader import EpisodeReader, open_episode
 from station.episode.recorder.writer import EpisodeWriter
@@ -31,7 +32,7 @@ from tests.episode.writes import Native, foreign
 from tests.examples import examples
 from tests.waiting import wait_until
 
-BODY = keys.action_body()
+BODY = twist_keys.action_body()
 FLUSHES, PER_FLUSH = 6, 12
 
 

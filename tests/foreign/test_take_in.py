@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from station.bus import keys
+from adapters.robots.g1 import twist_keys
 from station.episode.quality.check import check
 from station.episode.quality.findings import Quality
 from station.episode.reading import frames
@@ -40,7 +40,7 @@ def test_every_value_and_picture_is_in_the_episode_at_its_time(tmp_path: Path) -
     reader = open_episode(done.path)
     assert reader.torn is None
     assert (done.is_new, done.messages, done.are_times_measured) == (True, 60, True)
-    body = list(reader.messages([keys.action_body()]))
+    body = list(reader.messages([twist_keys.action_body()]))
     assert [m.data for m in body] == [json.dumps([0.01 * n, *[0.5] * 34]).encode() for n in range(5)]
     assert [m.log_ns for m in body] == [(STARTED_MS + n * PERIOD_MS) * 1_000_000 for n in range(5)]
     assert not any(message.channel.is_native for message in reader.messages()), "nobody numbered them"

@@ -24,11 +24,13 @@ from adapters.commands import twist, twist2
 from adapters.commands.arm import arm_command
 from adapters.motions.clip import Clip
 from adapters.robots import arm_limits
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, contracts, keys, stamp
 from station.bus.address import BusAddress
 from station.bus.sample import Sample
 from station.bus.tap import not_mirrored
 from station.camera.source import Drops
+from station.contract import TIMING_STAGES
 from station.control.inlet import CommandSample, Inlet, check_command
 from station.control.stop_trace import StopTrace
 from station.enrich.scalars import Shape
@@ -63,7 +65,7 @@ from station.view.progress import ProgressReader
 from tests.adapters.motions.made import smooth
 from tests.fuzz.shelf import Shelf
 
-ROBOT, ARM = keys.TWIST2_ROBOT, "kassow_kr810"
+ROBOT, ARM = twist_keys.TWIST2_ROBOT, "kassow_kr810"
 Parse = Callable[[bytes], object]
 
 
@@ -94,12 +96,19 @@ def _shown(*pages: RenderableType) -> None:
 NOW_NS = time.time_ns()
 EVENT = events.make("g1", "fall", "warning", tilt_rad=1.2, contacts=["hand"], reason="so; it is", episode_id="a-0007")
 _CLIPS = [{"name": "wave", "start_s": 0.0, "end_s": 6.0}, {"name": "bow", "start_s": 6.0}]
+DESCRIPTION: dict[str, Any] = {
+    "name": ROBOT, "model": "strider", "joints": [{"name": "knee", "lower": -1.0, "upper": 1.5}, {"name": "hip"}],
+    "groups": {"leg": ["knee", "hip"]}, "parts": {"hand": ["action_hand_{robot}", "state_hand_{robot}"]},
+    "streams": [{"key": "robot_state_{robot}", "family": "station", "role": "state", "codec": "f64", "rate_hz": 50.0,
+                 "elements": [{"name": "{joint}_pos", "unit": "rad"}, {"name": "tick", "unit": ""}]}],
+}  # fmt: skip
 CONFIG: dict[str, Any] = {
     "kind": "g1", "role": "low-level", "robot": ROBOT, "rate_hz": 50.0, "fake_began_wall_ns": NOW_NS,
     "policy": {"name": "tracker", "checkpoint": "a.onnx", "sha256": "ab", "command": "twist2", "rate_hz": 50},
     "robot_facts": {"model": "builtin:g1.xml", "model_sha256": "ab"},
     "motion": {"file": "builtin:tour", "duration_s": 20.0, "clips": _CLIPS},
     "config": {"fake": "here/script.json"}, "device": {"library": "none"}, "fps": 30, "key": "camera_image_a",
+    "description": DESCRIPTION,
 }  # fmt: skip
 SOURCE = {"kind": "motion", "file": "a.pkl", "sha256": "ab", "phase": "playing", "time_s": 1.5, "engaged": True}
 GATE: dict[str, Any] = {
@@ -114,7 +123,7 @@ REQUEST: dict[str, Any] = {
 ANSWER = {"id": "7", "ok": True, "episode_id": "e-1", "path": "/d", "reason": "", "summary": {"seconds": 3.5}}
 KEPT_STOP = {"bus": "b", "stop": True, "reason": "so", "since_wall_ns": 1, "asked_ns": 1, "boot": "x"}
 STAMP = stamp.Stamp(7, time.monotonic_ns(), NOW_NS, stamp.new_source("g1"), 5).encode()
-TIMING = codec.json_vector([3, 7, *range(10**12, 10**12 + len(contracts.TIMING_STAGES))])
+TIMING = codec.json_vector([3, 7, *range(10**12, 10**12 + len(TIMING_STAGES))])
 
 
 def dumped(value: Any) -> bytes:
@@ -155,8 +164,9 @@ def _playback() -> Playback:
 
 def _motion_control(data: bytes) -> None:
     shelf = Shelf({})
-    requests = Requests(shelf, shelf, _playback())  # type: ignore[arg-type]
-    shelf.values = dict.fromkeys((keys.MOTION_CONTROL, keys.MOTION_START_SIGNAL, keys.MOTION_EXIT_SIGNAL), data)
+    signals = twist2.FORMAT.stock.signals
+    requests = Requests(shelf, shelf, _playback(), signals)  # type: ignore[arg-type]
+    shelf.values = dict.fromkeys((keys.MOTION_CONTROL, *signals), data)
     requests.obey()
     assert np.isfinite(_playback().step(0.02).command).all()
 
@@ -276,6 +286,18 @@ def doctor_text(item: doctor.Finding) -> str:
     from station.cli.tables import plain
 
     return f"[bold]{plain(item.subject)}[/]: {plain(item.found)} {plain(item.remedy)}"
+
+
+def _described(data: bytes) -> None:
+    """What follows from what a robot says of itself."""
+    known = contracts.Contracts([codec.parse_facts(data)])
+    for robot in known.robots():
+        description = known.robot(robot)
+        for role in ("state", "command"):
+            contracts.of_joints(robot, role, known.of(robot), description)
+        assert description is not None
+        description.part_keys()
+    known.all()
 
 
 def _drawn(data: bytes) -> None:
@@ -481,7 +503,10 @@ def _all() -> list[Parser]:
         Parser("timing", _row, (TIMING,), (_EPISODE + "reading.steps",)),
         Parser("typed fields", _typed, (dumped(GATE), dumped(CONFIG)),
                ("station.enrich.enrich", "station.enrich.siblings")),
-        Parser("robot's state", partial(robot_state, ROBOT), (codec.f64(np.ones(65)),), (_EPISODE + "reading.steps",)),
+        Parser("robot's description", _described, (dumped(CONFIG), dumped({"description": DESCRIPTION})),
+               ("station.bus.contracts", "station.description")),
+        Parser("robot's state", partial(robot_state, contracts.contract(keys.robot_state(ROBOT))),
+               (codec.f64(np.ones(65)),), (_EPISODE + "reading.steps",)),
         Parser("drawn", _drawn, (dumped(CONFIG), EVENT.encode(), dumped(SOURCE), dumped(GATE)),
                ("station.view.phases", "station.view.live")),
         Parser("a fake's time", _script_time, (dumped(CONFIG),), (_OPERATOR + "script_time",)),

@@ -12,10 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from adapters.policies.tracker.policy import TrackerPolicy
+from adapters.robots.g1 import twist_keys
 from station import assets
 from station.api.episode import Episode
-from station.bus import arm_contracts, codec, contracts, keys
+from station.bus import codec, contracts, keys, robot_streams
 from station.config import to_plain
+from station.contract import TIMING_STAGES
 from station.control.gate import GateConfig
 from station.enrich.enrich import enrich
 from station.episode.quality.check import check, write_measured
@@ -120,10 +122,10 @@ def good() -> tuple[Values, Values]:
     for robot in (ROBOT, ARM):
         results[keys.command_gate(robot)] = dumped(GATE)
         results[keys.command_source(robot)] = dumped(SOURCE)
-        results[keys.policy_timing(robot)] = codec.json_vector(range(1, 3 + len(contracts.TIMING_STAGES)))
+        results[keys.policy_timing(robot)] = codec.json_vector(range(1, 3 + len(TIMING_STAGES)))
     numbers = {keys.target: 7, keys.command_used: 7, keys.state_joints: 21}
     results |= {key(ARM): codec.f64(rng.normal(size=size)) for key, size in numbers.items()}
-    results[keys.state_counters(ARM)] = codec.f64(np.arange(len(arm_contracts.COUNTERS + arm_contracts.SESSION_TIMES)))
+    results[keys.state_counters(ARM)] = codec.f64(np.arange(len(robot_streams.COUNTERS + robot_streams.SESSION_TIMES)))
     results[keys.state_controller(ARM)] = dumped({"backend": "sim", "profile": "a", "lead_rad": 0.1})
     results[keys.action_joints(ARM)] = codec.json_vector(np.zeros(7))
     return state, results
@@ -140,7 +142,7 @@ def episode_of_mutants(data: Path, steps: int, seed: str) -> Path:
         builder.write(dict(_damaged(results, rng)), at_s=at_s + 0.005)
         for key, value in ((keys.EVENT, EVENT.encode()), (keys.server_config("g1"), dumped(CONFIG))):
             builder.write({key: mutant(value, rng)}, at_s=at_s + 0.01)
-        builder.foreign(keys.action_body(ROBOT), mutant(b"[0.0, 1.0]", rng), at_s=at_s + 0.011)
+        builder.foreign(twist_keys.action_body(ROBOT), mutant(b"[0.0, 1.0]", rng), at_s=at_s + 0.011)
     arm = {"robot": ARM, "gate": to_plain(GateConfig()), "command": {
         name: getattr(FORMS[-1], name).tolist() for name in ("lower", "upper", "margin", "rate")}}  # fmt: skip
     return builder.finish({"robot": {"suffix": ROBOT}, "servers": {"g1": CONFIG, "arm": arm}})

@@ -28,7 +28,6 @@ READS_VALUES = re.compile(
 READS_FILES = {
     "station.cli.serve": "its own command line",
     "station.bus.codec": "is the decoder",
-    "station.episode.reading.messages": "metadata of a file",
     "station.episode.storage.drops": "metadata of a file",
     "station.episode.storage.progress": "resume.json",
     "station.episode.writing.checkpoint": "checkpoint.json",

@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 from mcap.reader import make_reader
 
+from adapters.robots.g1 import twist_keys
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -24,7 +25,7 @@ from tests.main_job.writers import FOREIGN_KEY, NATIVE_KEY, ForeignWriter, Nativ
 from tests.waiting import wait_until
 
 MOTION = "motion.motion=builtin:tour"
-BODY = keys.action_body()
+BODY = twist_keys.action_body()
 LONGEST_S = 180.0
 
 Counters = dict[tuple[str, str], int]
@@ -134,7 +135,7 @@ def check_a_writer_that_came_and_went_within_the_recording_is_there_from_its_fir
     found = recorded_numbers(run.reader)
     for key in (NATIVE_KEY, f"{NATIVE_KEY}/raw"):
         assert found[key, run.sensor] == list(range(1, run.sensor_count + 1))
-    for key in (BODY, keys.T_ACTION, keys.command_source(keys.TWIST2_ROBOT)):
+    for key in (BODY, twist_keys.T_ACTION, keys.command_source(twist_keys.TWIST2_ROBOT)):
         ((source, counted),) = [(source, count) for (name, source), count in run.last.items() if name == key]
         numbers = found[key, source]
         assert numbers == list(range(1, counted + 1)), key

@@ -6,8 +6,8 @@ import numpy as np
 
 from adapters.commands.arm import arm_command
 from adapters.robots import arm_limits
+from adapters.robots.g1 import twist_keys
 from station import registry
-from station.bus import keys
 from station.operator.leaving import COMES_TO_REST_S, Leaving
 
 FORM = registry.find("command", "twist2")
@@ -50,15 +50,15 @@ def test_what_never_rests_is_not_waited_for_for_ever() -> None:
 
 def test_the_neck_goes_along_to_its_default_and_hands_keep_what_they_hold() -> None:
     leaving, held = Leaving(FORM, 2.0), FORM.default + 0.3
-    beside = {keys.action_neck(): np.array([0.6, -0.4]), keys.action_hand("left"): np.ones(7)}
+    beside = {twist_keys.action_neck(): np.array([0.6, -0.4]), twist_keys.action_hand("left"): np.ones(7)}
     necks = []
     while not leaving.is_done:
         leaving.step(held, DT_S, is_still=True)
         found = leaving.companions(beside)
-        necks.append(found[keys.action_neck()])
-        assert found[keys.action_hand("left")] is beside[keys.action_hand("left")]
+        necks.append(found[twist_keys.action_neck()])
+        assert found[twist_keys.action_hand("left")] is beside[twist_keys.action_hand("left")]
     assert np.abs(necks[-1]).max() < 1e-12
-    assert np.abs(np.diff([beside[keys.action_neck()], *necks], axis=0)).max() < 0.02
+    assert np.abs(np.diff([beside[twist_keys.action_neck()], *necks], axis=0)).max() < 0.02
 
 
 def test_a_robot_that_stays_where_it_is_is_left_there_at_once() -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -74,7 +75,7 @@ def test_a_g1_refuses_a_command_of_huge_integers_and_follows_the_next_good_one(
             return log.states()[-1] == "tracking"
 
         wait_until(follows)
-        bus.publish({keys.action_body(): b"[" + b", ".join([HUGE] * len(FORM.default)) + b"]"})
+        bus.publish({twist_keys.action_body(): b"[" + b", ".join([HUGE] * len(FORM.default)) + b"]"})
         refused = log.wait_for("refused-command")
         assert "an integer of 401 digits" in str(refused.detail)
         for number in NUMBERS:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from station.bus import acl, contracts, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -26,7 +27,7 @@ from tests.waiting import wait_until
 
 pytestmark = pytest.mark.usefixtures("processes")
 
-ROBOT = keys.TWIST2_ROBOT
+ROBOT = twist_keys.TWIST2_ROBOT
 MAY_WRITE = {"command": {"command"}, "state": {"low-level"}, "policy": {"low-level"}}
 """Who may write the keys of a contract's role, of those who are not the operator."""
 
@@ -56,15 +57,21 @@ def test_commands_states_and_policy_are_written_by_nobody_but_their_role(as_role
         if expected is None:
             continue
         expected = expected | ({"operator"} if contract.role == "command" else set())
-        found = {role for role in acl.WRITES if may_write(as_role(role), contract.key)}
+        found = {role for role in acl.ROLES if may_write(as_role(role), contract.key)}
         wrong += [(contract.key, found)] if found != expected else []
     assert wrong == []
 
 
 def test_every_key_of_ours_has_a_role_that_writes_it(as_role: As) -> None:
     names = [contract.key for contract in contracts.contracts()]
-    written = {key for role in acl.WRITES for key in names if may_write(as_role(role), key)}
+    written = {key for role in acl.ROLES for key in names if may_write(as_role(role), key)}
     assert written == set(names)
+
+
+def test_keys_of_a_robot_that_nothing_knows_have_their_roles_too(as_role: As) -> None:
+    for key, role in (("action_walk_strider", "command"), ("state_feet_strider", "low-level")):
+        expected = {role, "operator"} if role == "command" else {role}
+        assert {one for one in acl.ROLES if may_write(as_role(one), key)} == expected
 
 
 def test_viewers_write_nothing_at_all(as_role: As) -> None:
@@ -73,12 +80,12 @@ def test_viewers_write_nothing_at_all(as_role: As) -> None:
 
 
 def test_an_emergency_stop_comes_from_all_who_move_or_sense(as_role: As) -> None:
-    found = {role for role in acl.WRITES if may_write(as_role(role), keys.ESTOP)}
+    found = {role for role in acl.ROLES if may_write(as_role(role), keys.ESTOP)}
     assert found == {"command", "low-level", "sensor", "operator"}
 
 
 def test_no_role_may_change_the_server_read_its_users_or_spy_on_it(as_role: As) -> None:
-    for role in acl.WRITES:
+    for role in acl.ROLES:
         connection = Connection(as_role(role), timeout_s=5.0)
         for request in FORBIDDEN:
             with pytest.raises(BusError, match=r"NOPERM|not allowed"):
@@ -87,7 +94,7 @@ def test_no_role_may_change_the_server_read_its_users_or_spy_on_it(as_role: As) 
 
 
 def test_only_the_recorder_may_take_the_whole_stream(as_role: As) -> None:
-    for role in acl.WRITES:
+    for role in acl.ROLES:
         if role == "recorder":
             tap = open_tap(as_role(role), backend="replication")
             assert tap.is_lossless
@@ -164,7 +171,7 @@ def test_a_whole_station_works_with_a_user_for_each_of_its_servers(
     assert not any(lost.values()), lost
     reader = open_episode(folder)
     assert reader.manifest.recorder.backend == "replication"
-    assert {keys.action_body(), keys.robot_state(ROBOT), keys.policy_action(ROBOT)} <= set(reader.topics())
+    assert {twist_keys.action_body(), keys.robot_state(ROBOT), keys.policy_action(ROBOT)} <= set(reader.topics())
     kept = b"".join(path.read_bytes() for path in data.rglob("*") if path.is_file())
     kept += b"".join(message.data for message in reader.messages())
     assert not [role for role, password in passwords.items() if password.encode() in kept]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from adapters.robots.kassow.kinematics import KR810
 from station.bus import codec, keys
 from station.life import events
@@ -61,7 +62,7 @@ def move_and_let_go(folder: Path) -> list[str]:
         assert station.told("operator-mode")[0].detail["mode"] == "joints 1-4"
         source = codec.parse_json(station.log.last(keys.command_source(ROBOT)))
         assert (source["driver"], source["engaged"]) == ("arm-tcp", False)
-        assert not station.log.values(keys.T_ACTION)  # of stock readers, which there are none for an arm
+        assert not station.log.values(twist_keys.T_ACTION)  # of stock readers, which there are none for an arm
         return [str(event.detail["reason"]) for event in station.told("operator-disengaged")]
 
 

@@ -6,6 +6,7 @@ from bisect import bisect_left
 
 import numpy as np
 
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from tests.servers.g1_station import ROBOT, Log
 
@@ -16,7 +17,7 @@ def jumps_at_engaging(log: Log) -> list[float]:
     """Return, for each engaging, how far the first command was from the one before it: from ours, or, where nobody
     commanded, from what the robot followed."""
     writes = [(place, write) for place, write in enumerate(list(log.writes)) if write.value is not None]
-    commands = [(p, np.array(codec.parse_json(w.value or b""))) for p, w in writes if w.key == keys.action_body()]
+    commands = [(p, np.array(codec.parse_json(w.value or b""))) for p, w in writes if w.key == twist_keys.action_body()]
     used = [(p, codec.parse_f64(w.value or b"")) for p, w in writes if w.key == keys.command_used(ROBOT)]
     jumps, was_engaged = [], False
     for place, write in writes:

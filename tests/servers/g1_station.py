@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from adapters.robots.g1 import twist_keys
 from station import registry
 from station.bus import codec, keys
 from station.bus.address import BusAddress
@@ -26,7 +27,7 @@ from station.life.events import Event, decode
 from station.protocols import Floats
 from tests.waiting import DEADLINE_S, wait_until
 
-ROBOT = keys.TWIST2_ROBOT
+ROBOT = twist_keys.TWIST2_ROBOT
 FORM = registry.find("command", "twist2")
 LIGHT = ("physics_dt_s=0.002", "real_time_priority=0")
 """Half the physics, and no more of the processor than anybody else: for tests that are about neither."""
@@ -151,10 +152,10 @@ class StockCommander:
         began = time.monotonic()
         while not self._stop.wait(0.02):
             vector = self._vector(time.monotonic() - began)
-            self._line.call("SET", keys.action_body(), json.dumps(vector.tolist()).encode())
+            self._line.call("SET", twist_keys.action_body(), json.dumps(vector.tolist()).encode())
             for side in ("left", "right"):
-                self._line.call("SET", keys.action_hand(side), json.dumps([0.0] * 7).encode())
-            self._line.call("SET", keys.action_neck(), json.dumps([0.0] * 2).encode())
+                self._line.call("SET", twist_keys.action_hand(side), json.dumps([0.0] * 7).encode())
+            self._line.call("SET", twist_keys.action_neck(), json.dumps([0.0] * 2).encode())
 
 
 def ticks(log: Log) -> int:
@@ -170,7 +171,7 @@ def leaning(_time_s: float) -> Floats:
 
 
 def publish(bus: Bus, vector: Floats) -> None:
-    bus.publish({keys.action_body(): codec.json_vector(vector)})
+    bus.publish({twist_keys.action_body(): codec.json_vector(vector)})
 
 
 def motion_process(address: BusAddress, *settings: str) -> subprocess.Popen[str]:

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from adapters.robots.kassow.names import KR810_ROBOT
 from servers.kassow import KassowConfig
-from station.bus import arm_contracts, codec, keys
+from station.bus import codec, keys, robot_streams
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.life import arm_request, controller_request
@@ -20,7 +21,7 @@ from station.supervision.supervisor import Supervisor
 from tests.servers.g1_station import Log
 from tests.waiting import wait_until
 
-ROBOT = keys.KASSOW_KR810
+ROBOT = KR810_ROBOT
 TIMEOUT_S = 60.0
 
 
@@ -72,7 +73,7 @@ class ArmStation:
     def counters(self) -> dict[str, float]:
         """The newest values of all counters, of one instant."""
         values = codec.parse_f64(self.bus.get(keys.state_counters(ROBOT)) or b"").tolist()
-        return dict(zip(arm_contracts.COUNTERS, values, strict=False))
+        return dict(zip(robot_streams.COUNTERS, values, strict=False))
 
     def counter(self, name: str) -> float:
         """The newest value of a counter."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from adapters.commands.arm import arm_command
 from adapters.robots import arm_limits
+from adapters.robots.kassow.names import KR810_ROBOT
 from servers.spacemouse import SpacemouseConfig
 from servers.teleop import TeleopConfig
 from station.bus import codec, keys
@@ -32,7 +33,7 @@ from tests.control.ideal_arm import TICK_S, IdealArm
 from tests.servers.g1_station import Log
 from tests.waiting import wait_until
 
-ROBOT = keys.KASSOW_KR810
+ROBOT = KR810_ROBOT
 TIMEOUT_S = 60.0
 _NOT_HEARD = "has not said where it is"  # how the teleoperation server speaks of an arm
 

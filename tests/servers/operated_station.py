@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from adapters.robots.g1 import twist_keys
 from servers.g1 import G1Config
 from servers.pico import PicoConfig
 from servers.recorder import RecorderConfig
@@ -165,7 +166,7 @@ class OperatedStation:
 
     def commands(self) -> list[tuple[int, Floats]]:
         """Return all commands with their places in the log."""
-        return self._vectors(keys.action_body(), codec.parse_json)
+        return self._vectors(twist_keys.action_body(), codec.parse_json)
 
     def is_upright(self) -> bool:
         """Whether the robot has stood all the time."""

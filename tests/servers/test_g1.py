@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -62,13 +63,19 @@ def test_malformed_commands_of_every_kind_are_refused_told_once_per_kind_and_sur
         wait_until(lambda: ticks(log) > 5)
         for value in bad:
             before = log.gate()["refused"]
-            bus.publish({keys.action_body(): value, keys.action_neck(): value, keys.action_hand("left"): value})
+            bus.publish(
+                {
+                    twist_keys.action_body(): value,
+                    twist_keys.action_neck(): value,
+                    twist_keys.action_hand("left"): value,
+                }
+            )
             wait_until(lambda before=before: log.gate()["refused"] > before)  # type: ignore[misc]
-        bus.call("DEL", keys.action_body())
-        bus.call("RPUSH", keys.action_body(), "a list of another type")
+        bus.call("DEL", twist_keys.action_body())
+        bus.call("RPUSH", twist_keys.action_body(), "a list of another type")
         before = ticks(log)
         wait_until(lambda: ticks(log) > before + 10)
-        bus.call("DEL", keys.action_body())
+        bus.call("DEL", twist_keys.action_body())
         wait_until(lambda: ticks(log) > before + 20)
 
         def is_good_again() -> bool:
@@ -99,7 +106,7 @@ def test_two_writers_of_the_command_are_an_event_that_names_both(bus_server: Bus
 
             wait_until(alternates)
     detail = log.events("second-writer")[0].detail
-    assert detail["key"] == keys.action_body()
+    assert detail["key"] == twist_keys.action_body()
     assert any(writer.startswith("native.") for writer in detail["writers"])
     assert "foreign" in detail["writers"]
 

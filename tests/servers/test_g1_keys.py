@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from station import assets
 from station.bus import codec, contracts, keys
 from station.bus.address import BusAddress
@@ -17,7 +18,8 @@ from tests.servers.g1_station import LIGHT, ROBOT, G1Process, logged, ticks
 from tests.waiting import wait_until
 
 _STATE_KEYS = [
-    keys.state_body(ROBOT), keys.state_hand("left"), keys.state_hand("right"), keys.state_neck(), keys.T_STATE,
+    twist_keys.state_body(ROBOT), twist_keys.state_hand("left"), twist_keys.state_hand("right"),
+    twist_keys.state_neck(), twist_keys.T_STATE,
     keys.robot_state(ROBOT), keys.sim_qpos(ROBOT),
 ]  # fmt: skip
 _RESULT_KEYS = [
@@ -47,10 +49,10 @@ def test_it_states_its_configuration_and_writes_every_key_as_its_contract_says(
     assert order.index(keys.server_config("g1")) < order.index(keys.robot_state(ROBOT))
     for key in _STATE_KEYS + _RESULT_KEYS:
         _assert_fits(key, log.values(key), observation_size)
-    first = codec.parse_json_vector(log.values(keys.state_body(ROBOT))[0])
+    first = codec.parse_json_vector(log.values(twist_keys.state_body(ROBOT))[0])
     assert first[5:].any(), "stock servers begin with zeros; ours with the first real state"
     assert codec.parse_json_vector(log.values(keys.policy_timing(ROBOT))[0])[0] == 1
-    state, now_ms = int(log.last(keys.T_STATE)), time.time_ns() // 1_000_000
+    state, now_ms = int(log.last(twist_keys.T_STATE)), time.time_ns() // 1_000_000
     assert 0 <= now_ms - state < 60_000
 
 
@@ -93,16 +95,16 @@ def test_with_a_twist_policy_it_writes_the_keys_of_twist(bus_server: BusAddress,
     torch = pytest.importorskip("torch")
     checkpoint = tmp_path / "twist.pt"
     torch.jit.save(torch.jit.script(torch.nn.Linear(1155, 23)), str(checkpoint))
-    twist = keys.TWIST_ROBOT
+    twist = twist_keys.TWIST_ROBOT
     settings = ("policy=twist", f"checkpoint={checkpoint}", "rate_hz=25")
     with logged(bus_server) as log, G1Process(bus_server, *LIGHT, *settings):
         wait_until(lambda: len(log.of(keys.policy_obs(twist))) > 15)
     for state, observation in zip(
-        log.values(keys.state_body(twist)), log.values(keys.policy_obs(twist))[:12], strict=False
+        log.values(twist_keys.state_body(twist)), log.values(keys.policy_obs(twist))[:12], strict=False
     ):
         scaled = np.array(json.loads(state), dtype=np.float32)
         np.testing.assert_array_equal(scaled, codec.parse_f32(observation)[31:105])
-    assert json.loads(log.last(keys.state_hands(twist))) == [0.0] * 14
+    assert json.loads(log.last(twist_keys.state_hands(twist))) == [0.0] * 14
     assert len(codec.parse_f64(log.last(keys.command_used(twist)))) == 33
-    assert not log.of(keys.state_body(ROBOT))
+    assert not log.of(twist_keys.state_body(ROBOT))
     assert log.events("rate-differs")[0].detail == {"rate_hz": 25.0, "trained_hz": 50.0}

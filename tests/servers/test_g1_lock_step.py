@@ -8,9 +8,9 @@ from station import registry
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
+from station.contract import names_of
 from station.control.rig import RigConfig
 from station.control.tracking import TrackingError
-from station.elements import names_of
 from station.rehearse import rehearse_all
 from tests.servers.g1_station import FORM, LIGHT, ROBOT, G1Process, Log, logged, motion_process, publish, ticks
 from tests.waiting import wait_until

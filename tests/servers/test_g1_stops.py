@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -39,11 +40,11 @@ def test_a_motion_ends_with_a_stop_and_says_how_to_go_on(
 ) -> None:
     with logged(bus_server) as log:
         with waving(bus_server, *settings) as motion:
-            wait_until(lambda: log.of(keys.action_body()))
+            wait_until(lambda: log.of(twist_keys.action_body()))
             line.call("SET", keys.ESTOP, b'{"stop": true, "who": "anna", "reason": "smoke"}')
             _, err = motion.communicate(timeout=30)
         written = log.writes.index(next(write for write in log.writes if write.key == keys.ESTOP))
-        assert len([write for write in log.writes[written:] if write.key == keys.action_body()]) <= 1, "no blend"
+        assert len([write for write in log.writes[written:] if write.key == twist_keys.action_body()]) <= 1, "no blend"
     assert motion.returncode == 1
     assert "the emergency stop (anna, smoke) ended the motion at " in err
     assert "release it (`station estop --reset`), then start the motion again" in err
@@ -53,10 +54,12 @@ def test_a_motion_ends_with_the_stop_of_its_robot_though_the_key_says_otherwise(
     with Bus(bus_server, name="g1", timeout_s=5.0) as robot, logged(bus_server) as log:
         gate = keys.command_gate(ROBOT)
         with waving(bus_server) as motion:
-            wait_until(lambda: log.of(keys.action_body()))
+            wait_until(lambda: log.of(twist_keys.action_body()))
             for state in ("tracking", "stopped"):
-                seen = len(log.of(keys.action_body()))
+                seen = len(log.of(twist_keys.action_body()))
                 robot.publish({gate: codec.json_object({"state": state, "reason": "smoke"})})
-                wait_until(lambda seen=seen: len(log.of(keys.action_body())) > seen + 5 or motion.poll() is not None)  # type: ignore[misc]
+                wait_until(
+                    lambda seen=seen: len(log.of(twist_keys.action_body())) > seen + 5 or motion.poll() is not None
+                )  # type: ignore[misc]
             _, err = motion.communicate(timeout=30)
     assert "the emergency stop (smoke) ended the motion" in err

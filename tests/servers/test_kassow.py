@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from servers.kassow import KassowConfig
-from station.bus import arm_contracts, codec, contracts, keys
+from station.bus import codec, contracts, keys, robot_streams
 from station.bus.address import BusAddress
+from station.contract import TIMING_STAGES
 from station.control.gate import GateConfig
 from station.errors import Refused
 from station.life import arm_request, controller_request
@@ -94,7 +95,7 @@ def test_every_value_is_as_its_contract_says(arm: ArmStation) -> None:
         contract = contracts.contract(key)
         assert contract is not None
         assert len(codec.parse_f64(arm.log.last(key))) == len(contract.elements), key
-    assert len(codec.parse_json(arm.log.last(keys.policy_timing(ROBOT)))) == 2 + len(contracts.TIMING_STAGES)
+    assert len(codec.parse_json(arm.log.last(keys.policy_timing(ROBOT)))) == 2 + len(TIMING_STAGES)
     told = codec.parse_json(arm.log.last(keys.state_controller(ROBOT)))
     assert (told["backend"], told["profile"], told["throttle"]) == ("sim", "speed125", 2)
 
@@ -228,4 +229,4 @@ def test_a_fault_disengages_is_told_and_is_left_by_clear_and_a_command_that_begi
 
 
 def test_counters_have_a_name_each_in_the_state_of_the_bridge(kord: Any) -> None:
-    assert not [name for name in arm_contracts.COUNTERS if name not in kord.State.__slots__]
+    assert not [name for name in robot_streams.COUNTERS if name not in kord.State.__slots__]

@@ -17,11 +17,12 @@ from adapters.commands import twist, twist2
 from adapters.motions.clip import Clip
 from adapters.motions.load import load
 from adapters.motions.npz_file import save
+from adapters.robots.g1 import twist_keys
+from adapters.robots.g1.joints import G1_29
 from servers.motion import KIND, MotionConfig, Player
 from station.bus import codec, keys, stamp
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.bus.joints import G1_29
 from station.bus.tap import Tap, open_tap
 from station.config import build
 from station.errors import ConfigError
@@ -185,16 +186,16 @@ def test_by_the_clock_a_motion_is_played_from_default_to_default(start: Start, m
 def test_each_tick_is_one_write_of_all_that_stock_readers_need(start: Start, writes: Writes) -> None:
     assert finish(start()) == 0
     writes.read()
-    together = [FORM.key, *FORM.companions, keys.T_ACTION, SOURCE]
+    together = [FORM.key, *FORM.companions, twist_keys.T_ACTION, SOURCE]
     marks = [[stamp.decode(mark) for _, mark in writes.by_key[key]] for key in together]
     for of_one_tick in zip(*marks, strict=True):
         instants = {(mark.seq, mark.mono_ns, mark.source) for mark in of_one_tick if mark is not None}
         assert len(instants) == 1
-    assert json.loads(writes.by_key[keys.action_neck()][0][0]) == [0.0, 0.0]
-    assert json.loads(writes.by_key[keys.action_hand("left")][0][0]) == [0.0] * 7
-    written = stamp.decode(writes.by_key[keys.T_ACTION][0][1])
+    assert json.loads(writes.by_key[twist_keys.action_neck()][0][0]) == [0.0, 0.0]
+    assert json.loads(writes.by_key[twist_keys.action_hand("left")][0][0]) == [0.0] * 7
+    written = stamp.decode(writes.by_key[twist_keys.T_ACTION][0][1])
     assert written is not None
-    assert abs(int(writes.by_key[keys.T_ACTION][0][0]) - written.wall_ns / 1e6) < 1000
+    assert abs(int(writes.by_key[twist_keys.T_ACTION][0][0]) - written.wall_ns / 1e6) < 1000
 
 
 def test_twist_gets_its_own_vector_and_hands(start: Start, writes: Writes) -> None:
@@ -303,15 +304,15 @@ def test_a_request_that_makes_no_sense_is_an_event(start: Start, bus: Bus, write
 
 
 def test_the_stock_remote_starts_and_ends_and_an_old_signal_does_not(start: Start, bus: Bus, writes: Writes) -> None:
-    bus.call("SET", keys.MOTION_START_SIGNAL, "1")
+    bus.call("SET", twist_keys.MOTION_START_SIGNAL, "1")
     process = start(wait_for_start=True, loop=True)
     wait_until(lambda: len(writes.read().by_key.get(FORM.key, [])) > 10)
-    assert bus.get(keys.MOTION_START_SIGNAL) == b"0"
+    assert bus.get(twist_keys.MOTION_START_SIGNAL) == b"0"
     assert not writes.events("motion-start")
     np.testing.assert_array_equal(commands(writes)[-1], FORM.default)
-    bus.call("SET", keys.MOTION_START_SIGNAL, "1")
+    bus.call("SET", twist_keys.MOTION_START_SIGNAL, "1")
     wait_until(lambda: writes.events("motion-start"))
-    bus.call("SET", keys.MOTION_EXIT_SIGNAL, "1")
+    bus.call("SET", twist_keys.MOTION_EXIT_SIGNAL, "1")
     assert finish(process) == 0
     np.testing.assert_array_equal(commands(writes)[-1], FORM.default)
 

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from adapters.devices.fakes.pico.service import PicoService
+from adapters.robots.g1 import twist_keys
 from servers.pico import PicoConfig
 from station.bus import keys
 from station.bus.address import BusAddress
@@ -120,11 +121,11 @@ def test_each_sample_is_one_write_with_its_time_of_capture_and_never_a_second_on
         assert len({(mark.mono_ns, mark.source) for mark in tick.stamps if mark is not None}) == 1
         assert {mark.capture_ns for mark in tick.stamps if mark is not None} == {tick.status.capture_ns}
         if tick.reading is None:
-            own = {keys.operator_status("pico"), keys.CONTROLLER_DATA}
+            own = {keys.operator_status("pico"), twist_keys.CONTROLLER_DATA}
             assert set(tick.values) == own, "what it held is repeated for stock readers only"
         else:
             assert set(tick.status.parts) == whole
-            assert keys.CONTROLLER_DATA in tick.values, "stock writes it a hundred times a second"
+            assert twist_keys.CONTROLLER_DATA in tick.values, "stock writes it a hundred times a second"
     news = [tick.status.new for tick in account.ticks if tick.status is not None and tick.reading is not None]
     assert news == list(range(1, len(news) + 1))
     last = account.status()
@@ -134,7 +135,7 @@ def test_each_sample_is_one_write_with_its_time_of_capture_and_never_a_second_on
 def test_stock_readers_find_their_controllers(start: Start, account: Account) -> None:
     start({"controls": [{"at_s": 0.0, "set": {"left_secondary": 1.0, "right_grip": 0.25}}]})
     account.until(lambda: len(account.samples()) > 10)
-    data = json.loads([tick for tick in account.ticks if tick.reading][-1].values[keys.CONTROLLER_DATA])
+    data = json.loads([tick for tick in account.ticks if tick.reading][-1].values[twist_keys.CONTROLLER_DATA])
     assert set(data) == {"LeftController", "RightController", "timestamp"}
     assert {name: type(value) for name, value in data["LeftController"].items()} == STOCK_HAND
     assert data["LeftController"]["key_two"] is True
@@ -163,7 +164,7 @@ def test_one_time_stamp_for_ever_is_silence_though_frames_come(start: Start, acc
     assert len(stamps) == len(set(stamps))
     pressed = {True: set[str](), False: set[str]()}
     for tick in account.ticks:
-        data = json.loads(tick.values[keys.CONTROLLER_DATA])
+        data = json.loads(tick.values[twist_keys.CONTROLLER_DATA])
         pressed[data["LeftController"]["key_two"]].add(tick.status.state if tick.status else "")
     assert pressed == {True: {"live", "stale"}, False: {"lost"}}, "no button stays pressed on a device that is lost"
 

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from servers.recorder import KIND, RecorderConfig
 from station import config, registry
 from station.bus import codec, keys
@@ -28,7 +29,7 @@ from station.episode.storage.request import RecorderState
 from station.errors import ConfigError, Refused
 from tests.waiting import wait_until
 
-BODY = keys.action_body()
+BODY = twist_keys.action_body()
 
 SERVE = """
 import sys

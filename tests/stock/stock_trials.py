@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from adapters.robots.g1 import twist_keys
 from station import registry
 from station.bus import keys
 from station.bus.client import Bus
@@ -37,7 +38,7 @@ SETTLED = 150  # commands: stock steps into the clip at once, our gate blends fo
 
 
 def gate(bus: Bus) -> str:
-    value = bus.get(keys.command_gate(keys.TWIST2_ROBOT))
+    value = bus.get(keys.command_gate(twist_keys.TWIST2_ROBOT))
     return str(json.loads(value)["state"]) if value else ""
 
 
@@ -106,7 +107,7 @@ def rows_of_our_servers(bus: Bus, serve: Serve, stock: Recorder) -> list[dict[st
     """Return what a stock recorder reads of our robot and our motion server."""
     serve("g1")
     serve("motion", MOTION)
-    wait_until(lambda: bus.get(keys.T_ACTION) and bus.get(keys.T_STATE))
+    wait_until(lambda: bus.get(twist_keys.T_ACTION) and bus.get(twist_keys.T_STATE))
     rows = []
     for _ in range(15):
         rows.append(stock.item())
@@ -142,7 +143,7 @@ class Reads(NamedTuple):
 def read_our_commands(bus: Bus, serve: Serve, stock: LowLevelServer) -> Reads:
     """Let a stock robot read what our motion server writes."""
     serve("motion", MOTION)
-    wait_until(lambda: bus.get(keys.action_body()))
+    wait_until(lambda: bus.get(twist_keys.action_body()))
     stock.say_hello()
     read, now_ms = run(stock, 100), time.time() * 1000
     t_action = stock.redis.get("t_action")
@@ -158,7 +159,7 @@ def read_our_commands(bus: Bus, serve: Serve, stock: LowLevelServer) -> Reads:
 def look_at_our_commands(bus: Bus, serve: Serve, stock: LowLevelServer) -> float:
     """Return the largest step of a joint between two looks of a stock robot at our commands [rad]."""
     serve("motion", MOTION)
-    wait_until(lambda: bus.get(keys.action_body()))
+    wait_until(lambda: bus.get(twist_keys.action_body()))
     looks = [(time.monotonic(), STANDING[6:])]
     for _ in range(100):
         (body, *_others), *_ = run(stock, 1)

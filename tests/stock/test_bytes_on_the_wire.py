@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from adapters.motions.npz_file import save
+from adapters.robots.g1 import twist_keys
+from adapters.robots.g1.joints import G1_29
 from station.bus import keys
 from station.bus.client import Bus
-from station.bus.joints import G1_29
 from tests.adapters.motions.made import smooth
 from tests.servers.g1_station import Log, logged
 from tests.stock.conftest import OpenBus, Serve, finish
@@ -56,13 +57,13 @@ def holds_milliseconds(log: Log, key: str) -> None:
 
 def test_twist2(serve: Serve, log: Log) -> None:
     g1, motion = serve("g1"), serve("motion", "motion=builtin:wave", "wait_for_start=true")
-    wait_until(lambda: all(len(log.values(key)) > 30 for key in (keys.action_body(), keys.T_STATE)))
+    wait_until(lambda: all(len(log.values(key)) > 30 for key in (twist_keys.action_body(), twist_keys.T_STATE)))
     finish(motion)
     finish(g1)
     holds_vectors(log, {**ACTIONS, **STATES})
     holds_milliseconds(log, "t_action")
     holds_milliseconds(log, "t_state")
-    assert set(log.values(f"action_hand_left_{keys.TWIST2_ROBOT}")) == {json.dumps([0.0] * 7).encode()}
+    assert set(log.values(f"action_hand_left_{twist_keys.TWIST2_ROBOT}")) == {json.dumps([0.0] * 7).encode()}
     assert log.values("motion_start_signal") == log.values("motion_exit_signal") == [b"0"]
 
 
@@ -93,7 +94,7 @@ def test_twist_commands_carry_the_wrist_rolls_where_stock_takes_them_out(serve: 
     assert LEFT_WRIST not in policy
     assert RIGHT_WRIST not in policy
     assert set(log.values("action_hand_g1")) == {json.dumps([0.0] * 14).encode()}
-    assert log.values(keys.action_body()) == []
+    assert log.values(twist_keys.action_body()) == []
 
 
 @pytest.mark.torch
@@ -111,11 +112,11 @@ def test_twist_robot_answers_with_74_scaled_numbers(bus: Bus, serve: Serve, log:
     while followed < 100:
         bus.call("SET", "action_mimic_g1", json.dumps([float(value) for value in body]).encode())
         time.sleep(0.02)
-        followed = sum(b'"tracking"' in value for value in log.values(keys.command_gate(keys.TWIST_ROBOT)))
+        followed = sum(b'"tracking"' in value for value in log.values(keys.command_gate(twist_keys.TWIST_ROBOT)))
     finish(g1)
     holds_vectors(log, T1_STATES)
-    steps = zip(log.values(keys.target("g1")), log.values(keys.command_gate(keys.TWIST_ROBOT)), strict=False)
+    steps = zip(log.values(keys.target("g1")), log.values(keys.command_gate(twist_keys.TWIST_ROBOT)), strict=False)
     target = [np.frombuffer(value)[:29] for value, gate in steps if b'"tracking"' in gate][-1]
     assert target[G1_29.index("left_wrist_roll")] == pytest.approx(LEFT_WRIST)
     assert target[G1_29.index("right_wrist_roll")] == pytest.approx(RIGHT_WRIST)
-    assert log.values(f"state_body_{keys.TWIST2_ROBOT}") == []
+    assert log.values(f"state_body_{twist_keys.TWIST2_ROBOT}") == []

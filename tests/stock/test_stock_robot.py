@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from station.bus import keys
+from adapters.robots.g1 import twist_keys
 from station.bus.client import Bus
 from station.episode.reading.reader import open_episode
 from tests.stock.conftest import OpenBus, Serve, finish
@@ -60,7 +60,7 @@ def test_recorder_keeps_the_states_of_a_stock_robot_as_foreign(
     recorder = serve("recorder", "preroll_s=0")
     started = open_bus.terminal.json("record", "start", "--task", "stock-robot")
     motion = serve("motion", MOTION)
-    wait_until(lambda: bus.get(keys.action_body()))
+    wait_until(lambda: bus.get(twist_keys.action_body()))
     stock.say_hello()
     run(stock, 50)
     finish(motion)
@@ -70,9 +70,9 @@ def test_recorder_keeps_the_states_of_a_stock_robot_as_foreign(
     reader = open_episode(Path(started["path"]))
     written = {stream.channel.topic: (stream.channel.writer, stream.count) for stream in reader.streams()}
     assert written[STATE_BODY] == ("foreign", 51)
-    hands = {written[keys.state_hand(side)] for side in ("left", "right")}
+    hands = {written[twist_keys.state_hand(side)] for side in ("left", "right")}
     assert hands == {("foreign", 51)}
-    assert written[keys.state_neck()] == written["t_state"] == ("foreign", 50)
+    assert written[twist_keys.state_neck()] == written["t_state"] == ("foreign", 50)
     assert {written[key][0] for key in ACTIONS} == {"motion"}
     first = next(reader.messages([STATE_BODY]))
     assert len(json.loads(first.data)) == 127

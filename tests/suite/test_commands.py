@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adapters.robots.g1.joints import select
+from adapters.robots.g1.joints import G1_29, select
 from station import registry
-from station.bus.joints import G1_29
+from station.contract import elements
 from station.control.gate import Gate
-from station.elements import elements
 from station.errors import ConfigError
 from station.protocols import CommandFormat, Floats, Motion
 from station.suite import commands

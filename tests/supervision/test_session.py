@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from station.bus import keys
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
@@ -29,7 +30,7 @@ def test_a_confirmation_that_is_refused_ends_it_before_anything_is_active(place:
     assert session.run(place.stop) == 1
     assert person.heard("error failed: not confirmed: Nobody stands there.")
     assert not person.heard("done start")
-    assert place.bus.get(keys.action_body()) is None
+    assert place.bus.get(twist_keys.action_body()) is None
     assert place.supervisor.children == {}
     assert session.episode is None
     assert not list(place.data.glob("*/*"))
@@ -138,7 +139,7 @@ def test_a_stop_at_the_question_is_waited_out_and_the_question_asked_again(place
     thread = threading.Thread(target=session.run, args=(place.stop,), kwargs={"for_s": 0.1})
     thread.start()
     wait_until(lambda: person.heard("; until then nothing goes on"))
-    assert place.bus.get(keys.action_body()) is None
+    assert place.bus.get(twist_keys.action_body()) is None
     with StopButton(place.bus.address) as button:
         button.release("all is well")
     thread.join()
@@ -213,5 +214,5 @@ def test_a_bus_that_comes_back_is_waited_for(tmp_path: Path) -> None:
 
 def _is_written(bus: Bus) -> bool:
     with suppress(BusError):
-        return bus.get(keys.action_body()) is not None
+        return bus.get(twist_keys.action_body()) is not None
     return False

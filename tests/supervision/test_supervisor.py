@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from servers.motion import MotionConfig
 from station.bus import keys
 from station.bus.address import BusAddress
@@ -51,10 +52,10 @@ def test_a_child_loads_and_stays_silent_until_it_is_activated(supervisor: Superv
     supervisor.spawn("motion", WAVE)
     health = supervisor.wait_for("motion", "inactive", DEADLINE_S)
     assert health.pid == supervisor.children["motion"].process.pid
-    assert bus.get(keys.action_body()) is None, "an inactive server commands nothing"
+    assert bus.get(twist_keys.action_body()) is None, "an inactive server commands nothing"
     supervisor.activate("motion")
     supervisor.wait_for("motion", "active", DEADLINE_S)
-    wait_until(lambda: bus.get(keys.action_body()) is not None)
+    wait_until(lambda: bus.get(twist_keys.action_body()) is not None)
     assert supervisor.stop("motion") == 0
     assert b'"finalized"' in (bus.get(keys.server("motion")) or b"")
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from adapters.robots.kassow.names import KR810_ROBOT
 from station.bus import codec, keys
 from station.protocols import Floats
 from tests.episode.synthetic import EpisodeBuilder
 
-ROBOT = keys.KASSOW_KR810
+ROBOT = KR810_ROBOT
 START = np.array([0.0, 0.35, 0.0, 1.6, 0.0, 1.19, 0.0])
 
 

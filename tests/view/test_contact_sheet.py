@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.bus import codec, keys
+from adapters.robots.g1 import twist_keys
+from station.bus import codec
 from station.episode.reading.reader import EpisodeReader, open_episode
 from station.errors import StationError
 from station.view import offscreen, plot_style
@@ -79,7 +80,7 @@ def test_a_child_that_is_killed_takes_nothing_with_it(tmp_path: Path, monkeypatc
 
 
 def test_an_episode_without_a_pose_has_no_contact_sheet(builder: EpisodeBuilder, tmp_path: Path) -> None:
-    builder.write({keys.action_body(): codec.json_vector(command())}, at_s=0.1, writer="motion")
+    builder.write({twist_keys.action_body(): codec.json_vector(command())}, at_s=0.1, writer="motion")
     with pytest.raises(StationError, match="no contact sheet, it holds no pose of a robot"):
         save_sheet(open_episode(builder.finish()), tmp_path / "sheet.png")
 

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from station.bus import codec, joints, keys
+from adapters.robots.g1 import twist_keys
+from adapters.robots.g1.joints import G1_29
+from station.bus import codec, keys
 from station.episode.reading.reader import open_episode
 from station.errors import BadFile, StationError
 from station.view.episode_rrd import save
@@ -65,7 +67,7 @@ def test_curves_have_the_names_and_units_of_the_contract(builder: EpisodeBuilder
     path = tmp_path / "ep.rrd"
     view = save(open_episode(builder.finish()), path)
     recorded = Recorded(path)
-    entity = f"curves/command/{keys.action_body()}"
+    entity = f"curves/command/{twist_keys.action_body()}"
     assert recorded.column(f"{entity}/position", "SeriesLines:names") == [["root_height [m]"]]
     angles = recorded.column(f"{entity}/angle", "SeriesLines:names")[0]
     assert angles[:3] == ["root_roll [rad]", "root_pitch [rad]", "left_hip_pitch_pos [rad]"]
@@ -80,7 +82,7 @@ def test_each_joint_is_shown_as_commanded_and_as_measured(builder: EpisodeBuilde
     path = tmp_path / "ep.rrd"
     save(open_episode(builder.finish()), path)
     recorded = Recorded(path)
-    for joint in joints.G1_29:
+    for joint in G1_29:
         commanded = np.array(recorded.column(f"joints/{joint}/commanded", "Scalars:scalars"))
         measured = np.array(recorded.column(f"joints/{joint}/measured", "Scalars:scalars"))
         assert commanded - measured == pytest.approx(np.full((10, 1), 0.1))
@@ -128,8 +130,8 @@ def test_where_the_model_that_ran_is_not_here_the_built_in_one_is_drawn_and_a_wa
 def test_episode_of_stock_scripts_has_curves_and_a_robot(builder: EpisodeBuilder, tmp_path: Path) -> None:
     for number in range(10):
         state = np.concatenate([np.zeros(5), STANDING])
-        builder.foreign(keys.action_body(), codec.json_vector(command()), at_s=0.02 * number)
-        builder.foreign(keys.state_body(ROBOT), codec.json_vector(state), at_s=0.02 * number + 0.01)
+        builder.foreign(twist_keys.action_body(), codec.json_vector(command()), at_s=0.02 * number)
+        builder.foreign(twist_keys.state_body(ROBOT), codec.json_vector(state), at_s=0.02 * number + 0.01)
     view = save(open_episode(builder.finish()), tmp_path / "ep.rrd", robot_model=tiny(tmp_path))
     assert view.poses == 10
     assert "world/reference/pelvis" in Recorded(tmp_path / "ep.rrd").entities

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from adapters.robots.g1 import twist_keys
 from adapters.robots.kassow import kinematics
 from station.bus import codec, keys
 from station.bus.address import BusAddress
@@ -77,13 +78,13 @@ def test_value_that_does_not_fit_its_contract_is_passed_over(bus: Bus, tmp_path:
     recording = rr.RecordingStream("test")
     recording.save(tmp_path / "live.rrd")
     publish(bus, height=0.8)
-    bus.publish({keys.action_body(): b"[1, 2", keys.state_body(ROBOT): codec.json_vector([0.0] * 127)})
+    bus.publish({twist_keys.action_body(): b"[1, 2", twist_keys.state_body(ROBOT): codec.json_vector([0.0] * 127)})
     with LiveView(bus, recording, robot_model=tiny(tmp_path)) as view:
         view.look()
     recording.flush()
     recording.disconnect()
     recorded = Recorded(tmp_path / "live.rrd")
-    assert recorded.rows(f"curves/command/{keys.action_body()}/angle") == 0
+    assert recorded.rows(f"curves/command/{twist_keys.action_body()}/angle") == 0
     assert recorded.rows("world/robot/pelvis") == 1
 
 

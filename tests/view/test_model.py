@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from adapters.robots.g1.joints import G1_29
+from adapters.robots.kassow.names import ARM_7
 from station import assets
-from station.bus.joints import ARM_7, G1_29
 from station.errors import BadFile
 from station.view.model import RobotModel
 from station.view.shapes import Mesh, clustered

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from station.bus import joints
+from adapters.robots.g1.joints import G1_29
 from station.view.moments import instants, moments
 from station.view.phases import Span
 from station.view.poses import Posture
@@ -17,7 +17,7 @@ def run_of(phases: list[Span], *, seconds: float = 10.0, falls_s: list[float] | 
     root = np.tile([0.0, 0, 0.8, 1, 0, 0, 0], (len(times_ns), 1))
     return Run(
         episode_id="e", robot="g1", phases=phases, falls_s=falls_s or [],
-        measured=Posture(times_ns, root, joints.G1_29, np.zeros((len(times_ns), 29))),
+        measured=Posture(times_ns, root, G1_29, np.zeros((len(times_ns), 29))),
     )  # fmt: skip
 
 

@@ -9,7 +9,8 @@ from subprocess import run as run_process
 import numpy as np
 import pytest
 
-from station.bus import codec, keys
+from adapters.robots.g1 import twist_keys
+from station.bus import codec
 from station.episode.reading.reader import open_episode
 from station.errors import StationError
 from station.view import plot_style as style
@@ -64,7 +65,7 @@ def test_values_that_are_no_numbers_leave_gaps(builder: EpisodeBuilder, tmp_path
 def test_an_episode_without_a_robot_shows_what_was_commanded(builder: EpisodeBuilder, tmp_path: Path) -> None:
     for number in range(50):
         asked = command(STANDING + 0.1 * np.sin(0.3 * number))
-        builder.write({keys.action_body(): codec.json_vector(asked)}, at_s=0.02 * number, writer="motion")
+        builder.write({twist_keys.action_body(): codec.json_vector(asked)}, at_s=0.02 * number, writer="motion")
     picture = pixels(draw(builder, tmp_path))
     assert share(picture, style.ASKED) > 0.002
     legend = picture[:60]

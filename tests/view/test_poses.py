@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from adapters.robots.g1 import twist_keys
+from adapters.robots.kassow.names import ARM_7
 from station import rotations
 from station.bus import contracts, keys
-from station.bus.joints import ARM_7
 from station.protocols import Floats
 from station.view import poses
 from station.view.poses import Numbers, Posture
@@ -32,10 +33,20 @@ def found(*items: Numbers) -> poses.Find:
     return {item.contract.key: item for item in items}.get
 
 
+def measured(robot: str, *items: Numbers) -> Posture | None:
+    description = contracts.description(robot)
+    states = poses.state_keys(robot, [item.contract for item in items], description)
+    return poses.measured(found(*items), states, description)
+
+
+def asked(robot: str, where: Posture, *items: Numbers) -> Posture | None:
+    commands = poses.command_keys(robot, [item.contract for item in items], contracts.description(robot))
+    return poses.asked(found(*items), commands, where)
+
+
 def test_ground_truth_is_preferred() -> None:
     state = np.concatenate([STANDING + 1, np.zeros(29), [1.0, 0, 0, 0], np.zeros(3)])
-    find = found(numbers(keys.sim_qpos(ROBOT), qpos(1.0)), numbers(keys.robot_state(ROBOT), state))
-    where = poses.measured(find, ROBOT)
+    where = measured(ROBOT, numbers(keys.robot_state(ROBOT), state), numbers(keys.sim_qpos(ROBOT), qpos(1.0)))
     assert where is not None
     assert where.root[0, :3] == pytest.approx([1.0, 2.0, 0.75])
     assert where.q[0] == pytest.approx(STANDING)
@@ -44,7 +55,7 @@ def test_ground_truth_is_preferred() -> None:
 
 def test_robot_that_does_not_know_its_place_stays_in_it() -> None:
     state = np.concatenate([STANDING, np.zeros(29), [1.0, 0, 0, 0], np.zeros(3)])
-    where = poses.measured(found(numbers(keys.robot_state(ROBOT), state)), ROBOT)
+    where = measured(ROBOT, numbers(keys.robot_state(ROBOT), state))
     assert where is not None
     assert where.root[0] == pytest.approx([0, 0, poses.STANDING_M, 1, 0, 0, 0])
     assert where.q.shape == (1, 29)
@@ -52,23 +63,22 @@ def test_robot_that_does_not_know_its_place_stays_in_it() -> None:
 
 def test_state_of_a_stock_server_poses_the_robot_too() -> None:
     values = np.concatenate([np.zeros(3), [0.1, 0.2], STANDING])
-    where = poses.measured(found(numbers(keys.state_body(ROBOT), values)), ROBOT)
+    where = measured(ROBOT, numbers(twist_keys.state_body(ROBOT), values))
     assert where is not None
     assert rotations.roll_pitch_yaw(where.root[0, 3:]) == pytest.approx([0.1, 0.2, 0.0])
 
 
 def test_robot_of_which_nothing_is_known_is_not_posed() -> None:
-    assert poses.measured(found(), ROBOT) is None
+    assert measured(ROBOT) is None
 
 
 def test_reference_has_height_roll_and_pitch_of_the_command_and_place_and_heading_of_the_robot() -> None:
     values = command(STANDING + 0.1, height=0.6)
     values[3:5] = (0.1, -0.2)
-    measured = numbers(keys.sim_qpos(ROBOT), np.stack([qpos(1.0), qpos(3.0)]), times=(0, 100))
-    find = found(measured, numbers(keys.command_used(ROBOT), np.stack([values, values]), times=(50, 150)))
-    where = poses.measured(find, ROBOT)
+    truth = numbers(keys.sim_qpos(ROBOT), np.stack([qpos(1.0), qpos(3.0)]), times=(0, 100))
+    where = measured(ROBOT, truth)
     assert where is not None
-    ghost = poses.asked(find, ROBOT, where)
+    ghost = asked(ROBOT, where, numbers(keys.command_used(ROBOT), np.stack([values, values]), times=(50, 150)))
     assert isinstance(ghost, Posture)
     assert ghost.root[:, :3] == pytest.approx(np.array([[1.0, 2.0, 0.6], [3.0, 2.0, 0.6]]))
     assert rotations.roll_pitch_yaw(ghost.root[0, 3:]) == pytest.approx([0.1, -0.2, YAW])
@@ -76,10 +86,10 @@ def test_reference_has_height_roll_and_pitch_of_the_command_and_place_and_headin
 
 
 def test_without_a_gate_the_command_on_the_bus_is_the_reference() -> None:
-    find = found(numbers(keys.sim_qpos(ROBOT), qpos(0.0)), numbers(keys.action_body(), command(height=0.5)))
-    where = poses.measured(find, ROBOT)
+    where = measured(ROBOT, numbers(keys.sim_qpos(ROBOT), qpos(0.0)))
     assert where is not None
-    ghost = poses.asked(find, ROBOT, where)
+    hand = numbers(twist_keys.action_hand("left"), np.ones(7))
+    ghost = asked(ROBOT, where, hand, numbers(twist_keys.action_body(), command(height=0.5)))
     assert ghost is not None
     assert ghost.root[0, 2] == 0.5
 
@@ -87,16 +97,14 @@ def test_without_a_gate_the_command_on_the_bus_is_the_reference() -> None:
 def test_an_arm_stands_at_the_origin_and_is_asked_for_what_its_gate_let_through() -> None:
     at = numbers(keys.state_joints(arms.ROBOT), np.concatenate([arms.START, np.zeros(14)]))
     bus = numbers(keys.action_joints(arms.ROBOT), arms.START + 0.2)
-    where = poses.measured(found(at), arms.ROBOT)
+    where = measured(arms.ROBOT, at)
     assert where is not None
     assert where.root[0] == pytest.approx([0, 0, 0, 1, 0, 0, 0])
     assert where.joints == ARM_7
     assert where.q[0] == pytest.approx(arms.START)
-    for find, q in (
-        (found(at, bus), arms.START + 0.2),
-        (found(at, bus, numbers(keys.command_used(arms.ROBOT), arms.START + 0.1)), arms.START + 0.1),
-    ):
-        ghost = poses.asked(find, arms.ROBOT, where)
+    used = numbers(keys.command_used(arms.ROBOT), arms.START + 0.1)
+    for told, q in (((at, bus), arms.START + 0.2), ((at, bus, used), arms.START + 0.1)):
+        ghost = asked(arms.ROBOT, where, *told)
         assert ghost is not None
         assert ghost.q[0] == pytest.approx(q)
         assert ghost.root == pytest.approx(where.root)

@@ -12,15 +12,18 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from station.bus import codec, contracts, keys, stamp
+from adapters.robots.g1 import twist_keys
+from adapters.robots.kassow.names import KR810_ROBOT
+from station.bus import codec, keys, stamp
 from station.bus.address import BusAddress
 from station.bus.client import Bus
+from station.contract import TIMING_STAGES
 from station.episode.storage.request import RecorderState
 from station.life.server import Health
 from station.view import progress_panel
 from station.view.progress import Progress, ProgressReader
 
-ROBOT = keys.TWIST2_ROBOT
+ROBOT = twist_keys.TWIST2_ROBOT
 NAMES = ("g1", "recorder", "motion")
 ROLES = {"g1": "low-level", "recorder": "recorder", "motion": "command"}
 PARTS = [{"name": "wave", "start_s": 0.0, "end_s": 6.0}, {"name": "bow", "start_s": 6.0, "end_s": 20.0}]
@@ -69,7 +72,7 @@ def shown(progress: Progress, step: str = "", died: dict[str, str] | None = None
 
 
 def test_a_run_is_told_from_motion_to_recorder(bus: Bus) -> None:
-    assert len(contracts.TIMING_STAGES) == 6
+    assert len(TIMING_STAGES) == 6
     play(bus)
     seen = ProgressReader(bus, NAMES).look()
     assert seen.motion is not None
@@ -148,7 +151,7 @@ def test_values_that_fit_no_contract_are_passed_over(bus: Bus) -> None:
 def test_an_arm_shows_its_gate_its_profile_and_its_rates_and_why_it_is_faulted(bus: Bus) -> None:
     arm = {"gate": "tracking", "gate_reason": "caught up", "backend": "sim", "profile": "speed125", "sync_hz": 250.0,
            "send_hz": 124.6}  # fmt: skip
-    bus.publish({keys.server_config("g1"): codec.json_object({"robot": keys.KASSOW_KR810})})
+    bus.publish({keys.server_config("g1"): codec.json_object({"robot": KR810_ROBOT})})
     say(bus, "g1", "active", **arm)
     progress = ProgressReader(bus, NAMES).look()
     assert progress.policy is None

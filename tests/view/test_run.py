@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from station.bus import codec, joints, keys
+from adapters.robots.g1 import twist_keys
+from adapters.robots.g1.joints import G1_29
+from station.bus import codec, keys
 from station.episode.reading.reader import open_episode
 from station.view import plot_style as style
 from station.view.run import Run, read_run
@@ -43,7 +45,7 @@ def test_clips_take_the_place_of_playing(builder: EpisodeBuilder) -> None:
     for number in range(20):
         source = {"file": "builtin:tour", "phase": "playing", "time_s": 0.1 * number}
         values = {
-            keys.action_body(): codec.json_vector(command()),
+            twist_keys.action_body(): codec.json_vector(command()),
             keys.command_source(ROBOT): codec.json_object(source),
         }
         builder.write(values, at_s=0.1 * number, writer="motion")
@@ -68,7 +70,7 @@ def test_joint_errors_count_only_while_the_motion_plays_and_the_gate_tracks(buil
         asked = command(STANDING + (0.1 if is_counted else 0.5))
         tick(builder, number, at_s=0.02 * number, asked=asked, gate="tracking" if is_counted else "entering")
     errors = joint_errors(read(builder))
-    assert set(errors) == set(joints.G1_29)
+    assert set(errors) == set(G1_29)
     assert np.array(list(errors.values())) == pytest.approx(0.1, abs=0.03)
 
 
@@ -79,15 +81,15 @@ def test_values_that_are_no_numbers_take_no_part_in_errors(builder: EpisodeBuild
         q[1] = np.nan if number % 2 else q[1]
         tick(builder, number, at_s=0.02 * number, q=q, asked=command(STANDING + 0.1))
     errors = joint_errors(read(builder))
-    assert joints.G1_29[0] not in errors
-    assert errors[joints.G1_29[1]] == pytest.approx(0.1)
+    assert G1_29[0] not in errors
+    assert errors[G1_29[1]] == pytest.approx(0.1)
 
 
 def test_an_episode_of_stock_scripts_gives_its_command_and_its_state(builder: EpisodeBuilder) -> None:
     for number in range(10):
         state = np.concatenate([np.zeros(5), STANDING])
-        builder.foreign(keys.action_body(), codec.json_vector(command()), at_s=0.02 * number)
-        builder.foreign(keys.state_body(ROBOT), codec.json_vector(state), at_s=0.02 * number + 0.01)
+        builder.foreign(twist_keys.action_body(), codec.json_vector(command()), at_s=0.02 * number)
+        builder.foreign(twist_keys.state_body(ROBOT), codec.json_vector(state), at_s=0.02 * number + 0.01)
     run = read(builder)
     assert run.commanded is not None
     assert run.joints is not None
@@ -97,7 +99,7 @@ def test_an_episode_of_stock_scripts_gives_its_command_and_its_state(builder: Ep
 
 
 def test_an_episode_without_a_robot_has_its_command_alone(builder: EpisodeBuilder) -> None:
-    builder.write({keys.action_body(): codec.json_vector(command())}, at_s=0.1, writer="motion")
+    builder.write({twist_keys.action_body(): codec.json_vector(command())}, at_s=0.1, writer="motion")
     run = read(builder)
     assert run.measured is None
     assert run.commanded is not None

@@ -16,9 +16,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from adapters.robots.g1 import twist_keys
+from adapters.robots.g1.joints import G1_29
 from servers.motion import MotionConfig, Player
 from station import registry
-from station.bus import codec, joints, keys, stamp
+from station.bus import codec, keys, stamp
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import Connection
@@ -202,7 +204,7 @@ class Walk:
     speed: float
     swing_rad: float
     name: str = "walk"
-    joint_names: tuple[str, ...] = joints.G1_29
+    joint_names: tuple[str, ...] = G1_29
     duration_s: float = 3600.0
     fps: float = 50.0
 
@@ -263,7 +265,7 @@ def _motion(network: Network, commander: Commander, name: str) -> None:
 
     def main(config: NoConfig, life: Life) -> int:
         commander.life.append(life)
-        watched = [FORM.key, keys.MOTION_CONTROL, keys.MOTION_START_SIGNAL, keys.MOTION_EXIT_SIGNAL,
+        watched = [FORM.key, keys.MOTION_CONTROL, twist_keys.MOTION_START_SIGNAL, twist_keys.MOTION_EXIT_SIGNAL,
                    *StopWatch.watched(FORM.robot)]  # fmt: skip
         with life.bus.watch(watched) as watch:
             if life.ready():

@@ -13,6 +13,7 @@ from adapters.exports.lerobot.codec import Codec
 from station.bus import keys
 from station.episode.reading import frames
 from station.episode.reading.reader import EpisodeReader
+from station.episode.reading.steps import keys_of_joints, state_key
 from station.episode.storage.folder import signals_file
 from station.errors import EpisodeError, StationError, did_you_mean
 from station.export import verdict
@@ -188,12 +189,13 @@ def _of(reader: EpisodeReader, wish: Wish) -> Common:
     robot = "" if wish.state and wish.action else robot_of(reader)
     _expect_defaults(reader, wish, robot)
     parts = moving_parts(reader, robot) if robot else []
-    states = wish.state or (keys.state_of_step(robot), *(part.state for part in parts if part.state))
+    topics = reader.topics()
+    states = wish.state or (state_key(robot, topics), *(part.state for part in parts if part.state))
     actions = wish.action or (keys.command_used(robot), *(part.action for part in parts if part.action))
     state = tuple(key_columns(reader, key) for key in states)
     action = tuple(key_columns(reader, key) for key in actions)
     chosen = {one.key: one for one in (*state, *action)}
-    steps = {state_of_step(one.key) for one in action if one.role == "policy"}
+    steps = {state_of_step(one.key, topics) for one in action if one.role == "policy"}
     paces = {key: key_columns(reader, key) for key in sorted(key for key in steps if key and key not in chosen)}
     wanted = list(frames.cameras(reader)) if wish.cameras is None else wish.cameras
     return Common(
@@ -210,14 +212,13 @@ def _of(reader: EpisodeReader, wish: Wish) -> Common:
 def _expect_defaults(reader: EpisodeReader, wish: Wish, robot: str) -> None:
     """Refuse an episode that lacks the keys that nobody named, as one of stock scripts does; say what it has."""
     topics = reader.topics()
-    sides = (("--state", wish.state, keys.state_of_step(robot), keys.state_body(robot)),
-             ("--action", wish.action, keys.command_used(robot), keys.action_body(robot)))  # fmt: skip
+    sides = (("--state", wish.state, state_key(robot, topics), "state"),
+             ("--action", wish.action, keys.command_used(robot), "command"))  # fmt: skip
     lacking = [default for _, named, default, _ in sides if not named and default not in topics]
-    stock = " ".join(f"{option} {stock}" for option, named, _, stock in sides if not named and stock in topics)
-    if lacking and stock:
-        raise EpisodeError(
-            f"{reader.episode_id}: no {' and no '.join(lacking)} in it; name other keys, such as {stock}"
-        )
+    others = {role: keys_of_joints(reader, robot, role, ())[:1] for role in ("state", "command")}
+    told = " ".join(f"{option} {key}" for option, named, _, role in sides if not named for key in others[role])
+    if lacking and told:
+        raise EpisodeError(f"{reader.episode_id}: no {' and no '.join(lacking)} in it; name other keys, such as {told}")
 
 
 def _camera(reader: EpisodeReader, name: str, key: str) -> Camera:

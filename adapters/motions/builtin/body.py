@@ -13,8 +13,8 @@ from adapters.motions.builtin.profiles import FPS
 from adapters.motions.raw import RawMotion
 from adapters.robots.g1 import joints as g1
 from adapters.robots.g1 import kinematics
+from adapters.robots.g1.joints import G1_29
 from station import rotations
-from station.bus.joints import G1_29
 from station.errors import ConfigError
 from station.protocols import Floats
 
@@ -54,7 +54,7 @@ class Pose:
         pelvis_quat: Its orientation, unit quaternions wxyz, shape (n, 4).
         feet: Positions of the two ankle_roll links, shape (2, n, 3) [m].
         feet_yaw: Their headings, shape (2, n) [rad]; soles stay level.
-        upper: Waist and arms, the last 17 of `station.bus.joints.G1_29`, shape (n, 17) [rad].
+        upper: Waist and arms, the last 17 of `adapters.robots.g1.joints.G1_29`, shape (n, 17) [rad].
     """
 
     pelvis: Floats

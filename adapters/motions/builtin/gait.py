@@ -28,7 +28,7 @@ from adapters.motions.builtin.plan import SHORTEST_STEP_S, WalkPlan
 from adapters.motions.builtin.profiles import below, bump, rise, sway_under, times
 from adapters.motions.raw import RawMotion
 from adapters.robots.g1 import kinematics
-from station.bus.joints import G1_29, LEGS
+from adapters.robots.g1.joints import G1_29, LEGS
 from station.errors import ConfigError, UsageError
 from station.protocols import Floats
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from adapters.commands.twist2 import FORMAT
 from adapters.robots.g1 import kinematics
-from station.bus.joints import LEGS
+from adapters.robots.g1.joints import LEGS
 from station.errors import ConfigError
 from station.protocols import Floats
 
@@ -14,7 +14,7 @@ SIDES = ("left", "right")
 """Order of the two feet in every array of this package."""
 
 STANDING_LEGS = np.array(FORMAT.default[6:18])
-"""Joints of both legs when standing, in the order of `station.bus.joints.LEGS` [rad]."""
+"""Joints of both legs when standing, in the order of `adapters.robots.g1.joints.LEGS` [rad]."""
 
 _CHAIN = [kinematics.LINKS[kinematics.INDEX[name]] for name in LEGS[:6]]
 _MIRROR = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 1.0]])  # the right leg is the left one mirrored, to 0.1 mm
@@ -45,7 +45,7 @@ def highest(turned: Floats, hips_xy: Floats, feet: Floats, knee: float) -> Float
 
 
 def solve(hips: Floats, turned: Floats, feet: Floats, feet_turned: Floats, *, guess: Floats | None = None) -> Floats:
-    """Return the leg joints, shape (n, 12), in the order of `station.bus.joints.LEGS` [rad].
+    """Return the leg joints, shape (n, 12), in the order of `adapters.robots.g1.joints.LEGS` [rad].
 
     Args:
         hips: Positions of the pelvis, shape (n, 3) [m].

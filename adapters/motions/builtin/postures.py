@@ -18,7 +18,7 @@ from adapters.motions.builtin.body import (
 )
 from adapters.motions.builtin.profiles import rise, times
 from adapters.motions.raw import RawMotion
-from station.bus.joints import G1_29, LEGS
+from adapters.robots.g1.joints import G1_29, LEGS
 from station.errors import ConfigError, UnknownName, UsageError
 from station.protocols import Floats
 

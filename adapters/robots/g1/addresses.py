@@ -6,8 +6,7 @@ import mujoco
 import numpy as np
 
 from adapters.robots.g1 import mjcf
-from adapters.robots.g1.joints import select
-from station.bus.joints import G1_29
+from adapters.robots.g1.joints import G1_29, select
 
 
 class Addresses:

@@ -1,17 +1,17 @@
 """The 29 joints of the Unitree G1: axis, range, effort, speed and armature, in Unitree's motor order 0-28.
 
 Source: ``g1_29dof_rev_1_0`` of unitree_rl_gym (ranges, efforts, speeds; the same ranges stand in TWIST2's
-``g1_sim2sim_29dof.xml``); armatures are the rotor inertias of the four motor types, as in mjlab's constants.
+``g1_sim2sim_29dof.xml``); armatures are the rotor inertias of the four motor types, as in mjlab's constants. Which of
+the joints TWIST and TWIST2 have, and in which order, is checked against their models.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-
-from station.protocols import Floats
+if TYPE_CHECKING:  # NumPy is loaded where arrays are made: names are asked for where that would take too long
+    from station.protocols import Floats
 
 # Rotor inertia seen at the joint [kg m^2]; ankles, waist roll and waist pitch are driven by two 5020 each.
 _MOTOR_5020 = 0.003609725
@@ -25,7 +25,7 @@ class Joint:
     """One joint.
 
     Attributes:
-        name: Name on the wire, as in `station.bus.joints`.
+        name: Name on the wire.
         axis: Axis in the frame of its own link.
         lower, upper: Range [rad].
         effort_nm: Greatest torque [N m].
@@ -78,9 +78,31 @@ JOINTS: tuple[Joint, ...] = (
     Joint("right_wrist_pitch", "y", -1.61443, 1.61443, 5.0, 22.0, _MOTOR_4010),
     Joint("right_wrist_yaw", "z", -1.61443, 1.61443, 5.0, 22.0, _MOTOR_4010),
 )
-"""Every joint, in the order of `station.bus.joints.G1_29`."""
+"""Every joint, in Unitree's motor order 0-28."""
+
+G1_29 = tuple(joint.name for joint in JOINTS)
+"""Their names; TWIST2's joints."""
+
+LEGS = G1_29[:12]
+WAIST = G1_29[12:15]
+
+_WRIST = ("wrist_roll", "wrist_pitch", "wrist_yaw")
+G1_23 = tuple(name for name in G1_29 if not name.endswith(_WRIST))
+"""Joints of TWIST's policy: no wrists."""
+
+G1_25 = tuple(name for name in G1_29 if not name.endswith(_WRIST[1:]))
+"""Joints of TWIST's command: each arm with its wrist roll."""
+
+HAND_LEFT = ("thumb_0", "thumb_1", "thumb_2", "middle_0", "middle_1", "index_0", "index_1")
+HAND_RIGHT = ("thumb_0", "thumb_1", "thumb_2", "index_0", "index_1", "middle_0", "middle_1")
+"""Dex3-1 joints in the order of TWIST2's hand driver; the two sides differ."""
 
 _BY_NAME = {joint.name: joint for joint in JOINTS}
+
+
+def hand(side: str) -> tuple[str, ...]:
+    """Return the seven joints of one Dex3-1 hand, ``left`` or ``right``, side included in the names."""
+    return tuple(f"{side}_hand_{name}" for name in (HAND_LEFT if side == "left" else HAND_RIGHT))
 
 
 def select(names: tuple[str, ...]) -> tuple[Joint, ...]:
@@ -90,14 +112,20 @@ def select(names: tuple[str, ...]) -> tuple[Joint, ...]:
 
 def lower(names: tuple[str, ...]) -> Floats:
     """Return the lower ends of the ranges of these joints [rad]."""
-    return np.array([joint.lower for joint in select(names)])
+    return _column("lower", names)
 
 
 def upper(names: tuple[str, ...]) -> Floats:
     """Return the upper ends of the ranges of these joints [rad]."""
-    return np.array([joint.upper for joint in select(names)])
+    return _column("upper", names)
 
 
 def velocity(names: tuple[str, ...]) -> Floats:
     """Return the greatest speeds of these joints [rad/s]."""
-    return np.array([joint.velocity_rad_s for joint in select(names)])
+    return _column("velocity_rad_s", names)
+
+
+def _column(field: str, names: tuple[str, ...]) -> Floats:
+    import numpy as np
+
+    return np.array([getattr(joint, field) for joint in select(names)])

@@ -101,7 +101,7 @@ LINKS: tuple[Link, ...] = (
     Link("right_wrist_yaw", "right_wrist_pitch", (0.046, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0),
          0.254576, (0.0708244, -0.000191745, 0.00161742), "z"),
 )  # fmt: skip
-"""Every link, parents first: the pelvis, then the link that each joint of `station.bus.joints.G1_29` turns."""
+"""Every link, parents first: the pelvis, then the link that each joint of `adapters.robots.g1.joints.G1_29` turns."""
 
 INDEX = {link.name: index for index, link in enumerate(LINKS)}
 """Place of a link in `LINKS`, and in what `forward` returns."""
@@ -146,7 +146,7 @@ def forward(root_pos: Floats, root_quat_wxyz: Floats, q: Floats) -> LinkPoses:
     Args:
         root_pos: Positions of the pelvis, shape (n, 3) [m].
         root_quat_wxyz: Its orientations, unit quaternions, shape (n, 4).
-        q: Joint positions in the order of `station.bus.joints.G1_29`, shape (n, 29) [rad].
+        q: Joint positions in the order of `adapters.robots.g1.joints.G1_29`, shape (n, 29) [rad].
     """
     position = np.empty((len(LINKS), len(q), 3))
     rotation = np.empty((len(LINKS), len(q), 3, 3))

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import mujoco
 
-from adapters.robots.g1.joints import select
-from station.bus.joints import G1_29
+from adapters.robots.g1.joints import G1_29, select
 
 # Clip of the stock TWIST2 simulation [N m], by the end of the joint's name; the model's own `actuatorfrcrange` clips
 # again after it. Source: facts of amazon-far/TWIST2, `server_low_level_g1_sim.py`.

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from adapters.robots import model_cache
 from adapters.robots.g1 import mjcf
 from adapters.robots.g1.addresses import Addresses
-from adapters.robots.g1.joints import select
+from adapters.robots.g1.joints import G1_29, select
 from adapters.robots.picture import Camera, Picture
 from station.assets import sha256
-from station.bus.joints import G1_29
 from station.errors import ConfigError
 from station.protocols import FALL_TILT_RAD, Fall, Floats, JointTargets, RobotState
 from station.rotations import tilt
@@ -42,7 +41,7 @@ class MujocoG1:
     clipped as in the stock simulation. Not thread safe.
 
     Args:
-        model: MJCF file with the joints of `station.bus.joints.G1_29` and a free joint.
+        model: MJCF file with the joints of `adapters.robots.g1.joints.G1_29` and a free joint.
         physics_dt_s: Physics step [s]; the stock simulations use 0.001, training 0.002.
         control_dt_s: Control period [s]; a whole number of physics steps.
         viewer: Whether to open MuJoCo's window; needs a display.

@@ -11,6 +11,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.protocols import Floats, Floats32, RobotState
 from station.rotations import roll_pitch_yaw
@@ -49,11 +50,11 @@ def state_values(suffix: str, state: RobotState, *, policy: object, robot: objec
         robot: For ground truth, where it has any.
     """
     values = {keys.robot_state(suffix): codec.f64(np.concatenate([state.q, state.dq, state.quat_wxyz, state.gyro]))}
-    if suffix == keys.TWIST2_ROBOT:
+    if suffix == twist_keys.TWIST2_ROBOT:
         values |= _twist2(suffix, state)
-    elif suffix == keys.TWIST_ROBOT and isinstance(policy, Proprioceptive):
-        values[keys.state_body(suffix)] = codec.json_vector(policy.proprioception(state))
-        values[keys.state_hands(suffix)] = _BOTH_HANDS
+    elif suffix == twist_keys.TWIST_ROBOT and isinstance(policy, Proprioceptive):
+        values[twist_keys.state_body(suffix)] = codec.json_vector(policy.proprioception(state))
+        values[twist_keys.state_hands(suffix)] = _BOTH_HANDS
     if isinstance(robot, Simulated):
         values[keys.sim_qpos(suffix)] = codec.f64(robot.qpos)
     return values
@@ -62,9 +63,9 @@ def state_values(suffix: str, state: RobotState, *, policy: object, robot: objec
 def _twist2(suffix: str, state: RobotState) -> dict[str, bytes]:
     body = np.concatenate([state.gyro, roll_pitch_yaw(state.quat_wxyz)[:2], state.q])
     return {
-        keys.state_body(suffix): codec.json_vector(body),
-        keys.state_hand("left", suffix): _HAND,  # no hands in this model: open, as the stock simulation says
-        keys.state_hand("right", suffix): _HAND,
-        keys.state_neck(suffix): _NECK,
-        keys.T_STATE: b"%d" % (time.time_ns() // 1_000_000),
+        twist_keys.state_body(suffix): codec.json_vector(body),
+        twist_keys.state_hand("left", suffix): _HAND,  # no hands in this model: open, as the stock simulation says
+        twist_keys.state_hand("right", suffix): _HAND,
+        twist_keys.state_neck(suffix): _NECK,
+        twist_keys.T_STATE: b"%d" % (time.time_ns() // 1_000_000),
     }

@@ -1,10 +1,17 @@
-"""What a Kassow arm is called: its maker's folder of limits, and the suffix of its keys."""
+"""What a Kassow arm and its joints are called: its maker's folder of limits, and the suffix of its keys."""
 
 from __future__ import annotations
 
 MAKER = "kassow"
 
+ARM_7 = tuple(f"joint_{number}" for number in range(1, 8))
+"""Joints of an arm, from its base to its flange."""
+
 
 def suffix(model: str, name: str = "") -> str:
     """Return the suffix of an arm's keys; `name` tells two of one model apart."""
     return "_".join(filter(None, (MAKER, model, name)))
+
+
+KR810_ROBOT = suffix("kr810")
+"""Suffix of the keys of the arm that ships."""

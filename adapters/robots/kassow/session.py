@@ -14,9 +14,9 @@ import numpy as np
 
 from adapters.robots.arm_limits import ArmLimits
 from adapters.robots.kassow import kinematics
+from adapters.robots.kassow.names import ARM_7
 from adapters.robots.kassow.native import kord
 from station.arms import ArmState
-from station.bus.joints import ARM_7
 from station.errors import ConfigError, NotReady
 from station.protocols import Floats
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from adapters.robots.kassow import kinematics
 from station import rotations
-from station.bus import arm_contracts, codec, keys
+from station.bus import codec, keys
+from station.bus.robot_streams import COUNTERS
 from station.protocols import Floats
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def counters(state: State) -> list[float]:
     """Return the counters and times of a state, in the order of their contract; times in [s]."""
     sync, period = state.sync_to_send_us, state.period_us
     micros = (sync.last, sync.p50, sync.p99, sync.max, period.p50, period.p99, period.max)
-    counted = (float(getattr(state, name)) for name in arm_contracts.COUNTERS)
+    counted = (float(getattr(state, name)) for name in COUNTERS)
     return [*counted, *(value * _MICRO for value in micros), state.queued_motion_s]
 
 

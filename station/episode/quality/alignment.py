@@ -13,16 +13,18 @@ side, summed over time, are less than 0.086 rad^2/s per joint, or the two agree 
 from __future__ import annotations
 
 from array import array
+from collections.abc import Callable
 
 import numpy as np
 
-from station.bus import codec, contracts, keys
+from station.bus import codec, keys
+from station.contract import TIMING_STAGES, Contract
 from station.control.gate_state import MOVING
 from station.episode.quality.finding_parts import Alignment
 from station.episode.reading.steps import Step, timing_row
 from station.protocols import Floats
 
-_STAGES = contracts.TIMING_STAGES
+_STAGES = TIMING_STAGES
 _FIRST_STAGE, _SEQ = 2, 1  # of a row of `keys.policy_timing`
 _LARGEST = 1 << 62
 _TRACKING = "tracking"
@@ -34,16 +36,22 @@ _LEAST_CORRELATION = 0.5
 
 
 class AlignmentMeter:
-    """Takes the steps of one robot."""
+    """Takes the steps of one robot.
 
-    def __init__(self, robot: str) -> None:
+    Args:
+        robot: Suffix of its keys.
+        state_key: The state that its steps read.
+        contract: Tells what a key holds.
+    """
+
+    def __init__(self, robot: str, state_key: str, contract: Callable[[str], Contract | None]) -> None:
         self.robot = robot
         self._leads = array("q")
         self._sequence = 0
         self._repeated = self._skipped = 0
         self._names = {
-            key: contract.names if (contract := contracts.contract(key)) is not None else ()
-            for key in (keys.state_of_step(robot), keys.command_used(robot))
+            key: found.names if (found := contract(key)) is not None else ()
+            for key in (state_key, keys.command_used(robot))
         }
         self._pairs = _pairs(*self._names.values())
         self._shifts = _Shifts()

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from station.bus import arm_contracts, codec, keys
+from station.bus import codec, keys, robot_streams
 from station.episode.quality.finding_parts import ArmQuality
 from station.episode.reading.messages import Message
 from station.protocols import Floats
@@ -25,8 +25,8 @@ from station.protocols import Floats
 _SPAN_NS = 200_000_000
 _MOVING = 0.9
 _SETTLED_S = 0.4  # from the end of a motion until a hold is one
-_NAMES = (*arm_contracts.COUNTERS, *arm_contracts.SESSION_TIMES)
-_COUNTERS = len(arm_contracts.COUNTERS)
+_NAMES = (*robot_streams.COUNTERS, *robot_streams.SESSION_TIMES)
+_COUNTERS = len(robot_streams.COUNTERS)
 _LARGEST = float(1 << 53)  # what counts to more than that in a double counts nothing
 
 
@@ -118,8 +118,8 @@ class ArmMeter:
         if not self._sessions:
             return None
         counts, times = zip(*(sessions.total() for sessions in self._sessions.values()), strict=True)
-        grown = dict(zip(arm_contracts.COUNTERS, np.sum(counts, axis=0).tolist(), strict=True))
-        last = dict(zip(arm_contracts.SESSION_TIMES, np.fmax.reduce(times).tolist(), strict=True))
+        grown = dict(zip(robot_streams.COUNTERS, np.sum(counts, axis=0).tolist(), strict=True))
+        last = dict(zip(robot_streams.SESSION_TIMES, np.fmax.reduce(times).tolist(), strict=True))
         counted = ("late_commands", "sync_timeouts", "missed_ticks", "limit_refusals", "commands_dropped_by_throttle")
         return ArmQuality(
             robot=self.robot,

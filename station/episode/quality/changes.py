@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import msgspec
 
-from station.bus import contracts, keys
-from station.bus.contract import Role
+from station.bus import keys
 from station.bus.tap import not_mirrored
+from station.contract import Contract
 from station.episode.quality.finding_parts import KeyChanges
 from station.episode.reading.messages import Message
 
@@ -24,9 +25,11 @@ class ChangeCounter:
 
     Attributes:
         start_ns: Instant that times are told from [ns since the epoch].
+        contract: Tells what a key holds.
     """
 
     start_ns: int
+    contract: Callable[[str], Contract | None]
     _found: dict[tuple[str, str], KeyChanges] = field(default_factory=dict)
 
     def feed(self, message: Message) -> None:
@@ -51,11 +54,8 @@ class ChangeCounter:
         if known is not None:
             self._found[command, key] = msgspec.structs.replace(known, count=known.count + count)
         elif len(self._found) < _MOST:
+            known_as = self.contract(key.removesuffix("@"))
             at_s = round((log_ns - self.start_ns) * 1e-9, 3)
-            self._found[command, key] = KeyChanges(command=command, key=key, count=count, at_s=at_s)
-
-
-def role_of(key: str) -> Role | None:
-    """Return the role of a key, or of the key whose stamp it is; None for one that nobody has described."""
-    contract = contracts.contract(key.removesuffix("@"))
-    return contract.role if contract is not None else None
+            self._found[command, key] = KeyChanges(
+                command=command, key=key, count=count, at_s=at_s, role=known_as.role if known_as is not None else None
+            )

@@ -6,6 +6,8 @@ from typing import Literal
 
 import msgspec
 
+from station.contract import Role
+
 
 class RulesFile(msgspec.Struct, frozen=True):
     """A file of rules that an episode was judged by: its path (``shipped`` for what comes with us), and its hash."""
@@ -17,13 +19,15 @@ class RulesFile(msgspec.Struct, frozen=True):
 class KeyChanges(msgspec.Struct, frozen=True, kw_only=True):
     """Changes of one key by one command: the command (``deleted`` for any deletion), how many, and the first of them.
 
-    `key` is "" where the tap does not know which; `at_s` is from the start of the episode [s].
+    `key` is "" where the tap does not know which; `at_s` is from the start of the episode [s]. `role` is that of the
+    key, or of the key whose stamp it is, None where nothing describes it.
     """
 
     command: str
     key: str
     count: int
     at_s: float
+    role: Role | None = None
 
 
 class KeyPresence(msgspec.Struct, frozen=True, kw_only=True):

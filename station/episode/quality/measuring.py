@@ -39,12 +39,14 @@ class Measuring:
         topics = reader.topics()
         self.start_ns = reader.start_ns
         self.counter = StreamCounter()
-        self.steps = {robot: StepMeter(robot, self.start_ns) for robot in steps.robots(topics)}
-        self.alignment = {robot: AlignmentMeter(robot) for robot in self.steps}
-        self.motion = motion.meters(topics)
+        self.steps = {robot: StepMeter(robot, self.start_ns, reader.contract) for robot in steps.robots(topics)}
+        self.alignment = {
+            robot: AlignmentMeter(robot, steps.state_key(robot, topics), reader.contract) for robot in self.steps
+        }
+        self.motion = motion.meters(reader)
         self.arms = [arms.ArmMeter(robot) for robot in arms.robots(topics)]
         self.cameras = CameraMeter(frames.cameras(reader), stated_hz(reader.manifest))
-        self.changes = ChangeCounter(self.start_ns)
+        self.changes = ChangeCounter(self.start_ns, reader.contract)
         self.heartbeats = Heartbeats(self.start_ns)
         self.events: list[tuple[float, dict[str, Any]]] = []
         self.ends: list[pauses.End] = []

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 
 from station.bus import keys
-from station.episode.quality.changes import role_of
 from station.episode.quality.finding_parts import KeyChanges, KeyPresence, Loss
 from station.episode.quality.findings import Quality, Verdict
 from station.episode.quality.rule_file import Ends, Limits
@@ -120,8 +119,8 @@ def _more(losses: list[Loss]) -> str:
 
 
 def _not_mirrored(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
-    known = [one for one in quality.not_mirrored if not one.key or role_of(one.key) is not None]
-    others = [one for one in quality.not_mirrored if one.key and role_of(one.key) is None]
+    known = [one for one in quality.not_mirrored if not one.key or one.role is not None]
+    others = [one for one in quality.not_mirrored if one.key and one.role is None]
     graded: list[tuple[Verdict, list[KeyChanges]]] = [("reject", known), ("usable", others)]
     for verdict, found in graded:
         if found:
@@ -131,7 +130,7 @@ def _not_mirrored(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
 
 
 def _deleted(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
-    found = [one for one in quality.deletions if role_of(one.key) in _DESCRIBED]
+    found = [one for one in quality.deletions if one.role in _DESCRIBED]
     if found:
         count, first = sum(one.count for one in found), min(one.at_s for one in found)
         what = _listed([_times(one) for one in found])

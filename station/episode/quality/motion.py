@@ -13,18 +13,19 @@ At its end is a joint within 1 mrad of its limit, or beyond it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from station.bus import keys
-from station.bus.contracts import Contract
+from station.contract import Contract
+from station.description import Joint, RobotDescription
 from station.episode.quality.finding_parts import MotionQuality
 from station.episode.quality.jerk import Jerk
-from station.episode.quality.joint_limits import JointLimits, limits
 from station.episode.reading import steps
 from station.episode.reading.messages import Message
+from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.vectors import numbers
 from station.protocols import Floats
 
@@ -34,33 +35,39 @@ IDLE_BELOW_RAD = 0.05
 IDLE_WINDOW_S = 0.5
 AT_LIMIT_RAD = 1e-3
 
-_STATES = (keys.robot_state, keys.state_body, keys.state_joints)
-_COMMANDS = (keys.command_used, keys.action_body, keys.action_mimic, keys.action_joints)
 _BLOCK = 512  # messages that are decoded at once
 _BUCKET_NS = 100_000_000
 _BUCKETS = round(IDLE_WINDOW_S * 1e9 / _BUCKET_NS)
 _JOINT = "_pos"
 
 
-def meters(topics: Iterable[str]) -> list[MotionMeter]:
-    """Return a meter for each robot of which some of the topics tell."""
-    known = set(topics)
+def meters(reader: EpisodeReader) -> list[MotionMeter]:
+    """Return a meter for each robot of an episode that tells of joints."""
     found = []
-    for robot in sorted({*steps.robots(known), keys.TWIST2_ROBOT, keys.TWIST_ROBOT}):
-        state = next((family(robot) for family in _STATES if family(robot) in known), "")
-        command = next((family(robot) for family in _COMMANDS if family(robot) in known), "")
+    for robot in sorted(steps.robots_of(reader)):
+        state = steps.keys_of_joints(reader, robot, "state", (keys.robot_state,))
+        command = steps.keys_of_joints(reader, robot, "command", (keys.command_used,))
         if state or command:
-            found.append(MotionMeter(robot, state, command))
+            first, asked = (next(iter(known), "") for known in (state, command))
+            found.append(MotionMeter(robot, first, asked, reader.known.robot(robot)))
     return found
 
 
 class MotionMeter:
-    """Takes the messages of a robot's state and command, and tells at the end how its joints moved."""
+    """Takes the messages of a robot's state and command, and tells at the end how its joints moved.
 
-    def __init__(self, robot: str, state_key: str, command_key: str) -> None:
+    Args:
+        robot: Suffix of its keys.
+        state_key, command_key: The keys; "" for one that there is not.
+        description: Says where its joints end; None where nothing does.
+    """
+
+    def __init__(
+        self, robot: str, state_key: str, command_key: str, description: RobotDescription | None = None
+    ) -> None:
         self._robot, self._state_key, self._command_key = robot, state_key, command_key
         self._stillness = [Stillness(), Stillness()]
-        self._jerk, self._command_jerk, self._ends = Jerk(), Jerk(), Ends(robot)
+        self._jerk, self._command_jerk, self._ends = Jerk(), Jerk(), Ends(description)
         self._sides = {state_key: _Blocks(self._take_state), command_key: _Blocks(self._take_command)}
         self._sides.pop("", None)
 
@@ -145,6 +152,17 @@ def _joints(contract: Contract | None) -> tuple[tuple[str, ...], list[int]]:
     return tuple(name for name, _ in pairs), [column for _, column in pairs]
 
 
+def _limits(robot: RobotDescription | None, joints: tuple[str, ...]) -> tuple[Floats, Floats] | None:
+    """Return the ends of joints, shape (n,) [rad], nan where one is not known; None where none is."""
+    known = {joint.name: joint for joint in robot.joints} if robot is not None else {}
+    found = [known.get(name, Joint(name)) for name in joints]
+    lower, upper = (
+        np.array([np.nan if end is None else end for end in ends])
+        for ends in ([joint.lower for joint in found], [joint.upper for joint in found])
+    )
+    return (lower, upper) if np.isfinite([lower, upper]).any() else None
+
+
 class Stillness:
     """When joints moved first and last.
 
@@ -206,10 +224,10 @@ class Ends:
         beyond_rad: How far beyond its end a joint was at most; None where nothing says where joints end.
     """
 
-    def __init__(self, robot: str) -> None:
-        self._robot = robot
+    def __init__(self, description: RobotDescription | None) -> None:
+        self._description = description
         self._joints: tuple[str, ...] = ()
-        self._limits: JointLimits | None = None
+        self._limits: tuple[Floats, Floats] | None = None
         self._counts: NDArray[np.int64] = np.empty(0, np.int64)
         self._was: NDArray[np.bool_] = np.empty(0, np.bool_)
         self.samples = self.hits = 0
@@ -218,17 +236,18 @@ class Ends:
     @property
     def said_by(self) -> str:
         """What says where the joints end."""
-        return self._limits.said_by if self._limits is not None else ""
+        return f"description of {self._description.model}" if self._limits and self._description else ""
 
     def feed(self, joints: tuple[str, ...], q: Floats) -> None:
         """Take positions (k, n) [rad]."""
         if not self._joints:
-            self._joints, self._limits = joints, limits(self._robot, joints)
+            self._joints, self._limits = joints, _limits(self._description, joints)
             self._counts, self._was = np.zeros(len(joints), np.int64), np.zeros(len(joints), np.bool_)
         self.samples += len(q)
         if self._limits is None or joints != self._joints:
             return
-        beyond = np.maximum(self._limits.lower - q, q - self._limits.upper)
+        lower, upper = self._limits
+        beyond = np.maximum(lower - q, q - upper)
         at = beyond > -AT_LIMIT_RAD  # what is no number is at no end
         self._counts += at.sum(axis=0)
         self.hits += int((at & ~np.concatenate([self._was[None], at[:-1]])).sum())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from array import array
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from station import rotations
 from station.bus import codec, contracts, keys
+from station.contract import TIMING_STAGES, Contract
 from station.control.gate_state import MOVING
 from station.control.tracking import TrackingError
 from station.episode.quality import falls
@@ -23,7 +24,7 @@ from station.episode.quality.pauses import Span
 from station.episode.reading.steps import Step, timing_row
 from station.protocols import Floats
 
-_STAGES = contracts.TIMING_STAGES
+_STAGES = TIMING_STAGES
 _FIRST_STAGE = 2  # after tick and command_seq
 _TRACKING = "tracking"
 _PLAYING = "playing"
@@ -31,10 +32,17 @@ _PLAYING = "playing"
 
 @dataclass
 class StepMeter:
-    """Takes the steps of one robot and tells at the end what they were like."""
+    """Takes the steps of one robot and tells at the end what they were like.
+
+    Attributes:
+        robot: Suffix of its keys.
+        start_ns: Instant that times are told from [ns since the epoch].
+        contract: Tells what a key holds.
+    """
 
     robot: str
     start_ns: int
+    contract: Callable[[str], Contract | None] = contracts.contract
     _times: array[int] = field(default_factory=lambda: array("q"))
     _gates: list[str] = field(default_factory=list)
     _timed: array[int] = field(default_factory=lambda: array("q"))  # the steps of _timings, by number in _gates
@@ -51,7 +59,7 @@ class StepMeter:
         self._layouts = {
             key: contract.names
             for family in (keys.command_used, keys.robot_state, keys.sim_qpos, keys.state_joints)
-            if (contract := contracts.contract(key := family(self.robot))) is not None
+            if (contract := self.contract(key := family(self.robot))) is not None
         }
 
     @property

@@ -14,8 +14,8 @@ from itertools import pairwise
 from typing import Any, get_args
 
 from station.bus import codec, keys
-from station.bus.contract import Contract
 from station.bus.contracts import contract
+from station.contract import Contract
 from station.episode.quality.finding_parts import KeyPresence, Loss, LossKind
 from station.episode.quality.findings import StreamQuality
 from station.episode.quality.pauses import End

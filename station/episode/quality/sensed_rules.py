@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from station.bus import contracts, keys
+from station.bus import keys
 from station.episode.quality.findings import Quality, Verdict
 from station.episode.quality.rule_file import Limits
 
@@ -86,8 +86,8 @@ def _arm_fault(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
 
 def _arm_sync(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for arm in quality.arms:
-        contract = contracts.contract(keys.target(arm.robot))  # a target per heartbeat
-        nominal_hz = (contract.rate_hz if contract is not None else None) or 0.0
+        target = keys.target(arm.robot)  # one per heartbeat
+        nominal_hz = next((one.nominal_hz for one in quality.streams if one.key == target and one.nominal_hz), 0.0)
         if arm.sync_hz is not None and arm.sync_hz < limits.arm_sync.below_share * nominal_hz:
             yield "usable", f"{arm.robot}: {arm.sync_hz:.1f} heartbeats a second were heard, {nominal_hz:g} expected"
 

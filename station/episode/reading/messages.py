@@ -9,8 +9,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from station.bus.contracts import Contract
+from station.contract import Contract
 from station.episode.storage import layout
+from station.episode.storage.channels import contract_of
 
 Ints = NDArray[np.int64]
 
@@ -101,17 +102,12 @@ def channel_of(record: mcap.records.Channel, *, file: str = layout.SIGNALS, firs
         first_id: Where the numbers of its file begin.
     """
     metadata = record.metadata
-    text = metadata.get("contract", layout.NO_CONTRACT)
-    try:
-        contract = None if text == layout.NO_CONTRACT else msgspec.json.decode(text, type=Contract)
-    except (msgspec.DecodeError, RecursionError):
-        contract = None
     return Channel(
         id=first_id + record.id,
         topic=record.topic,
         source=metadata.get("source", ""),
         writer=metadata.get("writer", layout.FOREIGN),
         encoding=record.message_encoding,
-        contract=contract,
+        contract=contract_of(record),
         file=file,
     )

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Collection, Iterable, Iterator
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 from station.bus import codec
+from station.bus.contracts import Contracts
+from station.contract import Contract
 from station.episode.reading.messages import Channel, Message, StreamInfo, Vectors
 from station.episode.reading.part import Part
 from station.episode.reading.vectors import numbers
@@ -97,6 +100,27 @@ class EpisodeReader:
     def topics(self) -> list[str]:
         """Return every key that has messages, sorted."""
         return sorted({channel.topic for channel in self.channels()})
+
+    @cached_property
+    def known(self) -> Contracts:
+        """What is known of its robots and keys: what its servers stated, else what is registered."""
+        return Contracts(self.manifest.servers.values())
+
+    @cached_property
+    def recorded(self) -> dict[str, Contract | None]:
+        """The contract of every key that has values, as it was recorded; None where it was recorded without one."""
+        found: dict[str, Contract | None] = {}
+        for channel in self.channels():
+            if not channel.is_deletion:
+                found[channel.topic] = found.get(channel.topic) or channel.contract
+        return found
+
+    def contract(self, key: str) -> Contract | None:
+        """Return the contract of a key as it was recorded, else as it is known: it may have been described only since.
+
+        None for a key that nothing describes.
+        """
+        return self.recorded.get(key) or self.known.get(key)
 
     def messages(
         self, topics: Collection[str] | None = None, *, order: Order = "file", stamps: bool = False

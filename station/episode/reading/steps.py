@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.bus import codec, contracts, keys
+from station.contract import TIMING_STAGES, Contract, Role
 from station.episode.reading.reader import EpisodeReader, Message
 from station.protocols import RobotState
 
@@ -64,6 +65,41 @@ def robots(topics: Iterable[str], families: Iterable[Family] = (keys.policy_timi
     prefixes = [family("") for family in families]
     own = [topic for topic in topics if not keys.is_stamp(topic)]  # a stamp that was deleted is a topic too
     return sorted({topic.removeprefix(p) for topic in own for p in prefixes if topic.startswith(p)})
+
+
+def robots_of(reader: EpisodeReader) -> list[str]:
+    """Return the suffixes of the robots of an episode: those that a policy or an operator drove, then those of which
+    a state or a command is there all the same (stock scripts)."""
+    topics, known = set(reader.topics()), reader.known
+    driven = robots(topics)
+    others = [
+        name
+        for name in known.robots()
+        if any(item.key in topics and item.role in ("state", "command") and item.key.endswith(f"_{name}")
+               for item in known.of(name))
+    ]  # fmt: skip
+    return list(dict.fromkeys((*driven, *others)))
+
+
+def keys_of_joints(reader: EpisodeReader, robot: str, role: Role, first: Iterable[Family]) -> list[str]:
+    """Return the keys in an episode that tell where the joints of a robot are, or shall be, the best one first.
+
+    Args:
+        reader: The episode.
+        robot: Suffix of its keys.
+        role: ``state`` or ``command``.
+        first: The station's own keys of that kind.
+    """
+    found = contracts.of_joints(robot, role, reader.recorded.values(), reader.known.robot(robot))
+    own = [key for family in first if (key := family(robot)) in reader.recorded]
+    return list(dict.fromkeys((*own, *found)))
+
+
+def state_key(robot: str, topics: Iterable[str]) -> str:
+    """Return the key of the state that the control steps of a robot read: its joints, where that is all there is."""
+    known = set(topics)
+    is_arm = keys.state_joints(robot) in known and keys.robot_state(robot) not in known
+    return keys.state_joints(robot) if is_arm else keys.robot_state(robot)
 
 
 class StepJoiner:
@@ -130,9 +166,9 @@ def iterate(
     yield from joiner.finish()
 
 
-def robot_state(robot: str, data: bytes) -> RobotState | None:
+def robot_state(contract: Contract | None, data: bytes) -> RobotState | None:
     """Return the state that bytes of `keys.robot_state` hold, or None when they do not fit its contract."""
-    columns = _state_columns(robot)
+    columns = _columns(contract.names) if contract is not None else {}
     if not columns or len(data) != 8 * sum(len(indices) for indices in columns.values()):
         return None
     values = codec.parse_f64(data)
@@ -145,16 +181,14 @@ def timing_row(data: bytes | None) -> list[int] | None:
         row = codec.parse_struct(data or b"", list[int])
     except codec.BadValue:
         return None
-    if len(row) != 2 + len(contracts.TIMING_STAGES):
+    if len(row) != 2 + len(TIMING_STAGES):
         return None
     return row if all(abs(number) < _LARGEST for number in row) else None
 
 
 @cache
-def _state_columns(robot: str) -> dict[str, NDArray[np.int64]]:
+def _columns(names: tuple[str, ...]) -> dict[str, NDArray[np.int64]]:
     """Columns of `keys.robot_state` by the field of `RobotState` that they fill."""
-    contract = contracts.contract(keys.robot_state(robot))
-    names = contract.names if contract is not None else ()
     suits: dict[str, Callable[[str], bool]] = {
         "q": lambda name: name.endswith("_pos"),
         "dq": lambda name: name.endswith("_vel"),
@@ -165,4 +199,4 @@ def _state_columns(robot: str) -> dict[str, NDArray[np.int64]]:
         name_of_field: np.array([index for index, name in enumerate(names) if fits(name)], dtype=np.int64)
         for name_of_field, fits in suits.items()
     }
-    return found if names else {}
+    return found

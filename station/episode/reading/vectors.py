@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from station.bus.contracts import Codec, Contract
+from station.contract import Codec, Contract
 from station.episode.reading.messages import Message, Vectors
 from station.errors import EpisodeError
 

@@ -95,6 +95,7 @@ class Desk:
                 with the pre-roll before it.
         """
         self._take, self._awaited = take, awaited
+        self._heard.contracts = take.writer.contracts
         self._heard.fill(take.manifest)
         for asker in requests:
             self.answers.remember(asker, take.answer(asker))
@@ -171,7 +172,7 @@ class Desk:
         if self._reserved is not None and self._reserved[0] == request.id:
             folder = self._reserved[1]
         else:
-            folder = new_folder(self.options.data, task, self._heard.robot)
+            folder = new_folder(self.options.data, task, self._heard.robot_in_names)
         self._reserved = None
         now = take_anchor(self.clock)
         anchor = Anchor(wall_ns=now.at(mono_ns), mono_ns=mono_ns, boot=now.boot)
@@ -189,7 +190,8 @@ class Desk:
         preroll = believed(self._ring.since(mono_ns), self._latched)
         writer = EpisodeWriter(
             folder, anchor=anchor, manifest=manifest, options=self.options.writer, start_id=request.id,
-            place=self._ring.place(mono_ns) if preroll else self._position, clock=self.clock,
+            place=self._ring.place(mono_ns) if preroll else self._position, contracts=self._heard.contracts,
+            clock=self.clock,
         )  # fmt: skip
         self._take = Take(writer, manifest, start_id=request.id)
         self._take.begin(preroll)

@@ -14,8 +14,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from station.bus import contracts
+from station.bus.contracts import Contracts
 from station.bus.tap import Write
+from station.contract import Contract
+from station.life.server import read_configurations
 
 if TYPE_CHECKING:
     from station.bus.client import Bus
@@ -36,7 +38,8 @@ def latched(bus: Bus, span_s: float) -> list[Write]:
     Raises:
         BusError: the bus cannot be read.
     """
-    held = bus.read(list(islice(filter(_is_state, bus.names()), _MOST)))
+    known = Contracts(read_configurations(bus))
+    held = bus.read(list(islice((key for key in bus.names() if _is_state(known.get(key))), _MOST)))
     now_ns = bus.clock.monotonic_ns()
     oldest_ns = now_ns - int(span_s * 1e9)
     found = [
@@ -68,6 +71,5 @@ def believed(writes: Sequence[Write], stamps: Mapping[str, bytes | None]) -> Seq
     return [write for write in writes if (write.key, write.stamp) not in doubted] if doubted else writes
 
 
-def _is_state(key: str) -> bool:
-    contract = contracts.contract(key)
+def _is_state(contract: Contract | None) -> bool:
     return contract is not None and contract.role == "state"

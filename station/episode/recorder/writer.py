@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from station.bus.contracts import Contracts
 from station.clock import SYSTEM, Clock
 from station.episode.recorder.ledger import Ledger
 from station.episode.recorder.queue import Batch, WriteQueue
@@ -63,7 +64,8 @@ class EpisodeWriter:
 
     def __init__(
         self, folder: Path, *, anchor: Anchor, manifest: Manifest, options: WriterOptions | None = None,
-        start_id: str = "", place: Position | None = None, reopened: EpisodeFiles | None = None, clock: Clock = SYSTEM,
+        start_id: str = "", place: Position | None = None, reopened: EpisodeFiles | None = None,
+        contracts: Contracts | None = None, clock: Clock = SYSTEM,
     ) -> None:  # fmt: skip
         self.folder = folder
         self.anchor = anchor
@@ -82,6 +84,9 @@ class EpisodeWriter:
         self._episode_id = manifest.episode_id
         self._facts = facts_of(manifest)
         self._closing: Closing | None = None
+        self.contracts = contracts or Contracts(manifest.servers.values())
+        if reopened is not None:
+            reopened.contracts = self.contracts
         self._files = reopened
         self._ledger = Ledger(folder, manifest.episode_id, anchor, start_id, clock)
         self._position = place
@@ -189,6 +194,7 @@ class EpisodeWriter:
         data = save_manifest(manifest, self.folder) if manifest else b""
         if self._files is None:
             self._files = EpisodeFiles.create(self.folder, self.anchor, self._facts, data)
+            self._files.contracts = self.contracts
         else:
             self.state = "open"
         self._ledger.note(self._position, self._files)

@@ -18,7 +18,7 @@ import numpy as np
 
 from station.arms import JointCommand
 from station.bus import codec, keys
-from station.bus.contracts import TIMING_STAGES
+from station.contract import TIMING_STAGES
 from station.control.arm_control import aim
 from station.control.gate import Gate, GateConfig
 from station.control.gate_state import FOLLOWING, MOVING

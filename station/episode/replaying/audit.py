@@ -15,6 +15,7 @@ import numpy as np
 
 from station import registry
 from station.bus import codec, keys
+from station.contract import Contract
 from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step
@@ -121,7 +122,7 @@ def audit(
     suspect = recorded_policy(reader, robot)
     policy = policy or load_policy(reader, suspect, checkpoint)
     began = time.perf_counter()
-    run = _Run(policy, suspect.robot)
+    run = _Run(policy, suspect.robot, reader.contract(keys.robot_state(suspect.robot)))
     families = (keys.policy_obs, keys.policy_action, keys.command_used)
     for step in steps.iterate(reader, suspect.robot, results=families):
         run.take(step)
@@ -152,10 +153,11 @@ def audit(
 
 @dataclass
 class _Run:
-    """Follows the steps of an episode with a policy of our own."""
+    """Follows the steps of an episode with a policy of our own; `state` says what `keys.robot_state` holds."""
 
     policy: Policy
     robot: str
+    state: Contract | None
     actions: Comparison = field(default_factory=Comparison)
     observations: Comparison = field(default_factory=Comparison)
     segments: int = 0
@@ -189,7 +191,7 @@ class _Run:
         """Compare the observation with one made from state and command; the recorded one is the history in any case."""
         is_next = self._before is not None and _follows(self._before, step)
         self.segments += not is_next
-        state = steps.robot_state(self.robot, step.values.get(keys.robot_state(self.robot), b""))
+        state = steps.robot_state(self.state, step.values.get(keys.robot_state(self.robot), b""))
         used = step.values.get(keys.command_used(self.robot))
         if state is None or used is None or len(used) != 8 * self._command_size:
             self.policy.restore(observation)

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from station.bus import contracts
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.episode.reading.reader import EpisodeReader, Message
@@ -127,7 +126,7 @@ def moments(reader: EpisodeReader, roles: Collection[str] | None, report: Replay
     """Iterate over the recorded writes of some roles (None: all) in the order of the bus; counts the rest."""
     newest: tuple[Message, Moment] | None = None
     for message in reader.messages():
-        if roles is not None and role_of(message) not in roles:
+        if roles is not None and role_of(message, reader) not in roles:
             report.skipped += 1
             continue
         if newest is not None and _is_one_write(*newest, message):
@@ -141,9 +140,9 @@ def moments(reader: EpisodeReader, roles: Collection[str] | None, report: Replay
         yield newest[1]
 
 
-def role_of(message: Message) -> str:
-    """Return the role of a message by its recorded contract, else by ours, else ``unknown``."""
-    contract = message.channel.contract or contracts.contract(message.topic)
+def role_of(message: Message, reader: EpisodeReader) -> str:
+    """Return the role of a message by its recorded contract, else as its episode knows its key, else ``unknown``."""
+    contract = message.channel.contract or reader.contract(message.topic)
     return contract.role if contract is not None else "unknown"
 
 

@@ -6,11 +6,12 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import get_args
 
-from station.bus import contracts, keys
+from station.bus import keys
 from station.bus.client import Bus
-from station.bus.contracts import Role
+from station.bus.contracts import Contracts
+from station.contract import Role
 from station.errors import Refused, UnknownName
-from station.life.server import Health, read_health
+from station.life.server import Health, read_configurations, read_health
 
 _LISTEN_S = 0.3  # six periods of a 20 Hz writer: who drives a robot is heard within
 COMMANDS = frozenset({"command"})
@@ -103,7 +104,9 @@ def _for_a_robot(target: Target, wanted: Collection[str] | None, *, allow_live: 
 
 def _written_now(bus: Bus) -> dict[str, list[str]]:
     """Return the state and command keys that are written while we listen."""
-    suspects = {item.key: item.role for item in contracts.contracts() if item.role in ("state", "command")}
+    suspects = {
+        item.key: item.role for item in Contracts(read_configurations(bus)).all() if item.role in ("state", "command")
+    }
     written: dict[str, list[str]] = {"state": [], "command": []}
     with bus.watch(list(suspects)) as watch:
         bus.clock.sleep(_LISTEN_S)

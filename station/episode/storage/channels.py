@@ -8,7 +8,7 @@ import mcap.records
 import msgspec
 
 from station.bus import stamp as stamps
-from station.bus.contracts import Contract, contract
+from station.contract import Contract
 from station.episode.storage import layout
 from station.episode.storage.manifest import Stream
 
@@ -25,6 +25,7 @@ class Channel:
     Attributes:
         id: Number in the file.
         key, source, encoding, file: As in `station.episode.storage.manifest.Stream`.
+        contract: What the key holds; None where nothing describes it.
         shares_clock: Whether the source's monotonic clock is ours, so that its stamps fall on our time line.
         count, lost, repeated: Messages; sequence numbers missing between them, whoever lost or dropped them; messages
             that did not advance.
@@ -38,13 +39,16 @@ class Channel:
         "lost", "repeated", "shares_clock", "source",
     )  # fmt: skip
 
-    def __init__(self, number: int, key: str, source: str, encoding: str, file: str = layout.SIGNALS) -> None:
+    def __init__(
+        self, number: int, key: str, source: str, encoding: str, file: str = layout.SIGNALS,
+        contract: Contract | None = None,
+    ) -> None:  # fmt: skip
         self.id = number
         self.key = key
         self.source = source
         self.encoding = encoding
         self.file = file
-        self.contract: Contract | None = contract(key)
+        self.contract = contract
         self.shares_clock = stamps.boot_of(source) == stamps.boot_id()
         self.count = self.lost = self.repeated = self.last_sequence = 0
         self.first_ns = self.last_ns = self.longest_gap_ns = 0
@@ -118,7 +122,17 @@ def channel_from(record: mcap.records.Channel, file: str = layout.SIGNALS) -> Ch
     """Return the channel that a record of a file describes, with nothing counted yet."""
     hexadecimal = record.metadata.get("key_hex", "")
     key = bytes.fromhex(hexadecimal).decode("utf-8", "surrogateescape") if hexadecimal else record.topic
-    return Channel(record.id, key, record.metadata.get("source", ""), record.message_encoding, file)
+    source, contract = record.metadata.get("source", ""), contract_of(record)
+    return Channel(record.id, key, source, record.message_encoding, file, contract)
+
+
+def contract_of(record: mcap.records.Channel) -> Contract | None:
+    """Return the contract that stands in the record of a channel; one that we cannot read counts as none."""
+    text = record.metadata.get("contract", layout.NO_CONTRACT)
+    try:
+        return None if text == layout.NO_CONTRACT else msgspec.json.decode(text, type=Contract)
+    except (msgspec.DecodeError, RecursionError):
+        return None
 
 
 def encoding_of(value: bytes) -> str:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
 from station.bus.contracts import contract
+from station.contract import Contract
 from station.episode.storage import layout
 from station.episode.storage.channels import Channel, source_of, topic_of
 from station.episode.storage.manifest import Stream
@@ -119,18 +120,19 @@ def drops_of(record: dict[str, str] | None) -> Drops:
         return Drops()
 
 
-def streams_of(channels: Iterable[Channel], drops: Drops, start_ns: int) -> list[Stream]:
+def streams_of(
+    channels: Iterable[Channel], drops: Drops, start_ns: int, contract_of: Callable[[str], Contract | None] = contract
+) -> list[Stream]:
     """Return the manifest's entry of every channel, and behind them of keys that were dropped to the last write."""
     owed = {(one.key, one.source): (one.writes, one.bulky) for one in drops}
     found = []
     for channel in channels:
         name = (channel.topic, channel.source) if channel.encoding != layout.DELETED else None
         found.append(channel.stream(start_ns, owed.pop(name, (0, 0)) if name else (0, 0)))
-    return found + [_unkept(*name).stream(start_ns, dropped) for name, dropped in owed.items()]
-
-
-def _unkept(key: str, source: str) -> Channel:
-    return Channel(0, key, source, "", layout.CAMERAS if is_picture(key) else layout.SIGNALS)
+    for (key, source), dropped in owed.items():
+        file = layout.CAMERAS if is_picture(key) else layout.SIGNALS
+        found.append(Channel(0, key, source, "", file, contract_of(key)).stream(start_ns, dropped))
+    return found
 
 
 class Spell:

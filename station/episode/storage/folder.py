@@ -7,7 +7,6 @@ import re
 import time
 from pathlib import Path
 
-from station.bus import keys
 from station.episode.storage import layout
 from station.episode.storage.records import metadata_at_head
 from station.errors import EpisodeError, did_you_mean
@@ -15,7 +14,6 @@ from station.errors import EpisodeError, did_you_mean
 DATA_VARIABLE = "STATION_DATA"
 LATEST = "latest"
 
-_SHORT_NAMES = {keys.TWIST2_ROBOT: "g1", keys.TWIST_ROBOT: "g1"}
 _NUMBERED = re.compile(r"\d{4}-\d\d-\d\d-.*-(\d+)")
 _LONGEST_SLUG = 48
 _LONGEST_TIME = 19  # digits of nanoseconds since 1970
@@ -40,13 +38,13 @@ def new_folder(data: Path, task: str, robot: str) -> Path:
     Args:
         data: The data folder; made when missing.
         task: Name of the task.
-        robot: Suffix of the robot's keys, "" when none has been heard of.
+        robot: What the robot is called in the name, "" when none has been heard of.
 
     Raises:
         EpisodeError: the folder cannot be made.
     """
     parent = data / slug(task)
-    start = f"{time.strftime('%Y-%m-%d')}-{_SHORT_NAMES.get(robot) or slug(robot or 'robot')}-{slug(task)}"
+    start = f"{time.strftime('%Y-%m-%d')}-{slug(robot or 'robot')}-{slug(task)}"
     try:
         parent.mkdir(parents=True, exist_ok=True)
         number = 1 + max((_number(entry.name) for entry in parent.iterdir()), default=0)

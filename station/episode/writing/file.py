@@ -9,6 +9,7 @@ import mcap.records
 from msgspec.structs import asdict
 
 from station.bus import stamp as stamps
+from station.bus.contracts import Contracts
 from station.bus.tap.base import Write
 from station.episode.storage import layout, pictures
 from station.episode.storage.anchor import Anchor, is_storable
@@ -43,11 +44,13 @@ class EpisodeFile:
         last_log_ns: Log time of the last message; of an empty file the start [ns].
         gaps: Where sequence numbers of a writer are missing; the first ones, if there are very many.
         retelling: What the messages tell.
+        contracts: What is known of keys when their channels are made.
     """
 
     def __init__(self, disk: Disk, anchor: Anchor, names: layout.Names, drops: Drops | None, *, is_new: bool) -> None:
         """Take a file that is open at its end; `create` and `reopen` make one."""
         self.names = names
+        self.contracts = Contracts()
         self._anchor = anchor
         self._disk = disk
         self._by_stamp: dict[tuple[str, bytes], Channel] = {}
@@ -261,7 +264,8 @@ class EpisodeFile:
     def _new_channel(self, key: str, source: str, encoding: str) -> Channel | None:
         if len(self.channels) >= MAX_CHANNELS:
             return None
-        channel = Channel(len(self.channels) + 1 + STAMPS_NUMBER, key, source, encoding, self.names.final)
+        number = len(self.channels) + 1 + STAMPS_NUMBER
+        channel = Channel(number, key, source, encoding, self.names.final, self.contracts.get(key))
         self._register(channel.topic, encoding, channel.metadata())
         self.channels.append(channel)
         return channel

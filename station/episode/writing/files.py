@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from station.atomic_file import sync_folder
+from station.bus.contracts import Contracts
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, is_storable
 from station.episode.storage.drops import Drops, drops_record, streams_of
@@ -57,6 +58,16 @@ class EpisodeFiles:
         self._last_ns = max(file.last_log_ns for file in self)
         self._was_picture = False
         self._noted_drops, self._drops_due = 0, 0.0
+
+    @property
+    def contracts(self) -> Contracts:
+        """What is known of keys when their channels are made."""
+        return self.signals.contracts
+
+    @contracts.setter
+    def contracts(self, known: Contracts) -> None:
+        for file in self:
+            file.contracts = known
 
     @classmethod
     def create(cls, folder: Path, anchor: Anchor, facts: Mapping[str, str], manifest: bytes) -> EpisodeFiles:
@@ -144,7 +155,7 @@ class EpisodeFiles:
             dropped=dropped + self.refused,
             first_ns=min((channel.first_ns for channel in counted), default=0),
             last_ns=max((channel.last_ns for channel in counted), default=0),
-            streams=streams_of(channels, self.drops, self._anchor.wall_ns),
+            streams=streams_of(channels, self.drops, self._anchor.wall_ns, self.contracts.get),
             gaps=[gap for file in self for gap in file.gaps],
             lag_p50_ms=lag.percentile_ms(50) if lag else None,
             lag_p99_ms=lag.percentile_ms(99) if lag else None,
@@ -225,6 +236,7 @@ class EpisodeFiles:
     def _make_cameras(self) -> EpisodeFile:
         path = self._folder / layout.CAMERAS_ACTIVE
         self.cameras = EpisodeFile.create(path, self._anchor, self._facts, names=layout.CAMERAS_NAMES, drops=self.drops)
+        self.cameras.contracts = self.contracts
         sync_folder(self._folder)
         return self.cameras
 

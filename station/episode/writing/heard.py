@@ -6,8 +6,9 @@ from typing import Any, Protocol
 
 import msgspec
 
-from station.bus import codec, keys
+from station.bus import codec, contracts, keys
 from station.bus import stamp as stamps
+from station.bus.contracts import Contracts
 from station.episode.storage.bounds import Cut, cut
 from station.episode.storage.manifest import Manifest, Policy, Robot
 
@@ -21,7 +22,6 @@ LARGEST_CONFIGURATION = 200_000
 _LARGEST_MOTION = 20_000
 _MOTION_IDENTITY = ("key", "file", "sha256")
 _SOURCE_PREFIX = keys.command_source("")
-_ROBOTS = (keys.TWIST2_ROBOT, keys.TWIST_ROBOT)
 
 
 class Server(msgspec.Struct):
@@ -42,9 +42,15 @@ class Configuration(msgspec.Struct):
 
 
 class Heard:
-    """Listens to ``station:server:*``, ``station:config:*`` and ``command_source_*``."""
+    """Listens to ``station:server:*``, ``station:config:*`` and ``command_source_*``.
+
+    Attributes:
+        contracts: What is known of keys, as servers state it.
+    """
 
     def __init__(self) -> None:
+        self.contracts = Contracts()
+        self._stock = contracts.robots()  # of programs that state nothing
         self._servers: dict[str, Server] = {}
         self._configurations: dict[str, Configuration] = {}
         self._robots_seen: set[str] = set()
@@ -52,7 +58,7 @@ class Heard:
 
     def is_of_interest(self, key: str) -> bool:
         """Whether `hear` wants the values of a key; also takes note of the key itself."""
-        self._robots_seen.update(robot for robot in _ROBOTS if key.endswith(f"_body_{robot}"))
+        self._robots_seen.update(robot for robot in self._stock if key.endswith(f"_body_{robot}"))
         return key.startswith((keys.SERVER_PREFIX, keys.CONFIG_PREFIX, _SOURCE_PREFIX))
 
     def hear(self, key: str, value: bytes, stamp: bytes | None, mono_ns: int) -> None:
@@ -73,6 +79,7 @@ class Heard:
             self._servers[key.removeprefix(keys.SERVER_PREFIX)] = server
         elif key.startswith(keys.CONFIG_PREFIX):
             self._configurations[key.removeprefix(keys.CONFIG_PREFIX)] = Configuration(source, facts, count)
+            self.contracts.hear(facts)
 
     def missing_configuration(self, now_ns: int) -> str | None:
         """Return why recording may not start: a low-level server that lives and has not said what it runs."""
@@ -94,7 +101,13 @@ class Heard:
         for stated in self._low_level().values():
             if isinstance(stated.get("robot"), str):
                 return str(stated["robot"])
-        return min(self._robots_seen, key=_ROBOTS.index, default="")
+        return min(self._robots_seen, key=self._stock.index, default="")
+
+    @property
+    def robot_in_names(self) -> str:
+        """What the robot is called in the names of episodes; "" where none was heard of."""
+        described = self.contracts.robot(self.robot)
+        return (described.short if described is not None else "") or self.robot
 
     def fill(self, manifest: Manifest) -> None:
         """Write what is known into a manifest; what it says already of robot, policy and operator stays."""

@@ -8,9 +8,11 @@ import pytest
 from adapters.commands import twist, twist2
 from adapters.commands.body import BodyCommand
 from adapters.motions.load import load
+from adapters.robots.g1 import twist_keys
+from adapters.robots.g1.joints import G1_29
 from station import registry, rotations
-from station.bus import contracts, joints, keys
-from station.elements import positions
+from station.bus import contracts
+from station.contract import positions
 from station.errors import ConfigError
 from station.protocols import CommandFormat, Reference
 
@@ -28,13 +30,13 @@ REFERENCE = Reference(
 
 
 def test_twist2_puts_the_root_into_six_numbers_and_the_29_joints_behind() -> None:
-    vector = twist2.FORMAT.encode(REFERENCE, joints.G1_29)
+    vector = twist2.FORMAT.encode(REFERENCE, G1_29)
     np.testing.assert_allclose(vector[:6], [1.0, 2.0, 0.7, 0.1, 0.2, 6.0])
     np.testing.assert_array_equal(vector[6:], REFERENCE.q)
 
 
 def test_twist_puts_the_root_into_eight_numbers_and_25_joints_behind() -> None:
-    vector = twist.FORMAT.encode(REFERENCE, joints.G1_29)
+    vector = twist.FORMAT.encode(REFERENCE, G1_29)
     np.testing.assert_allclose(vector[:8], [0.7, 0.1, 0.2, 0.3, 1.0, 2.0, 3.0, 6.0])
     np.testing.assert_allclose(vector[8:] * 100, [*range(20), *range(22, 27)])
     assert vector[27] == REFERENCE.q[19]  # left wrist roll, which bypasses the policy
@@ -46,8 +48,8 @@ def test_joints_are_picked_by_name_not_by_place(form: BodyCommand) -> None:
     order = np.random.default_rng(0).permutation(29)
     shuffled = Reference(REFERENCE.root_pos, REFERENCE.root_quat_wxyz, REFERENCE.root_lin_vel,
                          REFERENCE.root_ang_vel, REFERENCE.q[order])  # fmt: skip
-    names = tuple(joints.G1_29[index] for index in order)
-    np.testing.assert_array_equal(form.encode(shuffled, names), form.encode(REFERENCE, joints.G1_29))
+    names = tuple(G1_29[index] for index in order)
+    np.testing.assert_array_equal(form.encode(shuffled, names), form.encode(REFERENCE, G1_29))
     with pytest.raises(ConfigError, match="no joint"):
         form.encode(REFERENCE, names[:10])
 
@@ -72,7 +74,7 @@ def test_companions_are_what_stock_readers_need_beside_the_vector() -> None:
     }
     assert {key: value.tolist() for key, value in twist.FORMAT.companions.items()} == {"action_hand_g1": [0] * 14}
     assert (twist.FORMAT.key, twist2.FORMAT.key) == ("action_mimic_g1", f"action_body_{suffix}")
-    assert (twist.FORMAT.robot, twist2.FORMAT.robot) == (keys.TWIST_ROBOT, keys.TWIST2_ROBOT)
+    assert (twist.FORMAT.robot, twist2.FORMAT.robot) == (twist_keys.TWIST_ROBOT, twist_keys.TWIST2_ROBOT)
 
 
 @pytest.mark.parametrize("form", BOTH, ids=lambda form: form.name)

@@ -14,8 +14,8 @@ from adapters.drivers.jog import JogDriver
 from adapters.drivers.joints import JointsDriver
 from adapters.drivers.walk import WalkDriver
 from adapters.retarget.walking import Walker, Wish
+from adapters.robots.g1.joints import G1_29
 from station import rotations
-from station.bus.joints import G1_29
 from station.operator.driver import Driver
 from station.operator.reading import Body, Pose, Reading
 from station.protocols import Reference

@@ -10,8 +10,8 @@ import pytest
 
 from adapters.drivers.hands import HandsDriver, HandsOptions
 from adapters.retarget.arm_ik import SIDES
+from adapters.robots.g1 import twist_keys
 from station import rotations
-from station.bus import keys
 from station.operator.deadman import Snapshot
 from station.operator.reading import Pose, Reading
 
@@ -93,7 +93,7 @@ def test_sticks_walk_only_in_the_mode_for_it() -> None:
 
 def test_the_trigger_closes_a_hand_within_a_fifth_of_a_second_and_the_grip_opens_it() -> None:
     driver, snapshot = engaged()
-    left, right = keys.action_hand("left"), keys.action_hand("right")
+    left, right = twist_keys.action_hand("left"), twist_keys.action_hand("right")
     for _ in range(20):
         driver.step(replace(START, controls={"left_trigger": 0.3}), snapshot, TICK_S)
     assert driver.companions[left] == pytest.approx([0.0, 1.0, 1.74, -1.57, -1.74, -1.57, -1.74])
@@ -111,7 +111,7 @@ def test_a_gamepad_opens_both_hands_with_its_bumper() -> None:
     for _ in range(20):
         driver.step(replace(START, controls={"right_bumper": 1.0}), snapshot, TICK_S)
     for side in SIDES:
-        assert driver.companions[keys.action_hand(side)] == pytest.approx(np.zeros(7))
+        assert driver.companions[twist_keys.action_hand(side)] == pytest.approx(np.zeros(7))
 
 
 def test_hands_that_jump_are_told() -> None:

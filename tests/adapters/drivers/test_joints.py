@@ -8,7 +8,7 @@ import pytest
 from adapters.commands.twist2 import FORMAT
 from adapters.drivers.joints import APART_RAD, GENTLE_RAD_S, JointsDriver, JointsOptions
 from adapters.retarget.arm_ik import ARMS
-from station.bus import keys
+from adapters.robots.g1 import twist_keys
 from station.operator.deadman import Snapshot
 from station.operator.reading import Reading
 from station.protocols import Floats
@@ -72,7 +72,7 @@ def test_values_after_the_joints_close_the_hands() -> None:
     driver, snapshot = engaged(np.append(STANDING, 0.0), options)
     for _ in range(30):
         driver.step(Reading(joints=np.append(STANDING, 1.0)), snapshot, TICK_S)
-    assert driver.companions[keys.action_hand("left")][1] == pytest.approx(1.0)
+    assert driver.companions[twist_keys.action_hand("left")][1] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ import pytest
 from adapters.drivers.body import BodyDriver
 from adapters.drivers.hands import HandsDriver, HandsOptions
 from adapters.drivers.neck import LIMIT_RAD, RATE_RAD_S, SCALE, Neck
+from adapters.robots.g1 import twist_keys
 from station import rotations
-from station.bus import keys
 from station.bus.joints import SMPL_24
 from station.operator.deadman import Snapshot
 from station.operator.reading import Body, Pose
@@ -33,7 +33,7 @@ def turned(*, left: float = 0.0, down: float = 0.0, tilt: float = 0.0) -> Floats
 def looked(neck: Neck, head: Floats, chest: Floats = LEVEL, seconds: float = 2.0) -> Floats:
     for _ in range(round(seconds / TICK_S)):
         neck.follow(chest, head, TICK_S)
-    return neck.command[keys.action_neck()]
+    return neck.command[twist_keys.action_neck()]
 
 
 @pytest.mark.parametrize(
@@ -77,10 +77,10 @@ def test_a_headset_turns_the_neck_while_hands_drive_and_it_stays_when_they_let_g
     snapshot = Snapshot(driver.look(facing).input, driver.target)
     for _ in range(100):
         driver.step(looking, snapshot, TICK_S)
-    held = driver.companions[keys.action_neck()]
+    held = driver.companions[twist_keys.action_neck()]
     assert held == pytest.approx([0.3 * SCALE, 0.0])
     driver.step(facing, None, TICK_S)
-    assert driver.companions[keys.action_neck()] == pytest.approx(held)
+    assert driver.companions[twist_keys.action_neck()] == pytest.approx(held)
 
 
 def test_a_tracked_head_turns_the_neck_while_the_body_drives() -> None:
@@ -92,7 +92,7 @@ def test_a_tracked_head_turns_the_neck_while_the_body_drives() -> None:
     snapshot = Snapshot(first, driver.target)
     for tick in range(100):
         driver.step(replace(body(tick * TICK_S), body=Body(first.positions, quats)), snapshot, TICK_S)
-    assert driver.companions[keys.action_neck()] == pytest.approx([0.0, -math.radians(30.0)])
+    assert driver.companions[twist_keys.action_neck()] == pytest.approx([0.0, -math.radians(30.0)])
 
 
 def test_a_scale_that_cannot_be_is_refused() -> None:

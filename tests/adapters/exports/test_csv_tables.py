@@ -9,6 +9,7 @@ import pytest
 
 from adapters.exports.csv_tables import CONTENTS, file_names
 from adapters.exports.named_rows import in_seconds
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.contracts import contract
 from station.episode.reading.reader import open_episode
@@ -17,7 +18,7 @@ from tests.adapters.exports.quick_looks import converted
 from tests.enrich.recordings import walked
 from tests.episode.synthetic import ROBOT, WALL_START_NS, EpisodeBuilder
 
-STATE, COMMAND = keys.robot_state(ROBOT), keys.action_body()
+STATE, COMMAND = keys.robot_state(ROBOT), twist_keys.action_body()
 
 
 def rows(path: Path) -> list[list[str]]:

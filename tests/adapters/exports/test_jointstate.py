@@ -14,7 +14,9 @@ from rerun.chunk import McapReader
 
 from adapters.exports.jointstate import SCHEMA_NAME, JointStates
 from adapters.exports.named_rows import Row
-from station.bus import joints, keys
+from adapters.robots.g1 import twist_keys
+from adapters.robots.g1.joints import G1_29
+from station.bus import keys
 from station.episode.reading.reader import open_episode
 from station.errors import EpisodeError
 from station.export.columns import KeyColumns
@@ -22,7 +24,7 @@ from tests.adapters.exports.quick_looks import converted
 from tests.enrich.recordings import walked
 from tests.episode.synthetic import ROBOT
 
-STATE, COMMAND = keys.robot_state(ROBOT), keys.action_body()
+STATE, COMMAND = keys.robot_state(ROBOT), twist_keys.action_body()
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +51,7 @@ def test_rerun_draws_every_joint_under_its_own_name_without_any_code(exported: t
     recorded = open_episode(episode).vectors(STATE).values
     for quantity, first in (("position", 0), ("velocity", 29)):
         entity = f"/{STATE}/{quantity}"
-        assert set(map(tuple, column(stream, entity, "SeriesLines:names"))) == {joints.G1_29}
+        assert set(map(tuple, column(stream, entity, "SeriesLines:names"))) == {G1_29}
         assert column(stream, entity, "Scalars:scalars") == recorded[:, first : first + 29].tolist()
     command = column(stream, f"/{COMMAND}/position", "Scalars:scalars")
     assert command == open_episode(episode).vectors(COMMAND).values[:, 6:].tolist()
@@ -78,7 +80,7 @@ def test_messages_are_ros_joint_states_byte_by_byte_with_the_times_of_the_record
     read = Cdr(message.data)
     stamp_ns = read.one("i") * 1_000_000_000 + read.one("I")
     assert (stamp_ns, read.text()) == (message.publish_time, "")
-    assert [read.text() for _ in range(read.one("I"))] == list(joints.G1_29)
+    assert [read.text() for _ in range(read.one("I"))] == list(G1_29)
     values = open_episode(episode).vectors(STATE).values[3]
     assert np.array_equal(read.doubles(), values[:29])
     assert np.array_equal(read.doubles(), values[29:58])

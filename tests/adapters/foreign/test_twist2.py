@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from adapters.foreign import twist2
+from adapters.robots.g1 import twist_keys
 from station.bus import keys
 from station.errors import BadFile
 from station.foreign.kind import ForeignWrite, Recording
@@ -30,10 +31,10 @@ def refused(folder: Path) -> str:
 
 def test_values_are_the_bytes_that_the_stock_scripts_had_written_and_pictures_their_files(tmp_path: Path) -> None:
     recording = twist2.read(record(tmp_path / "cabinet" / "episode_0007"))
-    found = [write.value for write in of(recording, keys.state_body(keys.TWIST2_ROBOT))]
+    found = [write.value for write in of(recording, twist_keys.state_body(twist_keys.TWIST2_ROBOT))]
     assert found == [json.dumps([0.1 * n, 1e-05, *[0.0] * 32]).encode() for n in range(5)]
-    assert of(recording, keys.state_neck())[0].value == b"[0, 0]"
-    assert of(recording, keys.T_ACTION)[1].value == b"%d" % (STARTED_MS + PERIOD_MS - 8)
+    assert of(recording, twist_keys.state_neck())[0].value == b"[0, 0]"
+    assert of(recording, twist_keys.T_ACTION)[1].value == b"%d" % (STARTED_MS + PERIOD_MS - 8)
     assert [write.value for write in of(recording, IMAGE)] == [jpeg(n) for n in range(5)]
     assert (recording.task, recording.number, recording.operator) == ("cabinet", "0007", "ada")
     assert recording.odd == []
@@ -77,8 +78,8 @@ def test_what_is_missing_is_left_out_and_said(tmp_path: Path) -> None:
         entry["t_state"] = 17
         entry["depth_ok"] = True
     recording = twist2.read(record(tmp_path / "episode_0000", data))
-    assert len(of(recording, keys.state_body(keys.TWIST2_ROBOT))) == 2
-    assert of(recording, keys.state_hand("left")) == []
+    assert len(of(recording, twist_keys.state_body(twist_keys.TWIST2_ROBOT))) == 2
+    assert of(recording, twist_keys.state_hand("left")) == []
     assert "state_hand_left: in no entry" in recording.unknown
     assert list(recording.odd) == [
         "state_body: missing in 1 of 3 entries",
@@ -141,4 +142,4 @@ def test_numbers_that_are_none_stay_as_the_bus_had_them(tmp_path: Path) -> None:
     data = document(1)
     data["data"][0]["action_neck"] = [float("nan"), 0.0]
     recording = twist2.read(record(tmp_path / "episode_0000", data))
-    assert of(recording, keys.action_neck())[0].value == b"[NaN, 0.0]"
+    assert of(recording, twist_keys.action_neck())[0].value == b"[NaN, 0.0]"

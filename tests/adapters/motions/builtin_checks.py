@@ -7,8 +7,8 @@ import numpy as np
 from adapters.commands.twist2 import FORMAT
 from adapters.motions.raw import RawMotion
 from adapters.robots.g1 import joints, kinematics
+from adapters.robots.g1.joints import G1_29
 from station import rotations
-from station.bus.joints import G1_29
 
 FPS = 50.0
 STANDING_Q = FORMAT.default[6:]

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from adapters.motions.raw import RawMotion
+from adapters.robots.g1.joints import G1_29
 from station import rotations
-from station.bus.joints import G1_29
 
 
 def smooth(frames: int = 90, fps: float = 30.0) -> RawMotion:

@@ -11,8 +11,8 @@ from adapters.commands.twist2 import FORMAT
 from adapters.motions import builtin
 from adapters.motions.load import load
 from adapters.robots.g1 import kinematics
+from adapters.robots.g1.joints import G1_29
 from station import rotations
-from station.bus.joints import G1_29
 from station.errors import UnknownName
 from tests.adapters.motions import builtin_checks as check
 

@@ -11,8 +11,8 @@ from adapters.motions.builtin import WalkPlan, gait
 from adapters.motions.clip import Clip
 from adapters.motions.transforms import mirrored
 from adapters.robots.g1 import kinematics
+from adapters.robots.g1.joints import G1_29
 from station import rotations
-from station.bus.joints import G1_29
 from station.errors import ConfigError, UsageError
 from tests.adapters.motions import builtin_checks as check
 

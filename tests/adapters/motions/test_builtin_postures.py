@@ -7,8 +7,8 @@ import pytest
 
 from adapters.motions.builtin import Posture, WalkPlan, gait, join, postures
 from adapters.robots.g1 import kinematics
+from adapters.robots.g1.joints import G1_29
 from station import rotations
-from station.bus.joints import G1_29
 from station.errors import ConfigError, UnknownName, UsageError
 from tests.adapters.motions import builtin_checks as check
 

@@ -8,7 +8,7 @@ import pytest
 from adapters.motions.builtin import legs
 from adapters.motions.builtin.profiles import FPS, below, bump, rise, sway_under, times
 from adapters.robots.g1 import joints, kinematics
-from station.bus.joints import LEGS
+from adapters.robots.g1.joints import LEGS
 from station.errors import ConfigError
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from adapters.motions import npz_file
-from station.bus.joints import G1_25, G1_29
+from adapters.robots.g1.joints import G1_25, G1_29
 from station.errors import BadFile
 from tests.adapters.motions.made import smooth
 

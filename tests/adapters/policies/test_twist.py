@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from adapters.policies.twist import DEFAULT_Q, OBSERVATION, TwistPolicy
-from station.bus.joints import G1_23, G1_25, G1_29
+from adapters.robots.g1.joints import G1_23, G1_25, G1_29
 from station.errors import BadFile, StationError
 from station.protocols import Floats, RobotState
 from station.rotations import normalized, roll_pitch_yaw

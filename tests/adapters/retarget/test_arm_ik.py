@@ -13,8 +13,8 @@ import pytest
 from adapters.retarget.arm_ik import ARMS, FASTEST_RAD_S, SIDES, ArmIk, within_reach
 from adapters.robots.g1 import joints as g1
 from adapters.robots.g1 import kinematics
+from adapters.robots.g1.joints import G1_29
 from station import rotations
-from station.bus.joints import G1_29
 from station.errors import StationError
 from station.operator import deltas
 from station.operator.reading import Pose, Side

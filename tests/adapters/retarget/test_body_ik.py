@@ -19,8 +19,8 @@ from adapters.retarget.human import SIDES, standing
 from adapters.retarget.scaling import Aim, Scaler, matrices
 from adapters.robots.g1 import joints as g1
 from adapters.robots.g1 import kinematics
+from adapters.robots.g1.joints import G1_29
 from station import assets, rotations
-from station.bus.joints import G1_29
 from station.errors import StationError
 from station.protocols import Floats
 from tests.adapters.retarget.people import ADULT

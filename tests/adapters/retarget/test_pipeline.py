@@ -19,8 +19,8 @@ from adapters.retarget.human import INDEX, standing
 from adapters.retarget.pipeline import BodyLost, BodyRetarget
 from adapters.retarget.weights import Weights
 from adapters.robots.g1 import joints as g1
+from adapters.robots.g1.joints import G1_29
 from station import rotations
-from station.bus.joints import G1_29
 from station.operator.reading import Body
 from station.protocols import Reference
 from tests.adapters.retarget.people import ADULT, PERIOD_NS, doing, moved

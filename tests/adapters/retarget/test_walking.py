@@ -21,10 +21,10 @@ from adapters.retarget.walking import (
 )
 from adapters.robots.g1 import joints as g1
 from adapters.robots.g1 import kinematics
+from adapters.robots.g1.joints import G1_29
 from benchmarks.walking import velocity_reached
 from station import rotations
 from station.bus import codec
-from station.bus.joints import G1_29
 from station.control.inlet import CommandSample
 from station.control.rig import RigConfig, build
 from station.protocols import Floats, Reference

@@ -11,9 +11,8 @@ import pytest
 
 from adapters.policies.twist2 import gains
 from adapters.robots.g1 import dex3
-from adapters.robots.g1.joints import select
+from adapters.robots.g1.joints import G1_29, select
 from adapters.robots.g1.mujoco_g1 import START_ROOT_POS
-from station.bus.joints import G1_29
 from station.protocols import Floats, JointTargets
 
 G1, DEX3 = dex3.SOURCE, dex3.TARGET

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from adapters.robots.g1 import dex3, mjcf
-from adapters.robots.g1.joints import select
+from adapters.robots.g1.joints import G1_29, select
 from adapters.robots.g1.mujoco_g1 import START_Q, MujocoG1
 from station import rotations
-from station.bus.joints import G1_29
 from station.errors import StationError
 from station.protocols import Floats
 from tests.adapters.robots.g1_models import DEX3, FLOOR, G1, SEEN, TOUCHES, both, compiled, held, posed

@@ -10,10 +10,9 @@ import pytest
 
 from adapters.policies.twist2 import DEFAULT_Q, gains
 from adapters.robots.g1 import mjcf
-from adapters.robots.g1.joints import select
+from adapters.robots.g1.joints import G1_29, select
 from adapters.robots.g1.mujoco_g1 import START_Q, MujocoG1
 from station import assets
-from station.bus.joints import G1_29
 from station.errors import BadFile, ConfigError, StationError
 from station.protocols import Floats, JointTargets, Robot, SimulatedRobot
 from station.rotations import from_rotation_vector, multiply, rotation_vector

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from adapters.robots.g1 import twist_keys
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
@@ -18,7 +19,7 @@ from station.bus.watch import Watch
 from tests.bus.tap.conftest import Collect
 from tests.waiting import wait_until
 
-KEY = keys.action_body()
+KEY = twist_keys.action_body()
 VECTOR = b"[%b]" % b",".join(b"0.125" for _ in range(35))
 
 Request = tuple[str | bytes | int, ...]

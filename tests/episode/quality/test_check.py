@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.episode.quality import rule_file
 from station.episode.quality.check import check, write_measured
@@ -53,7 +54,7 @@ def test_a_run_without_a_fault_is_good(builder: EpisodeBuilder) -> None:
 def test_streams_are_counted_and_timed(builder: EpisodeBuilder) -> None:
     walk(builder, seconds=2.0)
     streams = {stream.key: stream for stream in checked(builder).streams}
-    stream = streams[keys.action_body()]
+    stream = streams[twist_keys.action_body()]
     assert (stream.count, stream.lost, stream.writer, stream.role, stream.nominal_hz) == (
         100, 0, "motion", "command", 50.0,
     )  # fmt: skip
@@ -73,21 +74,21 @@ def test_report_has_the_names_that_scripts_rely_on(builder: EpisodeBuilder) -> N
 def test_numbers_that_wrap_around_are_no_loss(builder: EpisodeBuilder) -> None:
     top = (1 << 32) - 3
     for count in range(6):
-        builder.repeat(keys.T_STATE, b"1", at_s=0.02 * count, seq=(top + count) % (1 << 32))
+        builder.repeat(twist_keys.T_STATE, b"1", at_s=0.02 * count, seq=(top + count) % (1 << 32))
     (stream,) = checked(builder).streams
     assert (stream.lost, stream.repeated, stream.out_of_order) == (0, 0, 0)
 
 
 def test_lost_repeated_and_disordered_writes_are_told_apart(builder: EpisodeBuilder) -> None:
     for count, seq in enumerate((1, 2, 2, 5, 4, 8)):  # 3, 6 and 7 are missing
-        builder.repeat(keys.T_STATE, b"1", at_s=0.02 * count, seq=seq)
+        builder.repeat(twist_keys.T_STATE, b"1", at_s=0.02 * count, seq=seq)
     (stream,) = checked(builder).streams
     assert (stream.lost, stream.repeated, stream.out_of_order) == (3, 1, 1)
 
 
 def test_foreign_writers_are_named_and_not_counted_as_lossy(builder: EpisodeBuilder) -> None:
     for count in range(5):
-        builder.foreign(keys.action_body(), codec.json_vector(command()), at_s=0.02 * count)
+        builder.foreign(twist_keys.action_body(), codec.json_vector(command()), at_s=0.02 * count)
     (stream,) = checked(builder).streams
     assert (stream.writer, stream.is_native, stream.lost, stream.count) == ("foreign", False, 0, 5)
 
@@ -177,7 +178,7 @@ def test_a_fall_that_was_reported_is_counted_once(builder: EpisodeBuilder) -> No
 
 def test_two_writers_one_after_the_other_are_no_rivals(builder: EpisodeBuilder) -> None:
     for count in range(10):
-        value = {keys.action_body(): codec.json_vector(command())}
+        value = {twist_keys.action_body(): codec.json_vector(command())}
         builder.write(value, at_s=0.02 * count, writer="motion" if count < 5 else "pico")
     assert checked(builder).rivals == []
 
@@ -217,11 +218,11 @@ def _silence(builder: EpisodeBuilder, seconds: float) -> None:
 
 def _lose(builder: EpisodeBuilder) -> None:
     walk(builder, seconds=4.0)
-    builder.skip(keys.T_STATE)
+    builder.skip(twist_keys.T_STATE)
     for count in range(200):
-        builder.write({keys.T_STATE: b"1"}, at_s=0.1 + count / 50)
-    builder.skip(keys.T_STATE)
-    builder.write({keys.T_STATE: b"1"}, at_s=4.1)
+        builder.write({twist_keys.T_STATE: b"1"}, at_s=0.1 + count / 50)
+    builder.skip(twist_keys.T_STATE)
+    builder.write({twist_keys.T_STATE: b"1"}, at_s=4.1)
 
 
 def _lose_many(builder: EpisodeBuilder) -> None:
@@ -238,8 +239,8 @@ def _interrupt(builder: EpisodeBuilder, steps: int) -> None:
 
 def _rival(builder: EpisodeBuilder) -> None:
     walk(builder, seconds=1.0)
-    builder.foreign(keys.action_body(), codec.json_vector(command()), at_s=0.5)
-    builder.foreign(keys.action_body(), codec.json_vector(command()), at_s=0.6)
+    builder.foreign(twist_keys.action_body(), codec.json_vector(command()), at_s=0.5)
+    builder.foreign(twist_keys.action_body(), codec.json_vector(command()), at_s=0.6)
 
 
 def _fell(builder: EpisodeBuilder) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from station.bus import keys
 from station.episode.quality.check import check
 from station.episode.quality.findings import Quality
@@ -15,7 +16,7 @@ from station.episode.reading import steps
 from station.episode.reading.reader import open_episode
 from tests.episode.synthetic import ROBOT, WALL_START_NS, EpisodeBuilder, tick, walk
 
-BODY = keys.action_body()
+BODY = twist_keys.action_body()
 
 
 @pytest.fixture
@@ -161,8 +162,8 @@ def test_commands_of_the_preroll_alone_are_no_fault_and_a_robot_of_the_preroll_a
     builder: EpisodeBuilder,
 ) -> None:
     run(builder)
-    builder.write({keys.action_neck(): b"[0, 0]"}, at_s=-1.0, writer="pico")
-    builder.write({keys.state_neck(): b"[0, 0]"}, at_s=-1.0)
+    builder.write({twist_keys.action_neck(): b"[0, 0]"}, at_s=-1.0, writer="pico")
+    builder.write({twist_keys.state_neck(): b"[0, 0]"}, at_s=-1.0)
     quality = finished(builder)
     assert said(quality) == [("ended-early", "reject")]
     assert "state_neck" in quality.reasons[0].text
@@ -171,7 +172,7 @@ def test_commands_of_the_preroll_alone_are_no_fault_and_a_robot_of_the_preroll_a
 def test_a_robot_whose_server_was_started_again_is_told_of_by_the_silence_between(builder: EpisodeBuilder) -> None:
     for number in range(300):
         if not 100 <= number < 150:
-            builder.write({keys.T_STATE: b"1"}, at_s=number / 50, writer="g1" if number < 100 else "g1again")
+            builder.write({twist_keys.T_STATE: b"1"}, at_s=number / 50, writer="g1" if number < 100 else "g1again")
     quality = finished(builder)
     assert said(quality) == [("writer-gap", "reject"), ("no-steps", "usable")]
     assert any("t_state: silent for 1.02 s until another process wrote it" in one.text for one in quality.reasons)

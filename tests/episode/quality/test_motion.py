@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from adapters.robots.g1.joints import G1_29
 from station.bus import keys
-from station.bus.joints import G1_29
 from station.episode.quality.check import check
 from station.episode.quality.findings import Quality
 from station.episode.reading.reader import open_episode
@@ -100,7 +100,7 @@ def test_a_command_that_jitters_is_told_though_the_robot_smooths_it(builder: Epi
     assert "left_elbow" in reason.text
 
 
-def test_joints_at_their_ends_are_counted_by_the_limits_that_the_robots_command_format_registers(
+def test_joints_at_their_ends_are_counted_by_the_limits_of_the_robots_description(
     builder: EpisodeBuilder,
 ) -> None:
     def pushed(at_s: float) -> float:  # the ankle ends at 0.2618 rad; within 1 mrad of that it is at its end
@@ -108,7 +108,7 @@ def test_joints_at_their_ends_are_counted_by_the_limits_that_the_robots_command_
 
     quality = run(builder, 4.0, pushed, joint=ANKLE)
     (moved,) = quality.motion
-    assert moved.limits_from == "command format twist2"
+    assert moved.limits_from == "description of unitree_g1"
     assert (moved.limit_hits, list(moved.limit_joints)) == (2, ["left_ankle_roll"])
     assert moved.limit_share == pytest.approx(1.5 / 4.0)
     assert moved.beyond_limit_rad == pytest.approx(0.27 - 0.2618)

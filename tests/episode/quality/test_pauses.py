@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from station.bus import keys
 from station.cli.quality import print_quality
 from station.episode.quality.check import check
@@ -70,14 +71,14 @@ def test_an_operator_whose_device_was_away_is_a_warning_with_its_time(
     assert quality.verdict == "usable"
     assert reasons(quality) == {"commands-ended": f"commands ended at 4.0 s for 8.0 s: {AWAY}"}
     (pause,) = quality.pauses
-    assert (pause.keys, pause.writer) == ([keys.action_body(), keys.command_source(ROBOT)], "teleop")
+    assert (pause.keys, pause.writer) == ([twist_keys.action_body(), keys.command_source(ROBOT)], "teleop")
     print_quality(quality)
     assert f"usable commands-ended: commands ended at 4.0 s for 8.0 s: {AWAY}" in capsys.readouterr().out
 
 
 def test_a_pause_leaves_no_trace_in_the_numbers_of_the_stream_and_of_the_steps(builder: EpisodeBuilder) -> None:
     quality = away(builder)
-    (stream,) = [stream for stream in quality.streams if stream.key == keys.action_body()]
+    (stream,) = [stream for stream in quality.streams if stream.key == twist_keys.action_body()]
     assert stream.longest_gap_s == pytest.approx(0.02, abs=0.005)
     assert stream.rate_hz == pytest.approx(50.0, rel=0.01)
     assert stream.paused_s == pytest.approx(8.0, abs=0.03)

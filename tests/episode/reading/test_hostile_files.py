@@ -15,6 +15,7 @@ import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.episode.quality.check import check, write_measured
 from station.episode.reading.listing import list_episodes
@@ -44,9 +45,9 @@ HOSTILE = (
     b"[1e308,1e308,1,1,1,1,1,1]", b"\x7f\xf0" * 260,
 )  # fmt: skip
 TOPICS = (
-    keys.action_body(), keys.command_source(ROBOT), keys.robot_state(ROBOT), keys.sim_qpos(ROBOT),
+    twist_keys.action_body(), keys.command_source(ROBOT), keys.robot_state(ROBOT), keys.sim_qpos(ROBOT),
     keys.policy_obs(ROBOT), keys.policy_action(ROBOT), keys.command_gate(ROBOT), keys.command_used(ROBOT),
-    keys.policy_timing(ROBOT), keys.target(ROBOT), keys.EVENT, keys.T_ACTION, keys.RECORDER, layout.STAMPS_TOPIC,
+    keys.policy_timing(ROBOT), keys.target(ROBOT), keys.EVENT, twist_keys.T_ACTION, keys.RECORDER, layout.STAMPS_TOPIC,
     "policy_obs_", "policy_timing_../..", "robot_state_x", "policy_obs_x",
 )  # fmt: skip
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.tap import Write
 from station.episode.reading.reader import EpisodeReader, open_episode
@@ -19,8 +20,8 @@ from station.errors import EpisodeError
 from tests.episode.writes import Native, foreign
 from tests.waiting import wait_until
 
-BODY = keys.action_body()
-STATE = keys.robot_state(keys.TWIST2_ROBOT)
+BODY = twist_keys.action_body()
+STATE = keys.robot_state(twist_keys.TWIST2_ROBOT)
 FLUSHES, PER_FLUSH = 20, 25
 
 
@@ -123,7 +124,7 @@ def test_vectors_come_as_arrays_and_what_does_not_fit_is_counted(tmp_path: Path)
         g1.write(STATE, b"odd"),
         foreign(STATE, None),
         g1.write(keys.policy_obs("g1"), codec.f32([1, 2, 3])),
-        g1.write(keys.T_ACTION, b"1795000000000"),
+        g1.write(twist_keys.T_ACTION, b"1795000000000"),
         g1.write(keys.EVENT, b'{"name": "fall"}'),
         g1.write("unknown", b"[1]"),
     ]
@@ -136,10 +137,10 @@ def test_vectors_come_as_arrays_and_what_does_not_fit_is_counted(tmp_path: Path)
     assert np.array_equal(reader.vectors(BODY, source="").values, [good + 1])
     assert np.array_equal(reader.vectors(STATE).values, [state])
     assert (reader.vectors(keys.policy_obs("g1")).values == np.float32([[1, 2, 3]])).all()
-    assert reader.vectors(keys.T_ACTION).values.tolist() == [[1_795_000_000_000]]
+    assert reader.vectors(twist_keys.T_ACTION).values.tolist() == [[1_795_000_000_000]]
     assert reader.vectors("absent").values.shape[0] == 0
     reader.vectors(BODY)
-    assert reader.skipped == {BODY: 2, STATE: 1, keys.policy_obs("g1"): 0, keys.T_ACTION: 0, "absent": 0}
+    assert reader.skipped == {BODY: 2, STATE: 1, keys.policy_obs("g1"): 0, twist_keys.T_ACTION: 0, "absent": 0}
     assert [value for _, value in reader.json(keys.EVENT)] == [{"name": "fall"}]
     for topic, words in (("unknown", "no contract"), (keys.EVENT, "kind json")):
         with pytest.raises(EpisodeError, match=words):

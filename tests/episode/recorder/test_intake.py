@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from servers.recorder import KIND
 from station.bus import codec, keys
 from station.bus.address import BusAddress
@@ -38,7 +39,7 @@ from station.life.server import Life
 from tests.episode.writes import Native
 from tests.waiting import wait_until
 
-ROBOT = keys.TWIST2_ROBOT
+ROBOT = twist_keys.TWIST2_ROBOT
 STATE = keys.robot_state(ROBOT)
 LONG_S = 600.0
 STARTED_S = 5.0  # ago
@@ -98,12 +99,12 @@ def test_the_first_step_has_its_state_also_where_that_was_written_before_the_rec
     make: Make, g1: Bus
 ) -> None:
     state, later = codec.f64([1.0] * 65), codec.f64([2.0] * 65)
-    g1.publish({STATE: b"of a step that nobody recorded", keys.T_STATE: b"1"})
-    g1.publish({STATE: state, keys.T_STATE: b"2"})  # and now it waits for a command
+    g1.publish({STATE: b"of a step that nobody recorded", twist_keys.T_STATE: b"1"})
+    g1.publish({STATE: state, twist_keys.T_STATE: b"2"})  # and now it waits for a command
     intake = make()
     folder = ask(intake, g1, "start")
     stepped(g1, 1)
-    g1.publish({STATE: later, keys.T_STATE: b"3"})
+    g1.publish({STATE: later, twist_keys.T_STATE: b"3"})
     stepped(g1, 2)
     ask(intake, g1, "stop")
     reader = open_episode(folder)
@@ -119,9 +120,9 @@ def test_the_first_step_has_its_state_also_where_that_was_written_before_the_rec
 
 def test_only_states_of_this_machine_that_are_not_old_are_looked_back_for(g1: Bus) -> None:
     now_ns = time.monotonic_ns()
-    old = Native().write(keys.state_body(ROBOT), b"[]", written_ns=now_ns - 10_000_000_000)
-    g1.publish({STATE: b"new", keys.action_body(): b"[]", keys.policy_action(ROBOT): b"", "own": b""})
-    g1.call("SET", keys.T_STATE, b"5")
+    old = Native().write(twist_keys.state_body(ROBOT), b"[]", written_ns=now_ns - 10_000_000_000)
+    g1.publish({STATE: b"new", twist_keys.action_body(): b"[]", keys.policy_action(ROBOT): b"", "own": b""})
+    g1.call("SET", twist_keys.T_STATE, b"5")
     g1.call("MSET", old.key, old.value or b"", keys.stamp(old.key), old.stamp or b"")
     g1.call("MSET", keys.sim_qpos(ROBOT), b"", keys.stamp(keys.sim_qpos(ROBOT)), b"1 5 5 g1.1.00000000.ab")
     assert [(write.key, write.value) for write in latched(g1, 5.0)] == [(STATE, b"new")]
@@ -144,7 +145,7 @@ def test_a_state_that_the_tap_brings_too_is_taken_once(g1: Bus, bus_server: BusA
 def test_a_state_that_a_stock_script_goes_on_writing_over_is_not_taken_for_that_of_its_native_writer(
     make: Make, g1: Bus
 ) -> None:
-    body, other = keys.state_body(ROBOT), keys.sim_qpos(ROBOT)
+    body, other = twist_keys.state_body(ROBOT), keys.sim_qpos(ROBOT)
     g1.publish({body: b"[1]", STATE: b"", other: b""})
     g1.call("SET", body, b"[2]")  # beside the stamp of [1]
     intake = make()
@@ -197,7 +198,7 @@ def test_without_a_preroll_nobody_looks_back(make: Make, g1: Bus) -> None:
 def test_an_episode_that_begins_with_the_recorder_has_the_state_that_stood_on_the_bus(make: Make, g1: Bus) -> None:
     state = codec.f64([1.0] * 65)
     g1.publish({keys.RECORDER: b"of a recorder that was killed"})
-    g1.publish({STATE: state, keys.T_STATE: b"1"})  # and now it waits for a command
+    g1.publish({STATE: state, twist_keys.T_STATE: b"1"})  # and now it waits for a command
     g1.publish({keys.RECORD: codec.json_object({"id": "start", "action": "start", "task": "walk"})})
     intake = make()
     assert intake.recording.is_recording, "nobody need ask again"
@@ -297,7 +298,7 @@ def test_a_tap_that_is_lost_at_the_end_leaves_a_hole_from_the_newest_write_that_
 def test_writes_that_the_tap_cannot_know_are_counted_across_a_kill_of_the_recorder_and_a_cut_of_its_link(
     make: Make, g1: Bus, bus_server: BusAddress, tmp_path: Path
 ) -> None:
-    body = keys.action_body()
+    body = twist_keys.action_body()
 
     def write_in_part() -> None:
         g1.call("BITFIELD", body, "INCRBY", "u8", 0, 1)

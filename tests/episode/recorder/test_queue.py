@@ -8,13 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from adapters.robots.g1 import twist_keys
 from station.bus import keys
 from station.bus.tap import Position, Write
 from station.episode.recorder.queue import Batch, WriteQueue
 from station.episode.storage.drops import Drops, is_bulky
 from tests.examples import examples
 
-BODY = keys.action_body()
+BODY = twist_keys.action_body()
 KB, MB = 1000, 1_000_000
 MOST_WRITES, MOST_BYTES = 60, 1_000 * KB
 SMALL = st.tuples(st.sampled_from([BODY, "small"]), st.sampled_from([0, 10, 5 * KB, 16 * KB]))

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from station.bus import keys
 from station.bus.tap import Write
 from station.episode.reading.listing import list_episodes
@@ -25,7 +26,7 @@ from station.episode.storage.request import RecordAnswer
 from tests.episode.writes import Native, foreign
 from tests.waiting import wait_until
 
-BODY = keys.action_body()
+BODY = twist_keys.action_body()
 SECOND = 1_000_000_000
 Make = Callable[..., Recording]
 
@@ -64,7 +65,7 @@ def health(server: Native, name: str = "g1", role: str = "low-level", state: str
 
 def stated(server: Native, name: str = "g1", **facts: Any) -> Write:
     policy = {"name": "twist2", "checkpoint": "c.onnx", "sha256": "ab", "rate_hz": 50, "kp": [1.0, 2.0]}
-    base = {"server": name, "role": "low-level", "robot": keys.TWIST2_ROBOT, "robot_facts": {"model": "m.xml"}}
+    base = {"server": name, "role": "low-level", "robot": twist_keys.TWIST2_ROBOT, "robot_facts": {"model": "m.xml"}}
     return server.json(keys.server_config(name), **base, policy=policy, **facts)
 
 
@@ -126,7 +127,7 @@ def test_start_is_refused_until_every_living_low_level_server_has_stated_its_con
     assert accepted.ok
     manifest = load_manifest(Path(accepted.path or ""))
     assert "-g1-" in (accepted.episode_id or "")
-    assert (manifest.robot.suffix, manifest.robot.facts) == (keys.TWIST2_ROBOT, {"model": "m.xml"})
+    assert (manifest.robot.suffix, manifest.robot.facts) == (twist_keys.TWIST2_ROBOT, {"model": "m.xml"})
     assert (manifest.policy.server, manifest.policy.name, manifest.policy.sha256) == ("g1", "twist2", "ab")
     assert manifest.policy.facts["kp"] == [1.0, 2.0]
     assert manifest.servers["g1"]["note"] == "x"
@@ -230,7 +231,7 @@ def test_between_episodes_discard_marks_the_last_one(make: Make) -> None:
 
 def test_marks_events_and_motions_stand_in_the_manifest(make: Make) -> None:
     recording, cli, g1, motion = make(), Native("record"), Native(), Native("motion")
-    source = keys.command_source(keys.TWIST2_ROBOT)
+    source = keys.command_source(twist_keys.TWIST2_ROBOT)
     early = g1.event("gate", to="tracking")
     recording.feed([early._replace(mono_ns=early.mono_ns - SECOND), g1.event("fall", tilt_rad=2.0)])
     operator = {"interface": "pico", "id": "ab", "x": 1}

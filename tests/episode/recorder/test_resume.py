@@ -6,13 +6,14 @@ import os
 import random
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
 
-from station.bus import keys
+from adapters.robots.g1 import twist_keys
 from station.bus import stamp as stamps
 from station.bus.tap import Position, Write
 from station.episode.reading.reader import open_episode
@@ -29,7 +30,7 @@ from station.episode.writing.file import EpisodeFile
 from tests.episode.writes import Native, foreign
 from tests.waiting import wait_until
 
-BODY = keys.action_body()
+BODY = twist_keys.action_body()
 BUS = "unix:///x"
 
 
@@ -45,7 +46,7 @@ def written(g1: Native, count: int) -> list[Write]:
     return found
 
 
-def killed(folder: Path, writes: list[Write], **options: float) -> None:
+def killed(folder: Path, writes: list[Write], servers: Mapping[str, Any] | None = None, **options: float) -> None:
     """Have a process write an episode in flushes and be killed in the middle of it."""
     folder.mkdir(parents=True)
     child = os.fork()
@@ -55,7 +56,7 @@ def killed(folder: Path, writes: list[Write], **options: float) -> None:
     clock, start_ns = take_anchor(), writes[0].mono_ns - 1_000_000_000
     anchor = Anchor(wall_ns=clock.at(start_ns), mono_ns=start_ns, boot=clock.boot)
     manifest = Manifest(episode_id=folder.name, task=Task(name="walk"), timing=Timing(anchor=anchor))
-    manifest.recorder.bus = BUS
+    manifest.recorder.bus, manifest.servers = BUS, dict(servers or {})
     writer = EpisodeWriter(
         folder, anchor=anchor, manifest=manifest, start_id="start",
         options=WriterOptions(flush_bytes=1, **options),  # type: ignore[arg-type]

@@ -11,10 +11,11 @@ import msgspec
 import pytest
 from mcap.reader import make_reader
 
+from adapters.robots.g1 import twist_keys
 from station.bus import keys
-from station.bus.contracts import Contract
 from station.bus.stamp import Stamp
 from station.bus.tap import Position, Write
+from station.contract import Contract
 from station.episode.reading.reader import open_episode
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage.anchor import Anchor, take_anchor
@@ -25,7 +26,7 @@ from station.episode.writing import file as episode_file
 from tests.episode.writes import Native, foreign
 from tests.waiting import wait_until
 
-BODY = keys.action_body()
+BODY = twist_keys.action_body()
 CAMERA = keys.camera_image("head")
 CLOSING = (("sync", False), ("sync", True), ("rename", True))  # what is done, and whether the file has its end by then
 ANCHOR = Anchor(wall_ns=1_795_000_000_000_000_000, mono_ns=time.monotonic_ns(), boot=take_anchor().boot)

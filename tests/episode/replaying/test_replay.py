@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -81,10 +82,10 @@ def test_native_keys_get_a_fresh_stamp_of_the_replay_and_foreign_ones_none(
     builder: EpisodeBuilder, bus_server: BusAddress, tap: Tap
 ) -> None:
     tick(builder, 1, at_s=0.1)
-    builder.foreign(keys.T_ACTION, b"1", at_s=0.2)
+    builder.foreign(twist_keys.T_ACTION, b"1", at_s=0.2)
     to_bus(episode(builder), bus_server, speed=FAST)
     writes = {write.key: write for write in seen(tap, 12)}
-    assert writes[keys.T_ACTION].stamp is None
+    assert writes[twist_keys.T_ACTION].stamp is None
     stamp = writes[keys.policy_obs(ROBOT)].stamp
     assert stamp is not None
     assert b" replay." in stamp
@@ -92,7 +93,7 @@ def test_native_keys_get_a_fresh_stamp_of_the_replay_and_foreign_ones_none(
 
 def test_one_recorded_command_stays_one(builder: EpisodeBuilder, bus_server: BusAddress) -> None:
     tick(builder, 1, at_s=0.1)
-    builder.foreign(keys.T_ACTION, b"1", at_s=0.2)
+    builder.foreign(twist_keys.T_ACTION, b"1", at_s=0.2)
     reader = episode(builder)
     report = Replay(episode_id="", bus="", roles=[], speed=1.0)
     found = list(moments(reader, None, report))
@@ -142,7 +143,7 @@ def test_replay_ends_when_asked_to(builder: EpisodeBuilder, bus_server: BusAddre
 def test_only_the_named_roles_are_replayed(builder: EpisodeBuilder, bus_server: BusAddress, tap: Tap) -> None:
     walk(builder, seconds=0.2)
     report = to_bus(episode(builder), bus_server, speed=FAST, roles=["command"])
-    assert {write.key for write in seen(tap, 20)} == {keys.action_body(), keys.command_source(ROBOT)}
+    assert {write.key for write in seen(tap, 20)} == {twist_keys.action_body(), keys.command_source(ROBOT)}
     assert report.skipped > 0
 
 
@@ -201,8 +202,10 @@ def test_a_driven_robot_gets_commands_only_and_is_eased_in(
         tick(builder, number, at_s=0.02 * number, asked=first)
     report = to_bus(episode(builder), bus_server, allow_live=True, ease_in_s=0.2)
     writes = seen(tap, 20)
-    assert {write.key for write in writes} == {keys.action_body(), keys.command_source(ROBOT)}
-    heights = [codec.parse_json_vector(write.value or b"")[2] for write in writes if write.key == keys.action_body()]
+    assert {write.key for write in writes} == {twist_keys.action_body(), keys.command_source(ROBOT)}
+    heights = [
+        codec.parse_json_vector(write.value or b"")[2] for write in writes if write.key == twist_keys.action_body()
+    ]
     assert report.eased_in_s == pytest.approx(0.2)
     assert len(heights) == 10 + 5
     assert heights[0] == pytest.approx(0.8)
@@ -227,7 +230,7 @@ def test_stock_robot_without_heartbeat_is_heard_by_its_writes(builder: EpisodeBu
     def stock() -> None:
         with Bus(bus_server, name="unused") as bus:
             while not stop.wait(0.02):
-                bus.call("SET", keys.state_body(ROBOT), codec.json_vector([0.0] * 34))
+                bus.call("SET", twist_keys.state_body(ROBOT), codec.json_vector([0.0] * 34))
 
     writer = threading.Thread(target=stock)
     writer.start()
@@ -251,11 +254,11 @@ def test_recorded_requests_do_not_command_a_live_recorder(
     builder: EpisodeBuilder, bus_server: BusAddress, tap: Tap
 ) -> None:
     builder.write({keys.RECORD: b'{"action": "start"}'}, at_s=0.1, writer="cli")
-    builder.write({keys.T_ACTION: b"1"}, at_s=0.2, writer="motion")
+    builder.write({twist_keys.T_ACTION: b"1"}, at_s=0.2, writer="motion")
     recorder = Alive(bus_server, "recorder", "recorder")
     seen(tap, 1)
     report = to_bus(episode(builder), bus_server, speed=FAST)
-    assert [write.key for write in seen(tap, 1)] == [keys.T_ACTION]
+    assert [write.key for write in seen(tap, 1)] == [twist_keys.T_ACTION]
     assert report.skipped == 1
     recorder.close()
 

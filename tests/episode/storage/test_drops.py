@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from station.bus import keys
+from adapters.robots.g1 import twist_keys
 from station.bus.tap import Position, Write
 from station.episode.quality.check import check
 from station.episode.reading.reader import open_episode
@@ -26,7 +26,7 @@ from station.episode.writing.repair import repair
 from tests.episode.writes import Native, foreign
 from tests.waiting import wait_until
 
-BODY = keys.action_body()
+BODY = twist_keys.action_body()
 BUS = "unix:///x"
 IMAGE = bytes(100_000)
 SMALL_QUEUE = WriterOptions(queue_bytes=1_000_000, flush_s=0.02)

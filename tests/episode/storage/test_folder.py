@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
-from station.bus import keys
 from station.episode.storage.folder import data_folder, find_episodes, new_folder, resolve, signals_file, slug
 from station.errors import EpisodeError
 
@@ -25,7 +24,7 @@ def make(data: Path, task: str, episode_id: str, *, age_s: float = 0.0) -> Path:
 
 
 def test_an_id_tells_date_robot_task_and_the_next_free_number(tmp_path: Path) -> None:
-    first = new_folder(tmp_path, "Cabinet / left", keys.TWIST2_ROBOT)
+    first = new_folder(tmp_path, "Cabinet / left", "G1")
     assert first.parent == tmp_path / "cabinet-left"
     assert re.fullmatch(r"\d{4}-\d\d-\d\d-g1-cabinet-left-0001", first.name)
     make(tmp_path, "cabinet-left", "2020-01-01-kassow-cabinet-left-0041")

@@ -17,8 +17,8 @@ from mcap.records import Chunk, MessageIndex
 from mcap.stream_reader import StreamReader
 from rerun.chunk import McapReader
 
-from station.bus.contracts import Contract
 from station.bus.tap import Write
+from station.contract import Contract
 from station.episode.reading.frames import cameras, frames
 from station.episode.reading.reader import open_episode
 from station.episode.storage.manifest import Manifest

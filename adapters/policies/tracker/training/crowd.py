@@ -14,8 +14,8 @@ from adapters.policies.tracker.training import recipe
 from adapters.robots import model_cache
 from adapters.robots.g1 import mjcf
 from adapters.robots.g1.addresses import Addresses
+from adapters.robots.g1.joints import G1_29
 from adapters.robots.g1.mujoco_g1 import START_Q, START_ROOT_POS
-from station.bus.joints import G1_29
 from station.protocols import Floats
 
 CONTROL_DT_S = 0.02

@@ -14,7 +14,7 @@ from adapters.motions.load import load
 from adapters.motions.transforms import mirrored, retimed
 from adapters.policies.tracker.training.recipe import Recipe
 from adapters.robots.g1 import joints
-from station.bus.joints import G1_29
+from adapters.robots.g1.joints import G1_29
 from station.errors import ConfigError
 from station.protocols import Floats, Motion
 

@@ -17,7 +17,7 @@ from adapters.policies.tracker.training.crowd import CONTROL_DT_S, States
 from adapters.policies.tracker.training.frames import Histories
 from adapters.policies.twist2 import ACTION_SCALE, COMMAND, DEFAULT_Q, PAST
 from adapters.robots.g1 import joints
-from station.bus.joints import G1_29
+from adapters.robots.g1.joints import G1_29
 from station.protocols import Floats, Floats32
 
 ARMS = np.array([i for i, name in enumerate(G1_29) if any(part in name for part in ("shoulder", "elbow", "wrist"))])

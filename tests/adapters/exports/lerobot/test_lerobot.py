@@ -22,7 +22,7 @@ from adapters.exports.lerobot.modality import groups
 from adapters.exports.lerobot.plan import Camera
 from adapters.exports.lerobot.video import packets
 from station.bus import codec, contracts, keys
-from station.elements import names_of
+from station.contract import names_of
 from station.errors import EpisodeError
 from station.export import shards
 from station.export.kind import Source

@@ -13,8 +13,11 @@ import pytest
 
 from adapters.exports.kinds import CSV, JOINTSTATE_MCAP, LEROBOT
 from adapters.exports.lerobot.kind import LeRobotOptions
-from station.bus import codec, contracts, joints, keys
-from station.bus.contract import Contract
+from adapters.robots.g1 import twist_keys
+from adapters.robots.g1.joints import hand
+from adapters.robots.kassow.names import KR810_ROBOT
+from station.bus import codec, contracts, keys
+from station.contract import Contract
 from station.export.kind import ExportKind, Source
 from station.export.run import Exported, Where, export, preview
 from tests.episode.arm_run import ArmRun
@@ -23,12 +26,12 @@ from tests.export.pictured import walked
 
 HERE = Where(jobs=1)
 STATE, ACTION = keys.robot_state(ROBOT), keys.command_used(ROBOT)
-FINGERS = [joint.removeprefix("left_") for joint in joints.hand("left")]
+FINGERS = [joint.removeprefix("left_") for joint in hand("left")]
 HANDS = ("left hand", "right hand")
 PARTS = {
-    "left hand": (keys.action_hand("left"), keys.state_hand("left")),
-    "right hand": (keys.action_hand("right"), keys.state_hand("right")),
-    "neck": (keys.action_neck(), keys.state_neck()),
+    "left hand": (twist_keys.action_hand("left"), twist_keys.state_hand("left")),
+    "right hand": (twist_keys.action_hand("right"), twist_keys.state_hand("right")),
+    "neck": (twist_keys.action_neck(), twist_keys.state_neck()),
 }
 
 
@@ -70,10 +73,10 @@ def test_hands_and_neck_that_move_are_in_the_data_set_in_a_fixed_order_and_gr00t
     exported([grasped(tmp_path / "data", moves=("neck", *HANDS))], out := tmp_path / "set")
     features = json.loads((out / "meta/info.json").read_text())["features"]
     assert features["age_s.action"]["names"] == [
-        ACTION, keys.action_hand("left"), keys.action_hand("right"), keys.action_neck()
+        ACTION, twist_keys.action_hand("left"), twist_keys.action_hand("right"), twist_keys.action_neck()
     ]  # fmt: skip
     assert features["age_s.observation.state"]["names"] == [
-        STATE, keys.state_hand("left"), keys.state_hand("right"), keys.state_neck()
+        STATE, twist_keys.state_hand("left"), twist_keys.state_hand("right"), twist_keys.state_neck()
     ]  # fmt: skip
     modality = json.loads((out / "meta/modality.json").read_text())
     for side, first in (("action", 35), ("state", 65)):
@@ -89,8 +92,8 @@ def test_hands_and_neck_that_move_are_in_the_data_set_in_a_fixed_order_and_gr00t
 def test_hands_that_never_move_are_not_in_the_data_set(tmp_path: Path) -> None:
     exported([grasped(tmp_path / "data", moves=("right hand",))], out := tmp_path / "set")
     features = json.loads((out / "meta/info.json").read_text())["features"]
-    assert features["age_s.action"]["names"] == [ACTION, keys.action_hand("right")]
-    assert features["age_s.observation.state"]["names"] == [STATE, keys.state_hand("right")]
+    assert features["age_s.action"]["names"] == [ACTION, twist_keys.action_hand("right")]
+    assert features["age_s.observation.state"]["names"] == [STATE, twist_keys.state_hand("right")]
 
 
 def test_what_moves_only_in_later_episodes_is_told_of_by_name(tmp_path: Path) -> None:
@@ -127,7 +130,7 @@ def test_an_episode_without_the_hands_of_the_first_one_is_refused_by_name(tmp_pa
 def test_episodes_of_other_units_roles_or_rates_are_refused_by_name(
     tmp_path: Path, change: dict[str, Any], told: str
 ) -> None:
-    key = keys.action_hand("left")
+    key = twist_keys.action_hand("left")
     changed = msgspec.convert({**msgspec.to_builtins(contracts.contract(key)), **change}, Contract)
     first = grasped(tmp_path / "data", 1, moves=("left hand",))
     second = grasped(tmp_path / "data", 2, moves=("left hand",), written_as=(changed,))
@@ -147,13 +150,13 @@ def test_a_dry_run_refuses_what_the_run_refuses_for_the_same_reasons(tmp_path: P
     reasons = {each.source: each.reason for each in seen.left_out}
     assert reasons == {each.source: each.reason for each in (*found.failed, *found.left_out)}
     assert "no camera 'head' in it" in reasons[blind]
-    assert f"of {keys.KASSOW_KR810}, the data set is of {ROBOT}" in reasons[arm]
+    assert f"of {KR810_ROBOT}, the data set is of {ROBOT}" in reasons[arm]
 
 
 @pytest.mark.parametrize("kind", [CSV, JOINTSTATE_MCAP], ids=lambda kind: kind.name)
 def test_a_dry_run_of_a_quick_look_refuses_what_the_run_refuses(tmp_path: Path, kind: ExportKind) -> None:
     sources = [grasped(tmp_path / "data", 1), grasped(tmp_path / "data", 2, records=())]
-    options = kind.options(min_quality="any", keys=(keys.state_hand("left"),))  # type: ignore[call-arg]
+    options = kind.options(min_quality="any", keys=(twist_keys.state_hand("left"),))  # type: ignore[call-arg]
     seen = preview(kind, sources, options, where=HERE)
     assert seen.sources == (sources[0],)
     (found,) = export(kind, sources, options, tmp_path / "out", where=HERE).failed

@@ -18,8 +18,8 @@ from adapters.policies.tracker.training.recipe import Crowd as CrowdRecipe
 from adapters.policies.tracker.training.streams import ARMS, HEAD, wandering
 from adapters.policies.twist2 import DEFAULT_Q, FRAME, gains, write_frame
 from adapters.robots.g1 import joints
+from adapters.robots.g1.joints import G1_29
 from station import assets as files
-from station.bus.joints import G1_29
 from station.protocols import Floats, RobotState
 from station.rotations import normalized
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from adapters.robots.g1 import joints
-from station.bus.joints import G1_25, G1_29
+from adapters.robots.g1.joints import G1_25, G1_29
 
 
 def test_the_table_has_the_joints_of_the_wire_in_their_order() -> None:

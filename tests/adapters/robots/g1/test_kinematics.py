@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from adapters.robots.g1 import joints, kinematics
+from adapters.robots.g1.joints import G1_29
 from station import rotations
-from station.bus.joints import G1_29
 
 MODEL = Path(kinematics.__file__).with_name("g1.xml")
 FRAMES = 40

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from adapters.robots import arm_limits
 from adapters.robots.kassow import kinematics
 from adapters.robots.kassow.kinematics import KR810, REACHING_DOWN
+from adapters.robots.kassow.names import ARM_7
 from station import assets, rotations
-from station.bus.joints import ARM_7
 from station.errors import ConfigError
 from station.protocols import Floats
 from tests.examples import examples

@@ -1,0 +1,105 @@
+"""What a robot's low-level server puts on the bus, as streams of a `station.description.RobotDescription`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from station.bus import keys
+from station.contract import POSE, TIMING_STAGES, Codec, Contract, Element, Role, elements
+from station.description import JOINT, ROBOT
+
+if TYPE_CHECKING:  # it loads NumPy
+    from station.protocols import CommandFormat
+
+POSITIONS = elements(((f"{JOINT}_pos",), "rad"))
+VELOCITIES = elements(((f"{JOINT}_vel",), "rad/s"))
+GYRO = ("gyro_x", "gyro_y", "gyro_z")
+QUAT = ("root_quat_w", "root_quat_x", "root_quat_y", "root_quat_z")
+
+COUNTERS = (
+    "tick", "stream_j_sends", "direct_sends", "move_sends", "commands_dropped_by_throttle", "slewed_sends",
+    "limit_refusals", "sync_timeouts", "missed_ticks", "late_commands", "fault_count",
+)  # fmt: skip
+"""First elements of `keys.state_counters`: `tick` counts the controller's heartbeats (250 Hz), `stream_j_sends` the
+targets that were sent to it."""
+
+SESSION_TIMES = (
+    "sync_to_send_last", "sync_to_send_p50", "sync_to_send_p99", "sync_to_send_max",
+    "period_p50", "period_p99", "period_max", "queued_motion",
+)  # fmt: skip
+"""The rest of them: from a heartbeat to the sending of a command; between two heartbeats; and how much motion the
+controller still owes, NaN where it does not tell."""
+
+_TIMING = elements((("tick", "command_seq"), ""), (TIMING_STAGES, "ns"))
+
+
+def command_stream(form: CommandFormat) -> Contract:
+    """Return what the key of a command holds."""
+    return Contract(
+        key=form.key, family=form.name, role="command", codec="json-vector", elements=form.elements, rate_hz=50.0,
+        note=form.note,
+    )  # fmt: skip
+
+
+def driven_by_policy(command: tuple[Element, ...] = (), rate_hz: float = 50.0) -> tuple[Contract, ...]:
+    """Return the streams of a robot whose joints a policy drives.
+
+    Args:
+        command: Elements of the command that the policy takes.
+        rate_hz: Of its steps [Hz].
+    """
+
+    def make(key: str, role: Role, codec: Codec, items: tuple[Element, ...] = (), note: str = "") -> Contract:
+        return Contract(key=key, family="station", role=role, codec=codec, elements=items, rate_hz=rate_hz, note=note)
+
+    gains = elements(((f"{JOINT}_kp",), "N m/rad"), ((f"{JOINT}_kd",), "N m s/rad"))
+    state = (*POSITIONS, *VELOCITIES, *elements((QUAT, ""), (GYRO, "rad/s")))
+    qpos = (*elements((("root_x", "root_y", "root_z"), "m"), (QUAT, "")), *POSITIONS)
+    return (
+        make(keys.robot_state(ROBOT), "state", "f64", state, "root frame for gyro; world for the quaternion"),
+        make(keys.policy_obs(ROBOT), "policy", "f32", note="observation of the network, in the policy's own order"),
+        make(keys.policy_action(ROBOT), "policy", "f32", note="raw output of the network, before clipping"),
+        make(keys.policy_timing(ROBOT), "policy", "json-vector", _TIMING,
+             "one machine's monotonic clock; 0 where unknown, as for a foreign writer"),
+        make(keys.target(ROBOT), "policy", "f64", (*POSITIONS, *gains), "as really sent, after the robot's own limits"),
+        make(keys.sim_qpos(ROBOT), "state", "f64", qpos, "ground truth; world frame"),
+        make(keys.command_gate(ROBOT), "policy", "json", note="state, reason and age of the command at the gate"),
+        make(keys.command_used(ROBOT), "policy", "f64", command, "the command after the gate"),
+        make(keys.command_source(ROBOT), "command", "json", note="file, sha256, frame and phase of the command"),
+    )  # fmt: skip
+
+
+def driven_by_controller(rate_hz: float = 250.0, state_hz: float = 125.0) -> tuple[Contract, ...]:
+    """Return the streams of an arm behind a controller of its own; the command is what moves, everything else tells.
+
+    Args:
+        rate_hz: Of its commands [Hz].
+        state_hz: Of what it tells of its joints [Hz].
+    """
+
+    def make(key: str, role: Role, codec: Codec, items: tuple[Element, ...] = (), note: str = "",
+             rate_hz: float | None = rate_hz) -> Contract:  # fmt: skip
+        return Contract(key=key, family="station", role=role, codec=codec, elements=items, rate_hz=rate_hz, note=note)
+
+    torques = elements(((f"{JOINT}_torque",), "N m"))
+    return (
+        make(keys.action_joints(ROBOT), "command", "json-vector", POSITIONS,
+             "absolute, never wrapped; written in each tick of who commands, and sent on only where it moved"),
+        make(keys.state_joints(ROBOT), "state", "f64", (*POSITIONS, *VELOCITIES, *torques),
+             "as the controller reports them: its model's where it tells no sensor's, which hides tracking errors",
+             rate_hz=state_hz),
+        make(keys.state_tcp(ROBOT), "state", "f64", POSE, "frame of the arm's base", rate_hz=state_hz),
+        make(keys.state_counters(ROBOT), "state", "f64", elements((COUNTERS, ""), (SESSION_TIMES, "s")),
+             "counters only grow; rates are for who reads", rate_hz=state_hz),
+        make(keys.state_controller(ROBOT), "state", "json", rate_hz=None,
+             note="ten times a second: backend, profile, throttle, flags, alarm and newest event of the controller"),
+        make(keys.target(ROBOT), "policy", "f64", POSITIONS, "newest target handed to the controller's session; the "
+             "controller is sent those that moved"),
+        make(keys.command_gate(ROBOT), "policy", "json", note="state, reason and age of the command at the gate"),
+        make(keys.command_used(ROBOT), "policy", "f64", POSITIONS, "the command after the gate; where nobody is "
+             "followed, where the arm is"),
+        make(keys.policy_timing(ROBOT), "policy", "json-vector", _TIMING,
+             "one machine's monotonic clock; no policy: observed and inferred are when the gate had decided"),
+        make(keys.command_source(ROBOT), "command", "json", note="device, driver and sample of the command",
+             rate_hz=None),
+    )  # fmt: skip
