@@ -116,10 +116,12 @@ def _is_sound(description: RobotDescription) -> bool:
         return False
     names = [element.name for stream in description.streams for element in stream.elements]
     many = sum(JOINT in name for name in names)
-    count = len(names) + many * len(description.joints)
-    return (
+    is_bounded = (
         len(description.joints) <= _MOST_JOINTS
         and len(description.streams) <= _MOST_STREAMS
-        and count <= _MOST_ELEMENTS
-        and all(name.replace(JOINT, "joint").isidentifier() for name in (*names, *description.joint_names))
+        and len(names) + many * len(description.joints) <= _MOST_ELEMENTS
+    )
+    listed = [description.joint_names, *(item.names for item in description.contracts())] if is_bounded else []
+    return is_bounded and all(
+        len(set(each)) == len(each) and all(name.isidentifier() for name in each) for each in listed
     )

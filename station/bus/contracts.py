@@ -6,9 +6,9 @@ A contract is written beside the bytes of a recording, never into them, so a wro
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache, lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -19,8 +19,7 @@ from station.contract import POSE, Codec, Contract, Element, Role, elements
 from station.description import RobotDescription, RobotFamily, stated
 from station.errors import StationError
 
-if TYPE_CHECKING:  # it loads NumPy
-    from station.protocols import CommandFormat
+_Made = TypeVar("_Made")
 
 log = logging.getLogger(__name__)
 
@@ -86,15 +85,20 @@ def contracts() -> tuple[Contract, ...]:
 @cache
 def description(robot: str) -> RobotDescription | None:
     """Return the description of a robot that is known though no server describes it; None for a stranger."""
-    for family in _families():
-        if (found := family.describe(robot)) is not None:
-            return found
+    for name, family in _families():
+        try:
+            found = family.describe(robot)
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
+            log.warning("family %r: cannot say whether it knows %r: %s: %s", name, robot, type(error).__name__, error)
+        else:
+            if found is not None:
+                return found
     return None
 
 
 def robots() -> tuple[str, ...]:
     """Return the names of the robots that are known though no server describes them."""
-    return tuple(name for family in _families() for name in family.names)
+    return tuple(name for _, family in _families() for name in family.names)
 
 
 def of_joints(
@@ -118,27 +122,39 @@ def of_joints(
 
 
 @cache
-def _families() -> tuple[RobotFamily, ...]:
-    return tuple(registry.find("family", name) for name in registry.names("family"))
+def _families() -> tuple[tuple[str, RobotFamily], ...]:
+    return tuple(_sound("family", "its robots have no contracts", _expanded))
 
 
 @cache
 def _commands() -> tuple[tuple[str, Contract], ...]:
     """Contracts of the commands whose formats are registered, with the robot that each is for.
 
-    Ours come first: where several are for one robot, the first one names its `keys.command_used`.
+    Where several are for one robot, the first one names its `keys.command_used`.
     """
-    found = []
-    for name in sorted(registry.names("command"), key=lambda name: not registry.is_ours("command", name)):
+    made = _sound("command", "its key has no contract", lambda form: (form.robot, command_stream(form)))
+    return tuple(found for _, found in made)
+
+
+def _expanded(found: RobotFamily) -> RobotFamily:
+    for name in found.names:
+        if (described := found.describe(name)) is not None:
+            described.contracts()
+    return found
+
+
+def _sound(kind: registry.Kind, trouble: str, make: Callable[[Any], _Made]) -> Iterator[tuple[str, _Made]]:
+    """Make something of each that is registered, of ours first; with its name.
+
+    A recorder records what comes, whatever is wrong with what somebody registered: that is told and passed over.
+    """
+    for name in sorted(registry.names(kind), key=lambda name: not registry.is_ours(kind, name)):
         try:
-            form: CommandFormat = registry.find("command", name)
-            made = command_stream(form)
+            made = make(registry.find(kind, name))
         except (ImportError, AttributeError, TypeError, ValueError, StationError) as error:
-            # A recorder records what comes, whatever is wrong with somebody's format.
-            log.warning("command format %r: its key has no contract: %s: %s", name, type(error).__name__, error)
+            log.warning("%s %r: %s: %s: %s", kind, name, trouble, type(error).__name__, error)
         else:
-            found.append((form.robot, made))
-    return tuple(found)
+            yield name, made
 
 
 def _of_robot(robot: RobotDescription) -> dict[str, Contract]:

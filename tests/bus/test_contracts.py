@@ -139,35 +139,62 @@ def test_what_is_no_key_of_an_arm_has_no_contract() -> None:
         assert contracts.contract(key) is None, key
 
 
-FORMATS = """
+OTHERS = """
 import numpy as np
+
+from station.bus.robot_streams import driven_by_policy
+from station.contract import elements
+from station.description import Joint, RobotDescription, RobotFamily
 
 class WithoutElements:
     name, robot, key, note = "broken", "unitree_g1_with_hands", "action_broken", ""
 
 class Another(WithoutElements):
-    from station.contract import elements
     name, key, elements = "another", "action_another", elements((("speed",), "m/s"))
+
+STRIDER = RobotDescription(name="strider", model="strider", joints=(Joint("knee"),), streams=driven_by_policy())
+GOOD = RobotFamily(("strider",), {"strider": STRIDER}.get)
+BAD = RobotFamily(("broken",), lambda name: 1)
+CURIOUS = RobotFamily((), lambda name: name.robot)
 """
-ENTRIES = "[station.commands]\naaa = formats:Another\nbroken = formats:WithoutElements\ngone = not_here:FORMAT\n"
+ENTRIES = """
+[station.commands]
+aaa = others:Another
+broken = others:WithoutElements
+gone = not_here:FORMAT
+[station.families]
+bad = others:BAD
+curious = others:CURIOUS
+good = others:GOOD
+lost = not_here:FAMILY
+"""
 ASK = f"""
 import sys; sys.path.insert(0, {{folder!r}})
 from station.bus import contracts, keys
 print(contracts.contract("action_another").names, contracts.contract("action_broken"))
 print(len(contracts.contract(keys.command_used({twist_keys.TWIST2_ROBOT!r})).names))
+print(contracts.contract(keys.robot_state("strider")).names[0], contracts.contract(keys.robot_state("stranger")))
+print(*contracts.robots())
 """
 
 
 @pytest.mark.usefixtures("processes")
-def test_formats_of_others_take_no_key_from_ours_and_those_that_are_broken_no_contract(tmp_path: Path) -> None:
-    metadata = tmp_path / "formats-1.0.dist-info"
+def test_what_others_register_takes_no_key_from_ours_and_what_is_broken_of_it_ends_nobody(tmp_path: Path) -> None:
+    metadata = tmp_path / "others-1.0.dist-info"
     metadata.mkdir()
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: formats\nVersion: 1.0\n")
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: others\nVersion: 1.0\n")
     (metadata / "entry_points.txt").write_text(ENTRIES)
-    (tmp_path / "formats.py").write_text(FORMATS)
+    (tmp_path / "others.py").write_text(OTHERS)
     done = run(
         [sys.executable, "-B", "-c", ASK.format(folder=str(tmp_path))], capture_output=True, text=True, check=False
     )
-    assert done.stdout.splitlines() == ["('speed',) None", "35"], done.stderr
-    told = [line for line in done.stderr.splitlines() if "its key has no contract" in line]
-    assert [line.split("'")[1] for line in told] == ["broken", "gone"]
+    assert done.stdout.splitlines() == [
+        "('speed',) None", "35", "knee_pos None", "unitree_g1_with_hands g1 kassow_kr810 strider",
+    ], done.stderr  # fmt: skip
+    for trouble, named in (
+        ("its key has no contract", ["broken", "gone"]),
+        ("its robots have no contracts", ["bad", "lost"]),
+        ("cannot say whether", ["curious"]),
+    ):
+        told = [line for line in done.stderr.splitlines() if trouble in line]
+        assert list(dict.fromkeys(line.split("'")[1] for line in told)) == named

@@ -80,6 +80,8 @@ def test_a_description_goes_before_what_is_registered_but_not_before_the_station
         {"streams": [STREAM] * 65},
         {"joints": [{"name": f"j{n}"} for n in range(256)],
          "streams": [STREAM | {"elements": [{"name": f"{{joint}}_{n}", "unit": ""} for n in range(17)]}]},
+        {"joints": [{"name": "knee"}, {"name": "knee"}]},
+        {"streams": [STREAM | {"elements": [{"name": "x", "unit": ""}] * 2}]},
         {"groups": {"leg": "left_knee"}},
         {"parts": {"hand": ["one"]}},
     ],
