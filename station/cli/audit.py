@@ -12,6 +12,7 @@ from station.cli.options import data_option, episode_argument, json_option
 
 if TYPE_CHECKING:
     from station.episode.replaying.arm_audit import ArmAudit
+    from station.episode.replaying.audit import Comparison
 
 
 @click.command("audit")
@@ -24,7 +25,7 @@ def command(episode: str, data: Path | None, checkpoint: str | None, robot: str 
     """Run the policy again on the recorded observations of EPISODE, and derive those again from state and command.
 
     Of an arm, which has no policy, the recorded commands go through its gate again, and targets are compared. Exit code
-    1 when any bit of any action, observation or target differs.
+    1 when any bit of any action, observation or target differs, or when there was none to compare.
     """
     from station.episode.reading.reader import open_episode
     from station.episode.replaying.arm_audit import arm_of, audit_arm
@@ -54,10 +55,7 @@ def print_audit(found: object) -> None:
     click.echo(
         f"  actions       {found.steps} steps, {found.different} different, max |Δ| {found.max_abs_difference:.3g}"
     )
-    click.echo(
-        f"  observations  {observed.compared} steps, {observed.different} different, "
-        f"max |Δ| {observed.max_abs_difference:.3g}"
-    )
+    click.echo(f"  observations  {_compared(observed, 'steps', '', found.not_derived)}")
     click.echo(f"  recorded on   {found.recorded_runtime or 'unknown'}\n  audited on    {found.runtime}")
     click.echo(
         f"  {found.segments} segments, {found.incomplete} incomplete steps; {found.speed_x_realtime:.0f} x real time"
@@ -66,15 +64,20 @@ def print_audit(found: object) -> None:
 
 def arm_story(found: ArmAudit) -> str:
     """Return what an audit of an arm found, in words."""
-    commands, targets = found.commands, found.targets
+    why = f"{found.followed} ticks followed a command, {found.incomplete} of them incomplete"
+    commands, targets = (_compared(one, "ticks", " rad", why) for one in (found.commands, found.targets))
     return "\n".join(
         (
             f"{found.episode_id} ({found.robot}): commands through the gate again",
-            f"  after gate    {commands.compared} ticks, {commands.different} different, "
-            f"max |Δ| {commands.max_abs_difference:.3g} rad; its state differs in {found.states_different}",
-            f"  targets       {targets.compared} ticks, {targets.different} different, "
-            f"max |Δ| {targets.max_abs_difference:.3g} rad; {found.refused} ticks refused by the controller's session",
+            f"  after gate    {commands}; its state differs in {found.states_different}",
+            f"  targets       {targets}; {found.refused} ticks refused by the controller's session",
             f"  {found.steps} ticks, {found.followed} of them followed a command, in {found.segments} segments; "
             f"{found.incomplete} incomplete",
         )
     )
+
+
+def _compared(found: Comparison, what: str, unit: str, why_not: str) -> str:
+    if not found.compared:
+        return f"NOT AUDITED: {why_not}"
+    return f"{found.compared} {what}, {found.different} different, max |Δ| {found.max_abs_difference:.3g}{unit}"

@@ -65,9 +65,9 @@ class ArmAudit(msgspec.Struct, kw_only=True):
 
     @property
     def is_equal(self) -> bool:
-        """Whether there was something to compare and every bit of it is the same."""
+        """Whether commands and targets were compared, and every bit of them is the same."""
         differ = self.commands.different + self.targets.different + self.states_different
-        return self.commands.compared > 0 and not differ
+        return self.commands.compared > 0 and self.targets.compared > 0 and not differ
 
 
 def arm_of(reader: EpisodeReader, robot: str | None = None) -> str:
@@ -109,7 +109,10 @@ def _stated(reader: EpisodeReader, robot: str) -> tuple[JointCommand, GateConfig
         count = len(arrays["lower"]) if arrays and arrays["lower"].ndim == 1 else 0
         if not count or any(array.shape != (count,) or not np.isfinite(array).all() for array in arrays.values()):
             raise ValueError("its limits are not one number for each joint")
-        joints = tuple(f"joint_{number}" for number in range(1, count + 1))
+        description = reader.known.robot(robot)
+        joints = description.joint_names if description is not None else ()
+        if len(joints) != count:
+            raise ValueError(f"it has limits of {count} joints, and its description names {len(joints)}")
         return JointCommand.within("audit", robot, joints, **arrays), msgspec.convert(facts.get("gate"), GateConfig)
     except (KeyError, TypeError, ValueError, msgspec.ValidationError, ConfigError) as error:
         raise EpisodeError(

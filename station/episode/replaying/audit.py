@@ -68,6 +68,7 @@ class Audit(msgspec.Struct, kw_only=True):
         max_abs_difference: Greatest difference of an element of an action.
         first_different: Number of the first step that differs, or None.
         observations: The same for observations derived again from recorded state and command.
+        not_derived: Why an observation could not be derived, of the first such step; "" where there is none.
         segments: Runs of steps without a missing one; derivation starts anew at each.
         incomplete: Steps that lack an observation or an action of a size that the policy has.
         seconds: Time that the audit took [s].
@@ -88,6 +89,7 @@ class Audit(msgspec.Struct, kw_only=True):
     max_abs_difference: float
     first_different: int | None
     observations: Comparison
+    not_derived: str
     segments: int
     incomplete: int
     seconds: float
@@ -96,8 +98,9 @@ class Audit(msgspec.Struct, kw_only=True):
 
     @property
     def is_equal(self) -> bool:
-        """Whether there was something to compare and every bit of it is the same."""
-        return self.steps > 0 and not self.different and not self.observations.different
+        """Whether actions and observations were compared, and every bit of them is the same."""
+        is_audited = self.steps > 0 and self.observations.compared > 0
+        return is_audited and not self.different and not self.observations.different
 
 
 def audit(
@@ -143,6 +146,7 @@ def audit(
         max_abs_difference=actions.max_abs_difference,
         first_different=actions.first_different,
         observations=run.observations,
+        not_derived=run.not_derived,
         segments=run.segments,
         incomplete=run.incomplete,
         seconds=seconds,
@@ -160,6 +164,7 @@ class _Run:
     state: Contract | None
     actions: Comparison = field(default_factory=Comparison)
     observations: Comparison = field(default_factory=Comparison)
+    not_derived: str = ""
     segments: int = 0
     incomplete: int = 0
     first_ns: int = 0
@@ -194,6 +199,8 @@ class _Run:
         state = steps.robot_state(self.state, step.values.get(keys.robot_state(self.robot), b""))
         used = step.values.get(keys.command_used(self.robot))
         if state is None or used is None or len(used) != 8 * self._command_size:
+            lacking = keys.robot_state(self.robot) if state is None else keys.command_used(self.robot)
+            self.not_derived = self.not_derived or f"step {number} has no {lacking} that fits what the key holds"
             self.policy.restore(observation)
             return
         command = codec.parse_f64(used)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from station.bus import codec, keys
+from station.cli.audit import arm_story
 from station.episode.reading.reader import EpisodeReader, open_episode
 from station.episode.replaying.arm_audit import ArmAudit, arm_of, audit_arm
 from station.episode.replaying.resimulate import to_sim
@@ -143,6 +144,22 @@ def test_a_command_that_is_not_in_the_file_is_counted_and_the_rest_still_derived
     assert found.incomplete == 1
     assert found.commands.different == 0
     assert found.commands.compared > 200
+
+
+def test_targets_of_which_none_can_be_derived_are_not_audited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = run(tmp_path)
+    write: Callable[..., None] = made.builder.write
+
+    def without_joints(values: dict[str, bytes], **where: object) -> None:
+        write({key: value for key, value in values.items() if key != keys.state_joints(ROBOT)}, **where)
+
+    monkeypatch.setattr(made.builder, "write", without_joints)
+    made.be_silent(0.1)
+    made.move(0.4)
+    found = audited(made)
+    assert (found.targets.compared, found.targets.different) == (0, 0)
+    assert not found.is_equal
+    assert "targets       NOT AUDITED" in arm_story(found)
 
 
 def test_an_episode_that_does_not_say_how_commands_were_limited_cannot_be_audited(tmp_path: Path) -> None:
