@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from station import packages
 from station.errors import StationError, UnknownName
@@ -29,6 +29,8 @@ Kind = Literal[
     "foreign",
     "voice",
 ]
+
+INSTALL = "pip install -e . in a checkout, pip install --upgrade teleop-station elsewhere"
 
 _GROUPS: dict[str, str] = {
     "server": "station.servers",
@@ -61,6 +63,14 @@ def names(kind: Kind) -> list[str]:
 def is_ours(kind: Kind, name: str) -> bool:
     """Whether a registered name stands for something of our own packages; imports nothing."""
     return _entries(kind)[name].value.partition(".")[0] in packages.IMPORTED
+
+
+def outdated() -> str:
+    """Say what of ours cannot be found by name, because the installation is older than the code; "" for nothing."""
+    kinds = [kind for kind in get_args(Kind) if not any(is_ours(kind, name) for name in names(kind))]
+    if not kinds:
+        return ""
+    return f"nothing of ours is registered as {' or '.join(kinds)}: the installation is older than its files"
 
 
 def expect(kind: Kind, name: str) -> None:

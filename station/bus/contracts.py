@@ -123,6 +123,8 @@ def of_joints(
 
 @cache
 def _families() -> tuple[tuple[str, RobotFamily], ...]:
+    if outdated := registry.outdated():
+        log.warning("%s, so keys of known robots have no names; %s", outdated, registry.INSTALL)
     return tuple(_sound("family", "its robots have no contracts", _expanded))
 
 

@@ -10,7 +10,7 @@ from typing import Literal
 
 import msgspec
 
-from station import assets, packages
+from station import assets, packages, registry
 from station.bus.client import Bus
 from station.bus.protection import REMEDY, look
 
@@ -50,6 +50,8 @@ def hidden_packages() -> list[Finding]:
 
 def machine() -> Iterator[Finding]:
     """Look at this machine: upstream data, packages, versions, scheduling."""
+    if outdated := registry.outdated():
+        yield Finding("broken", "installation", outdated, f"install it again: {registry.INSTALL}")
     base = assets.root()
     if base is None:
         yield Finding("ok", "assets", f"built in; ${assets.ENVIRONMENT_VARIABLE} is not set, cache {assets.cache()}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
 import shutil
 import subprocess
@@ -88,6 +89,20 @@ def test_a_doctor_finds_it(home: Home, tmp_path: Path) -> None:
     assert done.stdout.startswith(f"✗ package adapters: Python imports {theirs}, of the distribution adapters 1.2.1")
     assert "    → pip uninstall adapters, or give" in done.stdout
     assert "✓ versions: python " in done.stdout
+
+
+def test_an_installation_that_is_older_than_its_files_is_told(home: Home, tmp_path: Path) -> None:
+    ours = importlib.metadata.distribution(packages.DISTRIBUTION)
+    kept = [entry for entry in ours.entry_points if entry.group != "station.families"]
+    metadata = tmp_path / "site" / "teleop_station-0.0.1.dist-info"
+    metadata.mkdir(parents=True)
+    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {packages.DISTRIBUTION}\nVersion: 0.0.1\n")
+    lines = [f"[{entry.group}]\n{entry.name} = {entry.value}\n" for entry in kept if entry.group != "console_scripts"]
+    (metadata / "entry_points.txt").write_text("".join(lines))
+    expected = "nothing of ours is registered as family: the installation is older than its files"
+    done = run(home, tmp_path / "site", "doctor")
+    assert f"✗ installation: {expected}\n    → install it again: pip install -e ." in done.stdout
+    assert expected in run(home, tmp_path / "site", "keys").stderr
 
 
 def test_a_distribution_that_was_installed_into_the_folder_of_ours_is_named(home: Home, tmp_path: Path) -> None:
