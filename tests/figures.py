@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,10 +58,18 @@ def written(config: pytest.Config) -> list[Figure]:
     return sorted(found)
 
 
+def _file(figure: Figure) -> str:
+    return figure.test.partition("::")[0]
+
+
+def _table(file: str, figures: list[Figure]) -> str:
+    rows = [f"| {row.what} | {row.value} | {row.limit} |" for row in figures]
+    return "\n".join([f"| `{file}` | measured | promised |", "|---|---|---|", *rows])
+
+
 def write_page(figures: list[Figure]) -> None:
-    """Write the figures into the table of docs/reliability.md."""
-    rows = [f"| {row.what} | {row.value} | {row.limit} | `{row.test}` |" for row in figures]
-    table = "\n".join(["| figure | measured | promised | test |", "|---|---|---|---|", *rows])
+    """Write the figures into docs/reliability.md, a table for each file of tests."""
+    table = "\n\n".join(_table(file, list(rows)) for file, rows in groupby(sorted(figures, key=_file), _file))
     before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
     _, _, after = rest.partition(END)
     PAGE.write_text(f"{before}{BEGIN}\n{table}\n{END}{after}", encoding="utf-8")
