@@ -21,6 +21,12 @@ from station.errors import StationError
 
 _Made = TypeVar("_Made")
 
+MOST_ROBOTS = 64
+"""That are taken up from what servers state: a client may invent more."""
+
+_REMEMBERED = 4096  # names and keys that were asked for; a client may invent more
+_MOST_PARTS = 12  # of a key: a stranger's may have thousands
+
 log = logging.getLogger(__name__)
 
 
@@ -40,9 +46,9 @@ class Contracts:
             self.describe(robot)
 
     def describe(self, robot: RobotDescription) -> None:
-        """Take up what a robot says of itself, in place of what it said before."""
+        """Take up what a robot says of itself, in place of what it said before; of `MOST_ROBOTS` and no more."""
         before = self._robots.get(robot.name)
-        if before == robot:
+        if before == robot or (before is None and len(self._robots) >= MOST_ROBOTS):
             return
         for item in before.contracts() if before is not None else ():
             self._described.pop(item.key, None)
@@ -82,7 +88,7 @@ def contracts() -> tuple[Contract, ...]:
     return (*_of_listed().values(), *_of_station().values())
 
 
-@cache
+@lru_cache(maxsize=_REMEMBERED)
 def description(robot: str) -> RobotDescription | None:
     """Return the description of a robot that is known though no server describes it; None for a stranger."""
     for name, family in _families():
@@ -178,13 +184,13 @@ def _of_listed() -> dict[str, Contract]:
     return found
 
 
-@cache
+@lru_cache(maxsize=_REMEMBERED)
 def _of_another(robot: str) -> dict[str, Contract]:
     found = description(robot)
     return {} if found is None else _of_robot(found)
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=_REMEMBERED)
 def _of_families(key: str) -> Contract | None:
     """Look among the robots that are listed, then for a robot whose name is the end of the key."""
     if (listed := _of_listed().get(key)) is not None or keys.is_stamp(key):
@@ -197,9 +203,6 @@ def _of_families(key: str) -> Contract | None:
 def _of_everyone(key: str) -> Contract | None:
     """Keys that are the same for every robot, device and camera."""
     return _of_station().get(key) or _by_prefix(key) or _of_operator(key) or _of_camera(key)
-
-
-_MOST_PARTS = 12  # of a key: a stranger's may have thousands
 
 
 def _station() -> list[Contract]:

@@ -92,6 +92,16 @@ def test_what_is_no_description_of_a_robot_says_nothing(change: dict[str, Any]) 
     assert Contracts([strider.facts(description=msgspec.to_builtins(DESCRIPTION) | change)]).get(strider.FEET) is None
 
 
+def test_who_invents_robots_fills_no_memory() -> None:
+    known = Contracts(
+        strider.facts(description=msgspec.to_builtins(DESCRIPTION) | {"name": f"r{n}"}) for n in range(100)
+    )
+    assert len([name for name in known.robots() if name.startswith("r")]) == contracts.MOST_ROBOTS
+    for number in range(10_000):
+        assert known.get(f"somebody_elses_{number}") is None
+    assert contracts._of_another.cache_info().currsize <= contracts._REMEMBERED
+
+
 def test_robots_that_state_nothing_are_known_by_their_families() -> None:
     assert contracts.robots() == (twist_keys.TWIST2_ROBOT, twist_keys.TWIST_ROBOT, KR810_ROBOT)
     known = Contracts()
