@@ -31,7 +31,7 @@ _decoders: dict[Any, msgspec.json.Decoder[Any]] = {}
 _one_learns = threading.Lock()
 
 MAX_BYTES = 1 << 20
-"""Of a JSON value; the longest of ours, what a G1's server states, has 3 kB."""
+"""Of a JSON value; the longest of ours, what a G1's server states, has 16 kB."""
 
 MAX_DEPTH = 64
 """Of lists and objects within each other; the deepest of ours has 6."""
