@@ -5,6 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.errors import BusError
+
 DEADLINE_S = 60.0
 
 
@@ -15,3 +19,12 @@ def wait_until(condition: Callable[[], object], timeout_s: float = DEADLINE_S) -
         if time.monotonic() > deadline:
             raise AssertionError(f"did not hold within {timeout_s:g} s: {condition}")
         time.sleep(0.005)
+
+
+def bus_answers(address: BusAddress) -> bool:
+    """Whether there is a bus to work with; that its socket's file is there says nothing, for nobody may listen yet."""
+    try:
+        Bus(address, name="test").close()
+    except BusError:
+        return False
+    return True

@@ -17,7 +17,7 @@ from station.bus.keeper import KeptServer
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.errors import BusError
 from tests.cli.running import are_gone, new_home
-from tests.waiting import wait_until
+from tests.waiting import bus_answers, wait_until
 
 pytestmark = pytest.mark.usefixtures("processes")
 
@@ -90,7 +90,9 @@ def test_neither_the_first_nor_a_later_server_outlives_its_keeper(tmp_path: Path
         assert keeper.stdout is not None
         first = int(keeper.stdout.readline())
         os.kill(first, signal.SIGKILL)
-        with Bus(_address(tmp_path), name="test", timeout_s=5.0) as bus:
+        address = BusAddress(socket=str(tmp_path / "bus.sock"))
+        wait_until(lambda: bus_answers(address))
+        with Bus(address, name="test", timeout_s=5.0) as bus:
             second = int(bus.call("INFO", "server").split(b"process_id:")[1].split()[0])
         assert second != first
         keeper.kill()
@@ -108,18 +110,3 @@ def test_in_a_terminal_the_operator_is_told() -> None:
             wait_until(lambda: bus.publish({"k": b"1"}))
         running.interrupt()
         assert running.finish()[0] == 0
-
-
-def _address(folder: Path) -> BusAddress:
-    """Wait for the server of a folder."""
-    address = BusAddress(socket=str(folder / "bus.sock"))
-
-    def answers() -> bool:
-        try:
-            Bus(address, name="test").close()
-        except BusError:
-            return False
-        return True
-
-    wait_until(answers)
-    return address

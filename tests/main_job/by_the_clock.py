@@ -22,7 +22,7 @@ from station.episode.reading.reader import EpisodeReader, open_episode
 from station.episode.storage.request import RecorderState
 from tests.main_job.station_runs import Terminal, up
 from tests.main_job.writers import FOREIGN_KEY, NATIVE_KEY, ForeignWriter, NativeWriter, running
-from tests.waiting import wait_until
+from tests.waiting import bus_answers, wait_until
 
 MOTION = "motion.motion=builtin:tour"
 BODY = twist_keys.action_body()
@@ -66,7 +66,7 @@ def recorded_run(folder: Path, is_over: Callable[[ForeignWriter, NativeWriter], 
 
 def record(terminal: Terminal, is_over: Callable[[ForeignWriter, NativeWriter], bool]) -> Run:
     address = BusAddress(socket=f"{terminal.environment['XDG_RUNTIME_DIR']}/station/bus.sock")
-    wait_until(lambda: Path(str(address.socket)).exists())
+    wait_until(lambda: bus_answers(address))
     station = terminal.start(*up("run", "motion.loop=true", MOTION))
 
     def has_come() -> bool:

@@ -71,8 +71,7 @@ def wave_walk_and_leave(folder: Path, gate: GateConfig = PATIENT) -> Driven:
     """Engage, let go, wave, walk, let go and leave."""
     with OperatedStation(folder, gate=gate) as station:
         assert station.log.gate()["state"] == "waiting"
-        station.engage()
-        station.wait_for_gate("tracking")
+        station.drive_until(lambda: station.log.gate()["state"] == "tracking")
         station.let_go()
         station.drive_until(lambda: np.ptp(vectors(station)[:, 6:], axis=0).max() > 0.2)  # it waves
         station.press("right_stick_click", until=lambda: station.told("operator-mode"))
@@ -102,8 +101,7 @@ def vectors(station: OperatedStation) -> Floats:
 def be_silent_and_crash(folder: Path, gate: GateConfig = PATIENT) -> Driven:
     """Lose the headset for a moment, by a crash of its server, and for good; drive anew after each."""
     with OperatedStation(folder, gate=gate, patience_s=2.0) as station:
-        station.engage()
-        station.wait_for_gate("tracking")
+        station.drive_until(lambda: station.log.gate()["state"] == "tracking")
         station.worn.be_silent(1.0)
         station.wait_for("operator-disengaged")
         expect_nobody_drives(station)
@@ -118,8 +116,7 @@ def be_silent_and_crash(folder: Path, gate: GateConfig = PATIENT) -> Driven:
         assert "pico has been away" in ended.detail["reason"]
         station.wait_for_gate("waiting")
         expect_nobody_drives(station)
-        station.engage()
-        station.wait_for_gate("tracking")
+        station.drive_until(lambda: station.log.gate()["state"] == "tracking")
         assert all(is_of_the_device(reason) for reason in station.reasons())
         jumps = station.restarts_at_engaging()
         assert len(jumps) == len(station.told("operator-engaged"))

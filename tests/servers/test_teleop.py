@@ -45,8 +45,9 @@ def test_operator_waves_walks_lets_go_and_leaves(tmp_path: Path) -> None:
 
 def test_silence_and_a_crash_let_go_until_a_new_press_and_a_long_absence_ends_the_commands(tmp_path: Path) -> None:
     told = [name for name, _ in be_silent_and_crash(tmp_path).told if name != "refused"]
-    assert told == ["engaged", "disengaged"] * (len(told) // 2) + ["engaged"]
-    assert len(told) >= 7
+    begun, ended = told[::2], told[1::2]  # a busy machine may add a pair anywhere, and a loss after the last beginning
+    assert (set(begun), set(ended)) == ({"engaged"}, {"disengaged"})
+    assert len(begun) >= 4
 
 
 def refusals(station: OperatedStation) -> list[str]:
@@ -65,8 +66,7 @@ def test_stop_button_latches_and_only_a_new_press_moves_the_robot_after_it(tmp_p
             button.release("tests go on")
         station.wait_for_gate("waiting")
         assert len(station.commands()) == count
-        station.engage()
-        station.wait_for_gate("tracking")
+        station.drive_until(lambda: station.log.gate()["state"] == "tracking")
         assert station.restarts_at_engaging()[-1] <= SAME
 
 
@@ -80,8 +80,7 @@ def test_buttons_arm_and_disarm_a_robot_and_a_refusal_is_told_in_event_and_statu
         wait_until(lambda: "hold left_grip+left_trigger+right_grip+right_trigger to arm" in station.why_not())
         assert "button of pico" in squeeze(station, "arming").detail["who"]
         assert (station.wait_for("armed").wall_ns - station.told("arming")[0].wall_ns) * 1e-9 > 0.9 * RAMP_S
-        station.engage()
-        station.wait_for_gate("tracking")
+        station.drive_until(lambda: station.log.gate()["state"] == "tracking")
         disarm_while_driving(station)
         assert {reason for reason in station.reasons() if not is_of_the_device(reason)} == {"disarmed"}
         assert station.log.gate()["arming"] == "disarmed"

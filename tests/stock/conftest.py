@@ -9,14 +9,12 @@ from dataclasses import dataclass
 
 import pytest
 
-from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.errors import BusError
 from station.life.server import Health, read_health
 from tests.bus.tap.traffic import free_port
 from tests.main_job.station_runs import Terminal
-from tests.waiting import DEADLINE_S, wait_until
+from tests.waiting import DEADLINE_S, bus_answers, wait_until
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ def open_bus(processes: None, tmp_path_factory: pytest.TempPathFactory) -> Itera
     process = terminal.start("bus", "start", "--tcp", str(port))
     address = BusAddress(socket=f"{terminal.environment['XDG_RUNTIME_DIR']}/station/bus.sock")
     try:
-        wait_until(lambda: _answers(address))
+        wait_until(lambda: bus_answers(address))
         yield OpenBus(terminal, address, port)
     finally:
         process.send_signal(signal.SIGINT)
@@ -90,11 +88,3 @@ def health(bus: Bus, name: str) -> Health:
 
 def _is_active(bus: Bus, process: subprocess.Popen[str]) -> bool:
     return any(item.pid == process.pid and item.state == "active" for item in read_health(bus))
-
-
-def _answers(address: BusAddress) -> bool:
-    try:
-        with Bus(address, name="probe") as line:
-            return line.get(keys.ESTOP) is None
-    except BusError:
-        return False
