@@ -30,7 +30,6 @@ from station.life.loop import real_time
 from station.life.own_key import OwnKey
 from station.life.pace import WallPace
 from station.life.server import Life, ServerKind
-from station.operator import buttons
 from station.operator.buttons import ButtonMap, Buttons, Pressed
 from station.operator.driver import Driver, DriverKind
 from station.operator.driving import Driven, Driving, buttons_to_drive
@@ -84,8 +83,8 @@ class TeleopConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         if not 0.5 <= self.leave_s <= 60.0:
             raise ValueError(f"leave_s is {self.leave_s:g}; expected 0.5 to 60 s: a shorter blend is a kick")
         self.typed_options()
-        if self.button_kind not in buttons.DEFAULTS:
-            listed = ", ".join(buttons.DEFAULTS)
+        if self.button_kind not in registry.names("device"):
+            listed = ", ".join(registry.names("device"))
             raise ValueError(f"kind: nothing is known of the buttons of {self.button_kind!r}; expected one of {listed}")
 
     def typed_options(self) -> Any:

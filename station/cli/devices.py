@@ -231,7 +231,7 @@ def buttons(device: str, changes: Path | None, as_json: bool) -> None:
 
     if changes is not None and not device:
         raise UsageError("devices buttons --map: name the device whose buttons the file changes")
-    names = [_kind(device).name] if device else [name for name in registry.names("device") if maps.DEFAULTS.get(name)]
+    names = [_kind(device).name] if device else [name for name in registry.names("device") if _kind(name).buttons]
     found = [maps.button_map(name) if changes is None else maps.load(name, changes) for name in names]
     if as_json:
         plain_maps = {

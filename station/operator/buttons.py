@@ -8,17 +8,22 @@ An action is bound to gestures: a ``press``, a ``hold`` of `HOLD_S`, of one cont
     mark: none
 
 A press acts at once. Where the same control is also held or part of a chord, it acts when it is released, because only
-then is it known not to be the other gesture. A control is a number, pressed above a half. Pure: no device, no clock.
+then is it known not to be the other gesture. A control is a number, pressed above a half. A device's kind
+(`station.operator.device.DeviceKind`) says which controls it has and what they ask for. Pure: no device, no clock.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any, Literal
 
-from station import config
+from station import config, registry
 from station.errors import ConfigError, did_you_mean
+
+if TYPE_CHECKING:
+    from station.operator.device import DeviceKind
 
 HOLD_S = 1.2
 """A hold takes this long [s]: longer than any press that is one."""
@@ -44,48 +49,6 @@ ACTIONS: dict[str, str] = {
     "disarm": "send the robot nothing more, at once",
 }
 """What an operator may ask for beside moving."""
-
-_PAIR = {
-    "start_pause": "right_primary",
-    "exit": "left_primary",
-    "record": "left_secondary",
-    "discard": "hold left_secondary",
-    "mark": "right_secondary",
-    "rerecord": "hold right_secondary",
-    "estop": "left_stick_click",
-    "mode": "right_stick_click",
-    "arm": "hold left_trigger+left_grip+right_trigger+right_grip",
-    "disarm": "left_menu",
-}
-
-DEFAULTS: dict[str, dict[str, Any]] = {
-    "pico": _PAIR,
-    "gamepad": _PAIR | {"engage": "left_bumper", "exit": "back", "start_pause": ["right_primary", "start"],
-                        "arm": "hold left_trigger+right_trigger+right_bumper", "disarm": "guide"},
-    "spacemouse": {"start_pause": "button_0", "mode": "hold button_0", "record": "button_1", "discard": "hold button_1",
-                   "estop": "button_0+button_1"},
-    "gello": {},
-    "keyboard": {"start_pause": "key_space", "exit": "key_q", "estop": "key_escape", "mode": "key_tab",
-                 "record": "key_r", "mark": "key_m", "discard": "key_delete", "rerecord": "key_backspace",
-                 "success": "key_y", "arm": "key_o+key_p", "disarm": "key_x"},
-}  # fmt: skip
-"""What means what on a device until a file says otherwise. A pair of controllers is as in stock TWIST2 (right A starts
-and pauses, left X exits, left Y records, left stick stops, right stick changes the mode); what TWIST2 has not is on the
-same two buttons: Y keeps a take or, held, throws it away; B marks a moment or, held, begins the take anew.
-
-Arming takes what no hand does by itself: everything squeezed for `HOLD_S`, which opens and closes the fingers at once
-and so moves none; two keys together, since a terminal does not tell how long one is held. Disarming is one press of a
-button that nothing else uses. A spacemouse with its two buttons has none left: `station arm`, or a file for a larger
-one."""
-
-_BOTH = ("trigger", "stick_x", "stick_y", "stick_click", "primary", "secondary")
-_CONTROLLERS = tuple(f"{side}_{name}" for side in ("left", "right") for name in (*_BOTH, "grip", "menu"))
-_PAD = (
-    *(f"{side}_{name}" for side in ("left", "right") for name in (*_BOTH, "bumper")),
-    "start", "back", "guide", "dpad_up", "dpad_down", "dpad_left", "dpad_right",
-)  # fmt: skip
-_KNOWN: dict[str, tuple[str, ...]] = {"pico": _CONTROLLERS, "gamepad": _PAD}
-_OPEN = {"spacemouse": "button_", "keyboard": "key_", "gello": "button_"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,24 +105,23 @@ class Pressed:
 
 
 def button_map(device: str, changes: Mapping[str, Any] | None = None, *, where: str = "buttons") -> ButtonMap:
-    """Return the map of a kind of device: its defaults, with changes over them.
+    """Return the map of a kind of device: what it brings, with changes over that.
 
     Args:
-        device: Kind of the device, a key of `DEFAULTS`; another kind has no defaults and any names of controls.
+        device: Registered name of the kind.
         changes: Gestures by action, as in the file.
         where: What the user calls the place they stand in.
 
     Raises:
         ConfigError: an unknown action or control, a value of no such form, or one gesture for two actions.
+        UnknownName: no such kind is registered.
     """
-    bound = {action: _gestures(device, action, value, where) for action, value in DEFAULTS.get(device, {}).items()}
+    kind: DeviceKind = registry.find("device", device)
+    bound: dict[str, tuple[Gesture, ...]] = {}
+    for action, value in kind.buttons.items():
+        bound |= _bind(kind, action, value, f"buttons of {device}")
     for action, value in (changes or {}).items():
-        if action not in ACTIONS:
-            listed = ", ".join(ACTIONS)
-            raise ConfigError(
-                f"{where}: unknown action {action!r}{did_you_mean(str(action), ACTIONS)}; known: {listed}"
-            )
-        bound[action] = _gestures(device, action, value, where)
+        bound |= _bind(kind, action, value, where)
     _refuse_conflicts(bound, changes or {}, where)
     return ButtonMap(device, bound)
 
@@ -173,14 +135,17 @@ def load(device: str, path: Any) -> ButtonMap:
     return button_map(device, config.read_yaml(path), where=str(path))
 
 
-def _gestures(device: str, action: str, value: Any, where: str) -> tuple[Gesture, ...]:
+def _bind(kind: DeviceKind, action: str, value: Any, where: str) -> dict[str, tuple[Gesture, ...]]:
+    if action not in ACTIONS:
+        listed = ", ".join(ACTIONS)
+        raise ConfigError(f"{where}: unknown action {action!r}{did_you_mean(str(action), ACTIONS)}; known: {listed}")
     if value is None or value == "none":
-        return ()
+        return {action: ()}
     texts = value if isinstance(value, list) else [value]
-    return tuple(_gesture(device, text, f"{where}: {action}") for text in texts)
+    return {action: tuple(_gesture(kind, text, f"{where}: {action}") for text in texts)}
 
 
-def _gesture(device: str, text: Any, where: str) -> Gesture:
+def _gesture(kind: DeviceKind, text: Any, where: str) -> Gesture:
     form = "a control, 'hold CONTROL', controls joined by '+', a list of these, or none"
     words = text.split() if isinstance(text, str) else []
     is_hold = words[:1] == ["hold"]
@@ -190,17 +155,14 @@ def _gesture(device: str, text: Any, where: str) -> Gesture:
     if len(set(names)) < len(names):
         raise ConfigError(f"{where}: {text!r} names a control twice")
     for name in names:
-        _check_control(device, name, where)
+        _check_control(kind, name, where)
     return Gesture("hold" if is_hold else "press", tuple(sorted(names)))
 
 
-def _check_control(device: str, name: str, where: str) -> None:
-    known = _KNOWN.get(device)
-    if known is not None and name not in known:
-        raise ConfigError(f"{where}: a {device} has no control {name!r}{did_you_mean(name, known)}")
-    begins = _OPEN.get(device, "")
-    if not name.startswith(begins):
-        raise ConfigError(f"{where}: controls of a {device} are called {begins}…, got {name!r}")
+def _check_control(kind: DeviceKind, name: str, where: str) -> None:
+    if kind.controls and not any(fnmatchcase(name, known) for known in kind.controls):
+        hint = did_you_mean(name, kind.controls) or f"; it has {', '.join(kind.controls)}"
+        raise ConfigError(f"{where}: a {kind.name} has no control {name!r}{hint}")
 
 
 def _refuse_conflicts(bound: Mapping[str, Sequence[Gesture]], changes: Mapping[str, Any], where: str) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -66,6 +66,10 @@ class DeviceKind:
         example: A script of its fake.
         plugged_in: Returns each one that can be seen now, as a person is told; raises `DeviceError` where nobody can
             tell: no library, no permission.
+        controls: Names of its controls; with ``*`` for any end (``button_*``). Empty where they are not
+            known: then a file of buttons may name any.
+        buttons: Gestures by action, as in a file of buttons (`station.operator.buttons`): what its buttons ask for
+            until a file says otherwise. Empty for a device without any, or whose buttons differ too much.
         play: Plays a script until Ctrl-C (`KeyboardInterrupt`) or the script's end. Takes the file, and the TCP port
             where `port` is one, else None. Raises `station.errors.BadFile` and `DeviceError`.
         port: TCP port on which the fake listens by default; None for a fake that does not.
@@ -81,6 +85,8 @@ class DeviceKind:
     example: Path
     plugged_in: Callable[[], Sequence[str]]
     play: Callable[[Path, int | None], None]
+    controls: Sequence[str] = ()
+    buttons: Mapping[str, Any] = field(default_factory=dict)
     port: int | None = None
     calibrate: Callable[[], click.Command] | None = None
     measure: Callable[[], OperatorMeasure] | None = None

@@ -39,7 +39,8 @@ def plugged_in():
 
 def kind(name, library):
     return DeviceKind(name=name, about="an arm", library=library, extra="lab", example=Path("x.json"),
-                      plugged_in=plugged_in, play=lambda file, port: None)
+                      plugged_in=plugged_in, play=lambda file, port: None,
+                      controls=["pedal", "knob"], buttons=dict(engage="pedal", estop="knob"))
 
 ARM, HAND = kind("lab-arm", "numpy"), kind("lab-hand", "no-such-package")
 """
@@ -111,6 +112,16 @@ def test_a_device_that_may_not_be_read_and_a_library_that_is_missing_are_told_wi
     assert cells(table)["lab-hand"] == ["no no-such-package", "cannot tell", "an arm"]
     assert problem == f"lab-arm: {PROBLEM}", "what lacks its library is told of that alone"
     assert install == "to install what is missing: pip install 'teleop-station[lab]'"
+
+
+def test_a_device_of_somebody_s_package_brings_its_buttons(lab: Home, tmp_path: Path) -> None:
+    shown = cells(words(lab, "buttons", "lab-arm"))
+    assert (shown["engage"][0], shown["estop"][0], shown["mark"][0]) == ("pedal", "knob", "-")
+    assert {"lab-arm", "lab-hand"} <= set(lab.json("devices", "buttons"))
+    changes = tmp_path / "buttons.yaml"
+    changes.write_text("mark: pedla\n")
+    said = one_line(lab.run("devices", "buttons", "lab-arm", "--map", str(changes)))
+    assert "a lab-arm has no control 'pedla' (did you mean 'pedal'?)" in said
 
 
 SHOWN = {"gamepad": "left_bumper=1", "keyboard": "key_space=1", "spacemouse": "button_0=1"}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -10,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from station import registry
 from station.errors import BadFile, ConfigError
-from station.operator.buttons import ACTIONS, BOUNCE_FRAMES, DEFAULTS, HOLD_S, Buttons, Pressed, button_map, load
+from station.operator.buttons import ACTIONS, BOUNCE_FRAMES, HOLD_S, Buttons, Pressed, button_map, load
 
 TICK_S = 0.01
 UP: dict[str, float] = {}
@@ -141,7 +144,7 @@ def test_whatever_is_pressed_one_gesture_at_most_comes_of_one_press(frames: list
     assert started <= pressed
 
 
-@pytest.mark.parametrize("device", DEFAULTS)
+@pytest.mark.parametrize("device", registry.names("device"))
 def test_the_defaults_of_every_device_are_without_conflict_and_have_a_table(device: str) -> None:
     table = button_map(device).table()
     assert [row[0] for row in table] == list(ACTIONS)
@@ -180,9 +183,26 @@ def test_what_would_be_ambiguous_is_refused_in_a_line(changes: dict[str, Any], m
     assert "\n" not in str(caught.value)
 
 
-def test_a_gamepad_has_no_grips() -> None:
-    with pytest.raises(ConfigError, match="a gamepad has no control 'left_grip'"):
-        button_map("gamepad", {"mark": "left_grip"})
+@pytest.mark.parametrize(
+    ("device", "control", "message"),
+    [
+        ("gamepad", "left_grip", "a gamepad has no control 'left_grip'"),
+        ("spacemouse", "left_menu", "a spacemouse has no control 'left_menu'; it has button_*"),
+        ("keyboard", "key_spcae", "a keyboard has no control 'key_spcae' (did you mean 'key_space'?)"),
+    ],
+)
+def test_a_control_that_a_device_does_not_have_is_refused(device: str, control: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        button_map(device, {"mark": control})
+
+
+def test_a_spacemouse_may_have_many_buttons_and_a_device_that_names_none_has_any(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert button_map("spacemouse", {"mark": "button_14"}).gestures["mark"][0].controls == ("button_14",)
+    gello = registry.find("device", "gello")
+    monkeypatch.setattr(registry, "find", lambda *_: dataclasses.replace(gello, name="wheel", controls=()))
+    assert button_map("wheel", {"mark": "horn"}).gestures["mark"][0].controls == ("horn",)
 
 
 def test_a_file_changes_what_it_names_and_nothing_else(tmp_path: Path) -> None:

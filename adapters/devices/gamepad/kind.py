@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from adapters.devices import pair
+from adapters.devices.gamepad.names import CONTROLS
 from station.operator.device import DeviceError, DeviceKind
 
 
@@ -32,4 +34,9 @@ KIND = DeviceKind(
     example=Path(__file__).parents[1] / "fakes/gamepad/example.json",
     plugged_in=_plugged_in,
     play=_play,
-)
+    controls=CONTROLS,
+    buttons=pair.BUTTONS | {
+        "engage": "left_bumper", "exit": "back", "start_pause": ["right_primary", "start"],
+        "arm": "hold left_trigger+right_trigger+right_bumper", "disarm": "guide",
+    },
+)  # fmt: skip

@@ -38,5 +38,6 @@ KIND = DeviceKind(
     example=Path(__file__).parents[1] / "fakes/gello/example.json",
     plugged_in=_plugged_in,
     play=_play,
+    controls=("button_*",),
     calibrate=_calibrate,
 )

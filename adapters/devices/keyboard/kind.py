@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from adapters.devices.keyboard.keys import NAMES
 from station.operator.device import DeviceKind
 
 
@@ -26,4 +27,11 @@ KIND = DeviceKind(
     example=Path(__file__).parents[1] / "fakes/keyboard/example.json",
     plugged_in=_plugged_in,
     play=_play,
-)
+    controls=tuple(f"key_{name}" for name in sorted(NAMES)),
+    buttons={
+        "start_pause": "key_space", "exit": "key_q", "estop": "key_escape", "mode": "key_tab", "record": "key_r",
+        "mark": "key_m", "discard": "key_delete", "rerecord": "key_backspace", "success": "key_y",
+        "arm": "key_o+key_p",  # two at once, since a terminal does not tell how long one is held
+        "disarm": "key_x",
+    },
+)  # fmt: skip

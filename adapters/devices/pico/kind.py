@@ -6,6 +6,8 @@ import socket
 from collections.abc import Sequence
 from pathlib import Path
 
+from adapters.devices import pair
+from adapters.devices.pico.controls import CONTROLS
 from adapters.devices.pico.headset import DEFAULT_PORT
 from station.operator.device import DeviceKind
 from station.operator.measure import OperatorMeasure
@@ -43,6 +45,8 @@ KIND = DeviceKind(
     example=Path(__file__).parents[1] / "fakes/pico/example.json",
     plugged_in=_plugged_in,
     play=_play,
+    controls=tuple(CONTROLS),
+    buttons=pair.BUTTONS,
     port=DEFAULT_PORT,
     measure=_measure,
 )

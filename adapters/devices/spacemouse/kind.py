@@ -28,4 +28,9 @@ KIND = DeviceKind(
     example=Path(__file__).parents[1] / "fakes/spacemouse/example.json",
     plugged_in=_plugged_in,
     play=_play,
-)
+    controls=("button_*",),
+    buttons={
+        "start_pause": "button_0", "mode": "hold button_0", "record": "button_1", "discard": "hold button_1",
+        "estop": "button_0+button_1",  # none is left to arm with: `station arm`, or a file for a larger one
+    },
+)  # fmt: skip
