@@ -38,11 +38,6 @@ def positions(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"{name}_pos" for name in names)
 
 
-def velocities(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Element names of joint velocities."""
-    return tuple(f"{name}_vel" for name in names)
-
-
 class Contract(msgspec.Struct, frozen=True, kw_only=True):
     """What a key holds.
 

@@ -79,15 +79,13 @@ def state_of_step(key: str, there: Iterable[str]) -> str | None:
         key: The key.
         there: The keys that there are.
     """
-    for family in steps.RESULTS:
-        if key.startswith(family("")):
-            return steps.state_key(key.removeprefix(family("")), there)
-    return None
+    robot = steps.robot_of_step(key)
+    return None if robot is None else steps.state_key(robot, there)
 
 
 def rule_of(columns: KeyColumns, *, as_action: bool) -> str:
     """Return the name in `RULES` of what makes a key's column."""
-    return "step" if as_action and columns.role == "policy" and state_of_step(columns.key, ()) else "newest"
+    return "step" if as_action and columns.role == "policy" and steps.robot_of_step(columns.key) else "newest"
 
 
 def resample(

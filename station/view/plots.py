@@ -52,7 +52,7 @@ def save_run(run: Run, path: Path) -> Path:
     if not names:
         raise StationError(f"{run.episode_id}: no plot, nothing names the joints of {run.robot or 'its robot'}")
     has_limbs = len(run.groups) > 1 and any(joint in limb for limb in run.groups.values() for joint in names)
-    below_in = _ROOT_IN + _places(run.groups).rows * _ROW_IN if has_limbs else len(names) * _ROW_IN
+    below_in = _root_in(run) + _places(run.groups).rows * _ROW_IN if has_limbs else len(names) * _ROW_IN
     height_in = _HEAD_IN + _LANES_IN + below_in + _FOOT_IN
     with page(style.WIDTH_PX / style.DPI, height_in) as figure:
         (_draw if has_limbs else _draw_joints)(figure, run, joint_errors(run))
@@ -80,21 +80,22 @@ def _places(groups: Mapping[str, tuple[str, ...]]) -> _Places:
 def _draw(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
     from matplotlib.gridspec import GridSpec
 
-    height_in = float(figure.get_figheight())
+    height_in, root_in = float(figure.get_figheight()), _root_in(run)
     _head(figure, run, errors)
+    heights = (_LANES_IN, root_in - 0.3) if root_in else (_LANES_IN,)
     top = GridSpec(
-        2, 1, figure, left=_LEFT_IN / 16, right=1 - _RIGHT_IN / 16, top=1 - _HEAD_IN / height_in,
-        bottom=1 - (_HEAD_IN + _LANES_IN + _ROOT_IN - 0.3) / height_in, height_ratios=(_LANES_IN, _ROOT_IN - 0.3),
-        hspace=0.42,
+        len(heights), 1, figure, left=_LEFT_IN / 16, right=1 - _RIGHT_IN / 16, top=1 - _HEAD_IN / height_in,
+        bottom=1 - (_HEAD_IN + sum(heights)) / height_in, height_ratios=heights, hspace=0.42,
     )  # fmt: skip
     limits = _draw_lanes(figure.add_subplot(top[0]), run)
-    root = figure.add_subplot(top[1])
-    _draw_height(root, run)
-    style.time_axis(root, limits, ticks=12, unit=" s")
+    if root_in:
+        root = figure.add_subplot(top[1])
+        _draw_height(root, run)
+        style.time_axis(root, limits, ticks=12, unit=" s")
     places = _places(run.groups)
     below = GridSpec(
         places.rows, len(run.groups), figure, left=_LEFT_IN / 16, right=1 - _RIGHT_IN / 16,
-        top=1 - (_HEAD_IN + _LANES_IN + _ROOT_IN + 0.42) / height_in, bottom=_FOOT_IN / height_in, hspace=0.5,
+        top=1 - (_HEAD_IN + _LANES_IN + root_in + 0.42) / height_in, bottom=_FOOT_IN / height_in, hspace=0.5,
         wspace=0.18,
     )  # fmt: skip
     _draw_limbs(figure, below, run, errors, limits)
@@ -104,6 +105,11 @@ def _draw(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
     if errors:
         first = len([*run.groups.values()][places.errors])
         _draw_errors(figure.add_subplot(below[first:, places.errors]), run, errors)
+
+
+def _root_in(run: Run) -> float:
+    """Return the height of the panel of the base's height [in]; 0 where nothing asked for it or measured it."""
+    return _ROOT_IN if run.heights is not None or run.has_place else 0.0
 
 
 def _draw_joints(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
@@ -142,7 +148,7 @@ def _head(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
 
 
 def _draw_height(axes: Axes, run: Run) -> None:
-    style.title(axes, "height of the pelvis [m]")
+    style.title(axes, "height of the base [m]")
     style.mark(axes, run)
     if run.heights is not None:
         style.asked(axes, *run.heights)
@@ -152,7 +158,7 @@ def _draw_height(axes: Axes, run: Run) -> None:
 
 
 def _draw_lean(axes: Axes, run: Run, limits: tuple[float, float]) -> None:
-    style.title(axes, "lean of the pelvis [°]")
+    style.title(axes, "lean of the base [°]")
     style.mark(axes, run)
     if run.measured is not None:
         style.measured(axes, run.times_s, np.degrees(rotations.tilt(run.measured.root[:, 3:])))
@@ -164,7 +170,7 @@ def _draw_lean(axes: Axes, run: Run, limits: tuple[float, float]) -> None:
 
 
 def _draw_path(axes: Axes, run: Run) -> None:
-    """Draw where the pelvis went, seen from above, forward to the right."""
+    """Draw where the base went, seen from above, forward to the right."""
     if run.measured is None or not run.has_place:
         axes.set_visible(False)
         return

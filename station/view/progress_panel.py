@@ -73,7 +73,7 @@ def line(progress: Progress) -> str:
         return ""
     parts = [f"{doing(motion)}, {motion.time_s:.1f} of {motion.duration_s:.1f} s"]
     if robot is not None:
-        height = "" if robot.height_m is None else f", pelvis at {robot.height_m:.2f} m"
+        height = "" if robot.height_m is None else f", base at {robot.height_m:.2f} m"
         parts.append(f"{_posture(robot.tilt_rad)}, leans {math.degrees(robot.tilt_rad):.0f}°{height}")
     if progress.recorder is not None and progress.recorder.state == "recording":
         parts.append(f"{_thousands(progress.recorder.messages)} messages")
@@ -117,7 +117,7 @@ def _motion(motion: MotionProgress) -> RenderableType:
 def _robot(robot: RobotProgress) -> str:
     posture = _posture(robot.tilt_rad)
     colour = {"upright": "green", "leaning": "yellow", "fallen": "red"}[posture]
-    height = "" if robot.height_m is None else f"   pelvis {robot.height_m:.2f} m"
+    height = "" if robot.height_m is None else f"   base {robot.height_m:.2f} m"
     falls = f"   [red]{robot.falls} {'fall' if robot.falls == 1 else 'falls'}[/]" if robot.falls else ""
     gate = f"   gate {escape(printable(robot.gate))}" if robot.gate else ""
     return f"[{colour}]● {posture:<8}[/] lean {math.degrees(robot.tilt_rad):4.1f}°{height}{gate}{falls}"

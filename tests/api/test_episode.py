@@ -11,7 +11,7 @@ import pytest
 
 import station
 from station.bus import codec, keys
-from station.contract import TIMING_STAGES, Contract, elements, positions, velocities
+from station.contract import TIMING_STAGES, Contract, elements, positions
 from station.episode.reading.reader import open_episode
 from station.episode.reading.show import count_streams
 from tests.api.libraries import needs
@@ -40,7 +40,7 @@ def contract(key: str, **fields: object) -> Contract:
 
 def stride(builder: EpisodeBuilder, *, steps: int = 3) -> None:
     """Record steps of a robot with two joints that nothing but the contracts in the file knows of."""
-    state = elements((positions(LEGS), "rad"), (velocities(LEGS), "rad/s"))
+    state = elements((positions(LEGS), "rad"), (tuple(f"{leg}_vel" for leg in LEGS), "rad/s"))
     command = elements((("forward_vel",), "m/s"))
     timing = elements((("tick", "command_seq", *TIMING_STAGES), ""))
     builder.contracts |= {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from tests.adapters.exports.quick_looks import converted
 from tests.episode.recorder.test_recording import answer
 from tests.episode.writes import Native, foreign
 from tests.strider import FEET, KNEES, NAME
+from tests.view.pictures import pixels
 
 SECOND = 1_000_000_000
 STEPS = 100
@@ -101,7 +103,10 @@ def test_its_limbs_are_drawn(reader: EpisodeReader, tmp_path: Path) -> None:
     assert (run.robot, run.groups, run.can_fall) == (NAME, strider.DESCRIPTION.groups, True)
     assert run.commanded is not None
     assert run.commanded.names == KNEES
-    assert plots.save_run(run, tmp_path / "plot.png").stat().st_size > 20_000
+    page = pixels(plots.save_run(run, tmp_path / "plot.png"))
+    assert (run.has_place, run.heights) == (False, None)
+    with_height = pixels(plots.save_run(replace(run, has_place=True), tmp_path / "placed.png"))
+    assert len(page) < len(with_height), "no empty panel where nothing measures a height"
 
 
 def test_its_columns_are_named_in_exports(reader: EpisodeReader, tmp_path: Path) -> None:

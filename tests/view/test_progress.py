@@ -102,7 +102,7 @@ def test_whether_an_operator_drives_and_why_not(bus: Bus) -> None:
 def test_a_plain_line_says_it_in_words(bus: Bus) -> None:
     play(bus, tilt_rad=1.2)
     line = progress_panel.line(ProgressReader(bus, NAMES).look())
-    assert line == "tour: bow, 7.5 of 20.0 s; fallen, leans 69°, pelvis at 0.75 m; 12 345 messages"
+    assert line == "tour: bow, 7.5 of 20.0 s; fallen, leans 69°, base at 0.75 m; 12 345 messages"
 
 
 def test_a_blend_is_called_by_its_phase(bus: Bus) -> None:

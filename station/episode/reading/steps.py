@@ -95,6 +95,11 @@ def keys_of_joints(reader: EpisodeReader, robot: str, role: Role, first: Iterabl
     return list(dict.fromkeys((*own, *found)))
 
 
+def robot_of_step(key: str) -> str | None:
+    """Return the suffix of the robot whose policy steps write a key; None for a key of no step."""
+    return next((key.removeprefix(family("")) for family in RESULTS if key.startswith(family(""))), None)
+
+
 def state_key(robot: str, topics: Iterable[str]) -> str:
     """Return the key of the state that the control steps of a robot read: its joints, where that is all there is."""
     known = set(topics)

@@ -58,7 +58,8 @@ class Heard:
 
     def is_of_interest(self, key: str) -> bool:
         """Whether `hear` wants the values of a key; also takes note of the key itself."""
-        self._robots_seen.update(robot for robot in self._stock if key.endswith(f"_body_{robot}"))
+        if self.contracts.get(key) is not None:
+            self._robots_seen.update(robot for robot in self._stock if key.endswith(f"_{robot}"))
         return key.startswith((keys.SERVER_PREFIX, keys.CONFIG_PREFIX, _SOURCE_PREFIX))
 
     def hear(self, key: str, value: bytes, stamp: bytes | None, mono_ns: int) -> None:
