@@ -1,6 +1,7 @@
 """Teleop Station: what every process of a station shares, and the few names that a notebook or a script needs.
 
-``station.open_episode("latest")`` opens a recorded episode as arrays and frames; docs/notebook.md shows how.
+``station.open_episode("latest")`` opens a recorded episode as arrays and frames, ``station.Station()`` is a line to a
+running station; docs/notebook.md and docs/script.md show how.
 """
 
 import importlib
@@ -9,9 +10,10 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from station.api.episode import Episode, open_episode
+    from station.api.live import Station
     from station.errors import StationError
 
-__all__ = ["Episode", "StationError", "open_episode"]
+__all__ = ["Episode", "Station", "StationError", "open_episode"]
 
 # ONNX Runtime 1.32 sends usage data to its maker, from a thread beside the control loop. It reads this when imported.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
@@ -22,7 +24,8 @@ if not TYPE_CHECKING:  # a type checker shall know these names alone, and tell o
         """Import a public name when it is first asked for: every process of a station imports this module."""
         if name not in __all__:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        module = "station.errors" if name == "StationError" else "station.api.episode"
+        modules = {"StationError": "station.errors", "Station": "station.api.live"}
+        module = modules.get(name, "station.api.episode")
         return getattr(importlib.import_module(module), name)
 
     def __dir__():

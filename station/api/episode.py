@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
 
+    from station.episode.quality.findings import Quality
+
 _NANOSECONDS = 1e-9
 
 
@@ -86,6 +88,16 @@ class Episode:
     def verdict(self) -> str:
         """What the last `station check` wrote: ``good``, ``usable`` or ``reject``; "" before one."""
         return str(self.manifest.quality.get("verdict", ""))
+
+    def check(self) -> Quality:
+        """Measure it from its files and judge it by this user's rules; the manifest stays as it is.
+
+        ``verdict`` and ``reasons`` of what comes are what `station check` prints first.
+        """
+        from station.episode.quality.check import check
+        from station.episode.quality.rule_file import of_user
+
+        return check(self._reader, of_user())
 
     @property
     def duration_s(self) -> float:

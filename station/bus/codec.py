@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
+from station.contract import VectorCodec
+
 if TYPE_CHECKING:  # imported where vectors are made: it would double the time of `station estop`
     import numpy as np
     from numpy.typing import NDArray
@@ -103,6 +105,22 @@ def parse_f64(data: bytes) -> NDArray[np.float64]:
 def parse_f32(data: bytes) -> NDArray[np.float32]:
     """Decode little-endian float32."""
     return _parse_raw(data, "<f4", "=f4")
+
+
+def vector(kind: VectorCodec, values: Sequence[float] | NDArray[Any]) -> bytes:
+    """Encode a vector as a key's contract says."""
+    return {"json-vector": json_vector, "f64": f64, "f32": f32}[kind](values)
+
+
+def parse_vector(kind: VectorCodec, data: bytes) -> NDArray[np.float64]:
+    """Decode a vector as a key's contract says, shape (m,).
+
+    Raises:
+        BadValue: the bytes are no such vector.
+    """
+    if kind == "json-vector":
+        return parse_json_vector(data)
+    return parse_f64(data) if kind == "f64" else parse_f32(data).astype("=f8")
 
 
 def json_object(value: Any) -> bytes:

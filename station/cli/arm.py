@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import click
 
-from station.bus.client import Bus
-from station.cli.options import address_of, bus_option
+from station.api.live import Station
+from station.cli.options import bus_option
 from station.life import arm_request
 
 
@@ -19,6 +19,6 @@ def command(server: str, reason: str, bus: str | None) -> None:
     Refused while commands come that are stale or not valid, after a fall, and while the emergency stop is latched.
     Where no command comes at all the robot is armed: its policy stands.
     """
-    with Bus(address_of(bus), name="arm", timeout_s=1.0) as line:
-        for name, states in arm_request.ask(line, "arm", server=server, reason=reason).items():
+    with Station(bus, name="arm") as station:
+        for name, states in station.arm(server, reason=reason).items():
             click.echo(f"{name}: {arm_request.story('arm', states)}")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import click
 
-from station.bus.client import Bus
-from station.cli.options import address_of, bus_option
+from station.api.live import Station
+from station.cli.options import bus_option
 from station.life import arm_request
 
 
@@ -18,6 +18,6 @@ def command(server: str, reason: str, bus: str | None) -> None:
 
     A robot that is held by its joints alone sinks down: `station estop` damps it instead.
     """
-    with Bus(address_of(bus), name="disarm", timeout_s=1.0) as line:
-        for name, states in arm_request.ask(line, "disarm", server=server, reason=reason).items():
+    with Station(bus, name="disarm") as station:
+        for name, states in station.disarm(server, reason=reason).items():
             click.echo(f"{name}: {arm_request.story('disarm', states)}")

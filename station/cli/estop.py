@@ -6,9 +6,9 @@ import getpass
 
 import click
 
+from station.api.live import Station
 from station.cli.options import address_of, bus_option
-from station.errors import BusError, NotReady, UsageError
-from station.life.stop_button import StopButton
+from station.errors import BusError, UsageError
 from station.life.stop_file import StopFile, remedy
 
 
@@ -31,30 +31,18 @@ def command(reset: bool, arm: bool, reason: str, bus: str | None) -> None:
         raise UsageError("--arm: expected together with --reset; a stop arms nothing")
     address = address_of(bus)
     try:
-        button = StopButton(address)
+        station = Station(bus, name="estop")
     except BusError as error:
         _act_without_a_bus(StopFile(address), reason, error, is_reset=reset)
         return
-    with button:
+    with station:
         if reset:
-            _release(button, reason, arm=arm)
+            station.release(reason, arm=arm)
+            click.echo("e-stop released")
             return
-        button.press(reason)
-        robots = button.robots()
-        if left := button.unstopped():
-            said = ", ".join(f"{name} ({state})" for name, state in left.items())
-            raise NotReady(f"the bus has the stop, but not every robot obeys: {said}; use the robot's own stop")
-    said = "every robot on this bus is damped" if robots else "latched, but no robot runs on this bus"
+        stopped = station.estop(reason)
+    said = "every robot on this bus is damped" if stopped else "latched, but no robot runs on this bus"
     click.echo(f"e-stop: {said}; `{remedy(address)}` releases")
-    _expect_kept(button)
-
-
-def _release(button: StopButton, reason: str, *, arm: bool) -> None:
-    button.release(reason, arm=arm)
-    if left := button.unreleased():
-        raise NotReady(f"the bus has the release, but {', '.join(left)} is still stopped; release it again")
-    click.echo("e-stop released")
-    _expect_kept(button)
 
 
 def _act_without_a_bus(file: StopFile, reason: str, error: BusError, *, is_reset: bool) -> None:
@@ -70,9 +58,3 @@ def _act_without_a_bus(file: StopFile, reason: str, error: BusError, *, is_reset
         raise error
     file.release(f"{getpass.getuser()}, {reason}")
     click.echo("e-stop released; no bus runs")
-
-
-def _expect_kept(button: StopButton) -> None:
-    button.close()
-    if button.not_kept:
-        raise NotReady(f"the bus has it, but a restarted one will not: {button.not_kept}")

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import getpass
 import json
-from typing import Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import click
 
 from station import config
 from station.cli import candidates
-from station.cli.options import Verbs, address_of, bus_option, json_option
+from station.cli.options import Verbs, bus_option, json_option
 from station.printable import printable
 
-_PATIENCE_S = 20.0  # a stop waits for the disk
-_DOUBT_S = 2.0  # where no recorder is heard: one on a machine with a wrong clock may be there all the same
-_DONE = {"start": "recording", "stop": "finished", "mark": "marked", "discard": "discarded"}
+if TYPE_CHECKING:
+    from station.api.live import Record
+    from station.episode.storage.request import RecordAnswer
 
 
 @click.group("record", cls=Verbs)
@@ -35,9 +35,9 @@ def start(
     task: str, instruction: str, operator: str, planned: str | None, bus: str | None, as_json: bool
 ) -> None:  # fmt: skip
     """Begin an episode."""
-    person = {"id": operator or getpass.getuser()}
     planned_s = None if planned is None else config.seconds(planned, where="--planned")
-    _ask("start", bus, as_json, task=task, instruction=instruction, operator=person, planned_s=planned_s)
+    _ask(bus, as_json, lambda record: record.start(task, instruction=instruction, operator=operator,
+                                                   planned_s=planned_s), "recording")  # fmt: skip
 
 
 @command.command("stop")
@@ -46,7 +46,7 @@ def start(
 @json_option
 def stop(success: bool | None, bus: str | None, as_json: bool) -> None:
     """End the episode and count what is in it."""
-    _ask("stop", bus, as_json, success=success)
+    _ask(bus, as_json, lambda record: record.stop(success=success), "finished")
 
 
 @command.command("mark")
@@ -55,7 +55,7 @@ def stop(success: bool | None, bus: str | None, as_json: bool) -> None:
 @json_option
 def mark(label: str, bus: str | None, as_json: bool) -> None:
     """Put a mark into the episode, here and now."""
-    _ask("mark", bus, as_json, label=label)
+    _ask(bus, as_json, lambda record: record.mark(label), "marked")
 
 
 @command.command("discard")
@@ -64,24 +64,21 @@ def mark(label: str, bus: str | None, as_json: bool) -> None:
 @json_option
 def discard(label: str, bus: str | None, as_json: bool) -> None:
     """End the episode and mark it as not to be used; nothing is deleted."""
-    _ask("discard", bus, as_json, label=label)
+    _ask(bus, as_json, lambda record: record.discard(label), "discarded")
 
 
-def _ask(action: Any, bus: str | None, as_json: bool, **fields: Any) -> None:
+def _ask(bus: str | None, as_json: bool, act: Callable[[Record], RecordAnswer], done: str) -> None:
     import msgspec
 
-    from station.bus.client import Bus
-    from station.episode.recorder import remote
-    from station.life.server import read_health
+    from station.api.live import Station
 
-    with Bus(address_of(bus), name="record", timeout_s=1.0) as line:
-        is_there = any(health.role == "recorder" and health.is_alive for health in read_health(line))
-        ack = remote.ask(line, action, timeout_s=_PATIENCE_S if is_there else _DOUBT_S, **fields)
+    with Station(bus, name="record") as station:
+        answer = act(station.record)
     if as_json:
-        click.echo(json.dumps(msgspec.to_builtins(ack)))
+        click.echo(json.dumps(msgspec.to_builtins(answer)))
         return
-    click.echo(printable(f"{_DONE[action]} {ack.episode_id}  {ack.path}"))
-    for name, value in ack.summary.items():
+    click.echo(printable(f"{done} {answer.episode_id}  {answer.path}"))
+    for name, value in answer.summary.items():
         if value is not None:
             shown = f"{value:.1f}" if isinstance(value, float) else str(value)
             click.echo(printable(f"  {name:16} {shown}"))

@@ -114,9 +114,7 @@ def skipped(recorded: Recorded) -> Mapping[str, int]:
 
 def _numbers(data: bytes, columns: KeyColumns) -> Floats | None:
     try:
-        if columns.codec == "json-vector":
-            return codec.parse_json_vector(data, len(columns.names))
-        row = codec.parse_f64(data) if columns.codec == "f64" else codec.parse_f32(data).astype(np.float64)
+        row = codec.parse_vector(columns.codec, data)
     except codec.BadValue:
         return None
     return row if len(row) == len(columns.names) and np.isfinite(row).all() else None

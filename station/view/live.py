@@ -15,7 +15,6 @@ from station.bus.sample import Sample
 from station.errors import NotReady
 from station.life.loop import Rate
 from station.life.server import read_configurations
-from station.protocols import Floats
 from station.view import curves, layout, poses, scene
 from station.view.episode_story import StateOf, gate_state, level, line
 from station.view.find_model import find_model
@@ -23,11 +22,6 @@ from station.view.phases import driven_by
 from station.view.poses import Numbers, Posture
 
 RATE_HZ = 25.0
-_DECODERS = {
-    "json-vector": codec.parse_json_vector,
-    "f64": codec.parse_f64,
-    "f32": codec.parse_f32,
-}
 
 
 class LiveView:
@@ -57,7 +51,7 @@ class LiveView:
         self._recording = recording
         self._description = known.robot(self.robot)
         self._contracts = {
-            item.key: item for item in curves.drawable(one for one in known.of(self.robot) if one.codec in _DECODERS)
+            item.key: item for item in curves.drawable(one for one in known.of(self.robot) if one.vector_codec)
         }
         others = [keys.command_gate(self.robot), keys.command_source(self.robot), keys.EVENT]
         self._watch = bus.watch([*self._contracts, *others])
@@ -118,8 +112,10 @@ class LiveView:
 
     def _numbers(self, sample: Sample) -> Numbers | None:
         contract = self._contracts[sample.key]
+        if (kind := contract.vector_codec) is None:
+            return None
         try:
-            values: Floats = np.asarray(_DECODERS[contract.codec](sample.value), dtype=np.float64)
+            values = codec.parse_vector(kind, sample.value)
         except codec.BadValue:
             return None
         if len(values) != len(contract.elements):

@@ -1,0 +1,458 @@
+"""A running station for scripts and notebooks: what is there, what its keys hold, and what may be asked of it.
+
+It needs neither NumPy nor a file until numbers are asked for, so a command line answers at once with it too.
+"""
+
+from __future__ import annotations
+
+import getpass
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from station.bus import address as addresses
+from station.bus import codec, keys
+from station.bus.client import Bus
+from station.bus.contracts import Contracts
+from station.bus.sample import Sample
+from station.contract import Contract
+from station.description import RobotDescription
+from station.errors import BusError, NotReady, UsageError
+from station.life import arm_request
+from station.life.event_feed import EventFeed
+from station.life.events import Event
+from station.life.server import Health, read_configurations, read_health
+from station.life.stop_button import StopButton
+from station.printable import printable
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from station.episode.storage.request import Action, RecordAnswer, RecorderState
+    from station.motion.playback_requests import MotionAction
+
+WITHIN_S = 60.0
+"""Longest wait for a station that is coming up [s]."""
+
+_LOOK_S = 0.05
+_FEW = 4  # names in an error
+_ANSWER_S = 20.0  # of a recorder: a stop waits for the disk
+_DOUBT_S = 2.0  # where no recorder is heard: one on a machine with a wrong clock may be there all the same
+
+Values = Mapping[str, bytes | str | Sequence[float] | Mapping[str, Any]]
+
+
+class RobotStatus(msgspec.Struct, frozen=True, kw_only=True):
+    """A robot as its low-level server tells of it.
+
+    Attributes:
+        name: Suffix of its keys.
+        server: Name of the server that drives it.
+        state: Of that server: ``active`` when it drives.
+        gate: What is done with commands: ``waiting``, ``tracking``, ``holding``, ``stopped``, …; "" before it is known.
+        reason: Why, in a line.
+        arming: ``armed``, ``arming`` or ``disarmed``; "" before it is known.
+        detail: What else its heartbeat tells.
+    """
+
+    name: str
+    server: str
+    state: str
+    gate: str = ""
+    reason: str = ""
+    arming: str = ""
+    detail: dict[str, Any] = {}
+
+
+class Value:
+    """What a key holds.
+
+    Attributes:
+        key: The key.
+        data: Its bytes.
+        writer: Name of the server that wrote it; "" for a writer that stamps nothing.
+        written_ns: When, by the writer's wall clock [ns since the epoch]; None for such a writer.
+        contract: What the key holds; None where nothing describes it.
+    """
+
+    def __init__(self, sample: Sample, contract: Contract | None) -> None:
+        self.key, self.data, self.contract = sample.key, sample.value, contract
+        self.writer = sample.stamp.writer if sample.stamp is not None else ""
+        self.written_ns = sample.stamp.wall_ns if sample.stamp is not None else None
+
+    def vector(self) -> NDArray[Any]:
+        """Return its numbers, shape (m,), in the units of the contract.
+
+        Raises:
+            UsageError: the key holds no vector, or these bytes are none.
+        """
+        kind = self.contract.vector_codec if self.contract is not None else None
+        if kind is None:
+            held = "nothing describes it" if self.contract is None else f"it holds {self.contract.codec}"
+            raise UsageError(f"{self.key}: no vector, {held}; read its `data`, or `json()`")
+        try:
+            return codec.parse_vector(kind, self.data)
+        except codec.BadValue as error:
+            raise UsageError(f"{self.key}: {error}") from None
+
+    def named(self) -> dict[str, float]:
+        """Return its numbers by the names of the contract.
+
+        Raises:
+            UsageError: as `vector`, or their count is not that of the names.
+        """
+        numbers = self.vector().tolist()
+        names = self.contract.names if self.contract is not None else ()
+        if len(names) != len(numbers):
+            raise UsageError(f"{self.key}: {len(numbers)} numbers for {len(names)} names; read its `vector()`")
+        return dict(zip(names, numbers, strict=True))
+
+    def json(self) -> Any:
+        """Return the JSON that it is.
+
+        Raises:
+            UsageError: it is none.
+        """
+        try:
+            return codec.parse_json(self.data)
+        except codec.BadValue as error:
+            raise UsageError(f"{self.key}: {error}") from None
+
+
+class Station:
+    """A line to a running station; a context manager, safe to share between threads.
+
+    Args:
+        bus: Its address, ``redis://…``, ``rediss://…`` or ``unix://…``; None takes ``$STATION_BUS``, else this user's
+            own.
+        name: Who speaks, in what it writes.
+
+    Attributes:
+        record: Asks the recorder.
+        motion: Asks the server that plays a motion.
+
+    Raises:
+        UsageError: no address.
+        BusError: nobody answers there.
+    """
+
+    def __init__(self, bus: str | None = None, *, name: str = "script") -> None:
+        self._bus = Bus(addresses.parse(bus) if bus else None, name=name, timeout_s=1.0)
+        self._name = name
+        self._clock = self._bus.clock
+        self.record = Record(self._bus)
+        self.motion = MotionPlayer(self._bus)
+
+    @property
+    def address(self) -> str:
+        """Where its bus is; without a password."""
+        return str(self._bus.address)
+
+    def close(self) -> None:
+        """Hang up."""
+        self._bus.close()
+
+    def __enter__(self) -> Station:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # -- What is there -----------------------------------------------------------------------------------------------
+    def servers(self) -> list[Health]:
+        """Return the servers that are alive, by name, with what each tells of itself."""
+        now_ns = self._clock.wall_ns()
+        return [health for health in read_health(self._bus) if health.is_alive_at(now_ns)]
+
+    def robots(self) -> list[RobotStatus]:
+        """Return the robots that are driven, by name."""
+        found = []
+        for health in self.servers():
+            if health.role != "low-level":
+                continue
+            try:
+                name = arm_request.robot_of(self._bus, health)
+            except NotReady:  # it loads
+                continue
+            gate = codec.parse_facts(self._bus.get(keys.command_gate(name)))
+            told = {field: str(gate.get(key, "")) for field, key in _OF_GATE.items()}
+            found.append(
+                RobotStatus(name=name, server=health.name, state=health.state, detail=dict(health.detail), **told)
+            )
+        return sorted(found, key=lambda robot: robot.name)
+
+    def wait_for_robot(self, name: str = "", *, within_s: float = WITHIN_S) -> RobotStatus:
+        """Wait until a robot is driven; return it.
+
+        Args:
+            name: Of the robot or of its server; "" for any.
+            within_s: Longest wait [s].
+
+        Raises:
+            NotReady: there is none in time.
+        """
+        deadline_s = self._clock.monotonic_s() + within_s
+        while True:
+            there = self.robots()
+            for robot in there:
+                if robot.state == "active" and robot.gate and name in ("", robot.name, robot.server):
+                    return robot
+            if self._clock.monotonic_s() >= deadline_s:
+                seen = ", ".join(f"{robot.name} ({robot.state})" for robot in there) or "none"
+                wanted = printable(name) or "any robot"
+                raise NotReady(f"{wanted}: not driven within {within_s:g} s on {self.address}; there: {seen}")
+            self._clock.sleep(_LOOK_S)
+
+    def keys(self, pattern: str = "*") -> list[str]:
+        """Return the keys of the bus that match a pattern, sorted, stamps left out."""
+        return self._bus.names(pattern)
+
+    def describe(self, key: str) -> Contract | None:
+        """Return what a key holds, names and units of its numbers; None where nothing describes it."""
+        return self._contracts().get(key)
+
+    def description(self, robot: str) -> RobotDescription | None:
+        """Return what a robot says of itself: joints with limits, limbs, keys; None where nothing describes it."""
+        return self._contracts().robot(robot)
+
+    # -- What its keys hold ------------------------------------------------------------------------------------------
+    def read(self, key: str) -> Value | None:
+        """Return what a key holds; None where it does not exist."""
+        sample = self._bus.read([key]).get(key)
+        return None if sample is None else Value(sample, self.describe(key))
+
+    def follow(self, key: str, *, silent_s: float | None = None) -> Iterator[Value]:
+        """Yield each newest value of a key that is written from now on; one that is overwritten at once may be missed.
+
+        Args:
+            key: The key.
+            silent_s: Ends when nothing was written for so long [s]; None: never.
+        """
+        watch, contract = self._bus.watch([key]), self.describe(key)
+
+        def values() -> Iterator[Value]:
+            newest: Sample | None = watch.latest(key)
+            heard_s = self._clock.monotonic_s()
+            with watch:
+                while silent_s is None or self._clock.monotonic_s() - heard_s < silent_s:
+                    sample = watch.wait(key, after=newest, timeout_s=_LOOK_S)
+                    if sample is not None:
+                        newest, heard_s = sample, self._clock.monotonic_s()
+                        yield Value(sample, contract)
+
+        return values()
+
+    def events(self, *, silent_s: float | None = None) -> Iterator[Event]:
+        """Yield what happens from now on, each event once.
+
+        Args:
+            silent_s: Ends when nothing happened for so long [s]; None: never.
+        """
+        feed = EventFeed(self._bus)
+
+        def happening() -> Iterator[Event]:
+            heard_s = self._clock.monotonic_s()
+            with feed:
+                while silent_s is None or self._clock.monotonic_s() - heard_s < silent_s:
+                    for event in feed.take():
+                        heard_s = self._clock.monotonic_s()
+                        yield event
+                    self._clock.sleep(_LOOK_S)
+
+        return happening()
+
+    def publish(self, values: Values) -> None:
+        """Write keys and their stamps in one atomic command.
+
+        Args:
+            values: By key: numbers, encoded as the key's contract says; a mapping, as JSON; bytes and text as they are.
+
+        Raises:
+            UsageError: numbers for a key that holds none, or not as many as its contract names.
+            BusError: the bus did not take them.
+        """
+        encoded = {key: self._encoded(key, value) for key, value in values.items()}
+        if not self._bus.publish(encoded):
+            raise BusError(self._bus.last_error or f"bus {self.address}: no answer")
+        self._bus.call("PING")  # answered after the write: it was taken
+
+    # -- What may be asked -------------------------------------------------------------------------------------------
+    def estop(self, reason: str = "asked for by a script") -> list[str]:
+        """Stop every robot on the bus, latched; return the names of the servers that have.
+
+        Raises:
+            BusError: the stop was not taken; use the robot's own.
+            NotReady: a robot does not obey; use its own stop.
+        """
+        with self._button() as button:
+            button.press(reason)
+            robots = button.robots()
+            if left := button.unstopped():
+                said = ", ".join(f"{name} ({state})" for name, state in left.items())
+                raise NotReady(f"the bus has the stop, but not every robot obeys: {said}; use the robot's own stop")
+        _expect_kept(button)
+        return robots
+
+    def release(self, reason: str = "asked for by a script", *, arm: bool = False) -> None:
+        """Release the emergency stop: a simulated robot stands up again, a real one stays disarmed unless `arm`.
+
+        Raises:
+            BusError: the release was not taken.
+            NotReady: a robot is still stopped.
+        """
+        with self._button() as button:
+            button.release(reason, arm=arm)
+            if left := button.unreleased():
+                raise NotReady(f"the bus has the release, but {', '.join(left)} is still stopped; release it again")
+        _expect_kept(button)
+
+    def arm(self, robot: str = "", *, reason: str = "") -> dict[str, list[str]]:
+        """Let targets go to a robot and wait until it is armed; return the states it went through, by server.
+
+        Args:
+            robot: Its name, or that of its server; "" for every one on the bus.
+            reason: For the recording.
+
+        Raises:
+            NotReady: no such robot, or no answer in time.
+            Refused: it said no, with its reason.
+        """
+        return arm_request.ask(self._bus, "arm", server=self._server_of(robot), reason=reason)
+
+    def disarm(self, robot: str = "", *, reason: str = "") -> dict[str, list[str]]:
+        """Send nothing to a robot any more; as `arm`."""
+        return arm_request.ask(self._bus, "disarm", server=self._server_of(robot), reason=reason)
+
+    def _server_of(self, robot: str) -> str:
+        return next((each.server for each in self.robots() if each.name == robot), robot) if robot else ""
+
+    def _contracts(self) -> Contracts:
+        return Contracts(read_configurations(self._bus))
+
+    def _button(self) -> StopButton:
+        return StopButton(self._bus.address, name=self._name)
+
+    def _encoded(self, key: str, value: bytes | str | Sequence[float] | Mapping[str, Any]) -> bytes:
+        if isinstance(value, bytes):
+            return value
+        if isinstance(value, str):
+            return value.encode()
+        if isinstance(value, Mapping):
+            return codec.json_object(value)
+        contract = self.describe(key)
+        kind = contract.vector_codec if contract is not None else None
+        if contract is None or kind is None:
+            raise UsageError(f"{key}: numbers, but the key holds no vector that is known; give it bytes")
+        if contract.elements and len(value) != len(contract.elements):
+            raise UsageError(f"{key}: {len(value)} numbers, expected {len(contract.elements)}: {_listed(contract)}")
+        return codec.vector(kind, value)
+
+
+class Record:
+    """Asks the recorder of a station.
+
+    Every method raises `NotReady` where no recorder answers, and `Refused`, with its reason, where it says no.
+    """
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+
+    def start(
+        self, task: str = "", *, instruction: str = "", operator: str = "", planned_s: float | None = None
+    ) -> RecordAnswer:
+        """Begin an episode; return its id and folder.
+
+        Args:
+            task: Name of the task; episodes of a task share a folder.
+            instruction: What is to be done, in words.
+            operator: Who operates; "" for this user's login name.
+            planned_s: Refused where the disk cannot hold so long [s].
+        """
+        person = {"id": operator or getpass.getuser()}
+        return self._ask("start", task=task, instruction=instruction, operator=person, planned_s=planned_s)
+
+    def stop(self, *, success: bool | None = None) -> RecordAnswer:
+        """End the episode; return its id, its folder and what is in it.
+
+        Args:
+            success: Whether the task was done; None where nobody says.
+        """
+        return self._ask("stop", success=success)
+
+    def mark(self, label: str = "mark") -> RecordAnswer:
+        """Put a mark into the episode, here and now."""
+        return self._ask("mark", label=label)
+
+    def discard(self, reason: str = "") -> RecordAnswer:
+        """End the episode, if it still runs, and flag it as not to be used; nothing is deleted."""
+        return self._ask("discard", label=reason)
+
+    def status(self) -> RecorderState | None:
+        """Return what the recorder does; None where none has said."""
+        from station.episode.storage.request import RecorderState
+
+        data = self._bus.get(keys.RECORDER)
+        try:
+            return None if data is None else codec.parse_struct(data, RecorderState)
+        except codec.BadValue:
+            return None
+
+    def _ask(self, action: Action, **fields: Any) -> RecordAnswer:
+        from station.episode.recorder import remote
+
+        is_there = any(health.role == "recorder" and health.is_alive for health in read_health(self._bus))
+        return remote.ask(self._bus, action, timeout_s=_ANSWER_S if is_there else _DOUBT_S, **fields)
+
+
+class MotionPlayer:
+    """Asks the server that plays a motion.
+
+    Every method raises `NotReady` where none answers, and `Refused` where it does not apply now: a motion that is not
+    paused cannot be resumed.
+    """
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+
+    def start(self) -> None:
+        """Begin to play, where it waits for that."""
+        self._ask("start")
+
+    def pause(self) -> None:
+        """Hold the pose; a walk comes to a stand."""
+        self._ask("pause")
+
+    def resume(self) -> None:
+        """Go on after a pause."""
+        self._ask("resume")
+
+    def seek(self, time_s: float) -> None:
+        """Blend to another time of the motion [s] and go on from there."""
+        self._ask("seek", time_s=time_s)
+
+    def loop(self, *, on: bool = True) -> None:
+        """Begin anew at the end, or do not."""
+        self._ask("loop", on=on)
+
+    def leave(self) -> None:
+        """Blend to the default pose and end."""
+        self._ask("leave")
+
+    def _ask(self, action: MotionAction, **fields: Any) -> None:
+        from station.motion import playback_requests
+
+        playback_requests.ask(self._bus, action, **fields)
+
+
+_OF_GATE = {"gate": "state", "reason": "reason", "arming": "arming"}
+
+
+def _listed(contract: Contract) -> str:
+    names = list(contract.names)
+    return ", ".join(names if len(names) <= _FEW else [*names[:_FEW], "…"])
+
+
+def _expect_kept(button: StopButton) -> None:
+    if button.not_kept:
+        raise NotReady(f"the bus has it, but a restarted one will not: {button.not_kept}")
