@@ -208,13 +208,17 @@ class Station:
         """Return the keys of the bus that match a pattern, sorted, stamps left out."""
         return self._bus.names(pattern)
 
+    def contracts(self) -> Contracts:
+        """Return what is known of robots and keys, by what each server states now."""
+        return Contracts(read_configurations(self._bus))
+
     def describe(self, key: str) -> Contract | None:
         """Return what a key holds, names and units of its numbers; None where nothing describes it."""
-        return self._contracts().get(key)
+        return self.contracts().get(key)
 
     def description(self, robot: str) -> RobotDescription | None:
         """Return what a robot says of itself: joints with limits, limbs, keys; None where nothing describes it."""
-        return self._contracts().robot(robot)
+        return self.contracts().robot(robot)
 
     # -- What its keys hold ------------------------------------------------------------------------------------------
     def read(self, key: str) -> Value | None:
@@ -326,9 +330,6 @@ class Station:
 
     def _server_of(self, robot: str) -> str:
         return next((each.server for each in self.robots() if each.name == robot), robot) if robot else ""
-
-    def _contracts(self) -> Contracts:
-        return Contracts(read_configurations(self._bus))
 
     def _button(self) -> StopButton:
         return StopButton(self._bus.address, name=self._name)

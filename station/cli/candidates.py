@@ -49,6 +49,13 @@ def tasks(context: click.Context, _parameter: click.Parameter, begun: str) -> li
     return _fitting(begun, tasks(context.params.get("data")))
 
 
+def described(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Robots and keys that are known without a bus."""
+    from station.bus import contracts
+
+    return _fitting(begun, [*contracts.robots(), *(item.key for item in contracts.contracts())])
+
+
 def registered(kind: Kind) -> Candidates:
     """Return what finds names that are registered."""
     return lambda _context, _parameter, begun: names(kind, begun)

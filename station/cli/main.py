@@ -45,6 +45,7 @@ VERBS = {
     "kassow": "Look after an arm's controller: clear faults, simulate one, show its traps.",
     "bus": "Start a bus, or look at one.",
     "keys": "Say what each key of the bus holds.",
+    "describe": "Show a robot's joints, limits and keys, or what a key holds now.",
     "devices": "Find operators' devices, play fakes of them, show their buttons, calibrate.",
     "assets": "Find and fetch policies, robot models and motions.",
     "completion": "Print a script that lets bash, zsh or fish complete all of this.",
