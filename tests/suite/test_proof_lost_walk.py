@@ -31,7 +31,7 @@ def test_no_walk_falls_when_its_commands_are_lost(proof: None, record_property: 
             continue
         lost += [lose(rig, motion, at_s) for at_s in np.arange(0.65, motion.duration_s, EVERY_S).tolist()]
     fast = [one.farthest_m for one in lost if 0.8 <= one.speed_mps <= 1.0]
-    figures = {"losses": len(lost), "fast": len(fast), "mean_m": np.mean(fast), "farthest_m": max(fast)}
+    figures = {"losses": len(lost), "fast": len(fast), "mean_m": float(np.mean(fast)), "farthest_m": float(max(fast))}
     for name, value in figures.items():
         record_property(name, value)
     assert not any(one.fell for one in lost)
