@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.harness import Benchmark, Row, Settings, Target, alternate, compare, p50, p99
 from station import assets, registry
-from station.control.rig import DEFAULT_CHECKPOINTS
+from station.control.rig import checkpoint_of
 from station.protocols import Policy, RobotState
 
 METHOD = """\
@@ -33,7 +33,7 @@ def run(settings: Settings) -> list[Row]:
 
 
 def _turn(name: str, steps: int) -> Callable[[], list[float]]:
-    policy: Policy = registry.find("policy", name)(assets.resolve(DEFAULT_CHECKPOINTS[name]))
+    policy: Policy = registry.find("policy", name)(assets.resolve(checkpoint_of(name)))
     random = np.random.default_rng(0)
     spec = policy.spec
     state = RobotState(

@@ -34,7 +34,7 @@ def run(settings: Settings) -> list[Row]:
     frames = [_frames(load("builtin:walk-arc")) for _ in range(settings.rounds)]
     budget = [[BUDGET_MS] * len(taken) for taken in frames]
     first = [[_first_ms()] for _ in range(settings.rounds)]
-    rig = build(RigConfig(physics_dt_s=0.002))
+    rig = build(RigConfig(robot_options={"physics_dt_s": 0.002}))
     logging.disable(logging.WARNING)
     try:
         ours, theirs = [], []

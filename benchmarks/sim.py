@@ -58,7 +58,9 @@ def run(settings: Settings) -> list[Row]:
 @contextlib.contextmanager
 def ours(physics_dt_s: float) -> Iterator[Callable[[], float]]:
     """Load our rig in this process; yields what rehearses and returns the speed."""
-    rig = build(msgspec.structs.replace(upstream.RIG, physics_dt_s=physics_dt_s))
+    rig = build(
+        msgspec.structs.replace(upstream.RIG, robot_options=upstream.RIG.robot_options | {"physics_dt_s": physics_dt_s})
+    )
     motion = _motion()
 
     def act() -> float:

@@ -14,7 +14,7 @@ CHECKPOINT = "twist2:ckpts/twist2_1017_20k.onnx"
 ROBOT_MODEL = "twist2:g1/g1_sim2sim_29dof.xml"
 MOTION = "twist2:motions/0807_yanjie_walk_001.pkl"
 
-RIG = RigConfig(policy="twist2", checkpoint=CHECKPOINT, robot_model=ROBOT_MODEL)
+RIG = RigConfig(policy="twist2", checkpoint=CHECKPOINT, robot_options={"model": ROBOT_MODEL})
 G1_SETTINGS = ("policy=twist2", f"checkpoint={CHECKPOINT}", f"robot_model={ROBOT_MODEL}")
 """The same for ``station serve g1 --set``."""
 

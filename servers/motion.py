@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 
 from station import assets, registry
-from station.bus import codec, keys
+from station.bus import codec, contracts, keys
 from station.bus.watch import Watch
-from station.control.rig import DEFAULT_ROBOT_MODEL
-from station.errors import Refused
+from station.errors import ConfigError, Refused
 from station.life.estop import StopWatch
 from station.life.loop import real_time
 from station.life.own_key import OwnKey
@@ -59,7 +58,7 @@ class MotionConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             sent again [s].
         preview: Whether the reference is shown: in a window, or where there is no display in a file for Rerun.
         preview_file: That file.
-        preview_model: The robot that is shown, a path or ``collection:path``.
+        preview_model: The robot that is shown, a path or ``collection:path``; "" for the one that the command is for.
     """
 
     motion: str
@@ -79,7 +78,7 @@ class MotionConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     patience_s: float = 1.0
     preview: bool = False
     preview_file: str = "preview.rrd"
-    preview_model: str = DEFAULT_ROBOT_MODEL
+    preview_model: str = ""
 
     def __post_init__(self) -> None:
         registry.expect("command", self.format)
@@ -174,7 +173,7 @@ class Player:
         self._story = _Story(life, self._playback)
         self._own_key = OwnKey(life, command.key)
         self._stop = StopWatch(watch, command.robot)
-        self._preview = _open_preview(config, life, motion)
+        self._preview = _open_preview(config, life, motion, command)
         if config.wait_for_start:
             # As stock does: a "1" that an earlier session left behind must not start this one.
             life.bus.publish(dict.fromkeys(command.stock.signals, b"0"))
@@ -299,14 +298,18 @@ class _Story:
                              loops=self._playback.loops, blends=self._playback.blends)  # fmt: skip
 
 
-def _open_preview(config: MotionConfig, life: Life, motion: Motion) -> Preview | None:
+def _open_preview(config: MotionConfig, life: Life, motion: Motion, command: CommandFormat) -> Preview | None:
     if not config.preview:
         return None
     from station.view.preview import Preview
 
+    described = contracts.description(command.robot)
+    model = config.preview_model or (described.drawn_as if described is not None else "")
+    if not model:
+        raise ConfigError(f"preview_model: nothing says how {command.robot} looks; name its model, or leave preview")
     preview = Preview(
         motion,
-        assets.resolve(config.preview_model),
+        assets.resolve(model),
         Path(config.preview_file),
         on_end=lambda reason: life.event("preview-ended", severity="warning", reason=reason),
     )

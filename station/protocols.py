@@ -127,6 +127,16 @@ class SimulatedRobot(Robot, Protocol):
         ...
 
 
+@runtime_checkable
+class KnowsTruth(Protocol):
+    """A simulated robot, which knows where it is."""
+
+    @property
+    def qpos(self) -> Floats:
+        """Root position [m], root quaternion wxyz, n joints [rad]; shape (7 + n,)."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class PolicySpec:
     """The constants of a policy.

@@ -106,11 +106,10 @@ def test_the_pattern_knows_every_key() -> None:
 A_ROBOT = re.compile(r"g1\b|kassow|unitree|kr810|twist2|(?<!_)\b(left_|right_)?(hip|knee|ankle|waist|wrist)(_|\b)")
 NAMES_ROBOTS = {
     "station/bus/joints.py": "joints of a person",
-    "station/control/rig.py": "what is driven where nobody names anything",
     "station/suite/promise.py": "motions that a policy is judged by",
     "station/suite/commands.py": "joints of arms by what arms have",
     "station/supervision/doctor.py": "commands that it suggests",
-    **dict.fromkeys((f"station/cli/{verb}.py" for verb in ("demo", "kassow", "main", "rehearse", "status")), "verbs"),
+    **dict.fromkeys((f"station/cli/{verb}.py" for verb in ("demo", "kassow", "main", "status")), "verbs"),
 }
 """Files of the station that may, and why."""
 

@@ -19,7 +19,7 @@ from station.rehearse import Rehearsal, rehearse, rehearse_all
 BUILT_IN = ["builtin:walk-forward", "builtin:wave"]
 ALL_OF_TWIST2 = [f"twist2:motions/0807_yanjie_walk_00{number}.pkl" for number in range(1, 7)]
 UPSTREAM = [ALL_OF_TWIST2[1], ALL_OF_TWIST2[3]]  # the shortest; `test_proof_rehearse` has all
-AS_UPSTREAM = RigConfig(policy="twist2", robot_model="twist2:g1/g1_sim2sim_29dof.xml")
+AS_UPSTREAM = RigConfig(policy="twist2", robot_options={"model": "twist2:g1/g1_sim2sim_29dof.xml"})
 
 
 class Ramp:
@@ -62,7 +62,7 @@ def test_motions_run_to_their_end_without_a_fall(
 
 def assert_all_end_well(motions: list[str], config: RigConfig, physics_dt_s: float) -> None:
     came: list[str] = []
-    config = msgspec.structs.replace(config, physics_dt_s=physics_dt_s)
+    config = msgspec.structs.replace(config, robot_options=config.robot_options | {"physics_dt_s": physics_dt_s})
     results = rehearse_all(motions, config, jobs=2, on_done=lambda result: came.append(result.motion))
     assert [result.motion for result in results] == motions
     assert sorted(came) == motions
@@ -77,7 +77,7 @@ def assert_all_end_well(motions: list[str], config: RigConfig, physics_dt_s: flo
 
 
 def test_a_rehearsal_is_the_same_every_time_also_in_a_rig_that_was_used() -> None:
-    rig = build(RigConfig(physics_dt_s=0.002))
+    rig = build(RigConfig(robot_options={"physics_dt_s": 0.002}))
     motion = Ramp(rig.robot.joint_names)
 
     def run() -> Rehearsal:
@@ -90,7 +90,7 @@ def test_a_rehearsal_is_the_same_every_time_also_in_a_rig_that_was_used() -> Non
 
 
 def test_only_ticks_that_play_and_track_count_and_commands_pass_through_their_text() -> None:
-    rig = build(RigConfig(physics_dt_s=0.002))
+    rig = build(RigConfig(robot_options={"physics_dt_s": 0.002}))
     seen: list[tuple[Frame, StepRecord]] = []
     result = rehearse(
         Ramp(rig.robot.joint_names), rig.policy, rig.robot, rig.form,  # type: ignore[arg-type]
@@ -111,7 +111,7 @@ def test_only_ticks_that_play_and_track_count_and_commands_pass_through_their_te
 
 
 def test_a_fall_ends_the_run_and_its_motion_time_is_said() -> None:
-    rig = build(RigConfig(physics_dt_s=0.002))
+    rig = build(RigConfig(robot_options={"physics_dt_s": 0.002}))
     motion = Ramp(rig.robot.joint_names, lean_rad=-1.4)  # leans back as no robot can
     result = rehearse(motion, rig.policy, rig.robot, rig.form)  # type: ignore[arg-type]
     assert result.fell
@@ -126,7 +126,7 @@ def test_a_motion_that_cannot_be_read_ends_the_rehearsal_in_one_line(
     bad = tmp_path / "bad.pkl"
     bad.write_bytes(b"\x80\x04cos\nsystem\n.")
     with pytest.raises(UsageError, match=r"bad\.pkl") as caught:
-        rehearse_all([str(bad), str(bad)], RigConfig(physics_dt_s=0.002), jobs=jobs)
+        rehearse_all([str(bad), str(bad)], RigConfig(robot_options={"physics_dt_s": 0.002}), jobs=jobs)
     assert "\n" not in str(caught.value)
 
 
@@ -142,7 +142,7 @@ def test_a_policy_without_a_default_checkpoint_asks_for_one() -> None:
         (RigConfig(robot="g1-mojoco"), r"did you mean 'g1-mujoco'\?"),
         (RigConfig(policy_options={"wrist_gain": "real"}), r"did you mean 'wrist_gains'\?"),
         (RigConfig(rate_hz=0.5), "expected 1 to 1000 Hz"),
-        (RigConfig(physics_dt_s=0.003), "whole number of times"),
+        (RigConfig(robot_options={"physics_dt_s": 0.003}), "whole number of times"),
         (RigConfig(checkpoint="twist2:ckpts/twist2_1017_25k.onnx"), "did you mean 'ckpts/twist2_1017_20k.onnx'"),
     ],
 )

@@ -109,6 +109,7 @@ class FramePolicy:
 class Twist2Policy(FramePolicy):
     """Implements `station.protocols.Policy`."""
 
+    CHECKPOINT = "twist2:ckpts/twist2_1017_20k.onnx"
     NAME, KEPT, INPUTS = "twist2", PAST, OBSERVATION
 
     def observe(self, state: RobotState, command: Floats) -> Floats32:

@@ -30,10 +30,15 @@ _TOLD = 8  # cases of a group that failed and are told
 @click.command("rehearse")
 @click.argument("motions", nargs=-1, shell_complete=candidates.files)
 @click.option("--suite", is_flag=True, help="Run the evaluation of a policy, with all clips there are or with MOTIONS.")
-@click.option("--policy", default="", help="Name of the policy family (tracker, twist2, …).  [default: the station's]")
+@click.option("--robot", default="", shell_complete=candidates.registered("robot"),
+              help="Name of the robot.  [default: the station's]")  # fmt: skip
+@click.option("--policy", default="", shell_complete=candidates.registered("policy"),
+              help="Name of the policy family.  [default: the robot's]")  # fmt: skip
 @click.option("--checkpoint", default="", help="File of the policy.  [default: the family's]")
-@click.option("--robot-model", default=None, help="MJCF of the robot.  [default: the station's]")
-@click.option("--physics-dt", "physics_dt_s", default=0.001, show_default=True, help="Physics time step [s].")
+@click.option("--robot-model", default=None, help="Model of a simulated robot.  [default: its own]")
+@click.option(
+    "--physics-dt", "physics_dt_s", type=float, default=None, help="Physics time step [s].  [default: the robot's]"
+)
 @click.option("--holes", type=click.Choice(["refuse", "bridge"]), default="refuse", show_default=True,
               help="What is done with bad frames inside a motion; not with --suite.")  # fmt: skip
 @click.option("--jobs", default=0, help="Processes side by side.  [default: one per core]")
@@ -46,8 +51,9 @@ _TOLD = 8  # cases of a group that failed and are told
 @click.option("--markdown", "as_markdown", is_flag=True, help="--suite: print the table for a model card.")
 @json_option
 def command(
-    motions: Sequence[str], policy: str, checkpoint: str, robot_model: str | None, physics_dt_s: float, holes: str,
-    jobs: int, as_json: bool, suite: bool, against: str, against_checkpoint: str, **of_suite: Any,
+    motions: Sequence[str], robot: str, policy: str, checkpoint: str, robot_model: str | None,
+    physics_dt_s: float | None, holes: str, jobs: int, as_json: bool, suite: bool, against: str,
+    against_checkpoint: str, **of_suite: Any,
 ) -> None:  # fmt: skip
     """Run MOTIONS (files, or patterns such as 'twist2:motions/*.pkl' or 'builtin:*') in a closed loop and print how
     each went. Exit code 1 when the robot fell in any of them.
@@ -55,19 +61,21 @@ def command(
     With --suite: stand, track every clip, be pushed, move the arms at random, hear late, lose the commands and get
     them back. Exit code 1 when the policy did not keep a limit; station/suite/promise.py has them all.
     """
-    from station.control.rig import DEFAULT_POLICY, DEFAULT_ROBOT_MODEL, RigConfig
+    from station.control.rig import RigConfig, robot_kind
     from station.view.offscreen import VARIABLE
 
     os.environ[VARIABLE] = "disable"  # nothing is drawn: no process need look for OpenGL as it imports MuJoCo
     _refuse_what_does_not_go_together(motions, suite, {"against": against, **of_suite})
-    policy = policy or DEFAULT_POLICY
+    kind = robot_kind(robot)
+    policy = policy or kind.policy
     for name in filter(None, (policy, against)):
         if name not in (known := registry.names("policy")):
             raise UnknownName("policy", name, known)  # before any motion is read
     named = [reference for motion in motions for reference in _expand(motion)]
-    config = RigConfig(
-        policy=policy, checkpoint=checkpoint, robot_model=robot_model or DEFAULT_ROBOT_MODEL, physics_dt_s=physics_dt_s
-    )
+    named_options = {"model": robot_model, "physics_dt_s": physics_dt_s}
+    options = {name: value for name, value in named_options.items() if value is not None}
+    kind.typed(options)  # before any motion is read
+    config = RigConfig(robot=kind.name, robot_options=options, policy=policy, checkpoint=checkpoint)
     if not suite:
         _motions(config, named, holes=holes, jobs=jobs, as_json=as_json)
     other = msgspec.structs.replace(config, policy=against, checkpoint=against_checkpoint)

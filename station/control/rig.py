@@ -6,49 +6,57 @@ import inspect
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from station import assets, registry
+from station.bus import codec, keys
 from station.clock import SYSTEM, Clock
 from station.control.control import ControlStep
 from station.control.gate import GateConfig
 from station.errors import ConfigError, did_you_mean
-from station.protocols import CommandFormat, Policy, Robot
-
-DEFAULT_ROBOT_MODEL = "builtin:g1.xml"
-
-DEFAULT_POLICY = "tracker"
-
-DEFAULT_CHECKPOINTS = {"tracker": "builtin:tracker.onnx", "twist2": "twist2:ckpts/twist2_1017_20k.onnx"}
-"""Checkpoint of a policy family when none is named."""
+from station.protocols import CommandFormat, KnowsTruth, Policy, Robot, RobotState
+from station.robot_kind import RobotKind
 
 
 class RigConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What drives what.
 
     Attributes:
-        robot: Registered name of the robot.
-        robot_model: Its model, a path or ``collection:path``.
-        policy: Registered name of the policy family.
+        robot: Registered name of the robot; "" for the default one.
+        robot_options: Its settings, for example ``model`` and ``physics_dt_s`` of a simulation.
+        policy: Registered name of the policy family; "" for the robot's.
         checkpoint: Its file, a path or ``collection:path``; "" for the family's default.
         policy_options: Further keyword arguments of the policy, for example ``wrist_gains: real``.
         rate_hz: Rate of the policy [Hz]; 0 for the rate it was trained at.
-        physics_dt_s: Physics step of a simulated robot [s].
-        viewer: Whether a simulated robot opens a window.
     """
 
-    robot: str = "g1-mujoco"
-    robot_model: str = DEFAULT_ROBOT_MODEL
-    policy: str = DEFAULT_POLICY
+    robot: str = ""
+    robot_options: dict[str, Any] = {}
+    policy: str = ""
     checkpoint: str = ""
     policy_options: dict[str, Any] = {}
     rate_hz: float = 0.0
-    physics_dt_s: float = 0.001
-    viewer: bool = False
+
+    @property
+    def kind(self) -> RobotKind:
+        """The robot's.
+
+        Raises:
+            UnknownName: it is not registered.
+        """
+        return robot_kind(self.robot)
+
+    def headless(self) -> RigConfig:
+        """Return the same without a window."""
+        if "viewer" not in self.kind.options.__struct_fields__:
+            return self
+        return msgspec.structs.replace(self, robot_options=self.robot_options | {"viewer": False})
 
 
 class Rig(msgspec.Struct, frozen=True):
     """What a `RigConfig` names, loaded; `period_s` is the control period [s]."""
 
+    kind: RobotKind
     robot: Robot
     policy: Policy
     form: CommandFormat
@@ -67,42 +75,71 @@ class Rig(msgspec.Struct, frozen=True):
             self.robot, self.policy, self.form, gate=gate, is_armed=is_armed, reset_after_s=reset_after_s, clock=clock
         )
 
+    def state_values(self, state: RobotState) -> dict[str, bytes]:
+        """Return what is published at the start of a tick, by key: the state, what stock programs read, the truth."""
+        name = self.form.robot
+        values = {keys.robot_state(name): codec.f64(np.concatenate([state.q, state.dq, state.quat_wxyz, state.gyro]))}
+        if self.kind.values is not None:
+            values |= self.kind.values(state, self.policy, self.robot, name)
+        if isinstance(self.robot, KnowsTruth):
+            values[keys.sim_qpos(name)] = codec.f64(self.robot.qpos)
+        return values
+
+
+def robot_kind(name: str) -> RobotKind:
+    """Return a robot by its registered name, the default one for "".
+
+    Raises:
+        UnknownName: it is not registered.
+        ConfigError: none is named, and none is the default.
+    """
+    names = [name] if name else [each for each in registry.names("robot") if registry.is_ours("robot", each)]
+    for each in names:
+        found: RobotKind = registry.find("robot", each)
+        if name or found.is_default:
+            return found
+    raise ConfigError(f"robot: name one; there are {', '.join(registry.names('robot')) or 'none'}")
+
+
+def checkpoint_of(policy: str, named: str = "") -> str:
+    """Return the checkpoint of a policy family: the one that is named, else its own default; "" for none.
+
+    Raises:
+        UnknownName: it is not registered.
+    """
+    return named or str(getattr(registry.find("policy", policy), "CHECKPOINT", ""))
+
 
 def build(config: RigConfig) -> Rig:
     """Load policy, command format and robot.
 
     Raises:
         UnknownName: a name that is not registered.
-        ConfigError: an option that the policy does not know, no checkpoint, or a rate that cannot be.
+        ConfigError: an option that robot or policy do not know, no checkpoint, or a rate that cannot be.
         AssetMissing, BadFile: a file that is not there or not usable.
     """
-    policy = _policy(config)
+    kind = config.kind
+    options = kind.typed(config.robot_options)
+    policy = _policy(config.policy or kind.policy, config)
     rate_hz = config.rate_hz or policy.spec.rate_hz
     if not 1.0 <= rate_hz <= 1000.0:
         raise ConfigError(f"rate_hz {config.rate_hz}: expected 1 to 1000 Hz, or 0 for the policy's own")
     form = registry.find("command", policy.spec.command)
-    make_robot = registry.find("robot", config.robot)
-    robot = make_robot(
-        assets.resolve(config.robot_model),
-        physics_dt_s=config.physics_dt_s,
-        control_dt_s=1.0 / rate_hz,
-        viewer=config.viewer,
-    )
-    return Rig(robot, policy, form, 1.0 / rate_hz)
+    return Rig(kind, kind.make(options, 1.0 / rate_hz), policy, form, 1.0 / rate_hz)
 
 
-def _policy(config: RigConfig) -> Policy:
-    make = registry.find("policy", config.policy)
-    reference = config.checkpoint or DEFAULT_CHECKPOINTS.get(config.policy, "")
+def _policy(name: str, config: RigConfig) -> Policy:
+    make = registry.find("policy", name)
+    reference = checkpoint_of(name, config.checkpoint)
     if not reference:
-        raise ConfigError(f"policy {config.policy!r} has no default checkpoint; name its file with `checkpoint`")
-    known = [name for name in inspect.signature(make).parameters if name != "checkpoint"]
-    for name in config.policy_options:
-        if name not in known:
+        raise ConfigError(f"policy {name!r} has no default checkpoint; name its file with `checkpoint`")
+    known = [parameter for parameter in inspect.signature(make).parameters if parameter != "checkpoint"]
+    for option in config.policy_options:
+        if option not in known:
             listed = ", ".join(known) or "none"
             raise ConfigError(
-                f"policy_options: policy {config.policy!r} has no option {name!r}"
-                f"{did_you_mean(name, known)}; known: {listed}"
+                f"policy_options: policy {name!r} has no option {option!r}{did_you_mean(option, known)}; "
+                f"known: {listed}"
             )
     policy: Policy = make(assets.resolve(reference), **config.policy_options)
     return policy

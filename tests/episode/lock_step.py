@@ -9,7 +9,6 @@ from typing import Any
 
 import msgspec
 
-from adapters.robots.g1 import wire
 from servers.g1 import G1Config
 from station import registry
 from station.bus import codec, keys
@@ -79,7 +78,7 @@ def _tick(control: ControlStep, rig: Rig, command: bytes, tick: int) -> list[tup
     now_s = tick * rig.period_s
     state = control.sense()
     suffix = rig.form.robot
-    before = dict(wire.state_values(suffix, state, policy=rig.policy, robot=rig.robot))
+    before = rig.state_values(state)
     arrived_ns = time.monotonic_ns()
     sample = CommandSample(command, now_s, written_ns=arrived_ns - 1000, arrived_ns=arrived_ns, seq=tick + 1)
     done = result_values(suffix, control.step(state, sample, now_s), control.commanded)

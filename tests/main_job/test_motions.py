@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from station.assets import ENVIRONMENT_VARIABLE
-from station.control.rig import DEFAULT_POLICY
+from station.control.rig import robot_kind
 from tests.main_job.station_runs import LOCK_STEP, Terminal, up
 
 SIDE_BY_SIDE = 2
@@ -26,6 +26,9 @@ SAME = 0.01  # a rehearsal and a run through the processes
 BLENDS_S = 4.0  # into the motion and out of it, more than it takes
 
 pytestmark = pytest.mark.timeout(300)
+
+
+DEFAULT_POLICY = robot_kind("").policy
 
 
 class Case(NamedTuple):

@@ -13,7 +13,7 @@ from adapters.robots.g1 import twist_keys
 from station import assets
 from station.bus import codec, contracts, keys
 from station.bus.address import BusAddress
-from station.control.rig import DEFAULT_CHECKPOINTS
+from station.control.rig import checkpoint_of
 from tests.servers.g1_station import LIGHT, ROBOT, G1Process, logged, ticks
 from tests.waiting import wait_until
 
@@ -41,7 +41,7 @@ def test_it_states_its_configuration_and_writes_every_key_as_its_contract_says(
     assert out == ""
     config = codec.parse_json(log.last(keys.server_config("g1")))
     assert config["policy"]["name"] == policy
-    assert config["policy"]["sha256"] == assets.sha256(assets.resolve(DEFAULT_CHECKPOINTS[policy]))
+    assert config["policy"]["sha256"] == assets.sha256(assets.resolve(checkpoint_of(policy)))
     assert len(config["policy"]["kp"]) == len(config["policy"]["joint_names"]) == 29
     assert config["robot_facts"]["physics_dt_s"] == 0.001
     assert config["config"]["pace"] == "wall"

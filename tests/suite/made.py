@@ -12,7 +12,9 @@ from adapters.policies.tracker.policy import ACTIONS, OBSERVATION
 from station.control.rig import RigConfig
 
 TRACKER = RigConfig(
-    policy="tracker", checkpoint="builtin:tracker.onnx", robot_model="builtin:g1.xml", physics_dt_s=0.002
+    policy="tracker",
+    checkpoint="builtin:tracker.onnx",
+    robot_options={"model": "builtin:g1.xml", "physics_dt_s": 0.002},
 )
 
 

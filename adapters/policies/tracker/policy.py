@@ -22,6 +22,7 @@ OBSERVATION = FRAMES * FRAME
 class TrackerPolicy(FramePolicy):
     """Implements `station.protocols.Policy`."""
 
+    CHECKPOINT = "builtin:tracker.onnx"
     NAME, KEPT, INPUTS = "tracker", FRAMES, OBSERVATION
 
     def observe(self, state: RobotState, command: Floats) -> Floats32:

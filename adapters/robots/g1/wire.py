@@ -1,4 +1,4 @@
-"""What a G1 server puts on the bus at the start of a tick: the keys of TWIST or TWIST2, and the station's own.
+"""What a G1's server puts on the bus at the start of a tick for stock programs: the keys of TWIST or TWIST2.
 
 Byte for byte what stock readers expect, but for one thing: no vector of zeros goes before the first real state.
 """
@@ -12,8 +12,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from adapters.robots.g1 import twist_keys
-from station.bus import codec, keys
-from station.protocols import Floats, Floats32, RobotState
+from station.bus import codec
+from station.protocols import Floats32, RobotState
 from station.rotations import roll_pitch_yaw
 
 _HAND = codec.json_vector([0.0] * 7)
@@ -30,34 +30,22 @@ class Proprioceptive(Protocol):
         ...
 
 
-@runtime_checkable
-class Simulated(Protocol):
-    """A robot that knows the truth."""
-
-    @property
-    def qpos(self) -> Floats:
-        """Root position, root quaternion wxyz, joints."""
-        ...
-
-
-def state_values(suffix: str, state: RobotState, *, policy: object, robot: object) -> Mapping[str, bytes]:
+def stock_values(state: RobotState, policy: object, _robot: object, name: str) -> Mapping[str, bytes]:
     """Return the values by key.
 
     Args:
-        suffix: Robot suffix of the keys; decides which stock keys there are.
         state: Of the 29 joints.
         policy: For TWIST, the policy in use.
-        robot: For ground truth, where it has any.
+        name: Suffix of the robot's keys; decides which stock keys there are.
     """
-    values = {keys.robot_state(suffix): codec.f64(np.concatenate([state.q, state.dq, state.quat_wxyz, state.gyro]))}
-    if suffix == twist_keys.TWIST2_ROBOT:
-        values |= _twist2(suffix, state)
-    elif suffix == twist_keys.TWIST_ROBOT and isinstance(policy, Proprioceptive):
-        values[twist_keys.state_body(suffix)] = codec.json_vector(policy.proprioception(state))
-        values[twist_keys.state_hands(suffix)] = _BOTH_HANDS
-    if isinstance(robot, Simulated):
-        values[keys.sim_qpos(suffix)] = codec.f64(robot.qpos)
-    return values
+    if name == twist_keys.TWIST2_ROBOT:
+        return _twist2(name, state)
+    if name == twist_keys.TWIST_ROBOT and isinstance(policy, Proprioceptive):
+        return {
+            twist_keys.state_body(name): codec.json_vector(policy.proprioception(state)),
+            twist_keys.state_hands(name): _BOTH_HANDS,
+        }
+    return {}
 
 
 def _twist2(suffix: str, state: RobotState) -> dict[str, bytes]:

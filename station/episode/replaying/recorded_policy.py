@@ -10,7 +10,7 @@ import msgspec
 
 from station import assets, registry
 from station.bus import keys
-from station.control.rig import DEFAULT_CHECKPOINTS
+from station.control.rig import checkpoint_of
 from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
 from station.errors import BadFile, EpisodeError
@@ -115,4 +115,4 @@ def _reference(facts: dict[str, Any], policy: str) -> str:
     config = facts.get("config")
     if not isinstance(config, dict):
         return ""
-    return str(config.get("checkpoint") or DEFAULT_CHECKPOINTS.get(policy, ""))
+    return checkpoint_of(policy, str(config.get("checkpoint") or ""))

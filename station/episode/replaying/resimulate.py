@@ -17,7 +17,7 @@ import numpy as np
 from station.bus import codec, keys
 from station.control.control import ControlStep, StepRecord
 from station.control.inlet import CommandSample
-from station.control.rig import Rig, build
+from station.control.rig import Rig, RigConfig, build
 from station.episode.reading.reader import EpisodeReader, Message
 from station.episode.reading.steps import Step, StepJoiner, timing_row
 from station.episode.replaying.recorded_policy import recorded_policy
@@ -74,7 +74,8 @@ def to_sim(
 
     Args:
         reader: The episode.
-        changes: Fields of `station.control.rig.RigConfig` that shall not be as recorded, for a what-if.
+        changes: Fields of `station.control.rig.RigConfig`, or settings of the robot, that shall not be as recorded,
+            for a what-if.
         robot: Suffix of the robot; needed only when the episode has several.
 
     Raises:
@@ -84,7 +85,10 @@ def to_sim(
     suspect = recorded_policy(reader, robot)
     facts = facts_of(reader, suspect.robot)
     config = configuration(reader, facts)
-    rig = build(msgspec.structs.replace(config.rig, viewer=False, **(changes or {})))
+    recorded = config.rig.headless()
+    fields = {name: value for name, value in (changes or {}).items() if name in RigConfig.__struct_fields__}
+    options = {name: value for name, value in (changes or {}).items() if name not in fields}
+    rig = build(msgspec.structs.replace(recorded, **fields, robot_options=recorded.robot_options | options))
     try:
         if "policy" not in (changes or {}) and "checkpoint" not in (changes or {}):
             _same_checkpoint(reader, suspect.sha256, rig)

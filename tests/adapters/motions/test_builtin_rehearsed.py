@@ -26,7 +26,7 @@ def test_the_policy_of_twist2_does_what_it_was_not_trained_on_without_a_fall() -
 
 
 def assert_done(policy: str, names: Sequence[str]) -> None:
-    config = RigConfig(policy=policy, robot_model="builtin:g1.xml", physics_dt_s=0.002)
+    config = RigConfig(policy=policy, robot_options={"model": "builtin:g1.xml", "physics_dt_s": 0.002})
     results = rehearse_all([f"builtin:{name}" for name in names], config)
     assert len(results) == len(names)
     assert [result.motion for result in results if result.fell] == []

@@ -119,7 +119,7 @@ def test_who_is_how_tall_must_be_known() -> None:
 @pytest.mark.parametrize("clip", some(["walk-forward", "squat"]))
 def test_the_tracker_follows_what_a_person_does_as_it_follows_the_clip(clip: str) -> None:
     """Real policy, real physics, a tracker with noise: no fall, and hardly more error than of the clip itself."""
-    rig = build(RigConfig(physics_dt_s=0.002))
+    rig = build(RigConfig(robot_options={"physics_dt_s": 0.002}))
     person = noisy(doing(clip), metres=0.001, radians=0.005)
     clips = (load(f"builtin:{clip}"), Played(_first_seconds(person, 6.0)))
     of_clip, of_person = (rehearse(motion, rig.policy, rig.robot, rig.form, period_s=rig.period_s) for motion in clips)
@@ -146,7 +146,7 @@ def test_the_tracker_walks_on_under_a_bad_device_and_a_careless_calibration() ->
         quats_wxyz=rotations.multiply(person.quats_wxyz, unknown[None])[came],
         times_s=person.times_s[came],
     )
-    rig = build(RigConfig(physics_dt_s=0.002))
+    rig = build(RigConfig(robot_options={"physics_dt_s": 0.002}))
     played = Played(tracked, calibration=calibrate([seen] * 30, "Ada"))
     result = rehearse(played, rig.policy, rig.robot, rig.form, period_s=rig.period_s)
     assert not result.fell

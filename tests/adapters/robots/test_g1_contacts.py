@@ -145,7 +145,9 @@ def test_twist2_tracks_as_well_as_with_the_meshed_robot(processes: None, assets:
 def assert_tracked_as_well(motions: list[str]) -> None:
     errors = {}
     for model in (str(G1), MESHED):
-        results = rehearse_all(motions, RigConfig(robot_model=model, policy="twist2", physics_dt_s=0.002), jobs=2)
+        results = rehearse_all(
+            motions, RigConfig(policy="twist2", robot_options={"model": model, "physics_dt_s": 0.002}), jobs=2
+        )
         assert not any(result.fell for result in results), results
         errors[model] = np.array([result.mean_joint_error_rad for result in results])
     np.testing.assert_array_less(errors[str(G1)], 1.1 * errors[MESHED])
@@ -153,6 +155,6 @@ def assert_tracked_as_well(motions: list[str]) -> None:
 
 @pytest.mark.assets
 def test_twist2_walks_with_hands_that_it_does_not_know(processes: None, assets: Path) -> None:
-    config = RigConfig(robot_model=str(DEX3), policy="twist2", physics_dt_s=0.002)
+    config = RigConfig(policy="twist2", robot_options={"model": str(DEX3), "physics_dt_s": 0.002})
     results = rehearse_all(MOTIONS[3:4], config, jobs=2)
     assert not any(result.fell for result in results), results

@@ -1,0 +1,46 @@
+"""The Unitree G1 as a robot that can be named: simulated in MuJoCo."""
+
+from __future__ import annotations
+
+import msgspec
+
+from adapters.robots.g1 import description, wire
+from station import assets
+from station.protocols import Robot
+from station.robot_kind import RobotKind
+
+
+class MujocoOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings of the simulation.
+
+    Attributes:
+        model: MJCF of the robot, a path or ``collection:path``.
+        physics_dt_s: Physics step [s].
+        viewer: Whether it opens a window.
+    """
+
+    model: str = "builtin:g1.xml"
+    physics_dt_s: float = 0.001
+    viewer: bool = False
+
+
+def _make(options: MujocoOptions, control_dt_s: float) -> Robot:
+    from adapters.robots.g1.mujoco_g1 import MujocoG1
+
+    return MujocoG1(
+        assets.resolve(options.model), physics_dt_s=options.physics_dt_s, control_dt_s=control_dt_s,
+        viewer=options.viewer,
+    )  # fmt: skip
+
+
+MUJOCO = RobotKind(
+    name="g1-mujoco",
+    about="Unitree G1 with 29 joints, simulated in MuJoCo",
+    is_simulated=True,
+    options=MujocoOptions,
+    make=_make,
+    describe=description.of_server,
+    values=wire.stock_values,
+    policy="tracker",
+    is_default=True,
+)

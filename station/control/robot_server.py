@@ -1,0 +1,147 @@
+"""The low-level server of a robot that a policy moves, whatever robot: commands through gate and policy to its joints.
+
+`pace: wall` runs at a fixed rate. `pace: command` runs in lock-step with the commander: after each state it waits for
+a newer command, and the gate's clock is that of the ticks, so a run is the same on a fast and on a slow machine.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+from station import registry
+from station.config import to_plain
+from station.control.gate import GateConfig
+from station.control.low_level import LowLevelLoop, result_values
+from station.control.rig import Rig, RigConfig, build
+from station.life.loop import Rate, real_time
+from station.life.server import Life
+from station.software import software
+
+_RESET_AFTER_S = 1.0  # so that a fall can be seen, and stands in the episode
+
+
+class RobotConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Configuration of a robot's server.
+
+    Attributes:
+        robot: Registered name of the robot.
+        robot_options: Its settings.
+        policy: Registered name of the policy family; "" for the robot's.
+        checkpoint: Its file; "" for the family's default.
+        policy_options: Further arguments of the policy.
+        rate_hz: Rate of the loop [Hz]; 0 for the one that the policy was trained at.
+        pace: ``wall`` or ``command`` (lock-step).
+        command_timeout_s: Longest wait for the next command in lock-step [s]; then ticks go on at `rate_hz`.
+        gate: Times of the gate, how fast a command may move, and whom to obey when two write it.
+        start_armed: Whether targets go to the robot from the start; None: only in simulation. Otherwise `station arm`.
+        on_fall: ``continue``, or ``reset``: a simulated robot is put back on its feet after a second.
+        real_time_priority: SCHED_FIFO priority that is asked for with `pace: wall`; 0 does not ask.
+    """
+
+    robot: str
+    robot_options: dict[str, Any] = {}
+    policy: str = ""
+    checkpoint: str = ""
+    policy_options: dict[str, Any] = {}
+    rate_hz: float = 0.0
+    pace: Literal["wall", "command"] = "wall"
+    command_timeout_s: float = 1.0
+    gate: GateConfig = GateConfig()
+    start_armed: bool | None = None
+    on_fall: Literal["continue", "reset"] = "continue"
+    real_time_priority: int = 50
+
+    def __post_init__(self) -> None:
+        registry.expect("robot", self.robot)
+        if self.policy:
+            registry.expect("policy", self.policy)
+
+    @property
+    def rig(self) -> RigConfig:
+        """What drives what."""
+        return RigConfig(
+            robot=self.robot, robot_options=self.robot_options, policy=self.policy, checkpoint=self.checkpoint,
+            policy_options=self.policy_options, rate_hz=self.rate_hz,
+        )  # fmt: skip
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether targets go to the robot from the start."""
+        return self.rig.kind.is_simulated if self.start_armed is None else self.start_armed
+
+
+def serve(config: RobotConfig, life: Life, stated: Any) -> int:
+    """Run a robot until the server is asked to stop; return the exit code.
+
+    Args:
+        config: Of the robot.
+        life: The server's.
+        stated: The server's own configuration in plain values, for the manifest.
+    """
+    rig = build(config.rig)
+    suffix = rig.form.robot
+    try:
+        reset_after_s = _RESET_AFTER_S if config.on_fall == "reset" else None
+        control = rig.control(gate=config.gate, is_armed=config.is_armed, reset_after_s=reset_after_s,
+                              clock=life.clock)  # fmt: skip
+        with LowLevelLoop(
+            life,
+            control,
+            state_values=rig.state_values,
+            result_values=lambda record, answer: result_values(suffix, record, control.commanded, answer),
+            period_s=rig.period_s,
+        ) as loop:
+            life.configured(_facts(config, life.name, rig, stated))
+            if not life.ready():
+                return 0
+            _warn_of_rate(life, rig)
+            if config.pace == "command":
+                loop.run_in_lock_step(config.command_timeout_s)
+            else:
+                if config.real_time_priority:
+                    life.report(scheduling=real_time(config.real_time_priority))
+                loop.run_at(Rate(1.0 / rig.period_s, life.clock))
+    finally:
+        rig.robot.close()
+    return 0
+
+
+def _warn_of_rate(life: Life, rig: Rig) -> None:
+    """Say when the policy runs at another rate than in training: TWIST2 at 100 Hz falls in two of ten walks."""
+    rate_hz, trained_hz = 1.0 / rig.period_s, rig.policy.spec.rate_hz
+    if abs(rate_hz - trained_hz) > 0.01 * trained_hz:
+        life.event("rate-differs", severity="warning", rate_hz=rate_hz, trained_hz=trained_hz)
+
+
+def _facts(config: RobotConfig, name: str, rig: Rig, stated: Any) -> dict[str, Any]:
+    """What a recording must know of this server."""
+    spec = rig.policy.spec
+    code = software()
+    robot_facts = rig.robot.facts()
+    physics = {"physics_dt_s": robot_facts["physics_dt_s"]} if "physics_dt_s" in robot_facts else {}
+    return {
+        "server": name,
+        "role": "low-level",
+        "robot": rig.form.robot,
+        "description": to_plain(rig.kind.describe(rig.form)),
+        "robot_facts": robot_facts,
+        "policy": {
+            "name": spec.name,
+            "checkpoint": str(spec.checkpoint),
+            "sha256": spec.sha256,
+            "runtime": spec.runtime,
+            "rate_hz": spec.rate_hz,
+            "command": spec.command,
+            "options": config.policy_options,
+            "kp": spec.kp.tolist(),
+            "kd": spec.kd.tolist(),
+            "default_q": spec.default_q.tolist(),
+            "joint_names": list(spec.joint_names),
+        },
+        "rates": {"control_hz": 1.0 / rig.period_s, "pace": config.pace, **physics},
+        "gate": to_plain(config.gate),
+        "software": {"version": code.version, "revision": code.revision, "dirty": code.dirty},
+        "config": stated,
+    }
