@@ -96,8 +96,8 @@ def rehearse(
         motion=name or motion.name,
         fell=fell_at_s is not None,
         fell_at_s=fell_at_s,
-        mean_joint_error_rad=error.mean_joint_error_rad if error.ticks else None,
-        mean_root_height_error_m=error.mean_root_height_error_m if error.height_ticks else None,
+        mean_joint_error_rad=error.mean_joint_error_rad,
+        mean_root_height_error_m=error.mean_root_height_error_m,
         seconds=tick * period_s,
         speed_x_realtime=tick * period_s / (time.perf_counter() - started_s),
     )

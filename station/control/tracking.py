@@ -8,8 +8,6 @@ of the root, where the robot knows its z.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from station.protocols import Floats
@@ -34,22 +32,23 @@ class TrackingError:
         self._height = names.index("root_height") if "root_height" in names else None
         self._joint_sum, self._height_sum = 0.0, 0.0
         self.ticks = 0
-        self.height_ticks = 0
+        self._height_ticks = 0
 
     def add(self, q: Floats, command: Floats, root_height_m: float | None = None) -> None:
         """Take a tick that counts: joints [rad], command vector, height of the root [m] where known."""
-        self._joint_sum += float(np.abs(q[self._joints] - command[self._elements]).mean())
         self.ticks += 1
+        if len(self._joints):
+            self._joint_sum += float(np.abs(q[self._joints] - command[self._elements]).mean())
         if root_height_m is not None and self._height is not None:
             self._height_sum += abs(root_height_m - float(command[self._height]))
-            self.height_ticks += 1
+            self._height_ticks += 1
 
     @property
-    def mean_joint_error_rad(self) -> float:
-        """Mean joint error [rad]; not a number when no tick counted."""
-        return self._joint_sum / self.ticks if self.ticks else math.nan
+    def mean_joint_error_rad(self) -> float | None:
+        """Mean joint error [rad]; None when no tick counted, or no joint is commanded."""
+        return self._joint_sum / self.ticks if self.ticks and len(self._joints) else None
 
     @property
-    def mean_root_height_error_m(self) -> float:
-        """Mean height error [m]; not a number when no tick counted."""
-        return self._height_sum / self.height_ticks if self.height_ticks else math.nan
+    def mean_root_height_error_m(self) -> float | None:
+        """Mean height error [m]; None when no tick counted, or no height is commanded."""
+        return self._height_sum / self._height_ticks if self._height_ticks else None

@@ -41,7 +41,7 @@ def run_case(case: Case, config: RigConfig) -> Outcome:
         case=case.name,
         group=case.group,
         falls=tuple(watch.falls),
-        joint_error_rad=watch.error.mean_joint_error_rad if watch.error.ticks else None,
+        joint_error_rad=watch.error.mean_joint_error_rad,
         lean_rad=watch.lean_rad,
         drift=watch.drift() if isinstance(case, Stand) and not watch.falls else None,
         simulated_s=watch.ticks * rig.period_s,

@@ -52,10 +52,11 @@ def save_run(run: Run, path: Path) -> Path:
     if not names:
         raise StationError(f"{run.episode_id}: no plot, nothing names the joints of {run.robot or 'its robot'}")
     has_limbs = len(run.groups) > 1 and any(joint in limb for limb in run.groups.values() for joint in names)
-    below_in = _root_in(run) + _places(run.groups).rows * _ROW_IN if has_limbs else len(names) * _ROW_IN
+    errors = joint_errors(run)
+    below_in = _root_in(run) + _places(run.groups, errors).rows * _ROW_IN if has_limbs else len(names) * _ROW_IN
     height_in = _HEAD_IN + _LANES_IN + below_in + _FOOT_IN
     with page(style.WIDTH_PX / style.DPI, height_in) as figure:
-        (_draw if has_limbs else _draw_joints)(figure, run, joint_errors(run))
+        (_draw if has_limbs else _draw_joints)(figure, run, errors)
         return save(figure, path)
 
 
@@ -68,12 +69,12 @@ class _Places(NamedTuple):
     errors: int
 
 
-def _places(groups: Mapping[str, tuple[str, ...]]) -> _Places:
+def _places(groups: Mapping[str, tuple[str, ...]], bars: Mapping[str, float]) -> _Places:
     """Return where what is no joint is drawn: below short limbs, in rows of its own where all are as long."""
     lengths = [len(limb) for limb in groups.values()]
     errors, *others = sorted(range(len(lengths)), key=lambda column: (lengths[column], column))
     lean, path = sorted((*others, *others)[:2])
-    rows = max(*lengths, lengths[errors] + 2, lengths[lean] + 1, lengths[path] + 1 + (lean == path))
+    rows = max(*lengths, lengths[errors] + 2 * bool(bars), lengths[lean] + 1, lengths[path] + 1 + (lean == path))
     return _Places(rows, lean, path, errors)
 
 
@@ -92,7 +93,7 @@ def _draw(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
         root = figure.add_subplot(top[1])
         _draw_height(root, run)
         style.time_axis(root, limits, ticks=12, unit=" s")
-    places = _places(run.groups)
+    places = _places(run.groups, errors)
     below = GridSpec(
         places.rows, len(run.groups), figure, left=_LEFT_IN / 16, right=1 - _RIGHT_IN / 16,
         top=1 - (_HEAD_IN + _LANES_IN + root_in + 0.42) / height_in, bottom=_FOOT_IN / height_in, hspace=0.5,
@@ -142,8 +143,10 @@ def _head(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
     left = _LEFT_IN / 16
     figure.text(left, 1 - 0.32 / height_in, run.episode_id, fontsize=14, fontweight="bold")
     figure.text(left, 1 - 0.54 / height_in, style.headline(run, errors), color=style.SOFT, fontsize=9)
-    lines = [Line2D([], [], color=style.ASKED, linewidth=2.4), Line2D([], [], color=style.MEASURED, linewidth=1.2)]
-    figure.legend(lines, ["commanded", "measured"], loc="upper right", ncols=2, frameon=False, fontsize=9,
+    drawn = {"measured": Line2D([], [], color=style.MEASURED, linewidth=1.2)}
+    if run.commanded is not None or run.heights is not None:
+        drawn = {"commanded": Line2D([], [], color=style.ASKED, linewidth=2.4), **drawn}
+    figure.legend([*drawn.values()], [*drawn], loc="upper right", ncols=2, frameon=False, fontsize=9,
                   bbox_to_anchor=(1 - _RIGHT_IN / 16, 1 - 0.14 / height_in), borderpad=0, handlelength=1.8)  # fmt: skip
 
 

@@ -2,40 +2,23 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
 
-from tests.main_job.station_runs import LOCK_STEP, ROOT, Terminal, up
+from tests.main_job.page_package import install
+from tests.main_job.station_runs import LOCK_STEP, Terminal, up
 
-PAGE = ROOT / "docs" / "your-policy.md"
 CHECKPOINT = "zoo:policies/holosoma_fastsac_g1_29dof.onnx"
 MOTION = "twist2:motions/0807_yanjie_walk_002.pkl"
 
 pytestmark = [pytest.mark.assets, pytest.mark.timeout(300), pytest.mark.usefixtures("processes")]
 
 
-def example(name: str) -> str:
-    """Return a file of the example from the page."""
-    found = re.search(rf"^`holosoma-walk/{re.escape(name)}`\n\n```\w+\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.M)
-    assert found is not None, f"{PAGE} has no file {name}"
-    return found[1]
-
-
 @pytest.fixture
 def terminal(tmp_path: Path) -> Terminal:
-    """A user's terminal in whose Python the package is installed: module and metadata, as an installer leaves them."""
-    site, terminal = tmp_path / "site", Terminal(tmp_path / "station")
-    metadata = site / "holosoma_walk-0.1.dist-info"
-    metadata.mkdir(parents=True)
-    (site / "holosoma_walk.py").write_text(example("holosoma_walk.py"))
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: holosoma-walk\nVersion: 0.1\n")
-    entry = re.search(r'^holosoma-walk = "(.*)"$', example("pyproject.toml"), re.MULTILINE)
-    assert entry is not None
-    (metadata / "entry_points.txt").write_text(f"[station.policies]\nholosoma-walk = {entry[1]}\n")
-    terminal.environment["PYTHONPATH"] = str(site)
-    return terminal
+    """A user's terminal in whose Python the package is installed."""
+    return install("your-policy.md", "holosoma-walk", tmp_path)
 
 
 def test_example_walks_and_its_episode_is_audited_with_its_option(terminal: Terminal) -> None:

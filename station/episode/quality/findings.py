@@ -162,7 +162,7 @@ class StepQuality(msgspec.Struct, frozen=True, kw_only=True):
         clamped, refused: Greatest counts that the gate reported; None where it reported none.
         compared_steps: Steps in which the gate was tracking and the motion playing.
         mean_joint_error_rad: Over those steps, as `station.control.tracking` defines it, so that it compares with a
-            rehearsal [rad].
+            rehearsal [rad]; None where no joint is commanded.
         worst_joint, worst_joint_error_rad: The joint with the greatest mean error.
         mean_root_height_error_m: Likewise for the height of the root [m]; simulation only.
     """

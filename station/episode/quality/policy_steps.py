@@ -105,12 +105,10 @@ class StepMeter:
             clamped=self._counts.get("clamped"),
             refused=self._counts.get("refused"),
             compared_steps=compared,
-            mean_joint_error_rad=tracking.mean_joint_error_rad if tracking and compared else None,
+            mean_joint_error_rad=tracking.mean_joint_error_rad if tracking else None,
             worst_joint=worst,
-            worst_joint_error_rad=self._joint_sums[worst] / compared if compared else None,
-            mean_root_height_error_m=(
-                tracking.mean_root_height_error_m if tracking and tracking.height_ticks else None
-            ),
+            worst_joint_error_rad=self._joint_sums[worst] / compared if worst else None,
+            mean_root_height_error_m=tracking.mean_root_height_error_m if tracking else None,
         )
 
     def falls(self) -> list[FallSeen]:
