@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -47,21 +47,22 @@ def move_and_let_go(folder: Path) -> list[str]:
         arm = station.start_arm()
         station.start_script()
         started = arm.session.q.copy()
-        rests: list[np.ndarray[Any, Any]] = []
+        rest, stands = Rest([], []), started
 
         def is_done() -> bool:
-            rests[:] = since_release(station)
-            return len(rests) > RESTS and has_moved(station, started)
+            nonlocal rest, stands  # as they are together: the script goes on, and the operator drives again
+            rest, stands = since_release(station), arm.session.q.copy()
+            return len(rest.commands) > RESTS and has_moved(station, started)
 
         wait_until(is_done, CYCLES * CYCLE_S + 60.0)
-        assert (np.array(rests[RESTS // 2 :]) == rests[-1]).all(), "it stays where it is, however the cap is pushed"
-        assert arm.session.q == pytest.approx(rests[-1], abs=1e-9)
+        last = rest.commands[-1]
+        assert (np.array(rest.commands[RESTS // 2 :]) == last).all(), "it stays where it is, however the cap is pushed"
+        assert stands == pytest.approx(last, abs=1e-9)
+        assert {(source["driver"], source["engaged"]) for source in rest.sources} == {("arm-tcp", False)}
         commands = station.commands()
         assert commands[0] == pytest.approx(started, abs=1e-6)
         assert np.abs(np.diff(commands, axis=0)).max() <= SPEED_RAD_S / RATE_HZ + 1e-9
         assert station.told("operator-mode")[0].detail["mode"] == "joints 1-4"
-        source = codec.parse_json(station.log.last(keys.command_source(ROBOT)))
-        assert (source["driver"], source["engaged"]) == ("arm-tcp", False)
         assert not station.log.values(twist_keys.T_ACTION)  # of stock readers, which there are none for an arm
         return [str(event.detail["reason"]) for event in station.told("operator-disengaged")]
 
@@ -73,15 +74,24 @@ def has_moved(station: OperatedArm, started: np.ndarray[Any, Any]) -> bool:
     return bool(moved[:, 0].max() - moved[0, 0] > FORWARDS_M and commands[:, 0].max() - started[0] > TURNED_RAD)
 
 
-def since_release(station: OperatedArm) -> list[np.ndarray[Any, Any]]:
-    """Return the commands since the operator let go; none while it drives, or was made to let go."""
-    found: list[np.ndarray[Any, Any]] = []
+class Rest(NamedTuple):
+    """What was written since the operator let go: commands, shape (7,) each, and where they come from."""
+
+    commands: list[np.ndarray[Any, Any]]
+    sources: list[dict[str, Any]]
+
+
+def since_release(station: OperatedArm) -> Rest:
+    """Return what was written since the operator let go; nothing while it drives, or was made to let go."""
+    found = Rest([], [])
     for write in reversed(list(station.log.writes)):
         if write.key == keys.EVENT and (event := events.decode(write.value or b"")) is not None:
             if event.name == "operator-disengaged" and event.detail["reason"] == "released":
-                return found[::-1]
+                return Rest(found.commands[::-1], found.sources[::-1])
             if event.name in ("operator-engaged", "operator-disengaged"):
-                return []
+                break
         elif write.key == keys.action_joints(ROBOT) and write.value:
-            found.append(np.array(codec.parse_json(write.value)))
-    return []
+            found.commands.append(np.array(codec.parse_json(write.value)))
+        elif write.key == keys.command_source(ROBOT) and write.value:
+            found.sources.append(codec.parse_json(write.value))
+    return Rest([], [])
