@@ -114,11 +114,11 @@ class ArmDriver:
 
     @property
     def is_still(self) -> bool:
-        """A target that nobody moves stands."""
+        """The target stays where it is while the operator moves nothing."""
         return True
 
     def look(self, reading: Reading) -> Look:
-        """A leader, a tracked hand, a twist or controls are needed; a leader near the arm, for a beginning."""
+        """Require a leader, a tracked hand, a twist or controls; to begin, a leader must be near the arm."""
         found = self._input(reading)
         if isinstance(found, str):
             return Look(None, found)

@@ -126,7 +126,7 @@ class BodyDriver:
         return self._outlet.send(self._live, dt_s)
 
     def take_up(self, command: Floats) -> None:
-        """Go on from a command of somebody else, which stands until the operator engages."""
+        """Continue from another writer's command; it holds until the operator engages."""
         self._outlet.take_up(command)
         self._rest, self._left_s = self._outlet.sent.copy(), 0.0
 

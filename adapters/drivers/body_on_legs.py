@@ -46,7 +46,7 @@ class BodyOnLegs:
         return self.outlet.sent[[HEAD + G1_29.index(name) for name in names]]
 
     def take_up(self, command: Floats) -> None:
-        """Let a command of somebody else stand; the legs stand from now on."""
+        """Continue from another writer's command; the legs stand from now on."""
         self.outlet.take_up(command)
         self.sticks, self._walker, self._has_begun = Sticks(), Walker(), False
 

@@ -1,4 +1,4 @@
-"""TWIST2's ``data.json``: read, and its shape checked, before anything is made of it. The file is nobody's we know."""
+"""TWIST2's ``data.json``: read, and its shape checked, before it is used; the file may come from anywhere."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def _read(file: Path) -> bytes:
 
 
 def _check(file: Path, number: int, entry: Mapping[str, Any]) -> Iterator[str]:
-    """Refuse values of the wrong shape; yield the fields that nobody has told us of."""
+    """Refuse values of the wrong shape; yield the fields that are not known."""
     for name, value in entry.items():
         if value is None:
             continue

@@ -1,4 +1,4 @@
-"""The person who does what a G1 does: a synthetic body tracking, so that retargeting can be judged by where it began.
+"""Synthetic body tracking of a person in the pose of a G1: the ground truth that retargeting is measured against.
 
 Bones point as the robot's links do; lengths are the person's. Paths scale with the length of the legs, and the feet are
 put down below the person's own hips, so a foot that the robot holds still is held still.
@@ -25,7 +25,7 @@ _SIDES = ("left", "right")
 def skeleton_of(
     reference: Reference | Floats, height_m: float | None = None, *, lengths: Proportions | None = None
 ) -> Body:
-    """Return the body of the person who stands as a G1 does.
+    """Return the body tracking of a person in the pose of a G1.
 
     Args:
         reference: What the robot does; or its qpos: position and quaternion wxyz of the root, then the joints of

@@ -1,4 +1,4 @@
-"""Limits of an arm's joints, from a file per model: a number that nobody has vouched for must not become a default.
+"""Limits of an arm's joints, from a file per model that names its source: a guessed limit must not become a default.
 
 ```yaml
 model: kr810

@@ -210,7 +210,7 @@ def _of(reader: EpisodeReader, wish: Wish) -> Common:
 
 
 def _expect_defaults(reader: EpisodeReader, wish: Wish, robot: str) -> None:
-    """Refuse an episode that lacks the keys that nobody named, as one of stock scripts does; say what it has."""
+    """Refuse an episode without the default keys, such as one of stock scripts, and name the keys that it has."""
     topics = reader.topics()
     sides = (("--state", wish.state, state_key(robot, topics), "state"),
              ("--action", wish.action, keys.command_used(robot), "command"))  # fmt: skip
