@@ -42,12 +42,10 @@ def print_quality(quality: Quality) -> None:
     console.print()
     _print_streams(quality.streams)
     _print_cameras(console, quality.cameras)
-    for steps in quality.steps:
+    told = [item.robot for item in quality.steps] + [item.robot for item in quality.motion]
+    for robot in dict.fromkeys([*told, *(item.robot for item in quality.arms)]):
         console.print()
-        _print_steps(console, steps, lock_step=quality.lock_step)
-    _print_motion(console, quality)
-    for arm in quality.arms:
-        _print_arm(console, arm)
+        _print_robot(console, quality, robot)
     if len(quality.rules) > 1:
         last = quality.rules[-1]
         console.print(
@@ -179,17 +177,20 @@ def _print_arm(console: Console, arm: ArmQuality) -> None:
     console.print("  " + ", ".join(f"{count} {name}" for name, count in counts.items()), soft_wrap=True)
 
 
-def _print_motion(console: Console, quality: Quality) -> None:
-    """Print how the joints of each robot moved, and how commands lay beside states, a line for each finding."""
-    told = {steps.robot for steps in quality.steps}
-    for item in quality.motion:
-        if item.robot not in told:
-            console.print(f"\n[bold]{plain(item.robot)}[/]: {item.samples} states", soft_wrap=True)
+def _print_robot(console: Console, quality: Quality, robot: str) -> None:
+    """Print the steps of a robot, how its joints moved, how commands lay beside states, what its controller counted."""
+    for steps in (item for item in quality.steps if item.robot == robot):
+        _print_steps(console, steps, lock_step=quality.lock_step)
+    for item in (item for item in quality.motion if item.robot == robot):
+        if all(steps.robot != robot for steps in quality.steps):
+            console.print(f"[bold]{plain(robot)}[/]: {item.samples} states", soft_wrap=True)
         for line in _motion(item):
             console.print(f"  {line}", soft_wrap=True)
-    for found in quality.alignment:
+    for found in (found for found in quality.alignment if found.robot == robot):
         for line in _aligned(found, lock_step=quality.lock_step):
             console.print(f"  {line}", soft_wrap=True)
+    for arm in (arm for arm in quality.arms if arm.robot == robot):
+        _print_arm(console, arm)
 
 
 def _motion(item: MotionQuality) -> list[str]:
