@@ -96,6 +96,14 @@ class Robot(Protocol):
         """Send targets and return what was really sent, after the robot's own limits."""
         ...
 
+    def damp(self) -> None:
+        """Have the joints damped and nothing else, until the next `write`: what disarmed means, said in every period.
+
+        A robot that sends by itself, from a thread of its own, sends damping from now on, whatever it was sent before.
+        A simulation stands still.
+        """
+        ...
+
     def fallen(self) -> Fall | None:
         """Return why the robot counts as fallen, or None when it stands (or cannot know)."""
         ...

@@ -121,6 +121,8 @@ class ControlStep:
         targets = self._targets(action, state, decision)
         allowed = self._allowed(targets, now_s)
         sent_ns = self._clock.monotonic_ns()  # before `write`, which in a simulation also runs the physics
+        if allowed is None:
+            self.robot.damp()
         sent = _nothing(targets) if allowed is None else self.robot.write(allowed)
         good = self.inlet.good
         stages = (good.written_ns if good else 0, good.arrived_ns if good else 0)
@@ -164,7 +166,7 @@ class ControlStep:
         return self.commanded.arm(now_s, who, self._why_not_arm(now_s))
 
     def disarm(self, who: str = "") -> None:
-        """Send nothing to the robot from the next step on."""
+        """Send no targets to the robot from the next step on; its joints are damped."""
         self.commanded.disarm(who)
 
     def refuse_rivals(self, count: int, reason: str) -> None:

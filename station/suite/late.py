@@ -48,6 +48,10 @@ class LateRobot:
         has_come = len(self._under_way) > self._periods
         return self._robot.write(self._under_way.popleft() if has_come else self._under_way[0])
 
+    def damp(self) -> None:
+        """Damp the robot, at once."""
+        self._robot.damp()
+
     def reset(self) -> None:
         """Put the robot back on its feet; nothing is under way to it."""
         self._under_way.clear()

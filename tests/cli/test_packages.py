@@ -115,7 +115,7 @@ def test_a_distribution_that_was_installed_into_the_folder_of_ours_is_named(home
         "the other; pip uninstall adapters, then pip install --force-reinstall --no-deps teleop-station, "
         "or give the station an environment of its own"
     )
-    said = one_line(run(home, site, "up", "--dry-run", "g1-demo"))
+    said = one_line(run(home, site, "rehearse", "builtin:wave"))
     assert said == f"{expected} (No module named 'what_it_needs_and_is_not_here')"
     done = run(home, site, "doctor")
     assert f"! package adapters: {expected.partition(': ')[2].partition('; pip')[0]}" in done.stdout

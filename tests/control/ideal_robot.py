@@ -27,7 +27,7 @@ class IdealRobot:
         self.q = np.zeros(29)
         self.written: list[JointTargets] = []
         self.fall: Fall | None = None
-        self.resets = 0
+        self.resets = self.damped = 0
 
     def read(self) -> RobotState:
         return RobotState(
@@ -39,6 +39,9 @@ class IdealRobot:
         self.written.append(targets)
         self.q = np.where(targets.kp > 0, targets.q, self.q)
         return targets
+
+    def damp(self) -> None:
+        self.damped += 1
 
     def fallen(self) -> Fall | None:
         return self.fall

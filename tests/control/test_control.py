@@ -163,10 +163,11 @@ def test_a_reset_without_a_stop_does_nothing() -> None:
     assert bench.robot.resets == 0
 
 
-def test_a_disarmed_robot_gets_nothing_though_the_policy_runs() -> None:
+def test_a_disarmed_robot_is_damped_in_every_step_though_the_policy_runs() -> None:
     bench = Bench(is_armed=False)
     record = bench.track()
     assert not bench.robot.written
+    assert bench.robot.damped == bench.tick
     assert not record.sent.kp.any()
     assert not record.sent.kd.any()
     assert record.action[3] == pytest.approx(0.7)
@@ -179,6 +180,11 @@ def test_an_armed_robot_grows_stiff_over_two_seconds() -> None:
     stiffness = [bench.step(_command()).sent.kp[0] for _ in range(101)]
     assert stiffness[0] == pytest.approx(0.5)
     assert stiffness[-1] == 50.0
+    assert bench.robot.damped == 1, "before it was armed, and no more"
+    bench.control.disarm("ada")
+    written = len(bench.robot.written)
+    bench.step(_command())
+    assert (bench.robot.damped, len(bench.robot.written)) == (2, written), "at once, though commands come"
     assert np.diff(stiffness).max() <= 0.5 + 1e-9
 
 

@@ -124,6 +124,9 @@ class MujocoG1:
             self._viewer.sync()
         return targets
 
+    def damp(self) -> None:
+        """Stand still: no time passes in the simulation, so that a robot that is disarmed need not be caught."""
+
     def push(self, velocity_step: Floats) -> None:
         """Add to the linear velocity of the pelvis in the world, shape (3,) [m/s]; joints keep their speeds, so the
         whole body moves off at once."""
