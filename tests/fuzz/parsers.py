@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import os
@@ -25,11 +26,13 @@ from adapters.commands.arm import arm_command
 from adapters.motions.clip import Clip
 from adapters.robots import arm_limits
 from adapters.robots.g1 import twist_keys
+from station.api.live import Record, Station
 from station.bus import codec, contracts, keys, stamp
 from station.bus.address import BusAddress
 from station.bus.sample import Sample
 from station.bus.tap import not_mirrored
 from station.camera.source import Drops
+from station.clock import SYSTEM
 from station.contract import TIMING_STAGES
 from station.control.inlet import CommandSample, Inlet, check_command
 from station.control.stop_trace import StopTrace
@@ -44,7 +47,7 @@ from station.episode.storage.channels import encoding_of, source_of
 from station.episode.storage.manifest import Manifest, Timing, dump_manifest
 from station.episode.storage.request import parse_request, request_id
 from station.episode.writing import heard, retell
-from station.errors import NotReady, Refused, UnknownName
+from station.errors import NotReady, Refused, UnknownName, UsageError
 from station.life import arm_request, controller_request, estop, events, stop_button, stop_file
 from station.life.server import Health, decode_health
 from station.life.stop_file import StopFile
@@ -457,6 +460,23 @@ FORMS = (twist.FORMAT, twist2.FORMAT, arm_command("kassow", arm_limits.load("kas
 _BODY, _LIFE, _OPERATOR, _EPISODE = "station.bus.", "station.life.", "station.operator.", "station.episode."
 
 
+def _scripted(key: str, data: bytes) -> None:
+    shelf: Any = Shelf({
+        keys.server("g1"): health(), keys.server_config("g1"): dumped(CONFIG), keys.command_gate(ROBOT): dumped(GATE),
+        keys.RECORDER: dumped(RECORDER), key: data,
+    })  # fmt: skip
+    lab = Station.__new__(Station)
+    lab._bus, lab._clock, lab.record = shelf, SYSTEM, Record(shelf)
+    for robot in lab.robots():
+        lab.description(robot.name)
+    lab.record.status()
+    value = lab.read(key)
+    assert value is not None
+    for reading in (value.vector, value.named, value.json):
+        with contextlib.suppress(UsageError):
+            reading()
+
+
 def _all() -> list[Parser]:
     found = [
         Parser(f"command {form.key}", partial(_command, form), (codec.json_vector(form.default),),
@@ -495,6 +515,14 @@ def _all() -> list[Parser]:
         Parser("event", _event, (EVENT.encode(),), (_LIFE + "events", _LIFE + "event_feed", "station.enrich.siblings")),
         Parser("heartbeat", _heartbeat, (health(),), (
             _LIFE + "server", "station.supervision.supervisor", "station.supervision.doctor", "station.view.status")),
+        *(
+            Parser(f"of a script, {key}", partial(_scripted, key), (data,), ("station.api.live",))
+            for key, data in (
+                (keys.robot_state(ROBOT), codec.f64(np.ones(3))), (keys.command_gate(ROBOT), dumped(GATE)),
+                (keys.RECORDER, dumped(RECORDER)), (keys.server_config("g1"), dumped(CONFIG)),
+                (keys.server("g1"), health()), (twist_keys.action_body(), codec.json_vector([0.1] * 35)),
+            )
+        ),
         Parser("record request", _record_request, (dumped(REQUEST),), (_EPISODE + "storage.request",), (Refused,)),
         Parser("record answer", record_answer, (dumped(ANSWER),), (_EPISODE + "recorder.remote",)),
         Parser("recorder's state", _record_state, (dumped(RECORDER),), (_OPERATOR + "requests",)),

@@ -115,4 +115,5 @@ def _reference(facts: dict[str, Any], policy: str) -> str:
     config = facts.get("config")
     if not isinstance(config, dict):
         return ""
-    return checkpoint_of(policy, str(config.get("checkpoint") or ""))
+    named = str(config.get("checkpoint") or "")
+    return checkpoint_of(policy, named) if policy in registry.names("policy") else named
