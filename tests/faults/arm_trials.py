@@ -13,7 +13,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import dropwhile
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -162,15 +162,14 @@ def write_through_a_frozen_bus(kord: Any, folder: Path, frozen_s: float, **arm_s
             arm.wait_for_gate("stopped")
             arm.bus.publish({keys.ESTOP: b"0"})
             arm.wait_for_gate("waiting")
-            since = len(arm.log.values(keys.command_gate(ROBOT)))
             with frozen(arm.server.pid):
                 wait_for_ticks(controller, frozen_s)
             wait_for_ticks(controller, 0.5)
             gap_s = commander.stop()
-            told = [codec.parse_json(value) for value in arm.log.values(keys.command_gate(ROBOT))[since:]]
-        # The log comes by another line than what was waited for: its newest value may be one from before the release.
-        gates = list(dropwhile(lambda gate: gate["state"] == "stopped", told))
-        assert len(gates) > 50
+            told = [codec.parse_json(value) for value in arm.log.values(keys.command_gate(ROBOT))]
+        # The log comes by another line than what was waited for, and later: it says itself when the stop was released.
+        gates = list(takewhile(lambda gate: gate["state"] != "stopped", reversed(told)))[::-1]
+        assert 50 < len(gates) < len(told), "it was stopped, and then seen"
         arm.settle()
         with StockCommander(arm):
             arm.wait_for_gate("tracking")
