@@ -227,7 +227,7 @@ class Teleop:
         self._report(obstacle)
 
     def _take_up(self) -> None:
-        """While nobody commands: go on, once the operator engages, from the command that the robot follows."""
+        """Before commands begin: take up the command that the robot follows, so that engaging starts from it."""
         used, known = self._robot.used, self._taken_up
         if not self._speaks and used is not None and not (known is not None and np.array_equal(used, known)):
             self._driver.take_up(used)

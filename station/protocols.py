@@ -1,7 +1,7 @@
 """What a robot, a policy and a motion are to the rest of the station.
 
-SI units. Quaternions are ``w x y z``. "Root" is the pelvis: X forward, Y left, Z up. Arrays are float64 unless a
-line says otherwise; none of them may be changed by who receives it.
+SI units. Quaternions are ``w x y z``. "Root" is the base, a humanoid's pelvis: X forward, Y left, Z up. Arrays are
+float64 unless a line says otherwise; none of them may be changed by who receives it.
 """
 
 from __future__ import annotations

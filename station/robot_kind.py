@@ -23,7 +23,7 @@ class RobotKind(msgspec.Struct, frozen=True, kw_only=True):
         make: Returns the robot; takes its options and the control period [s].
         describe: Returns what it says of itself when it follows commands of a format.
         values: Returns what it publishes at the start of a tick beside the station's own keys, for stock programs; of
-            the state, the policy, the robot and its name.
+            the state, the policy and the robot's name.
         policy: Registered name of the policy that drives it where none is named.
         is_default: Whether it is taken where no robot is named; one of all is.
     """
@@ -34,7 +34,7 @@ class RobotKind(msgspec.Struct, frozen=True, kw_only=True):
     options: type[msgspec.Struct]
     make: Callable[[Any, float], Robot]
     describe: Callable[[CommandFormat], RobotDescription]
-    values: Callable[[RobotState, Policy, Robot, str], Mapping[str, bytes]] | None = None
+    values: Callable[[RobotState, Policy, str], Mapping[str, bytes]] | None = None
     policy: str
     is_default: bool = False
 

@@ -6,8 +6,9 @@ It needs neither NumPy nor a file until numbers are asked for, so a command line
 from __future__ import annotations
 
 import getpass
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
+from weakref import WeakSet
 
 import msgspec
 
@@ -16,6 +17,7 @@ from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.contracts import Contracts
 from station.bus.sample import Sample
+from station.bus.watch import Watch
 from station.contract import Contract
 from station.description import RobotDescription
 from station.errors import BusError, NotReady, UsageError
@@ -23,7 +25,7 @@ from station.life import arm_request
 from station.life.event_feed import EventFeed
 from station.life.events import Event
 from station.life.server import Health, read_configurations, read_health
-from station.life.stop_button import StopButton
+from station.life.stop_button import StopButton, keep_for_the_next_start
 from station.printable import printable
 
 if TYPE_CHECKING:
@@ -36,7 +38,12 @@ WITHIN_S = 60.0
 """Longest wait for a station that is coming up [s]."""
 
 _LOOK_S = 0.05
+_FRESH_S = 1.0
+"""What servers state is read again after this [s]: it is 20 kB of JSON, and a script may publish at 100 Hz."""
+
 _FEW = 4  # names in an error
+_OF_GATE = {"gate": "state", "reason": "reason", "arming": "arming"}
+_Given = TypeVar("_Given")
 _ANSWER_S = 20.0  # of a recorder: a stop waits for the disk
 _DOUBT_S = 2.0  # where no recorder is heard: one on a machine with a wrong clock may be there all the same
 
@@ -143,6 +150,9 @@ class Station:
         self._clock = self._bus.clock
         self.record = Record(self._bus)
         self.motion = MotionPlayer(self._bus)
+        self._listening: WeakSet[Watch | EventFeed] = WeakSet()
+        self._is_closed = False
+        self._contracts: tuple[float, Contracts] | None = None
 
     @property
     def address(self) -> str:
@@ -150,7 +160,10 @@ class Station:
         return str(self._bus.address)
 
     def close(self) -> None:
-        """Hang up."""
+        """Hang up; who follows a key or the events comes to their end."""
+        self._is_closed = True
+        for each in list(self._listening):
+            each.close()
         self._bus.close()
 
     def __enter__(self) -> Station:
@@ -209,8 +222,11 @@ class Station:
         return self._bus.names(pattern)
 
     def contracts(self) -> Contracts:
-        """Return what is known of robots and keys, by what each server states now."""
-        return Contracts(read_configurations(self._bus))
+        """Return what is known of robots and keys, by what each server stated at most `_FRESH_S` ago."""
+        now_s = self._clock.monotonic_s()
+        if self._contracts is None or now_s - self._contracts[0] > _FRESH_S:
+            self._contracts = now_s, Contracts(read_configurations(self._bus))
+        return self._contracts[1]
 
     def describe(self, key: str) -> Contract | None:
         """Return what a key holds, names and units of its numbers; None where nothing describes it."""
@@ -233,19 +249,17 @@ class Station:
             key: The key.
             silent_s: Ends when nothing was written for so long [s]; None: never.
         """
-        watch, contract = self._bus.watch([key]), self.describe(key)
+        contract, watch = self.describe(key), self._bus.watch([key])
+        newest = watch.latest(key)
 
-        def values() -> Iterator[Value]:
-            newest: Sample | None = watch.latest(key)
-            heard_s = self._clock.monotonic_s()
-            with watch:
-                while silent_s is None or self._clock.monotonic_s() - heard_s < silent_s:
-                    sample = watch.wait(key, after=newest, timeout_s=_LOOK_S)
-                    if sample is not None:
-                        newest, heard_s = sample, self._clock.monotonic_s()
-                        yield Value(sample, contract)
+        def newer() -> list[Value]:
+            nonlocal newest
+            if (sample := watch.wait(key, after=newest, timeout_s=_LOOK_S)) is None:
+                return []
+            newest = sample
+            return [Value(sample, contract)]
 
-        return values()
+        return self._given_by(watch, newer, silent_s)
 
     def events(self, *, silent_s: float | None = None) -> Iterator[Event]:
         """Yield what happens from now on, each event once.
@@ -255,16 +269,11 @@ class Station:
         """
         feed = EventFeed(self._bus)
 
-        def happening() -> Iterator[Event]:
-            heard_s = self._clock.monotonic_s()
-            with feed:
-                while silent_s is None or self._clock.monotonic_s() - heard_s < silent_s:
-                    for event in feed.take():
-                        heard_s = self._clock.monotonic_s()
-                        yield event
-                    self._clock.sleep(_LOOK_S)
+        def newer() -> list[Event]:
+            self._clock.sleep(_LOOK_S)
+            return list(feed.take())
 
-        return happening()
+        return self._given_by(feed, newer, silent_s)
 
     def publish(self, values: Values) -> None:
         """Write keys and their stamps in one atomic command.
@@ -285,11 +294,17 @@ class Station:
     def estop(self, reason: str = "asked for by a script") -> list[str]:
         """Stop every robot on the bus, latched; return the names of the servers that have.
 
+        Where the bus is gone, no robot is stopped; the stop is kept all the same, and nothing starts under it.
+
         Raises:
             BusError: the stop was not taken; use the robot's own.
             NotReady: a robot does not obey; use its own stop.
         """
-        with self._button() as button:
+        try:
+            opened = self._button()
+        except BusError as error:
+            raise keep_for_the_next_start(self._bus.address, reason, error) from None
+        with opened as button:
             button.press(reason)
             robots = button.robots()
             if left := button.unstopped():
@@ -322,14 +337,27 @@ class Station:
             NotReady: no such robot, or no answer in time.
             Refused: it said no, with its reason.
         """
-        return arm_request.ask(self._bus, "arm", server=self._server_of(robot), reason=reason)
+        return arm_request.ask(self._bus, "arm", name=robot, reason=reason)
 
     def disarm(self, robot: str = "", *, reason: str = "") -> dict[str, list[str]]:
         """Send nothing to a robot any more; as `arm`."""
-        return arm_request.ask(self._bus, "disarm", server=self._server_of(robot), reason=reason)
+        return arm_request.ask(self._bus, "disarm", name=robot, reason=reason)
 
-    def _server_of(self, robot: str) -> str:
-        return next((each.server for each in self.robots() if each.name == robot), robot) if robot else ""
+    def _given_by(
+        self, source: Watch | EventFeed, newer: Callable[[], Sequence[_Given]], silent_s: float | None
+    ) -> Iterator[_Given]:
+        """Yield what a source gives, until it was silent for too long or this is closed; the source listens already."""
+        self._listening.add(source)
+
+        def given() -> Iterator[_Given]:
+            heard_s = self._clock.monotonic_s()
+            with source:
+                while not self._is_closed and (silent_s is None or self._clock.monotonic_s() - heard_s < silent_s):
+                    for item in newer():
+                        heard_s = self._clock.monotonic_s()
+                        yield item
+
+        return given()
 
     def _button(self) -> StopButton:
         return StopButton(self._bus.address, name=self._name)
@@ -444,9 +472,6 @@ class MotionPlayer:
         from station.motion import playback_requests
 
         playback_requests.ask(self._bus, action, **fields)
-
-
-_OF_GATE = {"gate": "state", "reason": "reason", "arming": "arming"}
 
 
 def _listed(contract: Contract) -> str:

@@ -171,7 +171,7 @@ class _Calibrations(Verbs):
 
 @command.group("calibrate", cls=_Calibrations)
 def calibrate() -> None:
-    """Calibrate a device with whoever holds it, or measure the operator who wears it."""
+    """Calibrate a device, or measure the operator who wears it."""
 
 
 @command.command("voices")

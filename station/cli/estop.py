@@ -9,6 +9,7 @@ import click
 from station.api.live import Station
 from station.cli.options import address_of, bus_option
 from station.errors import BusError, UsageError
+from station.life.stop_button import keep_for_the_next_start
 from station.life.stop_file import StopFile, remedy
 
 
@@ -33,7 +34,9 @@ def command(reset: bool, arm: bool, reason: str, bus: str | None) -> None:
     try:
         station = Station(bus, name="estop")
     except BusError as error:
-        _act_without_a_bus(StopFile(address), reason, error, is_reset=reset)
+        if not reset:
+            raise keep_for_the_next_start(address, reason, error) from None
+        _release_without_a_bus(StopFile(address), reason, error)
         return
     with station:
         if reset:
@@ -45,15 +48,12 @@ def command(reset: bool, arm: bool, reason: str, bus: str | None) -> None:
     click.echo(f"e-stop: {said}; `{remedy(address)}` releases")
 
 
-def _act_without_a_bus(file: StopFile, reason: str, error: BusError, *, is_reset: bool) -> None:
-    """Stop or release where no bus answers: all that can be done is to keep it for the next start.
+def _release_without_a_bus(file: StopFile, reason: str, error: BusError) -> None:
+    """Release where no bus answers what is kept for the next start.
 
     Raises:
-        BusError: no robot was stopped; or nothing was latched either.
+        BusError: nothing is kept either.
     """
-    if not is_reset:
-        file.latch(f"{getpass.getuser()}, {reason}")
-        raise BusError(f"NO robot was stopped ({error}); the stop is latched for the next start")
     if file.read() is None:
         raise error
     file.release(f"{getpass.getuser()}, {reason}")

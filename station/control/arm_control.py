@@ -167,11 +167,11 @@ class ArmControl:
         self.commanded.gate.insist_on_silence(_DISARMED)
 
     def refuse_rivals(self, count: int, reason: str) -> None:
-        """Count commands that came from others than who is obeyed, before the step that they came for."""
+        """Count refused commands of a second writer; call before the step that they arrived for."""
         self.commanded.refuse_rivals(count, reason)
 
     def heard_all(self, since_s: float, until_s: float) -> None:
-        """Say from when to when no write has escaped us, before the step that it is about [s]."""
+        """Set the span in which every write was seen [s]; call before the step that it is about."""
         self.commanded.heard_all(since_s, until_s)
 
     def health(self) -> dict[str, Any]:

@@ -106,12 +106,12 @@ class Commanded:
             self.note("disarmed", "warning", who=who)
 
     def refuse_rivals(self, count: int, reason: str) -> None:
-        """Count commands that came from others than who is obeyed, before the step that they came for."""
+        """Count refused commands of a second writer; call before the step that they arrived for."""
         self.inlet.refused["second-writer"] += count
         self._rival = f"second-writer: {reason}"
 
     def heard_all(self, since_s: float, until_s: float) -> None:
-        """Say from when to when no write has escaped us, before the step that it is about [s]."""
+        """Set the span in which every write was seen [s]; call before the step that it is about."""
         self._heard_s = since_s, until_s
 
     def note(self, name: str, severity: Severity, **detail: Any) -> None:
@@ -202,11 +202,11 @@ class Control(Protocol[StateT, RecordT_co]):
         ...
 
     def refuse_rivals(self, count: int, reason: str) -> None:
-        """Count commands of others than who is obeyed, before the step that they came for."""
+        """Count refused commands of a second writer; call before the step that they arrived for."""
         ...
 
     def heard_all(self, since_s: float, until_s: float) -> None:
-        """Say from when to when no write has escaped us, before the step that it is about [s]."""
+        """Set the span in which every write was seen [s]; call before the step that it is about."""
         ...
 
     def health(self) -> dict[str, Any]:

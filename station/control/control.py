@@ -123,7 +123,9 @@ class ControlStep:
         sent_ns = self._clock.monotonic_ns()  # before `write`, which in a simulation also runs the physics
         if allowed is None:
             self.robot.damp()
-        sent = _nothing(targets) if allowed is None else self.robot.write(allowed)
+            sent = _nothing(targets)
+        else:
+            sent = self.robot.write(allowed)
         good = self.inlet.good
         stages = (good.written_ns if good else 0, good.arrived_ns if good else 0)
         record = StepRecord(
@@ -170,11 +172,11 @@ class ControlStep:
         self.commanded.disarm(who)
 
     def refuse_rivals(self, count: int, reason: str) -> None:
-        """Count commands that came from others than who is obeyed, before the step that they came for."""
+        """Count refused commands of a second writer; call before the step that they arrived for."""
         self.commanded.refuse_rivals(count, reason)
 
     def heard_all(self, since_s: float, until_s: float) -> None:
-        """Say from when to when no write has escaped us, before the step that it is about [s]."""
+        """Set the span in which every write was seen [s]; call before the step that it is about."""
         self.commanded.heard_all(since_s, until_s)
 
     def health(self) -> dict[str, Any]:

@@ -80,7 +80,7 @@ class Rig(msgspec.Struct, frozen=True):
         name = self.form.robot
         values = {keys.robot_state(name): codec.f64(np.concatenate([state.q, state.dq, state.quat_wxyz, state.gyro]))}
         if self.kind.values is not None:
-            values |= self.kind.values(state, self.policy, self.robot, name)
+            values |= self.kind.values(state, self.policy, name)
         if isinstance(self.robot, KnowsTruth):
             values[keys.sim_qpos(name)] = codec.f64(self.robot.qpos)
         return values
@@ -110,15 +110,23 @@ def checkpoint_of(policy: str, named: str = "") -> str:
     return named or str(getattr(registry.find("policy", policy), "CHECKPOINT", ""))
 
 
-def build(config: RigConfig) -> Rig:
+def build(config: RigConfig, *, may_be_real: bool = False) -> Rig:
     """Load policy, command format and robot.
+
+    Args:
+        config: What drives what.
+        may_be_real: Whether the robot may be a real one. Only its server drives one: a rehearsal or a replay goes
+            through its steps as fast as it can, with nobody beside it.
 
     Raises:
         UnknownName: a name that is not registered.
-        ConfigError: an option that robot or policy do not know, no checkpoint, or a rate that cannot be.
+        ConfigError: an option that robot or policy do not know, no checkpoint, a rate that cannot be, or a real robot
+            where none may be driven.
         AssetMissing, BadFile: a file that is not there or not usable.
     """
     kind = config.kind
+    if not (kind.is_simulated or may_be_real):
+        raise ConfigError(f"robot {kind.name!r} is a real one; only its server drives it: name a simulated one")
     options = kind.typed(config.robot_options)
     policy = _policy(config.policy or kind.policy, config)
     rate_hz = config.rate_hz or policy.spec.rate_hz

@@ -15,6 +15,7 @@ from station.config import to_plain
 from station.control.gate import GateConfig
 from station.control.low_level import LowLevelLoop, result_values
 from station.control.rig import Rig, RigConfig, build
+from station.errors import ConfigError
 from station.life.loop import Rate, real_time
 from station.life.server import Life
 from station.software import software
@@ -22,15 +23,13 @@ from station.software import software
 _RESET_AFTER_S = 1.0  # so that a fall can be seen, and stands in the episode
 
 
-class RobotConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Configuration of a robot's server.
+class PolicyServerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings of every server whose robot a policy moves.
 
     Attributes:
-        robot: Registered name of the robot.
-        robot_options: Its settings.
         policy: Registered name of the policy family; "" for the robot's.
         checkpoint: Its file; "" for the family's default.
-        policy_options: Further arguments of the policy.
+        policy_options: Further arguments of the policy, for example ``wrist_gains: real``.
         rate_hz: Rate of the loop [Hz]; 0 for the one that the policy was trained at.
         pace: ``wall`` or ``command`` (lock-step).
         command_timeout_s: Longest wait for the next command in lock-step [s]; then ticks go on at `rate_hz`.
@@ -40,8 +39,6 @@ class RobotConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         real_time_priority: SCHED_FIFO priority that is asked for with `pace: wall`; 0 does not ask.
     """
 
-    robot: str
-    robot_options: dict[str, Any] = {}
     policy: str = ""
     checkpoint: str = ""
     policy_options: dict[str, Any] = {}
@@ -53,18 +50,17 @@ class RobotConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     on_fall: Literal["continue", "reset"] = "continue"
     real_time_priority: int = 50
 
-    def __post_init__(self) -> None:
-        registry.expect("robot", self.robot)
-        if self.policy:
-            registry.expect("policy", self.policy)
+    def rig_of(self, robot: str, options: dict[str, Any]) -> RigConfig:
+        """Return what drives what, for a robot by its registered name, with its settings."""
+        return RigConfig(
+            robot=robot, robot_options=options, policy=self.policy, checkpoint=self.checkpoint,
+            policy_options=self.policy_options, rate_hz=self.rate_hz,
+        )  # fmt: skip
 
     @property
     def rig(self) -> RigConfig:
         """What drives what."""
-        return RigConfig(
-            robot=self.robot, robot_options=self.robot_options, policy=self.policy, checkpoint=self.checkpoint,
-            policy_options=self.policy_options, rate_hz=self.rate_hz,
-        )  # fmt: skip
+        raise NotImplementedError
 
     @property
     def is_armed(self) -> bool:
@@ -72,15 +68,40 @@ class RobotConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return self.rig.kind.is_simulated if self.start_armed is None else self.start_armed
 
 
-def serve(config: RobotConfig, life: Life, stated: Any) -> int:
+class RobotConfig(PolicyServerConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Configuration of the server of any robot that a policy moves; the rest is as in `PolicyServerConfig`.
+
+    Attributes:
+        robot: Registered name of the robot.
+        robot_options: Its settings.
+    """
+
+    robot: str
+    robot_options: dict[str, Any] = {}
+
+    def __post_init__(self) -> None:
+        registry.expect("robot", self.robot)
+        if self.policy:
+            registry.expect("policy", self.policy)
+        try:
+            self.rig.kind.typed(self.robot_options)
+        except ConfigError as error:
+            raise ValueError(str(error)) from None
+
+    @property
+    def rig(self) -> RigConfig:
+        """What drives what."""
+        return self.rig_of(self.robot, self.robot_options)
+
+
+def serve(config: PolicyServerConfig, life: Life) -> int:
     """Run a robot until the server is asked to stop; return the exit code.
 
     Args:
-        config: Of the robot.
+        config: The server's; what it states of itself holds it in plain values.
         life: The server's.
-        stated: The server's own configuration in plain values, for the manifest.
     """
-    rig = build(config.rig)
+    rig = build(config.rig, may_be_real=True)
     suffix = rig.form.robot
     try:
         reset_after_s = _RESET_AFTER_S if config.on_fall == "reset" else None
@@ -93,7 +114,7 @@ def serve(config: RobotConfig, life: Life, stated: Any) -> int:
             result_values=lambda record, answer: result_values(suffix, record, control.commanded, answer),
             period_s=rig.period_s,
         ) as loop:
-            life.configured(_facts(config, life.name, rig, stated))
+            life.configured(_facts(config, life.name, rig))
             if not life.ready():
                 return 0
             _warn_of_rate(life, rig)
@@ -115,7 +136,7 @@ def _warn_of_rate(life: Life, rig: Rig) -> None:
         life.event("rate-differs", severity="warning", rate_hz=rate_hz, trained_hz=trained_hz)
 
 
-def _facts(config: RobotConfig, name: str, rig: Rig, stated: Any) -> dict[str, Any]:
+def _facts(config: PolicyServerConfig, name: str, rig: Rig) -> dict[str, Any]:
     """What a recording must know of this server."""
     spec = rig.policy.spec
     code = software()
@@ -143,5 +164,5 @@ def _facts(config: RobotConfig, name: str, rig: Rig, stated: Any) -> dict[str, A
         "rates": {"control_hz": 1.0 / rig.period_s, "pace": config.pace, **physics},
         "gate": to_plain(config.gate),
         "software": {"version": code.version, "revision": code.revision, "dirty": code.dirty},
-        "config": stated,
+        "config": to_plain(config),
     }

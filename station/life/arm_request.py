@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import getpass
 import secrets
-from collections.abc import Iterator
 from typing import Any, Literal
 
 import msgspec
@@ -65,14 +64,14 @@ def read(data: bytes) -> ArmRequest | None:
 
 
 def ask(
-    bus: Bus, action: Action, *, server: str = "", reason: str = "", within_s: float = WITHIN_S
+    bus: Bus, action: Action, *, name: str = "", reason: str = "", within_s: float = WITHIN_S
 ) -> dict[str, list[str]]:
     """Arm or disarm and wait until it is done; return the states that each server went through, by name.
 
     Args:
         bus: The bus that the low-level servers run on.
         action: What to do.
-        server: Name of the low-level server; "" for every one that runs.
+        name: Of the low-level server, or of the robot that it drives; "" for every one that runs.
         reason: Why, for the recording.
         within_s: Longest wait [s].
 
@@ -80,13 +79,14 @@ def ask(
         NotReady: no such server runs, the bus did not take the request, or a server did not answer.
         Refused: a server said no; with its reason.
     """
-    robots = {health.name: robot_of(bus, health) for health in _low_level(bus, server)}
+    robots = {health.name: robot_of(bus, health) for health in _low_level(bus, name)}
+    server = next(iter(robots)) if name else ""
     wanted = ArmRequest(action=action, id=secrets.token_hex(4), server=server, who=getpass.getuser(), reason=reason)
     deadline_s = bus.clock.monotonic_s() + within_s
     with bus.watch([keys.command_gate(robot) for robot in robots.values()]) as watch:
         if not bus.publish({keys.ARM: codec.json_object(wanted)}):
             raise NotReady(f"{action}: the bus {bus.address} did not take the request ({bus.last_error})")
-        return {name: _follow(watch, name, robot, wanted, deadline_s) for name, robot in robots.items()}
+        return {each: _follow(watch, each, robot, wanted, deadline_s) for each, robot in robots.items()}
 
 
 def server_of(bus: Bus, robot: str) -> str:
@@ -108,16 +108,25 @@ def story(action: Action, states: list[str]) -> str:
     return "armed, at full stiffness" if "arming" in states else "armed already"
 
 
-def _low_level(bus: Bus, server: str) -> Iterator[Health]:
+def _low_level(bus: Bus, name: str) -> list[Health]:
+    """Return the low-level servers that live: the one of that name, else the one that drives that robot; all for ""."""
     now_ns = bus.clock.wall_ns()
     found = [health for health in read_health(bus) if health.role == "low-level" and health.is_alive_at(now_ns)]
-    chosen = [health for health in found if server in ("", health.name)]
+    chosen = [health for health in found if name in ("", health.name)]
+    chosen = chosen or [health for health in found if _drives(bus, health, name)][:1]
     if not chosen:
         others = f" (there are: {', '.join(health.name for health in found)})" if found else ""
         raise NotReady(
-            f"no low-level server {server + ' ' if server else ''}runs on {bus.address}{others}; start a station first"
+            f"no low-level server {name + ' ' if name else ''}runs on {bus.address}{others}; start a station first"
         )
-    yield from chosen
+    return chosen
+
+
+def _drives(bus: Bus, health: Health, robot: str) -> bool:
+    try:
+        return robot_of(bus, health) == robot
+    except NotReady:  # it has not said so yet
+        return False
 
 
 def robot_of(bus: Bus, health: Health) -> str:

@@ -20,7 +20,7 @@ from station.bus.client import Bus
 from station.errors import BusError, NotReady
 from station.life import arm_request
 from station.life.server import Health, read_health
-from station.life.stop_file import StopKeeper
+from station.life.stop_file import StopFile, StopKeeper
 
 WITHIN_S = 1.0
 """How long a press tries before it says that it was not taken [s]."""
@@ -28,6 +28,18 @@ WITHIN_S = 1.0
 _ANSWER_S = 0.25  # of one try; a server that answers takes under a millisecond
 _AGAIN_S = 0.02
 _LOOK_S = 0.005
+
+
+def keep_for_the_next_start(address: BusAddress, reason: str, error: BusError) -> BusError:
+    """Keep a stop in its file where no bus took it, so that nothing starts under it; return what to raise.
+
+    Args:
+        address: The bus that is not there.
+        reason: Why to stop.
+        error: Why the bus could not be reached.
+    """
+    StopFile(address).latch(f"{getpass.getuser()}, {reason}")
+    return BusError(f"NO robot was stopped ({error}); the stop is latched for the next start")
 
 
 class StopButton:

@@ -185,7 +185,7 @@ class ArmButtons:
         try:
             with Bus(self._life.bus.address, name=self._life.name, timeout_s=1.0) as line:
                 server = arm_request.server_of(line, self._robot)
-                arm_request.ask(line, action, server=server, reason=f"button of {self._device}")
+                arm_request.ask(line, action, name=server, reason=f"button of {self._device}")
         except Refused as error:
             refusal = str(error)
         except (BusError, NotReady) as error:

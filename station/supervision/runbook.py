@@ -52,7 +52,7 @@ class Arming(msgspec.Struct, frozen=True, kw_only=True):
             NotReady: nobody answered in time.
             Refused: the server said no.
         """
-        done = arm_request.ask(bus, self.action, server=self.server, reason="runbook", within_s=self.within_s)
+        done = arm_request.ask(bus, self.action, name=self.server, reason="runbook", within_s=self.within_s)
         return "; ".join(f"{name} {arm_request.story(self.action, states)}" for name, states in done.items())
 
 

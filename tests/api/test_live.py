@@ -11,11 +11,14 @@ import pytest
 
 from adapters.robots.g1 import twist_keys
 from station import Station, StationError
+from station.api import live
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.errors import BusError, NotReady, Refused, UsageError
+from station.life.stop_file import StopFile
 from station.motion import playback_requests
+from tests import strider
 from tests.cli.running import Home, new_home
 from tests.waiting import DEADLINE_S, wait_until
 
@@ -40,7 +43,7 @@ def test_servers_and_robots_tell_of_themselves(lab: Station) -> None:
     assert {"g1", "recorder", "motion"} <= {server.name for server in lab.servers()}
     (robot,) = lab.robots()
     assert (robot.name, robot.server, robot.state, robot.arming) == (ROBOT, "g1", "active", "armed")
-    assert lab.wait_for_robot("g1") == lab.wait_for_robot(ROBOT) or robot.gate
+    assert {lab.wait_for_robot(name).name for name in ("", "g1", ROBOT)} == {ROBOT}
     described = lab.description(ROBOT)
     assert described is not None
     assert len(described.joints) == 29
@@ -178,6 +181,44 @@ def test_where_nobody_is_there_a_line_says_what_is(alone: Station) -> None:
 def test_nobody_who_plays_a_motion_is_told(bus_server: BusAddress) -> None:
     with Bus(bus_server, name="test") as bus, pytest.raises(NotReady, match=r"motion start: nobody answered in 0\.1 s"):
         playback_requests.ask(bus, "start", within_s=0.1)
+
+
+@pytest.mark.usefixtures("processes")
+def test_a_stop_that_no_bus_takes_is_kept_for_the_next_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    with new_home() as home, home.running("bus", "start") as bus:
+        monkeypatch.setenv("XDG_STATE_HOME", home.environment["XDG_STATE_HOME"])
+        wait_until(home.bus_is_there)
+        with Station(home.bus.url) as lab:
+            bus.interrupt()
+            bus.finish()
+            with pytest.raises(BusError, match=r"NO robot was stopped \(.*the stop is latched for the next start"):
+                lab.estop("it smokes")
+        latched = StopFile(home.bus).read()
+        assert latched is not None
+        assert "it smokes" in latched.reason
+
+
+def test_what_listens_ends_with_the_line_to_the_bus(bus_server: BusAddress) -> None:
+    lab = Station(bus_server.url)
+    followed, events = lab.follow("a"), lab.events()
+    unused = lab.follow("b")
+    before = threading.active_count()
+    threading.Timer(0.2, lab.close).start()
+    assert list(followed) == []
+    assert list(events) == []
+    assert list(unused) == []
+    wait_until(lambda: threading.active_count() <= before - 3)
+
+
+def test_what_servers_state_is_not_read_again_for_every_value(alone: Station, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[object] = []
+    monkeypatch.setattr(live, "read_configurations", lambda bus: read.append(bus) or [])
+    for _ in range(100):
+        alone.publish({keys.robot_state(ROBOT): [0.5] * 65})
+    assert 1 <= len(read) < 50
+    alone.publish({keys.server_config("walker"): strider.facts()})
+    monkeypatch.undo()
+    wait_until(lambda: alone.describe(strider.FEET) is not None)
 
 
 def test_a_bus_that_is_not_there_is_an_error_of_the_station(tmp_path: Path) -> None:

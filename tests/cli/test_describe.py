@@ -68,3 +68,8 @@ def test_without_a_bus_it_shows_what_is_known_and_with_one_that_is_named_it_need
     assert [robot["name"] for robot in home.json("describe")] == ["unitree_g1_with_hands", "g1", "kassow_kr810"]
     assert "torque" in home.run("describe", "kassow_kr810").stdout
     assert "Connection refused" in one_line(home.run("describe", "--bus", "redis://localhost:1"))
+    home.environment["STATION_BUS"] = "redis://localhost:1"
+    done = home.run("keys")
+    assert done.returncode == 0
+    assert "Connection refused" in done.stderr
+    assert done.stderr.endswith("; this is what is known without it\n")

@@ -12,7 +12,7 @@ import os
 import socket
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -477,13 +477,13 @@ def _scripted(key: str, data: bytes) -> None:
             reading()
 
 
-def _all() -> list[Parser]:
-    found = [
-        Parser(f"command {form.key}", partial(_command, form), (codec.json_vector(form.default),),
-               ("station.control.inlet", _BODY + "codec"))
-        for form in FORMS
-    ]  # fmt: skip
-    found += [
+def _each(what: str, parse: Callable[[str, bytes], object], module: str, values: Mapping[str, bytes]) -> list[Parser]:
+    """Return a parser of each key, or kind, that reads values by what they are called."""
+    return [Parser(f"{what} {key}", partial(parse, key), (value,), (module,)) for key, value in values.items()]
+
+
+def _by_itself() -> list[Parser]:
+    return [
         Parser("json", codec.parse_json, (dumped(CONFIG), dumped(GATE)), (_BODY + "codec",), (codec.BadValue,)),
         Parser("facts", codec.parse_facts, (dumped(CONFIG),), (_BODY + "codec",)),
         Parser("vector f64", codec.parse_f64, (codec.f64(np.ones(7)),), (_BODY + "codec",), (codec.BadValue,)),
@@ -515,14 +515,6 @@ def _all() -> list[Parser]:
         Parser("event", _event, (EVENT.encode(),), (_LIFE + "events", _LIFE + "event_feed", "station.enrich.siblings")),
         Parser("heartbeat", _heartbeat, (health(),), (
             _LIFE + "server", "station.supervision.supervisor", "station.supervision.doctor", "station.view.status")),
-        *(
-            Parser(f"of a script, {key}", partial(_scripted, key), (data,), ("station.api.live",))
-            for key, data in (
-                (keys.robot_state(ROBOT), codec.f64(np.ones(3))), (keys.command_gate(ROBOT), dumped(GATE)),
-                (keys.RECORDER, dumped(RECORDER)), (keys.server_config("g1"), dumped(CONFIG)),
-                (keys.server("g1"), health()), (twist_keys.action_body(), codec.json_vector([0.1] * 35)),
-            )
-        ),
         Parser("record request", _record_request, (dumped(REQUEST),), (_EPISODE + "storage.request",), (Refused,)),
         Parser("record answer", record_answer, (dumped(ANSWER),), (_EPISODE + "recorder.remote",)),
         Parser("recorder's state", _record_state, (dumped(RECORDER),), (_OPERATOR + "requests",)),
@@ -542,48 +534,43 @@ def _all() -> list[Parser]:
         Parser("calibrated from", _calibrated, (dumped(CONFIG),), ("station.cli.calibrate_operator",)),
         Parser("progress, an arm's", _arm_progress, (health(), b'{"a": 1}'), ("station.view.progress",)),
     ]  # fmt: skip
-    found += [
-        Parser(f"column {kind}", partial(_columns, kind), values, (_EPISODE + "reading.vectors",))
-        for kind, values in (
-            ("json-vector", (TIMING,)), ("integer", (b"1795000000000",)), ("f64", (codec.f64(np.ones(7)),)),
-            ("f32", (codec.f32(np.ones(7)),)),
-        )
-    ]  # fmt: skip
-    found += [
-        Parser(f"recorder hears {key}", partial(_heard, key), values, (_EPISODE + "writing.heard",))
-        for key, values in (
-            (keys.server("g1"), (health(),)), (keys.server_config("g1"), (dumped(CONFIG),)),
-            (keys.command_source(ROBOT), (dumped(SOURCE),)),
-        )
-    ]  # fmt: skip
-    found += [
-        Parser(f"device {key}", partial(_device, key), (value,), (_OPERATOR + "reading",))
-        for key, value in _SAMPLE.items()
-    ]
-    found += [
-        Parser(f"robot's side {key}", partial(_robot_side, key), (value,), (_OPERATOR + "robot_side",))
-        for key, value in (
-            (keys.command_gate(ROBOT), dumped(GATE)), (keys.command_used(ROBOT), codec.f64(np.zeros(35))),
-            (keys.ESTOP, b'{"stop": false}'),
-        )
-    ]  # fmt: skip
-    found += [
-        Parser(f"progress {key}", partial(_progress, key), (value,), ("station.view.progress",))
-        for key, value in (
-            (keys.server("g1"), health()), (keys.server_config("g1"), dumped(CONFIG)),
-            (keys.server_config("motion"), dumped(CONFIG)), (keys.command_source(ROBOT), dumped(SOURCE)),
-            (keys.command_gate(ROBOT), dumped(GATE)), (keys.policy_timing(ROBOT), TIMING),
-            (keys.sim_qpos(ROBOT), codec.f64(np.ones(36))), (keys.RECORDER, dumped(RECORDER)),
-        )
-    ]  # fmt: skip
-    found += [
-        Parser(f"doctor {key}", partial(_doctor, key), (value,), ("station.supervision.doctor",))
-        for key, value in (
-            (keys.server_config("g1"), dumped(CONFIG)), (keys.command_gate(ROBOT), dumped(GATE)),
-            (keys.RECORDER, dumped(RECORDER)), (keys.ESTOP, b'{"stop": true}'),
-        )
-    ]  # fmt: skip
-    return found
 
 
-PARSERS = _all()
+def _by_key() -> list[Parser]:
+    told = {keys.server_config("g1"): dumped(CONFIG), keys.command_gate(ROBOT): dumped(GATE)}
+    commands = [
+        Parser(f"command {form.key}", partial(_command, form), (codec.json_vector(form.default),),
+               ("station.control.inlet", _BODY + "codec"))
+        for form in FORMS
+    ]  # fmt: skip
+    return [
+        *commands,
+        *_each("column", _columns, _EPISODE + "reading.vectors", {
+            "json-vector": TIMING, "integer": b"1795000000000", "f64": codec.f64(np.ones(7)),
+            "f32": codec.f32(np.ones(7)),
+        }),
+        *_each("recorder hears", _heard, _EPISODE + "writing.heard", {
+            keys.server("g1"): health(), keys.server_config("g1"): dumped(CONFIG),
+            keys.command_source(ROBOT): dumped(SOURCE),
+        }),
+        *_each("device", _device, _OPERATOR + "reading", _SAMPLE),
+        *_each("robot's side", _robot_side, _OPERATOR + "robot_side", {
+            keys.command_gate(ROBOT): dumped(GATE), keys.command_used(ROBOT): codec.f64(np.zeros(35)),
+            keys.ESTOP: b'{"stop": false}',
+        }),
+        *_each("progress", _progress, "station.view.progress", told | {
+            keys.server("g1"): health(), keys.server_config("motion"): dumped(CONFIG),
+            keys.command_source(ROBOT): dumped(SOURCE), keys.policy_timing(ROBOT): TIMING,
+            keys.sim_qpos(ROBOT): codec.f64(np.ones(36)), keys.RECORDER: dumped(RECORDER),
+        }),
+        *_each("doctor", _doctor, "station.supervision.doctor", told | {
+            keys.RECORDER: dumped(RECORDER), keys.ESTOP: b'{"stop": true}',
+        }),
+        *_each("of a script,", _scripted, "station.api.live", told | {
+            keys.robot_state(ROBOT): codec.f64(np.ones(3)), keys.RECORDER: dumped(RECORDER),
+            keys.server("g1"): health(), twist_keys.action_body(): codec.json_vector([0.1] * 35),
+        }),
+    ]  # fmt: skip
+
+
+PARSERS = [*_by_itself(), *_by_key()]

@@ -30,7 +30,7 @@ class Proprioceptive(Protocol):
         ...
 
 
-def stock_values(state: RobotState, policy: object, _robot: object, name: str) -> Mapping[str, bytes]:
+def stock_values(state: RobotState, policy: object, name: str) -> Mapping[str, bytes]:
     """Return the values by key.
 
     Args:

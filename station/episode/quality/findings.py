@@ -20,7 +20,7 @@ from station.episode.quality.finding_parts import (
 Verdict = Literal["good", "usable", "reject"]
 
 TimesOf = Literal["writers", "polled", "nominal"]
-"""Whose times an episode has: its writers' (or those of arrival), of who polled the bus, or nobody's."""
+"""Where the times of messages come from: writers (or arrival), a recorder that polled the bus, or a nominal rate."""
 
 
 class Spread(msgspec.Struct, frozen=True):
@@ -86,7 +86,7 @@ class RivalWriters(msgspec.Struct, frozen=True):
 
 
 class CommandPause(msgspec.Struct, frozen=True, kw_only=True):
-    """A time without commands, because their writer had said that they end; then somebody commanded again.
+    """A pause between two commands that the writer of the first had announced.
 
     Attributes:
         at_s: Last command before it, from the start of the episode [s].
@@ -122,7 +122,7 @@ class FallSeen(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Interruption(msgspec.Struct, frozen=True, kw_only=True):
-    """A time in which the bus, or somebody's line to it, was not as it should be.
+    """A time in which the bus, or a process's connection to it, did not work.
 
     Attributes:
         kind: ``bus-silent``: the bus owed answers, and gave them afterwards. ``bus-lost``: servers had no connection.

@@ -83,7 +83,7 @@ class StepMeter:
         return self._gates[-1]
 
     def result(self, paused: Sequence[Span] = ()) -> StepQuality:
-        """Return what the steps were like; pauses of the commands are nobody's fault."""
+        """Return the measures of all steps; announced pauses of the commands are left out."""
         tracking, compared = self._tracking, self._tracking.ticks if self._tracking else 0
         worst = max(self._joint_sums, key=lambda joint: self._joint_sums[joint], default="")
         times, gates = np.array(self._times, dtype=np.int64), np.array(self._gates, dtype=np.str_)

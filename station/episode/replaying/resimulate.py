@@ -186,7 +186,7 @@ class _Run:
         self._count += 1
 
     def _now_s(self, timing: list[int], gate: Mapping[str, Any]) -> float:
-        """Return the instant that the gate was told: of the tick, or found again from the age that it reported."""
+        """Return the time that the gate was given [s]: the tick's, or from the command age that it reported."""
         if self.report.lock_step:
             return (timing[_TICK] - 1) * self.period_s
         age_s = gate.get("age_s")

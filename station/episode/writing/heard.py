@@ -1,4 +1,4 @@
-"""What a recorder has heard of the station around it: which servers live, what they run, which motions they play."""
+"""What a recorder knows of the running station: which servers are alive, what they run, which motions they play."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class Heard:
 
     @property
     def robot_in_names(self) -> str:
-        """What the robot is called in the names of episodes; "" where none was heard of."""
+        """The robot's name in names of episodes; "" where no robot is known."""
         described = self.contracts.robot(self.robot)
         return (described.short if described is not None else "") or self.robot
 
@@ -129,7 +129,7 @@ class Heard:
         return dict(sorted(found.items(), key=lambda item: (not self._is_current(item[0]), item[0])))
 
     def _commanders(self) -> str:
-        """Return the names of the command servers that were heard, joined by ``+``; "" when only scripts command."""
+        """Return the names of the live command servers, joined by ``+``; "" when only scripts command."""
         present = (name for name, s in self._servers.items() if s.role == "command" and s.state != "finalized")
         return "+".join(sorted(present))
 
