@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from station.bus import keys
@@ -33,7 +36,7 @@ with Bus(address, name="camera", timeout_s=5.0) as bus:
         n += 1
         for name in names:
             assert bus.publish({name: n.to_bytes(8, "little") + noise})
-        due += len(names) * 0.1 / mb_per_s
+        due = max(due, time.monotonic() - 0.5) + len(names) * 0.1 / mb_per_s  # what a pause kept back does not come
         time.sleep(max(0.0, due - time.monotonic()))
     print(n, flush=True)
 """
@@ -47,6 +50,15 @@ class Cameras:
             [sys.executable, "-c", _CAMERAS, address.url, str(mb_per_s), *CAMERAS],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
+
+    @contextlib.contextmanager
+    def paused(self) -> Iterator[None]:
+        """Nothing comes during the block, and nothing is made up for afterwards."""
+        self.process.send_signal(signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            self.process.send_signal(signal.SIGCONT)
 
     def stop(self) -> int:
         """Return how many images of each camera were written."""
