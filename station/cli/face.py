@@ -135,8 +135,7 @@ class TerminalFace:
         if not self._keyboard.is_there:
             self.say("nobody is here to answer; use --yes in simulation", "error")
             return False
-        self._echo(f"? {sentence} [y/N] ({stop_key.HINT}): ")
-        answer = self._keyboard.ask(self._stop)
+        answer = self._keyboard.ask(f"? {sentence} [y/N] ({stop_key.HINT}): ", self._stop)
         if self._stop.is_set():
             self._echo("\n")
         return not self._stop.is_set() and answer.strip().lower() in ("y", "yes")

@@ -57,10 +57,11 @@ class Keyboard:
         """Return the oldest key that nobody has taken, "" for none."""
         return self._keys.popleft() if self._keys else ""
 
-    def ask(self, stop: threading.Event) -> str:
-        """Return the line that is typed from now on, or "" when `stop` is set before it ends."""
+    def ask(self, question: str, stop: threading.Event) -> str:
+        """Show a question; return the line that is typed from now on, or "" when `stop` is set before it ends."""
         self._answered.clear()
-        self._typed = ""
+        self._typed = ""  # first: who answers as soon as the question is there is heard
+        self._show(question)
         while not self._answered.wait(_LISTEN_S) and not stop.is_set() and self.is_there:
             pass
         answer, self._typed = self._typed, None
@@ -100,13 +101,14 @@ class Keyboard:
                     return  # the terminal is gone; so is who typed
                 if not data.startswith(_ESCAPE):
                     for key in data.decode(errors="replace"):
-                        self._press(key)
+                        self.press(key)
         except OSError:
             return  # likewise
         finally:
             os.close(wake)
 
-    def _press(self, key: str) -> None:
+    def press(self, key: str) -> None:
+        """Take a key that was typed; called in the keyboard's thread."""
         typed = self._typed
         if self._act_at_once(key, bool(typed)):
             return

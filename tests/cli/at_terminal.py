@@ -30,8 +30,8 @@ class AtTerminal:
         self.before = self.settings()
         self.process = subprocess.Popen(
             [sys.executable, "-I", "-S", "-c", _AT_TERMINAL, sys.executable, "-m", "station", *arguments],
-            cwd=ROOT, env={**home.environment, "TERM": "xterm", "COLUMNS": "400", "LINES": "40"},
-            stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
+            env={**home.environment, "TERM": "xterm", "COLUMNS": "400", "LINES": "40", "PYTHONFAULTHANDLER": "1"},
+            cwd=ROOT, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
         )  # fmt: skip
         self._theirs = theirs  # kept open, so that its settings can be read when the process has ended
         self.screen = ""
@@ -60,8 +60,14 @@ class AtTerminal:
         self.process.send_signal(number)
 
     def finish(self) -> int:
-        """Wait for the end; return the exit code."""
-        code = self.process.wait(60)
+        """Wait for the end; return the exit code. What does not end fails with its screen and where its threads are."""
+        try:
+            code = self.process.wait(60)
+        except subprocess.TimeoutExpired:
+            self.send(signal.SIGABRT)
+            self.process.wait(10)
+            wait_until(lambda: not _has_more(self._ours))
+            raise AssertionError(f"it did not end; its screen:\n{self.screen}") from None
         wait_until(lambda: not _has_more(self._ours))
         return code
 

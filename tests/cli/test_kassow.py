@@ -85,7 +85,7 @@ def test_a_controller_apart_is_found_by_a_server_and_ends_on_ctrl_c(kord: Any, h
         with ArmStation(tmp_path, host=f"unix:{socket}") as station:
             wait_until(lambda: station.controller()["connected"])
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
+        assert process.wait(60) == 0
         assert not socket.exists()
     finally:
         process.kill()

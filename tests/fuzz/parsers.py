@@ -466,7 +466,7 @@ def _scripted(key: str, data: bytes) -> None:
         keys.RECORDER: dumped(RECORDER), key: data,
     })  # fmt: skip
     lab = Station.__new__(Station)
-    lab._bus, lab._clock, lab.record = shelf, SYSTEM, Record(shelf)
+    lab._bus, lab._clock, lab._contracts, lab.record = shelf, SYSTEM, None, Record(shelf)
     for robot in lab.robots():
         lab.description(robot.name)
     lab.record.status()

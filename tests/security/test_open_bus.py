@@ -129,7 +129,7 @@ def test_start_of_an_open_bus_tells_where_the_password_is_and_what_does_not_work
         with Bus(None, name="own", timeout_s=5.0) as bus:  # found by itself, password and all
             assert look(bus).verdict == "closed"
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
+        assert process.wait(60) == 0
     said = "".join(lines)
     assert password not in said
     assert str(file) in said
@@ -143,7 +143,7 @@ def test_start_with_a_loopback_port_says_that_every_user_of_the_machine_may_use_
         assert process.stdout is not None
         lines = [process.stdout.readline() for _ in range(3)]
         process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
+        assert process.wait(60) == 0
     assert "open to every user of this machine" in lines[1]
 
 

@@ -160,7 +160,7 @@ def test_a_whole_station_works_with_a_user_for_each_of_its_servers(
             with bus.watch([keys.command_gate(ROBOT)]) as watch:
                 wait_until(lambda: (s := watch.latest(keys.command_gate(ROBOT))) and b'"tracking"' in s.value)
             motion.send_signal(signal.SIGTERM)
-            assert motion.wait(30) == 0
+            assert motion.wait(60) == 0
         folder = _ask_recorder(address, "stop")
         lost = {health.name: health.lost_writes for health in read_health(bus)}
         for process in (g1, recorder):

@@ -90,7 +90,7 @@ class Log:
 
     def close(self) -> None:
         self._stop.set()
-        self._thread.join(5)
+        self._thread.join(60)
         self._tap.close()
 
     def of(self, key: str) -> list[Write]:

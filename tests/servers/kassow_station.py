@@ -95,7 +95,7 @@ class ArmStation:
             self.bus.publish({keys.ESTOP: b"0"})
         if self.gate()["state"] == "faulted":
             controller_request.ask(self.bus, ROBOT, "clear")
-        arm_request.ask(self.bus, "arm", server="kassow")
+        arm_request.ask(self.bus, "arm", name="kassow")
         self.wait_for_gate("waiting")
         self.wait_for_rest()
         wait_until(lambda: "let go" not in self.gate()["reason"])

@@ -54,7 +54,7 @@ class ArmAtWork:
     def close(self) -> None:
         """Let the arm go."""
         self._stop.set()
-        self._thread.join(5)
+        self._thread.join(60)
         self._watch.close()
         self._bus.close()
 

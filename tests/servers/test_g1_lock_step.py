@@ -44,7 +44,7 @@ def test_the_emergency_stop_is_heard_in_lock_step_while_no_command_comes(bus_ser
         publish(bus, FORM.default)
         wait_until(lambda: ticks(log) == 1)
         bus.publish({keys.ESTOP: b"1"})
-        wait_until(lambda: log.gate()["state"] == "stopped", timeout_s=10.0)
+        wait_until(lambda: log.gate()["state"] == "stopped")
 
 
 def test_a_motion_through_the_lock_step_station_gives_the_figures_of_its_rehearsal(bus_server: BusAddress) -> None:

@@ -151,11 +151,11 @@ def test_an_emergency_stop_stops_it_and_a_reset_waits_for_a_command_that_begins_
 
 
 def test_disarming_lets_nothing_through_until_it_is_armed(arm: ArmStation) -> None:
-    arm_request.ask(arm.bus, "disarm", server="kassow")
+    arm_request.ask(arm.bus, "disarm", name="kassow")
     with Commander(arm):
         wait_until(lambda: "disarmed" in arm.gate()["reason"])
         assert rate_hz(arm, "stream_j_sends", 0.3) == 0.0
-    arm_request.ask(arm.bus, "arm", server="kassow")
+    arm_request.ask(arm.bus, "arm", name="kassow")
     wait_until(lambda: "disarmed" not in arm.gate()["reason"])
 
 
@@ -210,12 +210,12 @@ def test_a_fault_disengages_is_told_and_is_left_by_clear_and_a_command_that_begi
             controller.simulator.raise_event(1010)
             arm.wait_for_gate("faulted")
             assert "1010" in arm.gate()["reason"]
-            arm_request.ask(arm.bus, "disarm", server="kassow")
+            arm_request.ask(arm.bus, "disarm", name="kassow")
             with pytest.raises(Refused, match="faulted"):
-                arm_request.ask(arm.bus, "arm", server="kassow")
+                arm_request.ask(arm.bus, "arm", name="kassow")
             controller_request.ask(arm.bus, ROBOT, "clear")
             wait_until(lambda: arm.gate()["state"] != "faulted")
-            arm_request.ask(arm.bus, "arm", server="kassow")
+            arm_request.ask(arm.bus, "arm", name="kassow")
             assert rate_hz(arm, "stream_j_sends", 0.5) == 0.0
         arm.settle()
         at = arm.joints()

@@ -116,7 +116,7 @@ def test_every_write_is_recorded_once_in_order_and_byte_for_byte(
     assert reader.manifest.recorder.backend == "replication"
     assert [event.name for event in reader.manifest.events][:1] == ["record-start"]
     process.send_signal(signal.SIGTERM)
-    assert process.wait(20) == 0
+    assert process.wait(60) == 0
     assert state(bus) is None
 
 
@@ -158,7 +158,7 @@ def test_ending_the_recorder_closes_its_episode(recorder: Start, bus: Bus) -> No
     begun = remote.ask(bus, "start")
     publish(bus, 100)
     process.send_signal(signal.SIGINT)
-    assert process.wait(20) == 0
+    assert process.wait(60) == 0
     manifest = load_manifest(Path(begun.path or ""))
     assert (manifest.state, manifest.recorder.ended_by, manifest.task.name) == ("finished", "shutdown", "squat")
     assert numbers(Path(begun.path or "")) == list(range(1, 101))
@@ -222,7 +222,7 @@ def test_a_bus_that_is_restarted_leaves_a_hole_that_is_noted(
                 ended = remote.ask(bus, "stop")
             finally:
                 child.terminate()
-                child.wait(20)
+                child.wait(60)
     finally:
         server.stop()
     manifest = load_manifest(Path(ended.path or ""))
