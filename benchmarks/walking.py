@@ -77,10 +77,10 @@ def velocity_reached(rig: Rig, asked: tuple[float, float, float]) -> Floats:
             yaw = float(rotations.roll_pitch_yaw(record.state.quat_wxyz)[2])
             places.append([*record.state.root_pos[:2], yaw])
     path = np.array(places)
-    yaw = np.unwrap(path[:, 2])
-    step, cosine, sine = np.diff(path[:, :2], axis=0), np.cos(yaw[:-1]), np.sin(yaw[:-1])
+    yaws = np.unwrap(path[:, 2])
+    step, cosine, sine = np.diff(path[:, :2], axis=0), np.cos(yaws[:-1]), np.sin(yaws[:-1])
     forward, left = cosine * step[:, 0] + sine * step[:, 1], -sine * step[:, 0] + cosine * step[:, 1]
-    return np.array([forward.mean(), left.mean(), np.diff(yaw).mean()]) / STEP_S
+    return np.array([forward.mean(), left.mean(), np.diff(yaws).mean()]) / STEP_S
 
 
 def fresh(rig: Rig) -> ControlStep:

@@ -125,7 +125,8 @@ def test_the_command_line_names_every_demonstration(kord: Any) -> None:
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_every_demonstration_can_be_drawn(kord: Any, tmp_path: Path, name: str) -> None:
-    path = fault_plot.save(demonstration(name), *courses(name), tmp_path / "fault.png")
+    faulty, cured = courses(name)
+    path = fault_plot.save(demonstration(name), faulty, cured, tmp_path / "fault.png")
     assert len(path.read_bytes()) > 20_000
 
 

@@ -15,13 +15,13 @@ import pytest
 from adapters.robots.g1 import twist_keys
 from station.episode.quality.check import check
 from station.episode.quality.findings import Quality
+from station.episode.quality.timing import IMPORTED
 from station.episode.reading import frames
 from station.episode.reading.listing import list_episodes
 from station.episode.reading.reader import open_episode
 from station.episode.storage.folder import find_episodes
 from station.errors import BadFile
 from station.export.jobs import map_episodes
-from station.foreign import take_in as module
 from station.foreign.take_in import Order, TakenIn, take_in
 from tests.foreign.recorded import PERIOD_MS, STARTED_MS, document, jpeg, record
 from tests.waiting import DEADLINE_S, wait_until
@@ -62,7 +62,7 @@ def test_the_manifest_says_what_it_was_made_of_and_what_is_not_known(tmp_path: P
     done = taken(record(tmp_path / "cabinet" / "episode_0000", data), tmp_path / "data")
     assert not done.are_times_measured
     manifest = open_episode(done.path).manifest
-    imported = manifest.foreign[module.IMPORTED]
+    imported = manifest.foreign[IMPORTED]
     assert imported["times"]["source"] == "nominal"
     assert imported["facts"]["text"]["goal"] == "pick up the cup"
     assert "t_img: in no entry" in imported["unknown"]

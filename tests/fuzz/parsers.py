@@ -63,6 +63,7 @@ from station.operator.robot_side import RobotSide
 from station.operator.script_time import now_s
 from station.protobuf import foxglove
 from station.supervision import doctor
+from station.supervision.findings import Finding
 from station.view import episode_story, find_model, phases, progress_panel, status
 from station.view.progress import ProgressReader
 from tests.adapters.motions.made import smooth
@@ -280,11 +281,11 @@ def _doctor(key: str, data: bytes) -> None:
     try:
         codec.parse_struct(shelf.get(keys.server_config("g1")), doctor._Stated).obeys()
     except (codec.BadValue, UnknownName) as error:
-        findings.append(doctor.Finding("broken", "server", str(error)))
+        findings.append(Finding("broken", "server", str(error)))
     _shown(*(doctor_text(item) for item in findings))
 
 
-def doctor_text(item: doctor.Finding) -> str:
+def doctor_text(item: Finding) -> str:
     """A finding as the command prints it."""
     from station.cli.tables import plain
 

@@ -123,8 +123,8 @@ def good() -> tuple[Values, Values]:
         results[keys.command_gate(robot)] = dumped(GATE)
         results[keys.command_source(robot)] = dumped(SOURCE)
         results[keys.policy_timing(robot)] = codec.json_vector(range(1, 3 + len(TIMING_STAGES)))
-    numbers = {keys.target: 7, keys.command_used: 7, keys.state_joints: 21}
-    results |= {key(ARM): codec.f64(rng.normal(size=size)) for key, size in numbers.items()}
+    lengths = {keys.target: 7, keys.command_used: 7, keys.state_joints: 21}
+    results |= {key(ARM): codec.f64(rng.normal(size=length)) for key, length in lengths.items()}
     results[keys.state_counters(ARM)] = codec.f64(np.arange(len(robot_streams.COUNTERS + robot_streams.SESSION_TIMES)))
     results[keys.state_controller(ARM)] = dumped({"backend": "sim", "profile": "a", "lead_rad": 0.1})
     results[keys.action_joints(ARM)] = codec.json_vector(np.zeros(7))

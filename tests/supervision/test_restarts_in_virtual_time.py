@@ -96,8 +96,8 @@ def play(seed: int, tmp_path: Path) -> None:
     names = [f"s{number}" for number in range(rng.randint(1, 3))]
     with bench(tmp_path, seed) as station:
         for name in names:
-            lives = [random_life(random.Random(f"{seed} {name} {life}")) for life in range(40)]
-            station.processes.scripts[name] = lambda life, lives=lives: lives[life]  # type: ignore[misc]
+            scripts = [random_life(random.Random(f"{seed} {name} {life}")) for life in range(40)]
+            station.processes.scripts[name] = lambda life, scripts=scripts: scripts[life]  # type: ignore[misc]
             station.supervisor.spawn(name, CONFIG, server="motion", restarts=Restarts())
         active = []
         for name in names:

@@ -55,7 +55,9 @@ def any_wishes(seed: int, seconds: float) -> list[tuple[float, Wish]]:
     random = np.random.default_rng(seed)
     wishes, total_s = [(0.2, Wish())], 0.0
     while total_s < seconds:
-        wishes.append((float(random.uniform(0.04, 1.5)), Wish(*random.uniform(-1.5, 1.5, 3), random.uniform(0.3, 1.0))))
+        wishes.append(
+            (float(random.uniform(0.04, 1.5)), Wish(*random.uniform([-1.5, -1.5, -1.5, 0.3], [1.5, 1.5, 1.5, 1.0])))
+        )
         total_s += wishes[-1][0]
     return wishes
 

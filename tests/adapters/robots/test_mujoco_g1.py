@@ -14,7 +14,7 @@ from adapters.robots.g1.joints import G1_29, select
 from adapters.robots.g1.mujoco_g1 import START_Q, MujocoG1
 from station import assets
 from station.errors import BadFile, ConfigError, StationError
-from station.protocols import Floats, JointTargets, Robot, SimulatedRobot
+from station.protocols import Fall, Floats, JointTargets, Robot, SimulatedRobot
 from station.rotations import from_rotation_vector, multiply, rotation_vector
 from tests.adapters.robots.g1_models import G1
 from tests.view.robots import tiny
@@ -263,7 +263,7 @@ def test_a_picture_shows_the_robot_and_not_one_colour(robot: MujocoG1) -> None:
     assert picture.std() > 5
 
 
-def _let_go(robot: MujocoG1) -> object:
+def _let_go(robot: MujocoG1) -> Fall | None:
     limp = JointTargets(DEFAULT_Q, np.zeros(29), np.full(29, 0.2))
     for _ in range(150):
         robot.write(limp)

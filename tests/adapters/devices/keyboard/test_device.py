@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from adapters.devices.fakes.keyboard import FakeTerminal, install
-from adapters.devices.fakes.keyboard.typist import Typing, TypistStep
+from adapters.devices.fakes.keyboard import install
+from adapters.devices.fakes.keyboard.typist import FakeTerminal, Typing, TypistStep
 from adapters.devices.fakes.script import Script
 from adapters.devices.keyboard.device import Keyboard
 from station.errors import BadFile

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from adapters.devices.fakes.script import Script
-from adapters.devices.fakes.spacemouse import FakeHidapi, FakeMouse, MouseStep
-from adapters.devices.fakes.spacemouse.mouse import REPEAT_S
+from adapters.devices.fakes.spacemouse.hidapi import FakeHidapi
+from adapters.devices.fakes.spacemouse.mouse import REPEAT_S, FakeMouse, MouseStep
 from adapters.devices.spacemouse.device import Spacemouse
 from adapters.devices.spacemouse.find import library, plugged_in
 from station.operator.device import Device, DeviceError
