@@ -149,10 +149,10 @@ def _read_everything(sdk: Any) -> None:
 
 _SERVE = """
 import json, sys
-from servers.pico import KIND, PicoConfig
+from adapters.devices.pico.kind import KIND, PicoConfig
 from station.bus.address import parse
 from station.life.serving import serve
-sys.exit(serve(KIND, PicoConfig(**json.loads(sys.argv[2])), address=parse(sys.argv[1])))
+sys.exit(serve(KIND.server, PicoConfig(**json.loads(sys.argv[2])), address=parse(sys.argv[1])))
 """
 
 

@@ -52,7 +52,11 @@ _GROUPS: dict[str, str] = {
 
 @cache
 def _entries(kind: Kind) -> dict[str, EntryPoint]:
-    return {entry.name: entry for entry in entry_points(group=_GROUPS[kind])}
+    entries = {entry.name: entry for entry in entry_points(group=_GROUPS[kind])}
+    if kind == "server":  # a device is a server by its name: `station.operator.device_kind.DeviceKind.server`
+        group, devices = _GROUPS[kind], _entries("device").items()
+        return {name: EntryPoint(name, f"{entry.value}.server", group) for name, entry in devices} | entries
+    return entries
 
 
 def names(kind: Kind) -> list[str]:

@@ -30,7 +30,7 @@ HEAVY = (
 
 NO_VERBS = {
     "__init__", "calibrate_operator", "candidates", "face", "fields", "keyboard", "main", "options", "quality",
-    "stop_key", "tables",
+    "readings", "stop_key", "tables",
 }  # fmt: skip
 """Modules of `station.cli` that verbs share."""
 

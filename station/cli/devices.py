@@ -18,11 +18,12 @@ from rich.markup import escape
 
 from station import registry
 from station.camera.source import CameraError, CameraKind
-from station.cli import calibrate_operator, candidates
+from station.cli import calibrate_operator, candidates, readings
 from station.cli.options import Verbs, json_option, set_option
 from station.cli.tables import Column, plain, print_table
 from station.errors import UsageError
-from station.operator.device import DeviceError, DeviceKind
+from station.operator.device import DeviceError
+from station.operator.device_kind import DeviceKind
 from station.operator.voice import Cue, VoiceKind
 
 
@@ -147,9 +148,15 @@ def fake(device: str, play: Path | None, port: int | None) -> None:
     kind = _kind(device)
     if port is not None and kind.port is None:
         raise UsageError(f"devices fake {device}: takes no --port; it has no TCP port")
+    if kind.example is None:
+        raise UsageError(f"devices fake {device}: this device has no fake")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with contextlib.suppress(KeyboardInterrupt):
-        kind.play(kind.example if play is None else play, kind.port if port is None else port)
+        file = kind.example if play is None else play
+        if kind.play is None:
+            readings.play(kind, file)
+        else:
+            kind.play(file, kind.port if port is None else port)
     if sys.stdout.isatty():
         click.echo()  # a terminal has shown ^C
 

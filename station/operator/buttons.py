@@ -9,7 +9,7 @@ An action is bound to gestures: a ``press``, a ``hold`` of `HOLD_S`, of one cont
 
 A press acts at once. Where the same control is also held or part of a chord, it acts when it is released, because only
 then is it known not to be the other gesture. A control is a number, pressed above a half. A device's kind
-(`station.operator.device.DeviceKind`) says which controls it has and what they ask for. Pure: no device, no clock.
+(`station.operator.device_kind.DeviceKind`) says which controls it has and what they ask for. Pure: no device, no clock.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from station import config, registry
 from station.errors import ConfigError, did_you_mean
 
 if TYPE_CHECKING:
-    from station.operator.device import DeviceKind
+    from station.operator.device_kind import DeviceKind
 
 HOLD_S = 1.2
 """A hold takes this long [s]: longer than any press that is one."""

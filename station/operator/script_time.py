@@ -17,15 +17,10 @@ from station.life.server import Life
 _BEGAN = "fake_began_wall_ns"
 
 
-def began(start_s: float = 0.0) -> dict[str, Any]:
-    """Return what a manifest says of a script that stands at a time [s] now: since when it is played."""
+def begin(fake: Callable[[], object], start_s: float) -> dict[str, Any]:
+    """Let a fake begin, at a time of its script [s]; return what a manifest says of it: since when it is played."""
+    fake()
     return {_BEGAN: time.time_ns() - round(start_s * 1e9)}
-
-
-def begin(at: Callable[[float], object], start_s: float) -> dict[str, Any]:
-    """Let a fake begin at a time of its script [s]; return what a manifest says of it."""
-    at(start_s)
-    return began(start_s)
 
 
 def now_s(life: Life) -> float:

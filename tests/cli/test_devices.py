@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,6 +23,7 @@ from adapters.devices.gello.calibration import QUARTER, load
 from adapters.devices.gello.device import Gello
 from adapters.devices.pico.headset import DEFAULT_PORT
 from station import registry
+from station.bus.address import BusAddress
 from tests.cli.at_terminal import AtTerminal
 from tests.cli.running import Home, Running, one_line
 from tests.main_job.station_runs import ROOT
@@ -32,17 +34,19 @@ CAMERAS = ["files", "mujoco", "uvc", "zmq"]
 PROBLEM = "lab arm at /dev/lab: permission denied; join the group lab"
 LAB = f"""
 from pathlib import Path
-from station.operator.device import DeviceError, DeviceKind
+from station.operator.device import DeviceError
+from station.operator.device_kind import DeviceKind
 
 def plugged_in():
     raise DeviceError({PROBLEM!r})
 
-def kind(name, library):
-    return DeviceKind(name=name, about="an arm", library=library, extra="lab", example=Path("x.json"),
-                      plugged_in=plugged_in, play=lambda file, port: None,
+def kind(name, library, example=Path("x.json"), plugged_in=plugged_in):
+    return DeviceKind(name=name, about="an arm", library=library, extra="lab", example=example,
+                      plugged_in=plugged_in, source=None,
                       controls=["pedal", "knob"], buttons=dict(engage="pedal", estop="knob"))
 
 ARM, HAND = kind("lab-arm", "numpy"), kind("lab-hand", "no-such-package")
+KNOB = kind("lab-knob", "", None, list)
 """
 
 
@@ -54,7 +58,7 @@ def lab(home: Home, tmp_path: Path) -> Home:
     facts.mkdir()
     (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: lab-devices\nVersion: 1.0\n")
     (facts / "entry_points.txt").write_text(
-        "[station.devices]\nlab-arm = lab_devices:ARM\nlab-hand = lab_devices:HAND\n"
+        "[station.devices]\nlab-arm = lab_devices:ARM\nlab-hand = lab_devices:HAND\nlab-knob = lab_devices:KNOB\n"
     )
     home.environment["PYTHONPATH"] = str(tmp_path)
     return home
@@ -137,6 +141,35 @@ def test_an_example_is_played_until_it_is_stopped(home: Home, device: str, numbe
         assert fake.finish()[0] == 0
     example = registry.find("device", device).example
     assert fake.lines == [f"what a station makes of it; a {device} server plays it with --set {device}.fake={example}"]
+
+
+UNPLUGGED = {"at_s": 0.3, "plugged": False}
+
+
+@pytest.mark.parametrize(
+    ("device", "step", "shown"),
+    [
+        ("spacemouse", {"at_s": 0.1, "buttons": [1]}, "button_1=1"),
+        ("gamepad", {"at_s": 0.1, "set": {"right_primary": 1}}, "right_primary=1"),
+        ("keyboard", {"at_s": 0.1, "press": "w"}, "key_w=1"),
+    ],
+)
+def test_what_a_script_does_is_shown_until_the_device_is_gone(
+    home: Home, tmp_path: Path, device: str, step: dict[str, Any], shown: str
+) -> None:
+    file = tmp_path / "script.json"
+    file.write_text(json.dumps({"device": device, "steps": [step, UNPLUGGED]}))
+    done = home.run("devices", "fake", device, "--play", str(file))
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert any(shown in line for line in lines)
+    assert "gone" in lines[-1] or "was closed" in lines[-1]
+
+
+def test_a_device_without_a_fake_says_so(lab: Home, bus_server: BusAddress) -> None:
+    assert one_line(lab.run("devices", "fake", "lab-knob")) == "devices fake lab-knob: this device has no fake"
+    said = one_line(lab.run("serve", "lab-knob", "--set", "fake=script.json", "--bus", bus_server.url))
+    assert said == "lab-knob.fake is script.json; this device has no fake"
 
 
 def wait_for_output(running: Running, text: str) -> str:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from servers.spacemouse import SpacemouseConfig
+from adapters.devices.spacemouse.kind import SpacemouseConfig
 from servers.teleop import TeleopConfig
 from station.bus import codec, keys
 from station.supervision.supervisor import Supervisor

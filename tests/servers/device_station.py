@@ -21,12 +21,13 @@ from station.operator.reading import Reading, Status
 from tests.servers.one_server import OneServer
 
 RUN = """
-import importlib, json, sys
+import json, sys
+from station import registry
 from station.bus.address import parse
 from station.config import build
 from station.errors import StationError
 from station.life.serving import serve
-kind = importlib.import_module("servers." + sys.argv[1]).KIND
+kind = registry.find("server", sys.argv[1])
 try:
     sys.exit(serve(kind, build(kind.config, json.loads(sys.argv[3]), where="test"), address=parse(sys.argv[2])))
 except StationError as error:

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from adapters.commands.arm import arm_command
+from adapters.devices.spacemouse.kind import SpacemouseConfig
 from adapters.robots import arm_limits
 from adapters.robots.kassow.names import KR810_ROBOT
-from servers.spacemouse import SpacemouseConfig
 from servers.teleop import TeleopConfig
 from station.bus import codec, keys
 from station.bus.client import Bus

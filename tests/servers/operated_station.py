@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from adapters.devices.pico.kind import PicoConfig
 from adapters.robots.g1 import twist_keys
 from servers.g1 import G1Config
-from servers.pico import PicoConfig
 from servers.recorder import RecorderConfig
 from servers.teleop import TeleopConfig
 from station.bus import codec, keys

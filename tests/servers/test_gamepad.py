@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from servers.gamepad import GamepadConfig
+from adapters.devices.gamepad.kind import GamepadConfig
 from station.bus.address import BusAddress
 from station.config import build
 from station.errors import ConfigError

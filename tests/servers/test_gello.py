@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from servers.gello import GelloConfig
+from adapters.devices.gello.kind import GelloConfig
 from station.bus.address import BusAddress
 from station.config import build
 from station.errors import ConfigError

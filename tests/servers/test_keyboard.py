@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from servers.keyboard import KeyboardConfig
+from adapters.devices.keyboard.kind import KeyboardConfig
 from station.bus.address import BusAddress
 from station.config import build
 from station.errors import ConfigError

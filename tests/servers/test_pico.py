@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from adapters.devices.fakes.pico.service import PicoService
+from adapters.devices.pico.kind import PicoConfig
 from adapters.robots.g1 import twist_keys
-from servers.pico import PicoConfig
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -31,13 +31,13 @@ from tests.waiting import DEADLINE_S, wait_until
 
 RUN = """
 import json, sys
-from servers.pico import KIND, PicoConfig
+from adapters.devices.pico.kind import KIND, PicoConfig
 from station.bus.address import parse
 from station.config import build
 from station.errors import StationError
 from station.life.serving import serve
 try:
-    sys.exit(serve(KIND, build(PicoConfig, json.loads(sys.argv[2]), where="test"), address=parse(sys.argv[1])))
+    sys.exit(serve(KIND.server, build(PicoConfig, json.loads(sys.argv[2]), where="test"), address=parse(sys.argv[1])))
 except StationError as error:
     sys.stderr.write(str(error))
     sys.exit(error.exit_code)

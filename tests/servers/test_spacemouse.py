@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from servers.spacemouse import SpacemouseConfig
+from adapters.devices.spacemouse.kind import SpacemouseConfig
 from station.bus.address import BusAddress
 from station.config import build
 from station.errors import ConfigError

@@ -1,15 +1,71 @@
-"""What `station devices` knows of GELLO leader arms."""
+"""GELLO leader arms as a device: joints and grippers of one or two.
+
+It knows no follower, so whether leader and follower are close enough to engage is judged elsewhere. A servo that falls
+silent makes the device lost, with the servo's name; its last joints are never repeated.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from station.operator.device import DeviceKind
+from adapters.devices.gello.bus import BAUDS
+from station.clock import Clock
+from station.operator.device import Device
+from station.operator.device_kind import DeviceConfig, DeviceKind, Source
 
 if TYPE_CHECKING:
     import click
+
+
+class GelloConfig(DeviceConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings of the GELLO server, beside `rate_hz` and `fake`, which says how many leaders there are.
+
+    Attributes:
+        leaders: How many leader arms there are, 1 or 2.
+        ports: Their serial ports; none for the U2D2 adapters that are plugged in.
+        baud: Rate of the servos [bit/s].
+        patience_s: For how long readings may fail before that is a fault [s].
+        calibrations: Folder with a calibration by serial number; None for that of the user's settings.
+    """
+
+    leaders: int = 1
+    ports: tuple[str, ...] = ()
+    baud: int = BAUDS[0]
+    patience_s: float = 0.25
+    calibrations: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.leaders not in (1, 2):
+            raise ValueError(f"leaders is {self.leaders}; expected 1 or 2")
+        if self.ports and len(self.ports) != self.leaders:
+            raise ValueError(f"{len(self.ports)} ports for {self.leaders} leaders; expected one each, or none")
+        if self.baud not in BAUDS:
+            raise ValueError(f"baud is {self.baud}; expected one of {', '.join(map(str, BAUDS))}")
+        if not 10.0 <= self.rate_hz <= 200.0:
+            raise ValueError(f"rate_hz is {self.rate_hz:g}; expected 10 to 200 Hz: a reading takes 4 ms")
+        if not 0.05 <= self.patience_s <= 5.0:
+            raise ValueError(f"patience_s is {self.patience_s:g}; expected 0.05 to 5 s")
+
+
+@contextlib.contextmanager
+def _source(config: GelloConfig, clock: Clock, start_s: float) -> Iterator[Source]:
+    def opened(places: dict[str, Any]) -> Device:
+        from adapters.devices.gello.device import Gello
+
+        return Gello(baud=config.baud, rate_hz=config.rate_hz, patience_s=config.patience_s, clock=clock, **places)
+
+    if config.fake is None:
+        yield Source(open=lambda: opened({"leaders": config.leaders, "ports_wanted": config.ports,
+                                          "calibrations_folder": config.calibrations}))  # fmt: skip
+        return
+    from adapters.devices.fakes.gello import FakeGello
+
+    with contextlib.closing(FakeGello(config.fake, start_s=start_s)) as fake:
+        places = {"leaders": len(fake.leaders), "calibrations_folder": fake.calibrations, "by_id": fake.folder}
+        yield Source(open=lambda: opened(places), begin=fake.begin)
 
 
 def _plugged_in() -> Sequence[str]:
@@ -33,6 +89,8 @@ def _calibrate() -> click.Command:
 KIND = DeviceKind(
     name="gello",
     about="one or two leader arms: joints and grippers",
+    config=GelloConfig,
+    source=_source,
     library="dynamixel-sdk",
     extra="gello",
     example=Path(__file__).parents[1] / "fakes/gello/example.json",

@@ -1,32 +1,62 @@
-"""What `station devices` knows of keyboards."""
+"""The keyboard as a device: for discrete commands and short jogs, and never for a dead-man."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from adapters.devices.keyboard.device import HOLD_S, Keyboard
 from adapters.devices.keyboard.keys import NAMES
-from station.operator.device import DeviceKind
+from station.clock import Clock
+from station.operator.device_kind import DeviceConfig, DeviceKind, Source
+
+
+class KeyboardConfig(DeviceConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings of the keyboard server, beside `rate_hz` and `fake`.
+
+    A supervisor's children have no terminal. So either run it beside ``station up``, in a terminal of its own
+    (``station serve keyboard``), or name one in which nothing else reads (``--set keyboard.tty=/dev/pts/3``, where the
+    command ``tty`` says the name and ``sleep infinity`` keeps the shell from reading). The terminal is put back as it
+    was when the server ends.
+
+    Attributes:
+        tty: Name of the terminal, such as ``/dev/pts/3``; "" for that of the process.
+        hold_s: For how long a key counts as held after each press [s]; a terminal does not tell when it comes up.
+    """
+
+    rate_hz: float = 50.0
+    tty: str = ""
+    hold_s: float = HOLD_S
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.05 <= self.hold_s <= 0.5:
+            raise ValueError(f"hold_s is {self.hold_s:g}; expected 0.05 to 0.5 s: a longer jog is a run-away")
+
+
+@contextlib.contextmanager
+def _source(config: KeyboardConfig, _clock: Clock, start_s: float) -> Iterator[Source]:
+    if config.fake is None:
+        yield Source(open=lambda: Keyboard(tty=config.tty, hold_s=config.hold_s))
+        return
+    from adapters.devices.fakes.keyboard import install
+
+    with contextlib.closing(install(config.fake)) as fake:
+        yield Source(open=lambda: Keyboard(tty=str(fake.path), hold_s=config.hold_s), begin=lambda: fake.begin(start_s))
 
 
 def _plugged_in() -> Sequence[str]:
     return ["any terminal"]
 
 
-def _play(file: Path, _port: int | None) -> None:
-    from adapters.devices.fakes import keyboard, show
-
-    show.play("keyboard", file, keyboard.opened)
-
-
 KIND = DeviceKind(
     name="keyboard",
     about="keys of a terminal: discrete commands, short jogs",
-    library="",
-    extra="",
+    config=KeyboardConfig,
+    source=_source,
     example=Path(__file__).parents[1] / "fakes/keyboard/example.json",
     plugged_in=_plugged_in,
-    play=_play,
     controls=tuple(f"key_{name}" for name in sorted(NAMES)),
     buttons={
         "start_pause": "key_space", "exit": "key_q", "estop": "key_escape", "mode": "key_tab", "record": "key_r",

@@ -1,19 +1,71 @@
-"""What `station devices` knows of Pico headsets."""
+"""The Pico headset as a device: headset, controllers, body and hands, through XRoboToolkit's PC service.
+
+Beside the keys of an operator its server writes stock TWIST2's `controller_data`. The library may take the process down
+with it; a runbook has the server started again (``if_it_dies: restart``), which moves nothing by itself. A fake is a PC
+service of ours in a process of its own, on a free port, under the real library.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import socket
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from adapters.devices import pair
 from adapters.devices.pico.controls import CONTROLS
 from adapters.devices.pico.headset import DEFAULT_PORT
-from station.operator.device import DeviceKind
+from station.bus import codec
+from station.clock import Clock
+from station.operator.device import Device
+from station.operator.device_kind import DeviceConfig, DeviceKind, Source
 from station.operator.measure import OperatorMeasure
+from station.operator.reading import Reading
 
 _HOST = "127.0.0.1"
 _LOOK_S = 0.2
+
+
+class PicoConfig(DeviceConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings of the Pico server, beside `rate_hz` and `fake`; a headset sends 72 or 90 samples a second.
+
+    Attributes:
+        address: Where XRoboToolkit's PC service is.
+        port: Its TCP port.
+    """
+
+    address: str = _HOST
+    port: int = DEFAULT_PORT
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 1 <= self.port <= 65535:
+            raise ValueError(f"port is {self.port}; expected 1 to 65535")
+        if not self.address or not self.address.isprintable() or " " in self.address:
+            raise ValueError(f"address is {self.address!r}; expected a host name or an IP address")
+
+
+@contextlib.contextmanager
+def _source(config: PicoConfig, clock: Clock, start_s: float) -> Iterator[Source]:
+    def opened(address: str, port: int) -> Device:
+        from adapters.devices.pico.headset import Headset
+
+        return Headset(address, port, clock=clock)
+
+    if config.fake is None:
+        yield Source(open=lambda: opened(config.address, config.port), also=_stock)
+        return
+    from adapters.devices.fakes.pico.child import child
+
+    with child(config.fake, start_s) as fake:
+        yield Source(open=lambda: opened(_HOST, fake.port), begin=fake.begin, also=_stock)
+
+
+def _stock(reading: Reading) -> Mapping[str, bytes]:
+    from adapters.devices.pico.stock import controller_data
+    from adapters.robots.g1 import twist_keys
+
+    return {twist_keys.CONTROLLER_DATA: codec.json_object(controller_data(reading))}
 
 
 def _plugged_in() -> Sequence[str]:
@@ -40,6 +92,8 @@ def _measure() -> OperatorMeasure:
 KIND = DeviceKind(
     name="pico",
     about="headset, controllers, body and hands",
+    config=PicoConfig,
+    source=_source,
     library="xrobotoolkit-sdk",
     extra="pico",
     example=Path(__file__).parents[1] / "fakes/pico/example.json",

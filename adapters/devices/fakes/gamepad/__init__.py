@@ -1,7 +1,4 @@
-"""A fake gamepad under the real pygame: a virtual pad of SDL, moved by a script.
-
-``python -m adapters.devices.fakes.gamepad FILE`` shows what the adapter makes of a script.
-"""
+"""A fake gamepad under the real pygame: a virtual pad of SDL, moved by a script."""
 
 from __future__ import annotations
 
@@ -9,10 +6,9 @@ import time
 from pathlib import Path
 
 from adapters.devices.fakes import script
-from adapters.devices.fakes.gamepad.pad import NAME, FakePad, PadStep
+from adapters.devices.fakes.gamepad.pad import FakePad, PadStep
 from adapters.devices.fakes.script import Clock
 from adapters.devices.gamepad import sdl
-from adapters.devices.gamepad.device import Gamepad
 
 
 def install(file: Path, clock: Clock = time.monotonic) -> FakePad:
@@ -25,16 +21,3 @@ def install(file: Path, clock: Clock = time.monotonic) -> FakePad:
     steps = script.load(file, "gamepad", PadStep)
     sdl.start()
     return FakePad(steps, clock)
-
-
-def opened(file: Path) -> Gamepad:
-    """Return the adapter of a fake whose script begins now.
-
-    Raises:
-        BadFile: the script cannot be read.
-        DeviceError: as `install`, or it cannot be opened.
-    """
-    pad = install(file)
-    device = Gamepad(name=NAME)
-    pad.begin()
-    return device

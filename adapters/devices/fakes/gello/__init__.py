@@ -1,7 +1,4 @@
-"""Fake GELLO leaders under the real dynamixel-sdk: servos on pseudo terminals, held by a script.
-
-``python -m adapters.devices.fakes.gello FILE`` plays a script for a server that is started elsewhere.
-"""
+"""Fake GELLO leaders under the real dynamixel-sdk: servos on pseudo terminals, held by a script."""
 
 from __future__ import annotations
 

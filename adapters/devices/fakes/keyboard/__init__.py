@@ -1,7 +1,4 @@
-"""A fake keyboard: a pseudo terminal, typed into by a script.
-
-``python -m adapters.devices.fakes.keyboard FILE`` shows what the adapter makes of a script.
-"""
+"""A fake keyboard: a pseudo terminal, typed into by a script."""
 
 from __future__ import annotations
 
@@ -11,7 +8,6 @@ from pathlib import Path
 from adapters.devices.fakes import script
 from adapters.devices.fakes.keyboard.typist import FakeTerminal, TypistStep
 from adapters.devices.fakes.script import Clock
-from adapters.devices.keyboard.device import Keyboard
 
 
 def install(file: Path, clock: Clock = time.monotonic) -> FakeTerminal:
@@ -21,16 +17,3 @@ def install(file: Path, clock: Clock = time.monotonic) -> FakeTerminal:
         BadFile: the script cannot be read.
     """
     return FakeTerminal(script.load(file, "keyboard", TypistStep), clock)
-
-
-def opened(file: Path) -> Keyboard:
-    """Return the adapter of a fake whose script begins now.
-
-    Raises:
-        BadFile: the script cannot be read.
-        DeviceError: it cannot be opened.
-    """
-    terminal = install(file)
-    device = Keyboard(tty=str(terminal.path))
-    terminal.begin()
-    return device

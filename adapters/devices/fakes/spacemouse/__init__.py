@@ -1,7 +1,4 @@
-"""A fake spacemouse under the real hidapi library: HID reports from a script.
-
-``python -m adapters.devices.fakes.spacemouse FILE`` shows what the adapter makes of a script.
-"""
+"""A fake spacemouse under the real hidapi library: HID reports from a script."""
 
 from __future__ import annotations
 
@@ -12,7 +9,6 @@ from adapters.devices.fakes import script
 from adapters.devices.fakes.script import Clock
 from adapters.devices.fakes.spacemouse.hidapi import FakeHidapi
 from adapters.devices.fakes.spacemouse.mouse import FakeMouse, MouseStep
-from adapters.devices.spacemouse.device import Spacemouse
 from adapters.devices.spacemouse.find import library
 
 
@@ -31,14 +27,3 @@ def install(file: Path, clock: Clock = time.monotonic, *, start_s: float = 0.0) 
     fake = FakeHidapi([FakeMouse(script.load(file, "spacemouse", MouseStep), clock, start_s=start_s)])
     fake.install(library())
     return fake
-
-
-def opened(file: Path) -> Spacemouse:
-    """Return the adapter of a fake whose script begins now.
-
-    Raises:
-        BadFile: the script cannot be read.
-        DeviceError: as `install`, or it cannot be opened.
-    """
-    install(file)
-    return Spacemouse()

@@ -72,7 +72,7 @@ def test_the_fake_as_a_process_says_how_to_use_it(tmp_path: Path, number: signal
     file = tmp_path / "script.json"
     file.write_text(json.dumps({"device": "gello", "steps": [{"at_s": 0, "left": POSE}]}))
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    command = [sys.executable, "-m", "adapters.devices.fakes.gello", str(file)]
+    command = [sys.executable, "-m", "station", "devices", "fake", "gello", "--play", str(file)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
         assert process.stdout is not None
         line = process.stdout.readline()
