@@ -24,7 +24,9 @@ class RobotKind(msgspec.Struct, frozen=True, kw_only=True):
         describe: Returns what it says of itself when it follows commands of a format.
         values: Returns what it publishes at the start of a tick beside the station's own keys, for stock programs; of
             the state, the policy and the robot's name.
-        policy: Registered name of the policy that drives it where none is named.
+        policy: Registered name of the policy that drives it where none is named; ``direct`` for a robot that takes
+            positions of its joints.
+        checkpoint: That policy's file for this robot; "" for the policy's own default.
         is_default: Whether it is taken where no robot is named; one of all is.
     """
 
@@ -36,6 +38,7 @@ class RobotKind(msgspec.Struct, frozen=True, kw_only=True):
     describe: Callable[[CommandFormat], RobotDescription]
     values: Callable[[RobotState, Policy, str], Mapping[str, bytes]] | None = None
     policy: str
+    checkpoint: str = ""
     is_default: bool = False
 
     def typed(self, options: Mapping[str, Any]) -> Any:

@@ -1,4 +1,4 @@
-"""The drivers `arm-joints` and `arm-tcp`: a seven-axis arm, joint by joint or by its tool.
+"""The drivers `arm-joints` and `arm-tcp`: an arm, joint by joint or by its tool.
 
 Both are one driver that begins in another mode; the mode button goes from the joints near the base to those of the
 wrist to the tool. What is asked for is a running target of the joints, absolute and never wrapped: it moves by what the
@@ -21,8 +21,8 @@ from adapters.drivers.arm_options import ArmOptions
 from adapters.drivers.arm_tool import ArmTool
 from adapters.robots import arm_limits
 from adapters.robots.kassow import kinematics
-from adapters.robots.kassow.names import ARM_7, MAKER, suffix
-from station import rotations
+from adapters.robots.kassow.names import MAKER, suffix
+from station import registry, rotations
 from station.errors import ConfigError
 from station.operator import deltas
 from station.operator.deadman import Snapshot
@@ -30,17 +30,17 @@ from station.operator.driver import Look
 from station.operator.reading import Pose, Reading
 from station.protocols import CommandFormat, Floats
 
-BASE, WRIST, TOOL = "joints 1-4", "joints 5-7", "tool"
-MODES = (BASE, WRIST, TOOL)
+TOOL = "tool"
 
 APART_RAD = 0.8
 """A leader farther from the arm may not begin to drive it; as in GELLO [rad]."""
 
+_LIMITS = ("lower", "upper", "margin", "rate")
+
 _TURNED_BY_TWIST = {
-    BASE: {0: (5, 1.0), 1: (0, 1.0), 2: (3, 1.0), 3: (2, -1.0)},
-    WRIST: {4: (3, 1.0), 5: (4, 1.0), 6: (5, 1.0)},
-}
-"""By mode, which joint is turned by which axis of a twist vx vy vz wx wy wz, and which way: the cap turned turns the
+    0: (5, 1.0), 1: (0, 1.0), 2: (3, 1.0), 3: (2, -1.0), 4: (3, 1.0), 5: (4, 1.0), 6: (5, 1.0),
+}  # fmt: skip
+"""Which joint is turned by which axis of a twist vx vy vz wx wy wz, and which way: the cap turned turns the
 base, pushed forwards it leans the arm forwards, tilted sideways it rolls the upper arm, lifted it lifts the forearm; at
 the wrist tilting and turning do what they do to the cap."""
 
@@ -71,40 +71,40 @@ class ArmDriver:
         begins: Whether it begins with the joints or with the tool.
 
     Raises:
-        ConfigError: no limits of the model are known, it is slower than asked for, or it begins with the tool of a
-            model whose kinematics are not known.
+        ConfigError: no limits of the model are known, it is slower than asked for, or it begins with the tool of an
+            arm whose kinematics are not known.
         BadFile: the file of limits cannot be read.
     """
 
     def __init__(self, name: str, options: ArmOptions, begins: Literal["joints", "tool"]) -> None:
         self.name, self._options = name, options
-        self._limits = arm_limits.load(MAKER, options.model, options.limits)
-        slowest = float(self._limits.qd_max.min())
-        if options.speed_rad_s > slowest:
-            raise ConfigError(f"speed_rad_s is {options.speed_rad_s:g}; the slowest joint does {slowest:.3g} rad/s")
-        robot = suffix(options.model, options.name)
-        self._form = arm_command(MAKER, self._limits, speed_rad_s=options.speed_rad_s, robot=robot)
-        self._tool = _tool(options) if begins == "tool" or options.model in kinematics.MODELS else None
-        self._modes = MODES if self._tool is not None else MODES[:-1]
-        self._mode = TOOL if begins == "tool" else BASE
-        self._choice = Choice()
+        self._form, self._limits = _form(options)
+        self._joints = [element.name.removesuffix("_pos") for element in self._form.elements]
+        if options.command and begins == "tool":
+            raise ConfigError(f"the kinematics behind {options.command!r} are not known; take the driver arm-joints")
+        is_known = not options.command and options.model in kinematics.MODELS
+        self._tool = _tool(options) if begins == "tool" or is_known else None
+        self._parts = _parts(len(self._joints))
+        self._modes = (*self._parts, TOOL) if self._tool is not None else (*self._parts,)
+        self._mode = TOOL if begins == "tool" else self._modes[0]
+        self._choice = Choice(len(self._joints))
         self._anchor: _Anchor | None = None
         self._q: Floats = np.array(self._form.default)
         self._lower, self._upper = self._form.lower, self._form.upper
 
     @property
     def form(self) -> CommandFormat:
-        """Seven joints."""
+        """Positions of the joints."""
         return self._form
 
     @property
     def mode(self) -> str:
-        """What moves: ``joints 1-4``, ``joints 5-7`` or the ``tool``."""
+        """What moves: ``joints 1-4``, ``joints 5-7`` (of an arm of seven) or the ``tool``."""
         return self._mode
 
     @property
     def target(self) -> Floats:
-        """Joints that are asked for, shape (7,) [rad]."""
+        """Joints that are asked for, shape (n,) [rad]."""
         return self._q.copy()
 
     @property
@@ -126,27 +126,27 @@ class ArmDriver:
             return Look(found)
         far = [
             f"{name} by {way:+.2f}"
-            for name, way in zip(ARM_7, (self._q - found.joints).tolist(), strict=True)
+            for name, way in zip(self._joints, (self._q - found.joints).tolist(), strict=True)
             if abs(way) > APART_RAD
         ]
         return Look(found, objection=f"leader is too far from the arm; move it (rad): {', '.join(far)}" if far else "")
 
     def jump(self, before: ArmInput, now: ArmInput) -> str:
         """Return what jumped, or ""; a device that drives by another part of its samples has lost the one before."""
-        return arm_input.jump(before, now)
+        return arm_input.jump(before, now, self._joints)
 
     def next_mode(self) -> str:
         """Go on to the next mode; what moved before stays."""
         self._mode = self._modes[(self._modes.index(self._mode) + 1) % len(self._modes)]
-        if self._mode != TOOL and self._mode != _mode_of(self._choice.joint):
-            self._choice.joint = min(_TURNED_BY_TWIST[self._mode])
+        if self._mode != TOOL and self._choice.joint not in self._parts[self._mode]:
+            self._choice.joint = self._parts[self._mode].start
         return self._mode
 
     def step(self, reading: Reading | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
         """Go on for a period; without a snapshot the target stands."""
         if reading is not None and self._mode != TOOL:
             self._choice.step(reading.controls)
-            self._mode = _mode_of(self._choice.joint)
+            self._mode = next(mode for mode, part in self._parts.items() if self._choice.joint in part)
         anchor = self._anchor
         if snapshot is None or reading is None:
             self._anchor = None
@@ -165,11 +165,13 @@ class ArmDriver:
     def facts(self) -> dict[str, Any]:
         """Name, options, modes and limits."""
         options = msgspec.to_builtins(self._options, enc_hook=str)
-        return {"driver": self.name, **options, "modes": list(self._modes), "limits": self._limits.facts()}
+        return {"driver": self.name, **options, "modes": list(self._modes), "limits": self._limits}
 
     def _input(self, reading: Reading) -> ArmInput | str:
         needs_head = self._options.heading == "head"
-        return arm_input.of(reading, self._options.hand, needs_head=needs_head, is_tool=self._mode == TOOL)
+        return arm_input.of(
+            reading, self._options.hand, joints=len(self._joints), needs_head=needs_head, is_tool=self._mode == TOOL
+        )
 
     def _anchored(self, snapshot: Snapshot[ArmInput, Floats], reading: Reading) -> _Anchor:
         found, pose = self._input(reading), None
@@ -188,11 +190,12 @@ class ArmDriver:
             return self._q + np.clip(found.joints - self._q, -reach, reach)
         if self._tool is not None and anchor.tool is not None:
             return self._moved_by_tool(self._tool, reading, found, anchor, dt_s)
-        way = np.zeros(len(ARM_7))
+        way = np.zeros(len(self._joints))
         if reading.twist is None:
             way[self._choice.joint] = arm_input.jog(reading.controls)
         else:
-            for joint, (axis, sign) in _TURNED_BY_TWIST[self._mode].items():
+            for joint in self._parts[self._mode]:
+                axis, sign = _TURNED_BY_TWIST.get(joint, (0, 0.0))
                 way[joint] = sign * min(max(float(reading.twist[axis]), -1.0), 1.0)
         return self._q + way * reach
 
@@ -212,8 +215,28 @@ class ArmDriver:
         return tool.twist(self._q, deflection, axes, dt_s, self._lower, self._upper)
 
 
-def _mode_of(joint: int) -> str:
-    return BASE if joint in _TURNED_BY_TWIST[BASE] else WRIST
+def _parts(joints: int) -> dict[str, range]:
+    """Return the joints that a twist can turn at a time by what they are called: those near the base, the wrist's."""
+    starts = [start for start in (0, 4, 7) if start < joints]
+    parts = [range(start, stop) for start, stop in zip(starts, [*starts[1:], joints], strict=True)]
+    return {f"joints {part[0] + 1}-{part[-1] + 1}" if len(part) > 1 else f"joint {part[0] + 1}": part for part in parts}
+
+
+def _form(options: ArmOptions) -> tuple[CommandFormat, dict[str, Any]]:
+    """Return the format of the commands, and what a manifest says of the limits."""
+    if options.command:
+        form: CommandFormat = registry.find("command", options.command)
+        if any(not element.name.endswith("_pos") for element in form.elements):
+            raise ConfigError(f"command {options.command!r} has other elements than positions of joints")
+        slowest, facts = float(form.rate.min()), {name: getattr(form, name).tolist() for name in _LIMITS}
+    else:
+        limits = arm_limits.load(MAKER, options.model, options.limits)
+        slowest, facts = float(limits.qd_max.min()), limits.facts()
+        robot = suffix(options.model, options.name)
+        form = arm_command(MAKER, limits, speed_rad_s=options.speed_rad_s, robot=robot)
+    if options.speed_rad_s > slowest:
+        raise ConfigError(f"speed_rad_s is {options.speed_rad_s:g}; the slowest joint does {slowest:.3g} rad/s")
+    return form, facts
 
 
 def _about_z(radians: float) -> Floats:

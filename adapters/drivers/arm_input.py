@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from adapters.drivers.sticks import live, summed
-from adapters.robots.kassow.names import ARM_7
 from station.operator import deltas
 from station.operator.reading import Pose, Reading, Side
 from station.protocols import Floats
@@ -39,7 +38,7 @@ class ArmInput:
     Attributes:
         kind: The part that drives.
         is_tool: Whether it drives the tool, and not joints.
-        joints: Of a leader, shape (7,) [rad].
+        joints: Of a leader, shape (n,) [rad].
         poses: The hand by its side, and the head under ``head`` where it tells what is forward.
     """
 
@@ -49,17 +48,22 @@ class ArmInput:
     poses: Mapping[str, Pose] | None = None
 
 
-def of(reading: Reading, hand: Side, *, needs_head: bool, is_tool: bool) -> ArmInput | str:
+def of(reading: Reading, hand: Side, *, joints: int, needs_head: bool, is_tool: bool) -> ArmInput | str:
     """Return what a sample asks of an arm, or what it lacks.
 
     Args:
         reading: The sample.
         hand: The hand that may drive.
+        joints: How many the arm has.
         needs_head: Whether the headset tells what is forward.
         is_tool: Whether the tool is driven, and not joints.
     """
     if reading.joints is not None:
-        return "a leader arm drives joints and not the tool; change the mode" if is_tool else _leader(reading.joints)
+        return (
+            "a leader arm drives joints and not the tool; change the mode"
+            if is_tool
+            else _leader(reading.joints, joints)
+        )
     if is_tool and (reading.left is not None or reading.right is not None or reading.head is not None):
         return _hand(reading, hand, needs_head=needs_head)
     if reading.twist is not None:
@@ -67,7 +71,7 @@ def of(reading: Reading, hand: Side, *, needs_head: bool, is_tool: bool) -> ArmI
     return ArmInput("controls", is_tool) if reading.controls else "the device sends nothing that moves an arm"
 
 
-def jump(before: ArmInput, now: ArmInput) -> str:
+def jump(before: ArmInput, now: ArmInput, joint_names: Sequence[str]) -> str:
     """Return what jumped between two samples, or ""; what drives in another mode is counted from there."""
     if before.is_tool != now.is_tool:
         return ""
@@ -78,7 +82,7 @@ def jump(before: ArmInput, now: ArmInput) -> str:
         worst = int(change.argmax())
         if change[worst] > LEADER_JUMP_RAD:
             limit = f"(limit {LEADER_JUMP_RAD:g})"
-            return f"{ARM_7[worst]} of the leader jumped {change[worst]:.2f} rad between two samples {limit}"
+            return f"{joint_names[worst]} of the leader jumped {change[worst]:.2f} rad between two samples {limit}"
     return deltas.jump(before.poses, now.poses) if before.poses and now.poses else ""
 
 
@@ -97,27 +101,29 @@ def jog(controls: Mapping[str, float]) -> float:
 class Choice:
     """Which joint sticks and keys turn: a digit chooses it, arrows and a stick to the side go to the next.
 
+    Args:
+        joints: How many there are.
+
     Attributes:
-        joint: Index of the joint, 0 to 6.
+        joint: Index of the joint, from 0.
     """
 
-    def __init__(self) -> None:
-        self.joint = 0
+    def __init__(self, joints: int) -> None:
+        self.joint, self._joints = 0, joints
         self._was = 0.0  # where the stick stood: what is held was counted
 
     def step(self, controls: Mapping[str, float]) -> None:
         """Look at the controls."""
-        for index in range(len(ARM_7)):
+        for index in range(self._joints):
             if controls.get(f"key_{index + 1}", 0.0) > _CHOSEN:
                 self.joint = index
         way = summed(controls, _NEXT)
         if abs(way) > _CHOSEN >= abs(self._was):
-            self.joint = (self.joint + (1 if way > 0.0 else -1)) % len(ARM_7)
+            self.joint = (self.joint + (1 if way > 0.0 else -1)) % self._joints
         self._was = way
 
 
-def _leader(joints: Floats) -> ArmInput | str:
-    count = len(ARM_7)
+def _leader(joints: Floats, count: int) -> ArmInput | str:
     if len(joints) not in (count, count + 1) or not np.isfinite(joints).all():  # the last one is a gripper's
         return f"the leader sends {len(joints)} values, expected {count} joints, and a gripper or none"
     return ArmInput("leader", joints=joints[:count])

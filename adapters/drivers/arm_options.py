@@ -8,6 +8,7 @@ from typing import Literal
 
 import msgspec
 
+from station import registry
 from station.operator.reading import Side
 
 Corner = tuple[float, float, float]
@@ -20,6 +21,7 @@ class ArmOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         model: Which arm, for example ``kr810``.
         name: Further part of the suffix of its keys, for a second arm of the model; "" for none.
         limits: File with the limits of its joints; None for the one that ships with the station.
+        command: Registered format of the positions of an arm's joints, in place of the three above; it has limits.
         speed_rad_s: Greatest speed of a joint [rad/s]; the arm's own profile must be as fast.
         tool_mps, tool_rad_s: Speeds of the tool at full deflection, and the greatest ones [m/s, rad/s].
         box_lower, box_upper: Corners that the tool stays between, in the frame of the base [m].
@@ -36,6 +38,7 @@ class ArmOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     model: str = "kr810"
     name: str = ""
     limits: Path | None = None
+    command: str = ""
     speed_rad_s: float = 0.3
     tool_mps: float = 0.15
     tool_rad_s: float = 0.5
@@ -49,6 +52,8 @@ class ArmOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     heading: Literal["world", "head"] = "world"
 
     def __post_init__(self) -> None:
+        if self.command:
+            registry.expect("command", self.command)
         for name, most in (("speed_rad_s", 4.0), ("tool_mps", 1.0), ("tool_rad_s", 3.0)):
             if not 0.01 <= getattr(self, name) <= most:
                 raise ValueError(f"{name} is {getattr(self, name):g}; expected 0.01 to {most:g}")

@@ -12,6 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from station.clock import SYSTEM, Clock
+from station.contract import names_of
 from station.control.arming import why_not_arm
 from station.control.commanded import Commanded, Happening
 from station.control.gate import Decision, GateConfig
@@ -99,6 +100,8 @@ class ControlStep:
         self._is_down = False
         self._stood_since_s = 0.0
         self._action_is_bad = False
+        self._stays = form.stays
+        self._asked: Floats | None = None  # where a robot that stays was asked to be; None: it is where it is
 
     def sense(self) -> RobotState:
         """Return the state that the next `step` acts on."""
@@ -113,7 +116,7 @@ class ControlStep:
             now_s: The instant, on the clock of `CommandSample.arrived_s` [s].
         """
         self._tick += 1
-        decision = self.commanded.decide(sample, now_s)
+        decision = self.commanded.decide(sample, now_s, obstacle=self._see_to_rest(state) if self._stays else "")
         observation = self.policy.observe(state, decision.vector)
         observed_ns = self._clock.monotonic_ns()
         action = self.policy.act(observation)
@@ -126,6 +129,8 @@ class ControlStep:
             sent = _nothing(targets)
         else:
             sent = self.robot.write(allowed)
+        is_limp = allowed is None or decision.state == "stopped" or self._action_is_bad
+        self._asked = None if is_limp else sent.q
         good = self.inlet.good
         stages = (good.written_ns if good else 0, good.arrived_ns if good else 0)
         record = StepRecord(
@@ -183,6 +188,18 @@ class ControlStep:
         """Return what a server's heartbeat tells of this robot."""
         return {"falls": self._falls}
 
+    def _see_to_rest(self, state: RobotState) -> str:
+        """Tell the gate where a robot that stays rests; return why it may follow nobody now, or "".
+
+        It rests where it was asked to be, not where it is: one that sags a little under its load, and were asked to be
+        there, would sag on. While it is disarmed nobody is followed, and who commands then has to begin anew.
+        """
+        self.gate.rest(state.q if self._asked is None else self._asked)
+        if self.arming.state != "disarmed":
+            return ""
+        self.gate.insist_on_silence("the robot was disarmed")
+        return "the robot is disarmed"
+
     def _why_not_arm(self, now_s: float) -> str:
         if self.arming.state != "disarmed" and self.gate.state != "stopped":
             return ""
@@ -194,6 +211,7 @@ class ControlStep:
 
     def _start_over(self) -> None:
         self.policy.reset()
+        self._asked = None
         self._is_down = False
         if isinstance(self.robot, Resettable):
             self.robot.reset()
@@ -251,3 +269,6 @@ def _check_fit(robot: Robot, policy: Policy, form: CommandFormat) -> None:
             f"policy {spec.name!r} drives {len(spec.joint_names)} joints, the robot has {len(robot.joint_names)}; "
             + (f"not in both: {', '.join(odd[:4])}" if odd else "their order differs")
         )
+    wanted = [f"{joint}_pos" for joint in robot.joint_names]
+    if form.stays and list(names_of(form.elements)) != wanted:
+        raise ConfigError(f"a robot that stays takes positions of its joints; command {form.name!r} has other elements")

@@ -25,7 +25,7 @@ class RigConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         robot: Registered name of the robot; "" for the default one.
         robot_options: Its settings, for example ``model`` and ``physics_dt_s`` of a simulation.
         policy: Registered name of the policy family; "" for the robot's.
-        checkpoint: Its file, a path or ``collection:path``; "" for the family's default.
+        checkpoint: Its file, a path or ``collection:path``; "" for the robot's, else the family's default.
         policy_options: Further keyword arguments of the policy, for example ``wrist_gains: real``.
         rate_hz: Rate of the policy [Hz]; 0 for the rate it was trained at.
     """
@@ -101,13 +101,14 @@ def robot_kind(name: str) -> RobotKind:
     raise ConfigError(f"robot: name one; there are {', '.join(registry.names('robot')) or 'none'}")
 
 
-def checkpoint_of(policy: str, named: str = "") -> str:
-    """Return the checkpoint of a policy family: the one that is named, else its own default; "" for none.
+def checkpoint_of(policy: str, named: str = "", kind: RobotKind | None = None) -> str:
+    """Return the checkpoint of a policy: the one that is named, else the robot's, else its own default; "" for none.
 
     Raises:
         UnknownName: it is not registered.
     """
-    return named or str(getattr(registry.find("policy", policy), "CHECKPOINT", ""))
+    of_robot = kind.checkpoint if kind is not None and kind.policy == policy else ""
+    return named or of_robot or str(getattr(registry.find("policy", policy), "CHECKPOINT", ""))
 
 
 def build(config: RigConfig, *, may_be_real: bool = False) -> Rig:
@@ -138,7 +139,7 @@ def build(config: RigConfig, *, may_be_real: bool = False) -> Rig:
 
 def _policy(name: str, config: RigConfig) -> Policy:
     make = registry.find("policy", name)
-    reference = checkpoint_of(name, config.checkpoint)
+    reference = checkpoint_of(name, config.checkpoint, config.kind)
     if not reference:
         raise ConfigError(f"policy {name!r} has no default checkpoint; name its file with `checkpoint`")
     known = [parameter for parameter in inspect.signature(make).parameters if parameter != "checkpoint"]

@@ -11,7 +11,7 @@ import pytest
 
 from station import Station
 from station.bus.address import BusAddress, parse
-from tests.main_job.page_package import files, install
+from tests.main_job.page_package import install
 from tests.main_job.station_runs import Terminal
 from tests.waiting import bus_answers, wait_until
 
@@ -30,9 +30,8 @@ def driven(processes: None, place: Path) -> Terminal:
     """A terminal in which both packages are installed, and whose robot feet have driven, however long that took."""
     install("your-robot.md", "quad-lab", place)
     terminal = install(PAGE, PACKAGE, place)
-    runbook = place / "pedals.yaml"
-    runbook.write_text(files(PAGE, PACKAGE)["pedals.yaml"])
-    feet = ("--set", f"pedals.fake={place}/site/pedals.json")
+    runbook = place / PACKAGE / "pedals.yaml"
+    feet = ("--set", f"pedals.fake={place}/site/pedal_lab/pedals.json")
     with terminal.start("up", str(runbook), "--yes", "--record", "--task", "pedals", *feet) as up:
         try:
             wait_until(lambda: bus_answers(bus(place)))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.main_job.page_package import files, install
+from tests.main_job.page_package import install
 from tests.main_job.station_runs import LOCK_STEP, Terminal
 
 JOINTS = [f"{leg}_{joint}" for leg in ("front_left", "front_right", "rear_left", "rear_right")
@@ -22,8 +22,7 @@ def trotted(processes: None, tmp_path_factory: pytest.TempPathFactory) -> Termin
     """A terminal in which the package is installed, and its robot has walked once, recorded."""
     folder = tmp_path_factory.mktemp("quad")
     terminal = install("your-robot.md", "quad-lab", folder)
-    runbook = folder / "quad.yaml"
-    runbook.write_text(files("your-robot.md", "quad-lab")["quad.yaml"])
+    runbook = folder / "quad-lab" / "quad.yaml"
     sets = [word for setting in SETTINGS for word in ("--set", setting)]
     done = terminal.run("up", str(runbook), "--yes", "--record", "--task", "trot", *sets)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -115,5 +115,6 @@ def _reference(facts: dict[str, Any], policy: str) -> str:
     config = facts.get("config")
     if not isinstance(config, dict):
         return ""
-    named = str(config.get("checkpoint") or "")
-    return checkpoint_of(policy, named) if policy in registry.names("policy") else named
+    named, robot = str(config.get("checkpoint") or ""), config.get("robot")
+    kind = registry.find("robot", robot) if robot in registry.names("robot") else None
+    return checkpoint_of(policy, named, kind) if policy in registry.names("policy") else named

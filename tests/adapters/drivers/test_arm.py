@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adapters.drivers.arm import BASE, TOOL, WRIST, ArmDriver
+from adapters.drivers.arm import TOOL, ArmDriver
 from adapters.drivers.arm_options import ArmOptions
 from adapters.robots.kassow.kinematics import KR810, REACHING_DOWN
 from station import config, rotations
@@ -21,6 +21,7 @@ from station.operator.driving import Driven, Driving
 from station.operator.reading import Pose, Reading
 from station.protocols import Floats
 
+BASE, WRIST = "joints 1-4", "joints 5-7"
 TICK_S = 0.004
 DOWN = np.array(REACHING_DOWN)
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
