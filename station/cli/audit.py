@@ -12,7 +12,7 @@ from station.cli.options import data_option, episode_argument, json_option
 
 if TYPE_CHECKING:
     from station.episode.replaying.arm_audit import ArmAudit
-    from station.episode.replaying.audit import Comparison
+    from station.episode.replaying.audit import Audit, Comparison
 
 
 @click.command("audit")
@@ -25,40 +25,44 @@ def command(episode: str, data: Path | None, checkpoint: str | None, robot: str 
     """Run the policy again on the recorded observations of EPISODE, and derive those again from state and command.
 
     Of an arm, which has no policy, the recorded commands go through its gate again, and targets are compared. Exit code
-    1 when any bit of any action, observation or target differs, or when there was none to compare.
+    1 when any bit of any action, observation or target differs, or when there was none to compare. Of several robots
+    each is audited, and --json prints a list.
     """
+    from station.episode.reading import steps
     from station.episode.reading.reader import open_episode
-    from station.episode.replaying.arm_audit import arm_of, audit_arm
-    from station.episode.replaying.audit import Audit, audit
+    from station.episode.replaying.arm_audit import audit_arm, is_arm
+    from station.episode.replaying.audit import audit
 
     reader = open_episode(episode, data)
-    if arm := arm_of(reader, robot):
-        checked = audit_arm(reader, arm)
-        click.echo(msgspec.json.encode(checked) if as_json else arm_story(checked))
-        raise SystemExit(0 if checked.is_equal else 1)
-    found = audit(reader, checkpoint=checkpoint, robot=robot)
+    robots: list[str | None] = [robot] if robot is not None else [*steps.robots(reader.topics())] or [None]
+    found: list[Audit | ArmAudit] = []
+    for each in robots:
+        if each is not None and is_arm(reader, each):
+            arm = audit_arm(reader, each)
+            found.append(arm)
+            told = arm_story(arm)
+        else:
+            policy = audit(reader, checkpoint=checkpoint, robot=each)
+            found.append(policy)
+            told = story(policy)
+        if not as_json:
+            click.echo(told)
     if as_json:
-        click.echo(msgspec.json.encode(found))
-    else:
-        print_audit(found)
-    assert isinstance(found, Audit)
-    raise SystemExit(0 if found.is_equal else 1)
+        click.echo(msgspec.json.encode(found if len(found) > 1 else found[0]))
+    raise SystemExit(0 if all(one.is_equal for one in found) else 1)
 
 
-def print_audit(found: object) -> None:
-    """Print what an audit found."""
-    from station.episode.replaying.audit import Audit
-
-    assert isinstance(found, Audit)
-    observed = found.observations
-    click.echo(f"{found.episode_id} ({found.robot}): {found.policy} {found.checkpoint} sha256 {found.sha256[:12]}…")
-    click.echo(
-        f"  actions       {found.steps} steps, {found.different} different, max |Δ| {found.max_abs_difference:.3g}"
-    )
-    click.echo(f"  observations  {_compared(observed, 'steps', '', found.not_derived)}")
-    click.echo(f"  recorded on   {found.recorded_runtime or 'unknown'}\n  audited on    {found.runtime}")
-    click.echo(
-        f"  {found.segments} segments, {found.incomplete} incomplete steps; {found.speed_x_realtime:.0f} x real time"
+def story(found: Audit) -> str:
+    """Return what an audit found, in words."""
+    return "\n".join(
+        (
+            f"{found.episode_id} ({found.robot}): {found.policy} {found.checkpoint} sha256 {found.sha256[:12]}…",
+            f"  actions       {found.steps} steps, {found.different} different, max |Δ| {found.max_abs_difference:.3g}",
+            f"  observations  {_compared(found.observations, 'steps', '', found.not_derived)}",
+            f"  recorded on   {found.recorded_runtime or 'unknown'}\n  audited on    {found.runtime}",
+            f"  {found.segments} segments, {found.incomplete} incomplete steps; "
+            f"{found.speed_x_realtime:.0f} x real time",
+        )
     )
 
 

@@ -71,7 +71,7 @@ def _leave_drawing_to_the_end() -> str:
 
 def _report(episode: Path, gl: str, data: Path | None) -> int:
     """Print what was measured, draw the pictures, say what to try next; return an exit code."""
-    from station.cli.audit import print_audit
+    from station.cli.audit import story
     from station.cli.quality import print_quality
     from station.episode.quality import rule_file
     from station.episode.quality.check import check, write_measured
@@ -87,7 +87,7 @@ def _report(episode: Path, gl: str, data: Path | None) -> int:
     click.echo()
     with _busy("running the policy again on what was recorded"):
         found = audit(reader)
-    print_audit(found)
+    click.echo(story(found))
     click.echo()
     _draw(reader, episode, gl)
     _say_what_next(data)

@@ -99,6 +99,7 @@ def read_run(reader: EpisodeReader) -> Run:
     begin_ns = reader.start_ns
     find = _finder(held)
     measured = poses.measured(find, states, description)
+    has_base = description is None or description.has_base
     name = phases.PhaseNames(phases.motion_facts(reader, robot))
     source = list(_objects(held[keys.command_source(robot)], begin_ns))
     gates = _objects(held[keys.command_gate(robot)], begin_ns)
@@ -109,13 +110,13 @@ def read_run(reader: EpisodeReader) -> Run:
         policy=reader.manifest.policy.name or "",
         motion=name.motion,
         measured=measured,
-        has_place=find(keys.sim_qpos(robot)) is not None,
+        has_place=has_base and find(keys.sim_qpos(robot)) is not None,
         commanded=_commanded(find, commands, begin_ns),
         heights=_heights(find, commands, begin_ns),
         gate=phases.spans((at_s, str(value.get("state", ""))) for at_s, value in gates),
         phases=phases.spans((at_s, name(value)) for at_s, value in source),
         playing=[span for span in played if span.name == PLAYING],
-        can_fall=description is None or description.has_base,
+        can_fall=has_base,
         falls_s=_falls(held[keys.EVENT], robot, measured, begin_ns),
         start_ns=begin_ns,
         groups=description.groups if description is not None else {},

@@ -61,14 +61,15 @@ def events(terminal: Home) -> list[tuple[str, dict[str, Any]]]:
 
 
 def test_what_each_did_is_derived_again(together: Home) -> None:
-    episode = str(together.episode("together"))
-    for arm in ARMS:
-        found = together.json("audit", episode, "--robot", arm)
-        assert found["targets"]["compared"] > 0, arm
-        assert (found["commands"]["different"], found["targets"]["different"], found["states_different"]) == (0, 0, 0)
-    found = together.json("audit", episode, "--robot", ROBOTS[-1])
-    assert found["steps"] > 0
-    assert (found["different"], found["observations"]["different"]) == (0, 0)
+    found = {each["robot"]: each for each in together.json("audit", str(together.episode("together")))}
+    assert set(found) == set(ROBOTS)
+    for name in ARMS:
+        arm = found[name]
+        assert arm["targets"]["compared"] > 0, name
+        assert (arm["commands"]["different"], arm["targets"]["different"], arm["states_different"]) == (0, 0, 0), name
+    walker = found[ROBOTS[-1]]
+    assert walker["steps"] > 0
+    assert (walker["different"], walker["observations"]["different"]) == (0, 0)
 
 
 def test_what_is_said_of_a_robot_stands_together(together: Home) -> None:

@@ -130,3 +130,12 @@ def test_what_an_operator_moved_is_a_phase_for_as_long_as_he_drove(builder: Epis
     assert [(span.name, round(span.end_s - span.start_s)) for span in run.phases] == [("tool", 1), ("joints 1-4", 1)]
     assert not run.can_fall
     assert "fall" not in style.headline(run)
+
+
+def test_what_is_fixed_to_the_ground_has_no_place_of_its_own_though_its_simulation_tells_one(
+    builder: EpisodeBuilder,
+) -> None:
+    place = {keys.sim_qpos(arms.ROBOT): codec.f64(np.array([0.0, 0.0, 0.0, 1.0, *[0.0] * 10]))}
+    for number in range(3):
+        builder.write(arms.values(arms.START, asked=arms.START) | place, at_s=number, writer="arm")
+    assert not read(builder).has_place

@@ -70,15 +70,10 @@ class ArmAudit(msgspec.Struct, kw_only=True):
         return self.commands.compared > 0 and self.targets.compared > 0 and not differ
 
 
-def arm_of(reader: EpisodeReader, robot: str | None = None) -> str:
-    """Return the suffix of the arm in an episode, "" where there is none (or `robot` is no arm)."""
+def is_arm(reader: EpisodeReader, robot: str) -> bool:
+    """Whether a robot of an episode has a controller of its own, and no policy between its command and its targets."""
     topics = set(reader.topics())
-    found = sorted(topic.removeprefix(keys.action_joints("")) for topic in topics
-                   if topic.startswith(keys.action_joints("")))  # fmt: skip
-    arms = [name for name in found if keys.target(name) in topics and robot in (None, name)]
-    if len(arms) > 1:
-        raise EpisodeError(f"episode {reader.episode_id}: several arms ({', '.join(arms)}); name one")
-    return arms[0] if arms else ""
+    return keys.policy_obs(robot) not in topics and {keys.action_joints(robot), keys.target(robot)} <= topics
 
 
 def audit_arm(reader: EpisodeReader, robot: str) -> ArmAudit:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from station.operator.deadman import Snapshot
 from station.operator.driving import Driven, Driving
 from station.operator.reading import Pose, Reading
 from station.protocols import Floats
+from tests import six_joints
 
 BASE, WRIST = "joints 1-4", "joints 5-7"
 TICK_S = 0.004
@@ -386,3 +388,54 @@ def test_facts_tell_options_modes_and_where_the_limits_come_from() -> None:
     facts = tool(tool_mps=0.2).facts()
     assert (facts["driver"], facts["tool_mps"], facts["modes"]) == ("arm-tcp", 0.2, [BASE, WRIST, TOOL])
     assert "kr810_description" in facts["limits"]["source"]
+
+
+@pytest.fixture
+def six(monkeypatch: pytest.MonkeyPatch) -> ArmDriver:
+    """The driver of an arm of six joints, of somebody else's package."""
+    six_joints.register(monkeypatch)
+    return ArmDriver("arm-joints", ArmOptions(command="six"), "joints")
+
+
+def test_an_arm_of_six_joints_is_driven_by_whatever_drives_one_of_seven(six: ArmDriver) -> None:
+    assert (six.form.key, six.form.robot) == ("action_joints_six", "six")
+    assert [six.mode, six.next_mode(), six.next_mode()] == ["joints 1-4", "joints 5-6", "joints 1-4"]
+    turned = follow(six, held(twist(0.0, 0.0, 0.0, 0.0, 0.0, 1.0), 0.4))[-1]
+    assert turned == pytest.approx([0.3 * 0.4, 0, 0, 0, 0, 0], abs=0.003)
+    jogged = follow(six, [pressed(key_6=1.0), *held(pressed(key_up=1.0), 0.4)])[-1] - turned
+    assert (np.flatnonzero(np.abs(jogged) > 1e-9).tolist(), six.mode) == ([5], "joints 5-6")
+
+
+def test_a_leader_of_six_joints_and_a_gripper_leads_it_and_one_of_another_number_does_not(six: ArmDriver) -> None:
+    leader = Reading(joints=np.array([0.1, -0.1, 0.1, 0.0, 0.1, 0.0, 0.7]))
+    assert follow(six, held(leader, 2.0))[-1] == pytest.approx([0.1, -0.1, 0.1, 0.0, 0.1, 0.0])
+    assert (
+        six.look(Reading(joints=np.zeros(8))).flaw
+        == "the leader sends 8 values, expected 6 joints, and a gripper or none"
+    )
+    far = six.look(Reading(joints=np.array([0.1, -0.1, 0.1, 0.0, 0.1, 1.5])))
+    assert far.objection == "leader is too far from the arm; move it (rad): flange by -1.50"
+    jump = six.jump(six.look(leader).input, six.look(Reading(joints=np.array([0.1, 0.9, 0.1, 0.0, 0.1, 0.0]))).input)
+    assert jump.startswith("shoulder of the leader jumped 1.00 rad")
+
+
+@pytest.mark.parametrize(
+    ("options", "begins", "line"),
+    [
+        ({"command": "six"}, "tool", "the kinematics behind 'six' are not known; take the driver arm-joints"),
+        ({"command": "twist2"}, "joints", "command 'twist2' has other elements than positions of joints"),
+        ({"command": "six", "speed_rad_s": 1.5}, "joints", "speed_rad_s is 1.5; the slowest joint does 1 rad/s"),
+    ],
+)
+def test_a_command_that_cannot_be_driven_is_refused_in_a_line(
+    monkeypatch: pytest.MonkeyPatch, options: Mapping[str, object], begins: Any, line: str
+) -> None:
+    six_joints.register(monkeypatch)
+    with pytest.raises(ConfigError, match=line):
+        ArmDriver("arm", ArmOptions(**options), begins)
+
+
+def test_a_command_that_nobody_registered_is_named_with_the_nearest(six: ArmDriver) -> None:
+    with pytest.raises(ValueError, match="unknown command 'sixx'"):
+        ArmOptions(command="sixx")
+    assert six.facts()["limits"]["rate"] == [1.0] * 6

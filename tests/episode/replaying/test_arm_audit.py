@@ -10,8 +10,9 @@ import pytest
 
 from station.bus import codec, keys
 from station.cli.audit import arm_story
+from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader, open_episode
-from station.episode.replaying.arm_audit import ArmAudit, arm_of, audit_arm
+from station.episode.replaying.arm_audit import ArmAudit, audit_arm, is_arm
 from station.episode.replaying.resimulate import to_sim
 from station.errors import EpisodeError
 from tests.episode.arm_run import ROBOT, ArmRun
@@ -40,7 +41,7 @@ def full(made: ArmRun) -> ArmRun:
 
 def audited(made: ArmRun) -> ArmAudit:
     reader = open_episode(made.finish())
-    assert arm_of(reader) == ROBOT
+    assert is_arm(reader, ROBOT)
     return audit_arm(reader, ROBOT)
 
 
@@ -173,7 +174,9 @@ def test_an_episode_that_does_not_say_how_commands_were_limited_cannot_be_audite
 def test_an_episode_of_a_humanoid_has_no_arm(tmp_path: Path) -> None:
     builder = EpisodeBuilder(tmp_path)
     walk(builder, seconds=0.2)
-    assert arm_of(open_episode(builder.finish())) == ""
+    reader = open_episode(builder.finish())
+    assert steps.robots(reader.topics())
+    assert not any(is_arm(reader, robot) for robot in steps.robots(reader.topics()))
 
 
 def test_an_arm_is_not_simulated_again_and_a_line_says_what_to_do_instead(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from station.bus import codec, keys
-from station.cli.audit import print_audit
+from station.cli.audit import story
 from station.episode.reading.reader import open_episode
 from station.episode.replaying.audit import Audit, Comparison, audit
 from station.episode.storage.manifest import load_manifest, save_manifest
@@ -107,17 +107,14 @@ def test_a_missing_tick_starts_a_new_segment_and_is_no_difference(builder: Episo
     assert found.is_equal
 
 
-def test_observations_of_which_none_can_be_derived_are_not_audited(
-    builder: EpisodeBuilder, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_observations_of_which_none_can_be_derived_are_not_audited(builder: EpisodeBuilder) -> None:
     run = LinearRun(builder)
     for _ in range(20):
         run.step(lose_state=True)
     found = audited(builder)
     assert (found.steps, found.different, found.observations.compared) == (20, 0, 0)
     assert not found.is_equal
-    print_audit(found)
-    assert f"observations  NOT AUDITED: step 0 has no {keys.robot_state(ROBOT)} that fits" in capsys.readouterr().out
+    assert f"observations  NOT AUDITED: step 0 has no {keys.robot_state(ROBOT)} that fits" in story(found)
 
 
 def test_a_reset_of_the_policy_is_no_difference(builder: EpisodeBuilder) -> None:
