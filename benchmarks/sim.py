@@ -14,8 +14,8 @@ from benchmarks import processes, stock, upstream
 from benchmarks.harness import Benchmark, Row, Settings, Target, alternate, compare
 from station import assets, registry
 from station.bus import codec
+from station.control.command_validator import CommandSample
 from station.control.control import Resettable
-from station.control.inlet import CommandSample
 from station.control.rig import build
 from station.motion.playback import Playback
 from station.protocols import Motion

@@ -8,17 +8,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adapters.drivers.hands import HandsDriver
-from adapters.retarget.walking import Walker, Wish
+from adapters.retarget.walking import VelocityCommand, Walker
 from adapters.robots.g1.joints import G1_29
 from benchmarks.harness import Benchmark, Row, Settings, Target, compare, mean, p50, p99
 from station import rotations
 from station.bus import codec
+from station.control.command_validator import CommandSample
 from station.control.control import ControlStep, StepRecord
-from station.control.inlet import CommandSample
 from station.control.rig import Rig, RigConfig, build
 from station.operator.buttons import Buttons, button_map
 from station.operator.driving import Driving
-from station.operator.reading import Pose, Reading
+from station.operator.sample import OperatorSample, Pose
 from station.protocols import Floats
 
 STEP_S, TICK_S = 0.02, 0.01
@@ -69,7 +69,7 @@ def velocity_reached(rig: Rig, asked: tuple[float, float, float]) -> Floats:
     control, walker = fresh(rig), Walker()
     places = []
     for tick in range(round((_SETTLED_S + _MEASURED_S) / STEP_S)):
-        reference = walker.step(STEP_S, Wish(*asked) if tick * STEP_S > 1.0 else Wish())
+        reference = walker.step(STEP_S, VelocityCommand(*asked) if tick * STEP_S > 1.0 else VelocityCommand())
         record = follow(control, rig.form.encode(reference, G1_29), tick * STEP_S)
         if record.fall is not None:
             return np.full(3, np.nan)
@@ -92,7 +92,7 @@ def fresh(rig: Rig) -> ControlStep:
 
 def follow(control: ControlStep, command: Floats, now_s: float) -> StepRecord:
     """Let the robot take a step at a command, as it stands on the bus."""
-    form = control.inlet.form
+    form = control.validator.form
     data = codec.json_vector(np.clip(command, form.lower, form.upper))
     return control.step(control.sense(), CommandSample(data, arrived_s=now_s), now_s)
 
@@ -108,7 +108,7 @@ class Operator:
     next_press_s: float = 0.5
     silent_until_s: float = 0.0
 
-    def at(self, now_s: float, *, is_engaged: bool) -> Reading | None:
+    def at(self, now_s: float, *, is_engaged: bool) -> OperatorSample | None:
         """What the device sends at a time [s]; None for nothing."""
         if now_s > self.next_sticks_s:
             ends = np.sign(self.random.uniform(-1.0, 1.0, 4)) * self.random.uniform(0.2, 1.0, 4) * (1.0, 1.0, 1.0, 0.4)
@@ -125,7 +125,7 @@ class Operator:
         controls = dict(zip(names, self.sticks.tolist(), strict=True))
         controls["right_primary"] = float(now_s > self.next_press_s)
         controls["right_stick_click"] = float(1.5 < now_s < 1.6)
-        return Reading(capture_ns=1, controls=controls, left=self._hand(1.0), right=self._hand(-1.0))
+        return OperatorSample(capture_ns=1, controls=controls, left=self._hand(1.0), right=self._hand(-1.0))
 
     def _hand(self, side: float) -> Pose:
         phase = 0.9 * self.hands_s + side * np.arange(6.0)

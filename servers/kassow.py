@@ -131,15 +131,17 @@ def main(config: KassowConfig, life: Life) -> int:
     session = _open(config, limits)
     try:
         control = ArmControl(session, form, gate=config.gate, is_armed=config.is_armed, clock=life.clock)
-        teller = Teller(life, config, session)
-        desk = Desk(control, session, config.robot)
+        publisher = StatePublisher(life, config, session)
+        requests = RequestHandler(control, session, config.robot)
         with LowLevelLoop(
             life,
             control,
-            state_values=teller.state_values,
-            result_values=lambda record, arm: result_values(config.robot, record, control.commanded, arm, desk.look()),
+            state_values=publisher.state_values,
+            result_values=lambda record, arm: result_values(
+                config.robot, record, control.commanded, arm, requests.look()
+            ),
             period_s=1.0 / RATE_HZ,
-            requests={keys.CONTROLLER: desk.hear},
+            requests={keys.CONTROLLER: requests.hear},
         ) as loop:
             life.configured(_facts(config, life.name, form, limits, session))
             if not life.ready():
@@ -161,7 +163,7 @@ KIND = ArmServerKind(
 )
 
 
-class Teller:
+class StatePublisher:
     """Puts the session's state on the bus: joints at 125 Hz, the controller's words at 10 Hz, its events as they come.
 
     Args:
@@ -191,7 +193,7 @@ class Teller:
         return values
 
 
-class Desk:
+class RequestHandler:
     """Does what is asked of the controller: in the loop, or in a thread where it takes time.
 
     Args:
@@ -224,7 +226,7 @@ class Desk:
             self._begin_clearing(request)
 
     def look(self) -> ControllerAnswer | None:
-        """Take note of what is done by now; return this tick's answer, each long enough for who waits for it."""
+        """Record what is done by now; return this tick's answer, each long enough for who waits for it."""
         if self._is_clearing and not self._cleared.empty():
             request, refusal = self._cleared.get()
             self._is_clearing = False

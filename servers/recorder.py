@@ -12,8 +12,8 @@ import msgspec
 from station.bus import codec, keys
 from station.config import to_plain
 from station.episode.recorder.heap import give_back_large_blocks
-from station.episode.recorder.intake import Intake
 from station.episode.recorder.options import RecordingOptions
+from station.episode.recorder.tap_reader import TapReader
 from station.episode.storage.claim import Claim
 from station.episode.storage.folder import data_folder
 from station.episode.storage.progress import WriterOptions
@@ -119,18 +119,18 @@ class _Recorder:
         self._config = config
         self._life = life
         self._state_due = self._answer_due = 0.0
-        self._intake = Intake(
+        self._tap_reader = TapReader(
             options, life, backend=config.backend, resume_s=config.resume_s, take_up_s=config.take_up_s
         )
-        self.recording = self._intake.recording
+        self.recording = self._tap_reader.recording
 
     def facts(self) -> dict[str, Any]:
         """What this server states that it runs."""
         return {
             "server": self._life.name,
             "role": KIND.role,
-            "backend": self._intake.tap.backend,
-            "is_lossless": self._intake.tap.is_lossless,
+            "backend": self._tap_reader.tap.backend,
+            "is_lossless": self._tap_reader.tap.is_lossless,
             "data": str(self.recording.options.data),
             "software": msgspec.to_builtins(software()),
             "config": to_plain(self._config),
@@ -138,13 +138,13 @@ class _Recorder:
 
     def step(self) -> None:
         """Take in what arrived, and say what is due."""
-        self._intake.step()
+        self._tap_reader.step()
         self.recording.poll()
         self._speak()
 
     def close(self) -> int:
         """Close the open episode and give the last answers; returns the exit code."""
-        self._intake.drain()
+        self._tap_reader.drain()
         is_closed = self.recording.close(_CLOSE_S)
         if not is_closed:
             self._life.event("recorder-not-closed", severity="error", waited_s=_CLOSE_S)
@@ -155,7 +155,7 @@ class _Recorder:
 
     def hang_up(self) -> None:
         """Leave the bus as if no recorder had been there, so that the next one need not wonder."""
-        self._intake.close()
+        self._tap_reader.close()
         with contextlib.suppress(BusError):  # a bus that is gone has forgotten us already
             self._life.bus.call("DEL", keys.RECORDER, keys.stamp(keys.RECORDER))
 

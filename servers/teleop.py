@@ -1,7 +1,7 @@
 """The teleoperation server: an operator's device drives the robot, whatever the device.
 
-It knows no device: it hears the operator's keys of one (`station.operator.ear`), has one dead-man and one map of
-buttons for all (`station.operator.driving`), and a driver that makes commands (`adapters.drivers`).
+It knows no device: it follows the operator's keys of one (`station.operator.device_subscriber`), has one dead-man and
+one map of buttons for all (`station.operator.driving`), and a driver that makes commands (`adapters.drivers`).
 
 Commands are sent from the first engaging on; before, nobody commands and the robot stands. The first one is the command
 that the robot already follows. When the operator lets go, the pose is held and a walk comes to a stand. Commands end,
@@ -31,10 +31,10 @@ from station.life.own_key import OwnKey
 from station.life.pace import WallPace
 from station.life.server import Life, ServerKind
 from station.operator.buttons import ButtonMap, Buttons, Pressed
+from station.operator.device_subscriber import DeviceSubscriber
 from station.operator.driver import Driver, DriverKind
 from station.operator.driving import Driven, Driving, buttons_to_drive
-from station.operator.ear import Ear
-from station.operator.leaving import Leaving
+from station.operator.exit_blend import ExitBlend
 from station.operator.requests import ArmButtons, RecordButtons, Requests, StopPresser
 from station.operator.robot_side import RobotSide
 from station.operator.writer import CommandWriter
@@ -112,7 +112,7 @@ def main(config: TeleopConfig, life: Life) -> int:
     driver = kind.make(config.typed_options(), config.operator)
     config = msgspec.structs.replace(config, rate_hz=config.rate_hz or kind.rate_hz)
     life.configured(_facts(life, config, driver, bound))
-    watched = [*Ear.watched(config.device, config.controls_from), *RobotSide.watched(driver.form.robot),
+    watched = [*DeviceSubscriber.watched(config.device, config.controls_from), *RobotSide.watched(driver.form.robot),
                driver.form.key, keys.RECORDER]  # fmt: skip
     with life.bus.watch(watched) as watch:
         if not life.ready():
@@ -163,7 +163,7 @@ class Teleop:
         self._config, self._life, self._driver, self._watch = config, life, driver, watch
         self._form = driver.form
         self._driving = Driving(driver, Buttons(bound))
-        self._ear = Ear(watch, config.device, config.controls_from)
+        self._ear = DeviceSubscriber(watch, config.device, config.controls_from)
         self._robot = RobotSide(watch, self._form.robot, len(self._form.default), stays=self._form.stays)
         self._own_key = OwnKey(life, self._form.key)
         self._writer = CommandWriter(life, driver.form, device=config.device, driver=driver.name)
@@ -176,7 +176,7 @@ class Teleop:
         self._clock = life.clock
         self._heard_s = self._clock.monotonic_s()
         self._taken_up: Floats | None = None
-        self._leaving: Leaving | None = None
+        self._leaving: ExitBlend | None = None
 
     def run(self) -> None:
         """Drive to the end; on an error blend to the default first, then raise it."""
@@ -204,7 +204,7 @@ class Teleop:
     def _tick(self, dt_s: float) -> None:
         now_ns = self._clock.monotonic_ns()
         if self._leaving is None and self._life.stopping:
-            self._leaving = Leaving(self._form, self._config.leave_s)
+            self._leaving = ExitBlend(self._form, self._config.leave_s)
         heard = self._ear.hear()
         if not heard.flaw:
             self._heard_s = now_ns * 1e-9
@@ -276,13 +276,13 @@ class Teleop:
         self._requests.obey(pressed)
         if "exit" in pressed.started and self._leaving is None:
             self._life.event("operator-exit", device=self._config.device)
-            self._leaving = Leaving(self._form, self._config.leave_s)
+            self._leaving = ExitBlend(self._form, self._config.leave_s)
 
     def _leave_blindly(self, pace: WallPace) -> None:
         """Blend from the last command to the default, without anything that may have broken."""
         if not self._speaks or self._writer.newest is None:
             return
-        leaving = Leaving(self._form, self._config.leave_s)
+        leaving = ExitBlend(self._form, self._config.leave_s)
         while not leaving.is_done:
             self._writer.write_alone(leaving.step(self._writer.newest, pace.wait(is_leaving=True), is_still=True))
 

@@ -15,9 +15,9 @@ import msgspec
 from station import registry, side_by_side
 from station.bus import codec
 from station.contract import names_of
+from station.control.command_validator import CommandSample
 from station.control.control import ControlStep, Resettable, StepRecord
 from station.control.gate import GateConfig
-from station.control.inlet import CommandSample
 from station.control.rig import Rig, RigConfig, build
 from station.control.tracking import TrackingError
 from station.motion.playback import Frame, Playback

@@ -29,8 +29,8 @@ HEAVY = (
 )  # fmt: skip
 
 NO_VERBS = {
-    "__init__", "calibrate_operator", "candidates", "face", "fields", "keyboard", "main", "options", "quality",
-    "readings", "stop_key", "tables",
+    "__init__", "calibrate_operator", "candidates", "fields", "keyboard", "main", "options", "quality",
+    "readings", "stop_key", "tables", "terminal_ui",
 }  # fmt: skip
 """Modules of `station.cli` that verbs share."""
 

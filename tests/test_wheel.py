@@ -50,7 +50,7 @@ from station.bus.sample import Sample
 from station.errors import StationError, UnknownName
 from station.life.server import Life, ServerKind
 from station.operator.device import DeviceError
-from station.operator.reading import Reading
+from station.operator.sample import Reading
 from station.protocols import Floats, Floats32, JointTargets, Policy, PolicySpec, RobotState
 
 

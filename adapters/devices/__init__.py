@@ -1,1 +1,1 @@
-"""Devices of an operator: each folder translates one library into `station.operator.reading`. No loop, no bus."""
+"""Devices of an operator: each folder translates one library into `station.operator.sample`. No loop, no bus."""

@@ -27,7 +27,7 @@ from station.errors import ConfigError
 from station.operator import deltas
 from station.operator.deadman import Snapshot
 from station.operator.driver import Look
-from station.operator.reading import Pose, Reading
+from station.operator.sample import OperatorSample, Pose
 from station.protocols import CommandFormat, Floats
 
 TOOL = "tool"
@@ -117,7 +117,7 @@ class ArmDriver:
         """The target stays where it is while the operator moves nothing."""
         return True
 
-    def look(self, reading: Reading) -> Look:
+    def look(self, reading: OperatorSample) -> Look:
         """Require a leader, a tracked hand, a twist or controls; to begin, a leader must be near the arm."""
         found = self._input(reading)
         if isinstance(found, str):
@@ -142,7 +142,7 @@ class ArmDriver:
             self._choice.joint = self._parts[self._mode].start
         return self._mode
 
-    def step(self, reading: Reading | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+    def step(self, reading: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
         """Go on for a period; without a snapshot the target stands."""
         if reading is not None and self._mode != TOOL:
             self._choice.step(reading.controls)
@@ -167,13 +167,13 @@ class ArmDriver:
         options = msgspec.to_builtins(self._options, enc_hook=str)
         return {"driver": self.name, **options, "modes": list(self._modes), "limits": self._limits}
 
-    def _input(self, reading: Reading) -> ArmInput | str:
+    def _input(self, reading: OperatorSample) -> ArmInput | str:
         needs_head = self._options.heading == "head"
         return arm_input.of(
             reading, self._options.hand, joints=len(self._joints), needs_head=needs_head, is_tool=self._mode == TOOL
         )
 
-    def _anchored(self, snapshot: Snapshot[ArmInput, Floats], reading: Reading) -> _Anchor:
+    def _anchored(self, snapshot: Snapshot[ArmInput, Floats], reading: OperatorSample) -> _Anchor:
         found, pose = self._input(reading), None
         if self._mode == TOOL and self._tool is not None:
             self._tool.rest(self._q)
@@ -181,7 +181,7 @@ class ArmDriver:
         poses = found.poses if isinstance(found, ArmInput) and found.poses is not None else {}
         return _Anchor(snapshot, self._mode, poses, pose)
 
-    def _moved(self, reading: Reading, anchor: _Anchor, dt_s: float) -> Floats:
+    def _moved(self, reading: OperatorSample, anchor: _Anchor, dt_s: float) -> Floats:
         """Return the joints after a period [s]; those of a sample that moves nothing, or holds nothing, stand."""
         found, reach = self._input(reading), self._options.speed_rad_s * dt_s
         if isinstance(found, str):
@@ -199,7 +199,9 @@ class ArmDriver:
                 way[joint] = sign * min(max(float(reading.twist[axis]), -1.0), 1.0)
         return self._q + way * reach
 
-    def _moved_by_tool(self, tool: ArmTool, reading: Reading, found: ArmInput, anchor: _Anchor, dt_s: float) -> Floats:
+    def _moved_by_tool(
+        self, tool: ArmTool, reading: OperatorSample, found: ArmInput, anchor: _Anchor, dt_s: float
+    ) -> Floats:
         options, hand = self._options, self._options.hand
         assert anchor.tool is not None
         if found.poses is not None and hand in anchor.poses:

@@ -10,7 +10,7 @@ import numpy as np
 
 from adapters.drivers.sticks import live, summed
 from station.operator import deltas
-from station.operator.reading import Pose, Reading, Side
+from station.operator.sample import OperatorSample, Pose, Side
 from station.protocols import Floats
 
 Kind = Literal["leader", "hand", "twist", "controls"]
@@ -48,7 +48,7 @@ class ArmInput:
     poses: Mapping[str, Pose] | None = None
 
 
-def of(reading: Reading, hand: Side, *, joints: int, needs_head: bool, is_tool: bool) -> ArmInput | str:
+def of(reading: OperatorSample, hand: Side, *, joints: int, needs_head: bool, is_tool: bool) -> ArmInput | str:
     """Return what a sample asks of an arm, or what it lacks.
 
     Args:
@@ -86,7 +86,7 @@ def jump(before: ArmInput, now: ArmInput, joint_names: Sequence[str]) -> str:
     return deltas.jump(before.poses, now.poses) if before.poses and now.poses else ""
 
 
-def tool_deflection(reading: Reading) -> Floats:
+def tool_deflection(reading: OperatorSample) -> Floats:
     """Return what a twist, or else sticks and keys ask of the tool: vx vy vz wx wy wz, -1 to 1, shape (6,)."""
     if reading.twist is not None:
         return np.clip(reading.twist, -1.0, 1.0)
@@ -129,7 +129,7 @@ def _leader(joints: Floats, count: int) -> ArmInput | str:
     return ArmInput("leader", joints=joints[:count])
 
 
-def _hand(reading: Reading, hand: Side, *, needs_head: bool) -> ArmInput | str:
+def _hand(reading: OperatorSample, hand: Side, *, needs_head: bool) -> ArmInput | str:
     found: dict[str, Pose | None] = {hand: reading.left if hand == "left" else reading.right}
     if needs_head:
         found["head"] = reading.head

@@ -9,7 +9,7 @@ from typing import Literal
 import msgspec
 
 from station import registry
-from station.operator.reading import Side
+from station.operator.sample import Side
 
 Corner = tuple[float, float, float]
 

@@ -9,7 +9,7 @@ from adapters.retarget.tcp import TcpFollower
 from adapters.robots.serial_chain import SerialChain
 from station import rotations
 from station.operator import deltas
-from station.operator.reading import Pose
+from station.operator.sample import Pose
 from station.protocols import Floats
 
 LEAD_M, LEAD_RAD = 0.01, 0.05

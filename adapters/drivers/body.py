@@ -9,9 +9,9 @@ import numpy as np
 
 from adapters.commands.twist2 import FORMAT
 from adapters.drivers.body_on_legs import HEAD
+from adapters.drivers.command_shaper import CommandShaper
 from adapters.drivers.fingers import Fingers
 from adapters.drivers.neck import SCALE, Neck
-from adapters.drivers.outlet import Outlet
 from adapters.retarget.arm_ik import ARMS
 from adapters.robots.g1.joints import G1_29
 from station.blends import times_to_standing
@@ -20,7 +20,7 @@ from station.errors import StationError
 from station.operator import deltas
 from station.operator.deadman import Snapshot
 from station.operator.driver import Look
-from station.operator.reading import Body, Pose, Reading
+from station.operator.sample import Body, OperatorSample, Pose
 from station.protocols import CommandFormat, Floats, Reference
 
 LEAVE_S = 2.0
@@ -63,7 +63,7 @@ class BodyDriver:
         self, retarget: Retarget, *, calibration: Mapping[str, Any] | None = None, neck_scale: float = SCALE
     ) -> None:
         self._retarget, self._calibration = retarget, dict(calibration or {})
-        self._outlet, self._fingers, self._neck = Outlet(FORMAT), Fingers(), Neck(neck_scale)
+        self._shaper, self._fingers, self._neck = CommandShaper(FORMAT), Fingers(), Neck(neck_scale)
         self._neck_scale = neck_scale
         self._held: Snapshot[Any, Any] | None = None
         self._rest = np.array(FORMAT.default)
@@ -79,7 +79,7 @@ class BodyDriver:
     @property
     def target(self) -> Floats:
         """The command that stands."""
-        return self._outlet.sent.copy()
+        return self._shaper.sent.copy()
 
     @property
     def companions(self) -> Mapping[str, Floats]:
@@ -91,7 +91,7 @@ class BodyDriver:
         """Whether the robot has come to a stand."""
         return self._held is None and self._left_s <= 0.0
 
-    def look(self, reading: Reading) -> Look:
+    def look(self, reading: OperatorSample) -> Look:
         """A body is needed, at a time of the device."""
         if reading.body is None:
             return Look(None, "the body is not tracked")
@@ -107,35 +107,35 @@ class BodyDriver:
         """There is but one."""
         return self.mode
 
-    def step(self, reading: Reading | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+    def step(self, reading: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
         """Go on for a period; without a snapshot the robot comes to a stand, arms as they are."""
         self._see(reading)
         if snapshot is not self._held:
             self._held = snapshot
             if snapshot is not None:
-                self._outlet.begin()
+                self._shaper.begin()
             else:
                 self._let_go()
         self._left_s = max(self._left_s - dt_s, 0.0) if snapshot is None else 0.0
         if snapshot is None or self._live is None:
-            return self._outlet.send(self._rest, dt_s)
+            return self._shaper.send(self._rest, dt_s)
         if reading is not None:
             self._fingers.step(reading.controls, dt_s)
             if reading.body is not None:
                 self._neck.follow(reading.body.quats_wxyz[_CHEST], reading.body.quats_wxyz[_HEAD], dt_s)
-        return self._outlet.send(self._live, dt_s)
+        return self._shaper.send(self._live, dt_s)
 
     def take_up(self, command: Floats) -> None:
         """Continue from another writer's command; it holds until the operator engages."""
-        self._outlet.take_up(command)
-        self._rest, self._left_s = self._outlet.sent.copy(), 0.0
+        self._shaper.take_up(command)
+        self._rest, self._left_s = self._shaper.sent.copy(), 0.0
 
     def facts(self) -> dict[str, Any]:
         """Return the name, whose calibration it goes by, and what the layers of the retargeting are set to."""
         calibration = {"calibration": self._calibration} if self._calibration else {}
         return {"driver": self.name, "neck_scale": self._neck_scale, **calibration, "retarget": self._retarget.facts()}
 
-    def _see(self, reading: Reading | None) -> None:
+    def _see(self, reading: OperatorSample | None) -> None:
         """Retarget while the operator is not engaged as well: what is blended into must be under way already."""
         if reading is None or reading.body is None or reading.capture_ns is None:
             self._flaw = ""
@@ -151,9 +151,9 @@ class BodyDriver:
     def _let_go(self) -> None:
         self._rest = np.array(FORMAT.default)
         arms = [HEAD + G1_29.index(name) for name in ARMS]
-        self._rest[arms] = self._outlet.sent[arms]
+        self._rest[arms] = self._shaper.sent[arms]
         self._left_s = LEAVE_S
-        self._outlet.begin(times_to_standing(FORMAT, LEAVE_S))
+        self._shaper.begin(times_to_standing(FORMAT, LEAVE_S))
 
 
 def _watched(body: Body) -> dict[str, Pose]:

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from adapters.commands.twist2 import FORMAT
+from adapters.drivers.command_shaper import CommandShaper
 from adapters.drivers.fingers import Fingers
-from adapters.drivers.outlet import Outlet
 from adapters.drivers.sticks import Sticks
 from adapters.retarget.arm_ik import ARMS
-from adapters.retarget.walking import Walker, Wish
+from adapters.retarget.walking import VelocityCommand, Walker
 from adapters.robots.g1.joints import G1_29
 from station.protocols import Floats
 
@@ -26,7 +26,7 @@ class BodyOnLegs:
     """
 
     def __init__(self) -> None:
-        self.outlet = Outlet(FORMAT)
+        self.shaper = CommandShaper(FORMAT)
         self.sticks, self.fingers = Sticks(), Fingers()
         self._walker = Walker()
         self._has_begun = False
@@ -43,19 +43,19 @@ class BodyOnLegs:
 
     def joints(self, names: tuple[str, ...] = ARMS) -> Floats:
         """Return joints of the command that stands [rad]."""
-        return self.outlet.sent[[HEAD + G1_29.index(name) for name in names]]
+        return self.shaper.sent[[HEAD + G1_29.index(name) for name in names]]
 
     def take_up(self, command: Floats) -> None:
         """Continue from another writer's command; the legs stand from now on."""
-        self.outlet.take_up(command)
+        self.shaper.take_up(command)
         self.sticks, self._walker, self._has_begun = Sticks(), Walker(), False
 
     def begin(self) -> Floats:
         """Go from the command that stands to what is asked from now on; return the former."""
         self._has_begun = True
-        return self.outlet.sent.copy()
+        return self.shaper.sent.copy()
 
-    def send(self, wish: Wish, dt_s: float, arms: Mapping[str, float] | None = None) -> Floats:
+    def send(self, wish: VelocityCommand, dt_s: float, arms: Mapping[str, float] | None = None) -> Floats:
         """Go on for a period [s].
 
         Args:
@@ -67,9 +67,9 @@ class BodyOnLegs:
             The command.
         """
         if not self._has_begun:
-            return self.outlet.sent.copy()
+            return self.shaper.sent.copy()
         reference = self._walker.step(dt_s, wish, arms)
-        return self.outlet.send(FORMAT.encode(reference, G1_29), dt_s)
+        return self.shaper.send(FORMAT.encode(reference, G1_29), dt_s)
 
 
 def named(names: tuple[str, ...], values: Floats) -> dict[str, float]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from adapters.robots.g1 import twist_keys
-from station.operator.reading import Side
+from station.operator.sample import Side
 from station.protocols import Floats
 
 CLOSING_RATE = 5.0

@@ -20,7 +20,7 @@ from station import rotations
 from station.operator import deltas
 from station.operator.deadman import Snapshot
 from station.operator.driver import Look
-from station.operator.reading import Pose, Reading, Side
+from station.operator.sample import OperatorSample, Pose, Side
 from station.protocols import CommandFormat, Floats
 
 Poses = Mapping[str, Pose]
@@ -93,7 +93,7 @@ class HandsDriver:
         """Whether the legs stand."""
         return self._body.is_standing
 
-    def look(self, reading: Reading) -> Look:
+    def look(self, reading: OperatorSample) -> Look:
         """Both hands are needed, and the head where it tells what is forward."""
         found: dict[str, Pose | None] = {side: getattr(reading, side) for side in self._options.sides}
         if self._options.heading == "head":
@@ -110,7 +110,7 @@ class HandsDriver:
         self._walks = not self._walks
         return self.mode
 
-    def step(self, reading: Reading | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+    def step(self, reading: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
         """Go on for a period; without a snapshot the arms stay and the legs come to a stand."""
         sticks, wish = self._body.sticks, self._body.sticks.rest()
         if snapshot is not self._held:  # engaged or let go in this tick: the arms stay where they are asked to be
@@ -135,7 +135,7 @@ class HandsDriver:
         """Name and options."""
         return {"driver": self.name, **msgspec.to_builtins(self._options)}
 
-    def _turn_neck(self, snapshot: Snapshot[Poses, Palms], reading: Reading, dt_s: float) -> None:
+    def _turn_neck(self, snapshot: Snapshot[Poses, Palms], reading: OperatorSample, dt_s: float) -> None:
         """Turn the neck as the headset is turned from what is forward; where nobody wears one it stays."""
         if reading.head is None or deltas.flaw(reading.head):
             return
@@ -147,7 +147,7 @@ class HandsDriver:
             return 0.0
         return float(rotations.roll_pitch_yaw(snapshot.start["head"].quat_wxyz)[2])
 
-    def _goals(self, snapshot: Snapshot[Poses, Palms], reading: Reading) -> dict[Side, Pose]:
+    def _goals(self, snapshot: Snapshot[Poses, Palms], reading: OperatorSample) -> dict[Side, Pose]:
         heading = self._heading_rad(snapshot)
         goals: dict[Side, Pose] = {side: snapshot.target[side] for side in SIDES}
         for side in self._options.sides:

@@ -14,7 +14,7 @@ from station import rotations
 from station.operator import deltas
 from station.operator.deadman import Snapshot
 from station.operator.driver import Look
-from station.operator.reading import Pose, Reading, Side
+from station.operator.sample import OperatorSample, Pose, Side
 from station.protocols import CommandFormat, Floats
 
 MODES: tuple[str, ...] = (*SIDES, "walk")
@@ -62,7 +62,7 @@ class JogDriver:
         """Whether the legs stand."""
         return self._body.is_standing
 
-    def look(self, reading: Reading) -> Look:
+    def look(self, reading: OperatorSample) -> Look:
         """A twist is needed."""
         if reading.twist is None or not np.isfinite(reading.twist).all():
             return Look(None, "the device sends no twist")
@@ -78,7 +78,7 @@ class JogDriver:
         self._goals = self._ik.palms
         return self.mode
 
-    def step(self, reading: Reading | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+    def step(self, reading: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
         """Go on for a period; without a snapshot everything comes to rest."""
         sticks, wish = self._body.sticks, self._body.sticks.rest()
         if snapshot is not self._held:

@@ -15,7 +15,7 @@ from adapters.robots.g1 import joints as g1
 from station.errors import did_you_mean
 from station.operator.deadman import Snapshot
 from station.operator.driver import Look
-from station.operator.reading import Reading, Side
+from station.operator.sample import OperatorSample, Side
 from station.protocols import CommandFormat, Floats
 
 APART_RAD = 0.8
@@ -96,7 +96,7 @@ class JointsDriver:
         """The legs always stand."""
         return self._body.is_standing
 
-    def look(self, reading: Reading) -> Look:
+    def look(self, reading: OperatorSample) -> Look:
         """As many joints as configured are needed, each near the robot's for a beginning."""
         count = len(self._options.joints) + len(self._options.grippers)
         joints = reading.joints
@@ -126,7 +126,7 @@ class JointsDriver:
         """There is but one."""
         return self.mode
 
-    def step(self, reading: Reading | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+    def step(self, reading: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
         """Go on for a period; without a snapshot the arms stay."""
         if snapshot is not self._held:
             self._held = snapshot

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from adapters.retarget.walking import FASTEST, FASTEST_BACK, HIGHEST_M, LOWEST_M, Wish
+from adapters.retarget.walking import FASTEST, FASTEST_BACK, HIGHEST_M, LOWEST_M, VelocityCommand
 
 DEAD_BAND = 0.12
 """A stick nearer to its middle rests there."""
@@ -26,24 +26,24 @@ class Sticks:
     def __init__(self) -> None:
         self.height = HIGHEST_M
 
-    def wish(self, controls: Mapping[str, float], dt_s: float) -> Wish:
+    def wish(self, controls: Mapping[str, float], dt_s: float) -> VelocityCommand:
         """Return what controls ask for after a period [s]; one that is missing rests."""
         return self.deflected(
             summed(controls, _FORWARD), summed(controls, _LEFT), summed(controls, _TURN_LEFT),
             summed(controls, _UP), dt_s,
         )  # fmt: skip
 
-    def deflected(self, forward: float, left: float, turn_left: float, up: float, dt_s: float) -> Wish:
+    def deflected(self, forward: float, left: float, turn_left: float, up: float, dt_s: float) -> VelocityCommand:
         """Return what deflections from -1 to 1 ask for after a period [s]."""
         self.height = min(max(self.height + live(up) * HEIGHT_RATE * dt_s, LOWEST_M), HIGHEST_M)
         ahead = live(forward)
         fastest = FASTEST[0] if ahead > 0.0 else FASTEST_BACK
         sideways, turning = live(left) * FASTEST[1], live(turn_left) * FASTEST[2]
-        return Wish(float(ahead * fastest), float(sideways), float(turning), self.height)
+        return VelocityCommand(float(ahead * fastest), float(sideways), float(turning), self.height)
 
-    def rest(self) -> Wish:
+    def rest(self) -> VelocityCommand:
         """Return the wish to stand, as high as before."""
-        return Wish(height=self.height)
+        return VelocityCommand(height=self.height)
 
 
 def summed(controls: Mapping[str, float], signs: Mapping[str, float]) -> float:

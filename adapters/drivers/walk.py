@@ -9,7 +9,7 @@ from adapters.commands.twist2 import FORMAT
 from adapters.drivers.body_on_legs import BodyOnLegs
 from station.operator.deadman import Snapshot
 from station.operator.driver import Look
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 from station.protocols import CommandFormat, Floats
 
 
@@ -43,7 +43,7 @@ class WalkDriver:
         """Whether the legs stand."""
         return self._body.is_standing
 
-    def look(self, reading: Reading) -> Look:
+    def look(self, reading: OperatorSample) -> Look:
         """Any controls will do."""
         return Look(reading.controls) if reading.controls else Look(None, "the device sends no controls")
 
@@ -55,7 +55,7 @@ class WalkDriver:
         """There is but one."""
         return self.mode
 
-    def step(self, reading: Reading | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+    def step(self, reading: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
         """Go on for a period; without a snapshot the legs come to a stand."""
         wish = self._body.sticks.rest()
         if snapshot is not self._held:

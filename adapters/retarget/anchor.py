@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from station import rotations
-from station.operator.reading import Body
+from station.operator.sample import Body
 from station.protocols import Floats
 
 JUMP_M = 0.3

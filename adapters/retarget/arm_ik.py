@@ -17,7 +17,7 @@ from adapters.robots.g1 import joints as g1
 from adapters.robots.g1.joints import G1_29, LEGS
 from station import assets
 from station.errors import StationError
-from station.operator.reading import Pose, Side
+from station.operator.sample import Pose, Side
 from station.protocols import Floats
 
 SIDES: tuple[Side, Side] = ("left", "right")

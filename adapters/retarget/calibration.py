@@ -22,7 +22,7 @@ from adapters.retarget.human import INDEX, SIDES, Proportions, of_height, standi
 from station import rotations
 from station.bus.joints import SMPL_24
 from station.errors import BadFile, StationError
-from station.operator.reading import Body
+from station.operator.sample import Body
 from station.protocols import Floats
 
 Pose = Literal["t-pose", "standing"]

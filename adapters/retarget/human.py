@@ -15,12 +15,12 @@ import numpy as np
 from adapters.retarget.bone_frames import along_z, directed, to_quats
 from station import rotations
 from station.bus.joints import SMPL_24
-from station.operator.reading import Body
+from station.operator.sample import Body
 from station.protocols import Floats
 
 SIDES = ("left", "right")
 INDEX = {name: index for index, name in enumerate(SMPL_24)}
-"""Place of a joint in a `station.operator.reading.Body`."""
+"""Place of a joint in a `station.operator.sample.Body`."""
 
 OUT = np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
 """Where an arm points in its rest frame, left and right, shape (2, 3)."""

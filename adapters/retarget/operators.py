@@ -13,7 +13,7 @@ from adapters.retarget.calibration import MEASURE, Calibration, Pose
 from adapters.retarget.scaling import segments
 from station.errors import BadFile, UsageError, did_you_mean
 from station.operator.measure import Measured
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 
 _POSES: dict[str, Pose] = {"t": "t-pose", "standing": "standing"}
 _UPRIGHT = "stand straight, feet flat below the hips and pointing forward, look ahead, arms "
@@ -77,7 +77,7 @@ class BodyMeasure:
         "standing": _UPRIGHT + "hanging, palms to the thighs",
     }
 
-    def flaw(self, reading: Reading) -> str:
+    def flaw(self, reading: OperatorSample) -> str:
         """A body is needed, and when it was seen."""
         if reading.body is None:
             return "the body is not tracked; are the trackers on, and is body tracking started in the headset?"
@@ -87,7 +87,9 @@ class BodyMeasure:
         """See `file_of`."""
         return file_of(operator)
 
-    def measure(self, readings: Sequence[Reading], operator: str, pose: str, *, device: str, source: str) -> Measured:
+    def measure(
+        self, readings: Sequence[OperatorSample], operator: str, pose: str, *, device: str, source: str
+    ) -> Measured:
         """Measure an operator; raises `adapters.retarget.calibration.NotCalibrated`."""
         bodies = [reading.body for reading in readings if reading.body is not None]
         found = calibration.calibrate(bodies, operator, _pose(pose), device=device, source=source)

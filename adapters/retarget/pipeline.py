@@ -17,7 +17,7 @@ from adapters.retarget.smoothing import BodySmoother
 from adapters.robots.g1.joints import G1_29
 from station.bus.joints import SMPL_24
 from station.errors import StationError
-from station.operator.reading import Body
+from station.operator.sample import Body
 from station.protocols import Floats, Reference
 
 PAUSE_S = 0.25

@@ -17,7 +17,7 @@ from adapters.retarget.calibration import Calibration
 from adapters.retarget.human import G1_SIZED, INDEX, SIDES, Proportions, knees
 from adapters.retarget.skeleton import HAND_REST
 from adapters.robots.g1 import kinematics
-from station.operator.reading import Body
+from station.operator.sample import Body
 from station.protocols import Floats
 
 STRAIGHTEST = 0.995

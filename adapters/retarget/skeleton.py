@@ -13,7 +13,7 @@ import numpy as np
 from adapters.retarget.bone_frames import along_y
 from adapters.retarget.human import G1_SIZED, Posture, Proportions, assembled, of_height
 from adapters.robots.g1 import kinematics
-from station.operator.reading import Body
+from station.operator.sample import Body
 from station.protocols import Floats, Reference
 
 HIP_PITCH_Z = -G1_SIZED.hip_drop

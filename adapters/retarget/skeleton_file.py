@@ -24,7 +24,7 @@ import numpy as np
 from adapters.motions import raw
 from station.bus.joints import SMPL_24
 from station.errors import BadFile
-from station.operator.reading import Body
+from station.operator.sample import Body
 from station.protocols import Floats
 
 _SHAPES: dict[str, tuple[int, ...]] = {

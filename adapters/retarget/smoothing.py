@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from station import rotations
-from station.operator.reading import Body
+from station.operator.sample import Body
 from station.protocols import Floats
 
 

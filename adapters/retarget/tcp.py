@@ -11,7 +11,7 @@ import numpy as np
 
 from station import rotations
 from station.operator.deltas import angle_between
-from station.operator.reading import Pose
+from station.operator.sample import Pose
 from station.protocols import Floats
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from adapters.robots.serial_chain import SerialChain
 from station import rotations
-from station.operator.reading import Pose
+from station.operator.sample import Pose
 from station.protocols import Floats
 
 ARM_LENGTH_M = 0.3

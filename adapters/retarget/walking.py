@@ -73,7 +73,7 @@ _HIGHEST = legs.highest(
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class VelocityCommand:
     """What the sticks ask for; more than the legs can is cut off.
 
     Attributes:
@@ -118,7 +118,7 @@ class Walker:
         """What is asked of the whole body now; joints in the order of `adapters.robots.g1.joints.G1_29`."""
         return self._reference
 
-    def step(self, dt_s: float, wish: Wish, upper: Mapping[str, float] | None = None) -> Reference:
+    def step(self, dt_s: float, wish: VelocityCommand, upper: Mapping[str, float] | None = None) -> Reference:
         """Go on for a period.
 
         Args:
@@ -209,7 +209,7 @@ class Walker:
         return Reference(position, quat, linear, angular, q)
 
 
-def _possible(wish: Wish) -> Floats:
+def _possible(wish: VelocityCommand) -> Floats:
     """The velocity of a wish, within what the legs can; in a curve so far inward that the robot does not leave it."""
     lowest = np.array((-FASTEST_BACK, *-FASTEST[1:]))
     velocity = np.clip((wish.velocity_x, wish.velocity_y, wish.yaw_rate), lowest, FASTEST)

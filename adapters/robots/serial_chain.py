@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from station import rotations
-from station.operator.reading import Pose
+from station.operator.sample import Pose
 from station.protocols import Floats
 
 Axis = Literal["x", "y", "z"]

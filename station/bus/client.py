@@ -193,7 +193,7 @@ class Bus:
         self.close()
 
     def _account(self, connection: Connection, answers: list[Any]) -> bool:
-        """Take note of the answers to writes; return whether one was refused.
+        """Record the answers to writes; return whether one was refused.
 
         Raises:
             ConnectionLost: answers are owed, and none has come for too long.
@@ -220,7 +220,7 @@ class Bus:
         return bool(refusals)
 
     def _refuse(self, count: int, answer: hiredis.ReplyError) -> None:
-        """Take note of writes that the server does not take: it is full, loading, or not for us to write."""
+        """Record writes that the server does not take: it is full, loading, or not for us to write."""
         if not self._refused:
             self._refused_s = self.clock.monotonic_s()
         self._refused += count
@@ -234,7 +234,7 @@ class Bus:
         self._refused, self.last_error = 0, ""
 
     def _lose(self, error: BusError) -> None:
-        """Take note of a lost connection and look for it in the background; called with the lock held."""
+        """Record a lost connection and look for it in the background; called with the lock held."""
         began_s = self._heard_s if self._unanswered else self.clock.monotonic_s()
         lost = sum(self._unanswered)  # the server may have taken some: counted as lost, to be honest
         before = self.lost_writes

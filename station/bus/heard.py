@@ -40,7 +40,7 @@ class Hearing:
         self.span = Heard(now_ns, now_ns)
 
     def prove(self, asked_ns: int, now_ns: int) -> None:
-        """Take note of an answer, once all that was told before it has been taken up.
+        """Record an answer, once all that was told before it has been taken up.
 
         Args:
             asked_ns: When the question was asked.
@@ -62,13 +62,13 @@ class Told(Generic[ValueT]):
         self._differing: dict[str, ValueT] = {}
 
     def note(self, values: Mapping[str, ValueT]) -> None:
-        """Take note of keys that were read because something was told of them, or as the first thing."""
+        """Record keys that were read because something was told of them, or as the first thing."""
         self._known.update(values)
         for key in values:
             self._differing.pop(key, None)
 
     def look(self, values: Mapping[str, ValueT]) -> None:
-        """Take note of keys that were read unasked, before the question is put."""
+        """Record keys that were read unasked, before the question is put."""
         self._differing = {key: value for key, value in values.items() if value != self._known.get(key)}
 
     def untold(self) -> str:

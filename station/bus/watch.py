@@ -227,7 +227,7 @@ class Watch:
             )
 
     def _note(self, message: Any, touched: Counter[str]) -> None:
-        """Take note of a message: that a key was written, or the answer to a probe."""
+        """Record a message: that a key was written, or the answer to a probe."""
         if isinstance(message, list) and message[0] == b"message":
             touched[message[1].decode("utf-8", "surrogateescape")[len(self._prefix) :]] += 1
         elif self._answered_ns < self._asked_ns and is_answer(message):
@@ -236,7 +236,7 @@ class Watch:
             raise ConnectionLost(f"bus {self._address}: {message!r} came where writes are told of")
 
     def _hear_all(self, events: Connection, touched: Counter[str]) -> None:
-        """Take note of every message of what was written by now: all come before the answer to a question.
+        """Record every message of what was written by now: all come before the answer to a question.
 
         Raises:
             ConnectionLost: no answer in time.

@@ -40,19 +40,19 @@ def serve_camera(
     """
     key = keys.camera_image(name)
     head = {"server": life.name, "role": "sensor", "camera": name, "key": key, "fps_wanted": fps, **facts}
-    desk = _Desk(life, open_camera, key, head)
+    camera_loop = _CameraLoop(life, open_camera, key, head)
     try:
         if not life.ready():
             return 0
-        desk.begin()
+        camera_loop.begin()
         while not life.stopping:
-            desk.step()
+            camera_loop.step()
     finally:
-        desk.close()
+        camera_loop.close()
     return 0
 
 
-class _Desk:
+class _CameraLoop:
     """Between a camera and the bus."""
 
     def __init__(self, life: Life, open_camera: Callable[[], Camera], key: str, head: Mapping[str, Any]) -> None:

@@ -10,7 +10,7 @@ import click
 from station.clock import SYSTEM
 from station.operator.device import Device, DeviceError
 from station.operator.device_kind import DeviceKind
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 
 _PERIOD_S = 0.02
 
@@ -48,7 +48,7 @@ def _show(device: Device) -> None:
         device.close()
 
 
-def _line(reading: Reading) -> str:
+def _line(reading: OperatorSample) -> str:
     parts = [f"{name}={value:.3g}" for name, value in reading.controls.items() if value]
     for name, vector in (("twist", reading.twist), ("joints", reading.joints)):
         if vector is not None:

@@ -68,13 +68,13 @@ def run(
     """
     from station.bus import address as addresses
     from station.bus.discovery import found_or_started
-    from station.cli.face import TerminalFace
+    from station.cli.terminal_ui import TerminalUI
 
     named = addresses.parse(bus) if bus else None
     names = [step.start for step in book.servers]
     with (
         _stop_on_signals() as stop,
-        TerminalFace(stop, is_brief=is_brief) as face,
+        TerminalUI(stop, is_brief=is_brief) as face,
         found_or_started(named, on_restart=lambda text: face.say(text, "warning")) as address,
     ):
         with Bus(address, name="supervisor", timeout_s=1.0) as line, face.watching(line, names):

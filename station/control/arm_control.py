@@ -16,10 +16,10 @@ import numpy as np
 
 from station.arms import ArmSession, ArmState
 from station.clock import SYSTEM, Clock
-from station.control.commanded import Commanded, Happening
+from station.control.command_path import CommandPath, Happening
+from station.control.command_validator import CommandSample
 from station.control.gate import Decision, GateConfig
 from station.control.gate_state import FOLLOWING, MOVING
-from station.control.inlet import CommandSample
 from station.protocols import CommandFormat, Floats
 
 _DISARMED = "the arm was disarmed"
@@ -61,7 +61,7 @@ class ArmRecord:
 
 
 class ArmControl:
-    """An arm's session and the gate between it and the command (`station.control.commanded.Control`).
+    """An arm's session and the gate between it and the command (`station.control.command_path.Control`).
 
     Args:
         session: With the arm's controller.
@@ -78,7 +78,7 @@ class ArmControl:
         self, session: ArmSession, form: CommandFormat, *, gate: GateConfig, is_armed: bool, clock: Clock = SYSTEM
     ) -> None:
         self.session, self._clock = session, clock
-        self.commanded = Commanded(form, gate, is_armed=is_armed, ramp_s=0.0)
+        self.commanded = CommandPath(form, gate, is_armed=is_armed, ramp_s=0.0)
         self._target: Floats | None = None  # newest target that was taken; None: not engaged
         self._refusal = ""  # of this tick
         self._was_refused = False  # whether it took none when it was last handed one
@@ -110,7 +110,7 @@ class ArmControl:
             self._release()
         elif decision.state in MOVING:
             sent_ns = self._clock.monotonic_ns() if self._send(decision.vector, state) else 0
-        good = self.commanded.inlet.good
+        good = self.commanded.validator.good
         stages = (good.written_ns if good else 0, good.arrived_ns if good else 0, state.mono_ns)
         return ArmRecord(
             tick=self._tick,

@@ -6,13 +6,13 @@ import msgspec
 
 from station.bus import codec, keys
 from station.control.arm_control import ArmRecord
-from station.control.commanded import Commanded, told_of_gate
+from station.control.command_path import CommandPath, gate_status
 from station.life.arm_request import ArmAnswer
 from station.life.controller_request import ControllerAnswer
 
 
 def result_values(
-    robot: str, record: ArmRecord, commanded: Commanded, armed: ArmAnswer | None, asked: ControllerAnswer | None
+    robot: str, record: ArmRecord, commanded: CommandPath, armed: ArmAnswer | None, asked: ControllerAnswer | None
 ) -> dict[str, bytes]:
     """Return the values of a tick by key.
 
@@ -23,7 +23,7 @@ def result_values(
         armed: Answer to the last request to arm.
         asked: Answer to a request to the controller.
     """
-    gate = told_of_gate(record.decision, commanded)
+    gate = gate_status(record.decision, commanded)
     if record.refusal:
         gate["target_refused"] = record.refusal
     if armed is not None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Literal
 
+from station.control.command_validator import CommandValidator
 from station.control.gate import Gate
-from station.control.inlet import Inlet
 from station.protocols import JointTargets
 
 State = Literal["disarmed", "arming", "armed"]
@@ -79,12 +79,12 @@ class Arming:
             self._now_s = now_s
 
 
-def why_not_arm(gate: Gate, inlet: Inlet, now_s: float) -> str:
+def why_not_arm(gate: Gate, validator: CommandValidator, now_s: float) -> str:
     """Return why a robot may not be armed now, or "". Where no command comes it is asked to stand, and may be."""
     if gate.state == "stopped":
         return f"the emergency stop is latched ({gate.reason}); release it first: station estop --reset"
-    if inlet.refusal is not None and inlet.is_refusing(now_s, gate.config.return_after_s):
-        return f"commands come and are refused ({inlet.refusal.kind}: {inlet.refusal.text}); mend their writer"
+    if validator.refusal is not None and validator.is_refusing(now_s, gate.config.return_after_s):
+        return f"commands come and are refused ({validator.refusal.kind}: {validator.refusal.text}); mend their writer"
     if gate.state in ("holding", "returning"):
         return f"the command is stale ({gate.reason}); wait until the robot is asked to stand, or mend its writer"
     return ""

@@ -14,9 +14,9 @@ import numpy as np
 from station.clock import SYSTEM, Clock
 from station.contract import names_of
 from station.control.arming import why_not_arm
-from station.control.commanded import Commanded, Happening
+from station.control.command_path import CommandPath, Happening
+from station.control.command_validator import CommandSample
 from station.control.gate import Decision, GateConfig
-from station.control.inlet import CommandSample
 from station.errors import ConfigError
 from station.protocols import CommandFormat, Fall, Floats, Floats32, JointTargets, Policy, Robot, RobotState
 
@@ -92,8 +92,8 @@ class ControlStep:
     ) -> None:
         _check_fit(robot, policy, form)
         self.robot, self.policy, self._clock = robot, policy, clock
-        self.commanded = Commanded(form, gate or GateConfig(), is_armed=is_armed)
-        self.gate, self.inlet, self.arming = self.commanded.gate, self.commanded.inlet, self.commanded.arming
+        self.commanded = CommandPath(form, gate or GateConfig(), is_armed=is_armed)
+        self.gate, self.validator, self.arming = self.commanded.gate, self.commanded.validator, self.commanded.arming
         self._note = self.commanded.note
         self._reset_after_s, self._fell_at_s = reset_after_s, math.inf
         self._tick = self._falls = 0
@@ -131,7 +131,7 @@ class ControlStep:
             sent = self.robot.write(allowed)
         is_limp = allowed is None or decision.state == "stopped" or self._action_is_bad
         self._asked = None if is_limp else sent.q
-        good = self.inlet.good
+        good = self.validator.good
         stages = (good.written_ns if good else 0, good.arrived_ns if good else 0)
         record = StepRecord(
             tick=self._tick,
@@ -203,7 +203,7 @@ class ControlStep:
     def _why_not_arm(self, now_s: float) -> str:
         if self.arming.state != "disarmed" and self.gate.state != "stopped":
             return ""
-        if refusal := why_not_arm(self.gate, self.inlet, now_s):
+        if refusal := why_not_arm(self.gate, self.validator, now_s):
             return refusal
         if self._action_is_bad:
             return "the policy's output is not finite"

@@ -15,9 +15,9 @@ every tick where it rests, and enters a command at once, as fast as the rates le
 
 A command that comes back while holding is followed at once if it was followed before; from returning, when the blend
 had not ended, or when somebody else gives it, it is entered again. What is a good command is decided before, in
-`station.control.inlet`. Whatever the state, no element moves faster than its rate (`station.control.slew`): a command
-that jumps is caught up with. Two things jump: `reset`, to standing, where a robot starts anew; and the output for a
-robot that stays while nobody moves it, which is where it rests.
+`station.control.command_validator`. Whatever the state, no element moves faster than its rate
+(`station.control.slew`): a command that jumps is caught up with. Two things jump: `reset`, to standing, where a robot
+starts anew; and the output for a robot that stays while nobody moves it, which is where it rests.
 
 Where commands are lost, poses are held and then blended to standing; velocities begin to fade in the first tick that
 follows no command, and are zero `GateConfig.velocity_fade_s` later, since a velocity that is held moves the robot on.
@@ -34,11 +34,11 @@ import msgspec
 import numpy as np
 
 from station.blends import VELOCITY_FADE_S
+from station.control.command_arbiter import Rule
 from station.control.fade import VelocityFade
 from station.control.gate_state import FOLLOWING, LATCHED, MOVING, State
-from station.control.silence import Quiet, Silence
+from station.control.reengage_interlock import Quiet, ReengageInterlock
 from station.control.slew import Bounds
-from station.control.writers import Rule
 from station.protocols import Floats
 
 _ROUNDING = 1e-9  # five ticks of 0.02 s are 100 ms
@@ -162,7 +162,7 @@ class Gate:
         self._fade = VelocityFade(velocities, min(self.config.velocity_fade_s, self.config.blend_out_s))
         self._is_entered = False  # whether the blend into the command has ended
         self._new_hands = ""  # why the next command is entered again
-        self._silence = Silence(self.config.return_after_s)
+        self._silence = ReengageInterlock(self.config.return_after_s)
         self._transitions: list[Transition] = []
         self._now_s: float | None = None
         self._passed_s = 0.0  # since the last tick, as far as it counts
@@ -313,7 +313,7 @@ class Gate:
         self._limited = tuple(np.flatnonzero(self._vector != wanted).tolist())
 
     def _pass_time(self, now_s: float) -> float:
-        """Take note of how much time a tick counts for; return the instant, or the last one when it is none."""
+        """Record how much time a tick counts for; return the instant, or the last one when it is none."""
         if not abs(now_s) < _LATEST_S:
             self._passed_s = 0.0
             return self._now_s or 0.0

@@ -16,11 +16,11 @@ import msgspec
 import numpy as np
 
 from station.bus import codec, keys
-from station.control.commanded import Commanded, Control, Happening, Record, told_of_gate
+from station.control.command_arbiter import CommandArbiter, News, spoken
+from station.control.command_path import CommandPath, Control, Happening, Record, gate_status
+from station.control.command_receiver import CommandReceiver, CommandWatch
+from station.control.command_validator import CommandSample
 from station.control.control import StepRecord
-from station.control.inbox import CommandWatch, Inbox
-from station.control.inlet import CommandSample
-from station.control.writers import News, Writers, spoken
 from station.errors import BusError
 from station.life import arm_request, estop
 from station.life.arm_request import ArmAnswer
@@ -63,11 +63,11 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         self._life, self._control, self._clock = life, control, life.clock
         self._state_values, self._result_values = state_values, result_values
         self._period_s, self._requests = period_s, dict(requests or {})
-        self._key = control.commanded.inlet.form.key
+        self._key = control.commanded.validator.form.key
         watched = [self._key, keys.ESTOP, keys.ARM, *self._requests]
         self._watch = CommandWatch(life.bus.address, watched, key=self._key, outages=life.bus.outages)
         config = control.commanded.gate.config
-        self._inbox = Inbox(self._watch, self._key, Writers(config.rivals, config.return_after_s))
+        self._receiver = CommandReceiver(self._watch, self._key, CommandArbiter(config.rivals, config.return_after_s))
         self._is_stopped_past_bus = False  # asked to, and not obeyed yet
         self._keeper = StopKeeper(life.bus.address)
         self._arm_seen = self._watch.latest(keys.ARM)  # a request from before our time is none
@@ -94,7 +94,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             state = self._sense()
             now_s = self._clock.monotonic_s()
             self._obey(now_s)
-            self._act(state, self._inbox.newest(), now_s)
+            self._act(state, self._receiver.newest(), now_s)
             if self._is_time_to_report():
                 stats = rate.stats()
                 self._report(
@@ -119,7 +119,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             patience_s = timeout_s if has_come or not started else self._period_s
             was_told = self._obey(now_s)
             if started or was_told:
-                self._act(state, self._inbox.newest(now_s) if started else None, now_s)
+                self._act(state, self._receiver.newest(now_s) if started else None, now_s)
                 tick += 1
             if self._is_time_to_report():
                 elapsed_s = self._clock.monotonic_s() - began_s
@@ -148,7 +148,9 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         while not self._life.stopping and not self._is_asked():
             left_s = end_s - self._clock.monotonic_s()
             wait_s = max(0.0, min(left_s, self._period_s))
-            if self._watch.wait(self._key, after=self._inbox.seen, timeout_s=wait_s) and self._inbox.has_come(now_s):
+            if self._watch.wait(self._key, after=self._receiver.seen, timeout_s=wait_s) and self._receiver.has_come(
+                now_s
+            ):
                 return True
             if left_s <= 0:
                 return False
@@ -225,10 +227,10 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         return True
 
     def _act(self, state: StateT, command: CommandSample | None, now_s: float) -> None:
-        writers = self._inbox.writers
-        if refused := self._inbox.take_refused():
+        writers = self._receiver.writers
+        if refused := self._receiver.take_refused():
             self._control.refuse_rivals(refused, writers.refusal)
-        self._control.heard_all(*self._inbox.heard_s)
+        self._control.heard_all(*self._receiver.heard_s)
         record = self._control.step(state, command, now_s)
         self._publish(self._result_values(record, self._arm_answer))
         for happening in record.happenings:
@@ -267,12 +269,12 @@ class LowLevelLoop(Generic[StateT, RecordT]):
 
     def _report(self, **loop: float) -> None:
         commanded = self._control.commanded
-        gate, inlet = commanded.gate, commanded.inlet
+        gate, validator = commanded.gate, commanded.validator
         self._life.report(
             gate=gate.state, gate_reason=gate.reason, arming=commanded.arming.state,
-            command_age_by=_age_by(inlet.good),
-            command_writer=self._inbox.writers.obeyed and spoken(self._inbox.writers.obeyed),
-            refused=dict(inlet.refused), clamped=inlet.clamped_samples, **self._control.health(), **loop,
+            command_age_by=_age_by(validator.good),
+            command_writer=self._receiver.writers.obeyed and spoken(self._receiver.writers.obeyed),
+            refused=dict(validator.refused), clamped=validator.clamped_samples, **self._control.health(), **loop,
         )  # fmt: skip
 
 
@@ -284,7 +286,7 @@ def _age_by(command: CommandSample | None) -> str:
 
 
 def result_values(
-    suffix: str, record: StepRecord, commanded: Commanded, answer: ArmAnswer | None = None
+    suffix: str, record: StepRecord, commanded: CommandPath, answer: ArmAnswer | None = None
 ) -> dict[str, bytes]:
     """Return what a step of a policy publishes after its targets were sent, by key.
 
@@ -295,7 +297,7 @@ def result_values(
         answer: To the last request to arm.
     """
     decision, sent = record.decision, record.sent
-    gate = told_of_gate(decision, commanded)
+    gate = gate_status(decision, commanded)
     if answer is not None:
         gate["arm"] = msgspec.structs.asdict(answer)
     return {

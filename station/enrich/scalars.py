@@ -25,7 +25,7 @@ class Shape:
         self._seen: dict[str, set[Kind | None]] = {}
 
     def learn(self, value: object) -> None:
-        """Take note of one decoded value."""
+        """Record one decoded value."""
         if not isinstance(value, dict):
             return
         for name, item in _scalars(value):

@@ -1,13 +1,13 @@
 """The key that is ours to write: whether somebody else writes it too, as its own writer sees it.
 
-(`station.life.rivals` is the same for who only reads a key.)
+(`station.life.writer_conflict` is the same for who only reads a key.)
 """
 
 from __future__ import annotations
 
 from station.bus.sample import Sample
-from station.life.rivals import FOREIGN
 from station.life.server import Life
+from station.life.writer_conflict import FOREIGN
 
 _GONE_AFTER_S = 1.0
 

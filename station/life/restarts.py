@@ -38,7 +38,7 @@ class Restarts:
         return self._noted == pid
 
     def note(self, pid: int, lived_s: float) -> None:
-        """Take note of a death, once per process."""
+        """Record a death, once per process."""
         self._noted = pid
         self.count += 1
         self._short_lives = self._short_lives + 1 if lived_s < _SHORT_LIFE_S else 0

@@ -1,7 +1,7 @@
 """A server's life: unconfigured, inactive, active, finalized.
 
 What a server registers (`ServerKind`), what it says of itself on the bus (`Health`), and what its main gets of the
-station (`Life`): heartbeat, events, the supervisor's leash. `station.life.serving` runs one.
+station (`Life`): heartbeat, events, the supervisor's pipe. `station.life.serving` runs one.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from station.bus import codec, keys, stamp
 from station.bus.client import Bus
 from station.clock import SYSTEM
 from station.errors import BusError
-from station.life import leash
+from station.life import supervisor_pipe
+from station.life.event_publisher import EventPublisher
 from station.life.events import Event, Severity
-from station.life.teller import Teller
 
 log = logging.getLogger(__name__)
 
@@ -116,9 +116,9 @@ class Life:
         self._kind = kind
         self.bus, self.clock = bus, bus.clock
         self.stop_event = threading.Event()
-        self._leash = leash.from_environment(self.stop_event.set)
+        self._supervisor_pipe = supervisor_pipe.from_environment(self.stop_event.set)
         self._configuration: bytes | None = None
-        self._teller = Teller(bus, name)
+        self._publisher = EventPublisher(bus, name)
         self._on_bus_back: Callable[[], None] = lambda: None
         self._ended = threading.Event()
         now_ns = self.clock.wall_ns()
@@ -147,8 +147,8 @@ class Life:
             False when the server was asked to stop instead.
         """
         self._become("inactive")
-        if self._leash is not None:
-            while not self.clock.wait(self._leash.activated, 0.05) and not self.stopping:
+        if self._supervisor_pipe is not None:
+            while not self.clock.wait(self._supervisor_pipe.activated, 0.05) and not self.stopping:
                 pass
         if self.stopping:
             return False
@@ -158,8 +158,8 @@ class Life:
 
     def on_estop(self, act: Callable[[], None]) -> None:
         """Have something called, in another thread, when the supervisor asks for the emergency stop past the bus."""
-        if self._leash is not None:
-            self._leash.on_estop = act
+        if self._supervisor_pipe is not None:
+            self._supervisor_pipe.on_estop = act
 
     def on_bus_back(self, act: Callable[[], None]) -> None:
         """Have something called, in another thread, when the bus is back and may have forgotten everything.
@@ -170,11 +170,11 @@ class Life:
 
     def event(self, name: str, *, severity: Severity = "info", **detail: Any) -> None:
         """Say that something happened: on the bus, so that it stands in the episode, and in the log."""
-        self._teller.say(name, severity, **detail)
+        self._publisher.say(name, severity, **detail)
 
     def last_word(self, name: str, **detail: Any) -> None:
         """Say on the bus what ends this server; whoever started it prints the error itself."""
-        self._teller.say_on_bus(name, "error", **detail)
+        self._publisher.say_on_bus(name, "error", **detail)
 
     def report(self, **facts: Any) -> None:
         """Say with the next heartbeat how the server is doing: rate_hz, jitter_p50_ms, … or anything of its own."""
@@ -203,7 +203,7 @@ class Life:
                 connections = now
             for outage in self.bus.outages.take():
                 self.event(outage.kind, severity="warning", **outage.detail(self.clock.monotonic_ns()))
-                self._teller.say_late()
+                self._publisher.say_late()
 
     def _say_again(self) -> bool:
         """Say what a restarted bus has forgotten; return whether it was heard."""
@@ -219,7 +219,7 @@ class Life:
     def _say(self) -> None:
         self._health.wall_ns = self.clock.wall_ns()
         self._health.lost_writes = self.bus.lost_writes
-        self._health.events = self._teller.recent
+        self._health.events = self._publisher.recent
         self.bus.publish({keys.server(self.name): codec.json_object(self._health)})
 
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from station import rotations
-from station.operator.reading import Pose
+from station.operator.sample import Pose
 from station.protocols import Floats
 
 JUMP_M = 0.3

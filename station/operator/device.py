@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, Protocol, runtime_checkable
 
 from station.errors import StationError
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 
 
 class DeviceError(StationError):
@@ -20,7 +20,7 @@ class Device(Protocol):
     service) opens without data, and waits.
     """
 
-    def read(self) -> Reading | None:
+    def read(self) -> OperatorSample | None:
         """Return the newest sample, or None when there is none since the last call; never blocks.
 
         Whatever has queued up is drained, so that an old sample is never given. A device that sends only changes

@@ -16,7 +16,7 @@ from station.config import to_plain
 from station.errors import ConfigError
 from station.operator.device import Device
 from station.operator.measure import OperatorMeasure
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 
 if TYPE_CHECKING:
     import click
@@ -54,7 +54,7 @@ class Source:
 
     open: Callable[[], Device]
     begin: Callable[[], object] | None = None
-    also: Callable[[Reading], Mapping[str, bytes]] | None = None
+    also: Callable[[OperatorSample], Mapping[str, bytes]] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import msgspec
 
 from station.operator.deadman import Snapshot
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 from station.protocols import CommandFormat, Floats
 
 
@@ -65,7 +65,7 @@ class Driver(Protocol):
         """Whether nothing moves by itself any more: a walk that was let go has come to a stand."""
         ...
 
-    def look(self, reading: Reading) -> Look:
+    def look(self, reading: OperatorSample) -> Look:
         """Return what the sample holds for this driver; changes nothing."""
         ...
 
@@ -77,7 +77,7 @@ class Driver(Protocol):
         """Go to the next mode, return its name."""
         ...
 
-    def step(self, reading: Reading | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+    def step(self, reading: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
         """Go on for a period [s].
 
         Args:

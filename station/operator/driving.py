@@ -15,7 +15,7 @@ from station.operator import buttons as button_maps
 from station.operator.buttons import ButtonMap, Buttons, Pressed
 from station.operator.deadman import Change, DeadMan
 from station.operator.driver import Driver, Look
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 from station.protocols import Floats
 
 _NOTHING = Look(None, "no valid data from the device")
@@ -72,7 +72,7 @@ class Driving:
         self.deadman: DeadMan[Any, Any] = DeadMan(driver.jump)
         self._buttons = buttons
 
-    def step(self, reading: Reading | None, dt_s: float, *, obstacle: str = "") -> Driven:
+    def step(self, reading: OperatorSample | None, dt_s: float, *, obstacle: str = "") -> Driven:
         """Go on for a period.
 
         Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from station.operator.reading import Reading, State
+from station.operator.sample import OperatorSample, State
 
 
 class Freshness:
@@ -40,8 +40,8 @@ class Freshness:
         """Return the time since the newest sample [s]; infinite before the first."""
         return now_s - self._newest_s
 
-    def step(self, now_s: float, reading: Reading | None) -> bool:
-        """Take note of what the device gave at a monotonic time [s]; return whether that is a new sample."""
+    def step(self, now_s: float, reading: OperatorSample | None) -> bool:
+        """Record what the device gave at a monotonic time [s]; return whether that is a new sample."""
         is_new = reading is not None and (reading.capture_ns is None or reading.capture_ns != self.capture_ns)
         silence_s = self.silence_s(now_s)
         self._judge(silence_s)  # before the sample counts: a gap between two steps is a gap

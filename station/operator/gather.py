@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 from station.bus.client import Bus
 from station.errors import NotReady
-from station.operator.ear import Ear
-from station.operator.reading import Reading
+from station.operator.device_subscriber import DeviceSubscriber
+from station.operator.sample import OperatorSample
 
 _LOOK_S = 0.004  # a headset sends every 11 to 14 ms
 _LASTS_S = 1.5  # what is over before needs nobody
@@ -23,11 +23,15 @@ class Gatherer:
 
     def __init__(self, bus: Bus, device: str) -> None:
         self._device, self._clock = device, bus.clock
-        self._watch = bus.watch(Ear.watched(device))
-        self._ear = Ear(self._watch, device)
+        self._watch = bus.watch(DeviceSubscriber.watched(device))
+        self._ear = DeviceSubscriber(self._watch, device)
 
     def wait_for(
-        self, flaw: Callable[[Reading], str], within_s: float, tell: Callable[[str], None], look: Callable[[], None]
+        self,
+        flaw: Callable[[OperatorSample], str],
+        within_s: float,
+        tell: Callable[[str], None],
+        look: Callable[[], None],
     ) -> None:
         """Wait for a sample without a flaw.
 
@@ -54,13 +58,13 @@ class Gatherer:
                 tell(reason)
             self._clock.sleep(_LOOK_S)
 
-    def gather(self, flaw: Callable[[Reading], str], for_s: float) -> list[Reading]:
+    def gather(self, flaw: Callable[[OperatorSample], str], for_s: float) -> list[OperatorSample]:
         """Return the samples without a flaw that come within a time [s], each once.
 
         Raises:
             NotReady: none came; says why.
         """
-        found: list[Reading] = []
+        found: list[OperatorSample] = []
         seen, ends_s, why = -1, self._clock.monotonic_s() + for_s, ""
         while self._clock.monotonic_s() < ends_s:
             heard = self._ear.hear()
@@ -86,6 +90,6 @@ class Gatherer:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _lack(self, flaw: Callable[[Reading], str]) -> str:
+    def _lack(self, flaw: Callable[[OperatorSample], str]) -> str:
         heard = self._ear.hear()
         return heard.flaw if heard.reading is None else flaw(heard.reading)

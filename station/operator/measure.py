@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class OperatorMeasure(Protocol):
         """What the operator may be asked to do, by the name of the pose; the first one is the usual."""
         ...
 
-    def flaw(self, reading: Reading) -> str:
+    def flaw(self, reading: OperatorSample) -> str:
         """Return why nobody can be measured of such a sample, or ""."""
         ...
 
@@ -48,7 +48,9 @@ class OperatorMeasure(Protocol):
         """
         ...
 
-    def measure(self, readings: Sequence[Reading], operator: str, pose: str, *, device: str, source: str) -> Measured:
+    def measure(
+        self, readings: Sequence[OperatorSample], operator: str, pose: str, *, device: str, source: str
+    ) -> Measured:
         """Measure an operator who stands still.
 
         Args:

@@ -33,7 +33,7 @@ class Vigil:
         self._told: set[str] = set()
 
     def hear(self, event: Event) -> None:
-        """Take note of who was already said to be gone."""
+        """Record who was already said to be gone."""
         if event.name in ("server-died", "server-silent", "server-given-up"):
             self._told.add(str(event.detail.get("server")))
         elif event.name in ("server-failed", "server-crashed"):
@@ -61,7 +61,7 @@ class Vigil:
         self._alive.clear()
 
     def _hear(self, said: Health, *, is_new: bool) -> list[Event]:
-        """Take note of a word; the first one may be old, and says only that there once was such a server."""
+        """Record a word; the first one may be old, and says only that there once was such a server."""
         if said.state == "finalized":
             self._alive.discard(said.name)
         elif is_new:

@@ -15,10 +15,10 @@ from typing import Any
 from station.life.events import Severity
 from station.life.loop import Rate, real_time
 from station.life.server import Life
-from station.operator import reading as readings
+from station.operator import sample as readings
 from station.operator.device import Device, DeviceError
 from station.operator.freshness import Freshness
-from station.operator.reading import Part, Reading, State, Status
+from station.operator.sample import OperatorSample, Part, State, Status
 
 _AGAIN_S = 1.0
 _SEVERITY: dict[State, Severity] = {"live": "info", "stale": "warning", "lost": "warning"}
@@ -30,7 +30,7 @@ def serve_device(
     *,
     rate_hz: float,
     config: Mapping[str, Any],
-    also: Callable[[Reading], Mapping[str, bytes]] | None = None,
+    also: Callable[[OperatorSample], Mapping[str, bytes]] | None = None,
     on_active: Callable[[], Mapping[str, Any]] | None = None,
     punctual: Callable[[], str] = real_time,
 ) -> int:
@@ -49,9 +49,9 @@ def serve_device(
     Raises:
         DeviceError: the device cannot be opened at the start.
     """
-    desk = _Desk(life, open_device, also)
+    device_loop = _DeviceLoop(life, open_device, also)
     try:
-        facts = {"server": life.name, "role": "sensor", "rate_hz": rate_hz, "device": desk.facts(),
+        facts = {"server": life.name, "role": "sensor", "rate_hz": rate_hz, "device": device_loop.facts(),
                  "config": dict(config)}  # fmt: skip
         life.configured(facts)
         if not life.ready():
@@ -59,41 +59,41 @@ def serve_device(
         if on_active is not None:
             life.configured(facts | dict(on_active()))
         life.report(scheduling=punctual())
-        _run(life, desk, rate_hz)
+        _run(life, device_loop, rate_hz)
     finally:
-        desk.close()
+        device_loop.close()
     return 0
 
 
-def _run(life: Life, desk: _Desk, rate_hz: float) -> None:
+def _run(life: Life, device_loop: _DeviceLoop, rate_hz: float) -> None:
     rate, ticks, counted = Rate(rate_hz, life.clock), 0, 0
     window = max(2, round(rate_hz))
     while not life.stopping:
         rate.wait()
-        desk.tick(life.clock.monotonic_s())
+        device_loop.tick(life.clock.monotonic_s())
         ticks += 1
         if ticks % window == 0:  # once a second
             stats = rate.stats()
             life.report(rate_hz=stats.rate_hz, jitter_p50_ms=stats.jitter_p50_ms, jitter_p99_ms=stats.jitter_p99_ms,
-                        overruns=stats.overruns, samples_hz=(desk.new - counted) * rate_hz / window)  # fmt: skip
-            counted = desk.new
+                        overruns=stats.overruns, samples_hz=(device_loop.new - counted) * rate_hz / window)  # fmt: skip
+            counted = device_loop.new
 
 
-class _Desk:
+class _DeviceLoop:
     """Between a device and the bus."""
 
     def __init__(
         self,
         life: Life,
         open_device: Callable[[], Device],
-        also: Callable[[Reading], Mapping[str, bytes]] | None,
+        also: Callable[[OperatorSample], Mapping[str, bytes]] | None,
     ) -> None:
         self._life, self._open, self._also = life, open_device, also
         self._freshness = Freshness()
         self._state: State = "lost"
         self._reason, self._told = "", ""
         self._parts: tuple[Part, ...] = ()
-        self._newest = Reading()
+        self._newest = OperatorSample()
         self._look_s = life.clock.monotonic_s() + _AGAIN_S  # a device that is there needs a moment to say so
         self._device: Device | None = open_device()
 
@@ -124,7 +124,7 @@ class _Desk:
         self._state, self._reason = "lost", "the device server has ended"
         self._write({})
 
-    def _read(self, now_s: float) -> Reading | None:
+    def _read(self, now_s: float) -> OperatorSample | None:
         if self._device is None:
             self._reopen(now_s)
             return None
@@ -178,7 +178,7 @@ class _Desk:
         )  # fmt: skip
         if self._also is not None:
             is_lost = self._state == "lost"
-            values |= self._also(Reading(capture_ns=freshness.capture_ns) if is_lost else self._newest)
+            values |= self._also(OperatorSample(capture_ns=freshness.capture_ns) if is_lost else self._newest)
         values |= readings.encode_status(self._life.name, status)
         self._life.bus.publish(values, capture_ns=freshness.capture_ns)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from station.bus import codec, keys
 from station.life.server import Life
-from station.operator.ear import Heard
+from station.operator.device_subscriber import DeviceSample
 from station.protocols import CommandFormat, Floats
 
 
@@ -30,7 +30,7 @@ class CommandWriter:
         self.newest: Floats | None = None
         self.flaw = ""
 
-    def write(self, command: Floats, companions: Mapping[str, Floats], heard: Heard, **state: Any) -> None:
+    def write(self, command: Floats, companions: Mapping[str, Floats], heard: DeviceSample, **state: Any) -> None:
         """Write a command.
 
         Args:

@@ -96,10 +96,10 @@ def read(reader: EpisodeReader) -> Story:
     story.first_s = (min((stream.first_ns for stream in streams), default=begin_ns) - begin_ns) * 1e-9
     story.last_s = (max((stream.last_ns for stream in streams), default=begin_ns) - begin_ns) * 1e-9
     story.contracts = {s.channel.topic: s.channel.contract for s in streams if s.channel.contract is not None}
-    teller = _Teller(reader, story, begin_ns)
-    for message in reader.messages(teller.topics):
-        teller.feed(message)
-    teller.finish()
+    publisher = _Teller(reader, story, begin_ns)
+    for message in reader.messages(publisher.topics):
+        publisher.feed(message)
+    publisher.finish()
     return story
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from station import registry
 from station.bus import codec
 from station.contract import names_of
+from station.control.command_validator import CommandSample
 from station.control.control import ControlStep, StepRecord
-from station.control.inlet import CommandSample
 from station.control.rig import Rig, RigConfig, build
 from station.control.tracking import TrackingError
 from station.errors import ConfigError

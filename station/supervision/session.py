@@ -20,9 +20,9 @@ from station.errors import BusError, ConfigError, NotReady, Refused, StationErro
 from station.life.event_feed import EventFeed
 from station.life.restarts import Restarts
 from station.life.server import Health, read_health
-from station.supervision.deaths import Deaths
-from station.supervision.face import Face
+from station.supervision.exit_policy import ExitPolicy
 from station.supervision.runbook import CheckStep, ConfirmStep, NoteStep, Runbook, StartStep, Step
+from station.supervision.session_ui import SessionUI
 from station.supervision.stop_memory import StopMemory
 from station.supervision.supervisor import NAME, Supervisor, how_it_ended
 
@@ -73,7 +73,7 @@ class Session:
         runbook: Runbook,
         bus: Bus,
         supervisor: Supervisor,
-        face: Face,
+        face: SessionUI,
         *,
         data: Path,
         recording: Recording | None = None,
@@ -93,7 +93,7 @@ class Session:
         self._data, self._recording, self._is_unattended = data, recording, is_unattended
         self._is_recording = False
         self._bus_lost_s: float | None = None
-        self._deaths = Deaths(runbook, supervisor, face, is_unattended=is_unattended)
+        self._deaths = ExitPolicy(runbook, supervisor, face, is_unattended=is_unattended)
         self.answers: list[Answer] = []
         self.episode: RecordAnswer | None = None
 
@@ -245,7 +245,7 @@ class Session:
         return "stopped", int(self._deaths.are_open)
 
     def _tell(self, feed: EventFeed) -> None:
-        for event in self._supervisor.teller.recent:
+        for event in self._supervisor.publisher.recent:
             feed.add(event)
         for event in feed.take():
             if event.name not in _TOLD_OTHERWISE:

@@ -1,10 +1,10 @@
 """Starts servers as child processes, activates them in order, and never leaves one behind.
 
-A child loads everything and then waits, inactive, for its leash to say "go" (`station.life.leash`); so the slow part
-of a start runs in parallel and the order of a runbook still holds. A child that dies takes nothing silently with it:
-its last words are kept. A recorder that dies is started again (`station.life.restarts`), since its episode waits for
-it; whatever moves a robot is not, unless a runbook or a person says so (`station.supervision.deaths`). When the
-supervisor itself is killed, every leash breaks and the children finish by themselves.
+A child loads everything and then waits, inactive, for "go" on its pipe (`station.life.supervisor_pipe`); so the slow
+part of a start runs in parallel and the order of a runbook still holds. A child that dies takes nothing silently with
+it: its last words are kept. A recorder that dies is started again (`station.life.restarts`), since its episode waits
+for it; whatever moves a robot is not, unless a runbook or a person says so (`station.supervision.exit_policy`). When
+the supervisor itself is killed, every pipe breaks and the children finish by themselves.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.clock import Thread
 from station.errors import BusError, NotReady
-from station.life import leash
+from station.life import supervisor_pipe
+from station.life.event_publisher import EventPublisher
 from station.life.events import Severity
 from station.life.restarts import RESTARTS_VARIABLE, Restarts
 from station.life.server import Health, State, decode_health
-from station.life.teller import Teller
 
 NAME = "supervisor"
 
@@ -44,7 +44,7 @@ _PROGRESS: dict[State, int] = {"unconfigured": 0, "inactive": 1, "active": 2}
 
 
 class Child(msgspec.Struct):
-    """One server process and our end of its leash."""
+    """One server process and our end of its pipe."""
 
     name: str
     process: subprocess.Popen[bytes]
@@ -70,7 +70,7 @@ class Supervisor:
         self._folder = folder
         self._environment = dict(environment or {})
         self.children: dict[str, Child] = {}
-        self.teller = Teller(bus, NAME)
+        self.publisher = EventPublisher(bus, NAME)
         self._lock = self.clock.lock()  # around what is done to a child
         self._nurse: Thread | None = None
         self._closed = threading.Event()
@@ -196,7 +196,7 @@ class Supervisor:
 
     def tell(self, name: str, severity: Severity, **detail: Any) -> None:
         """Say as an event, so that it stands in the episode, what happened to the servers."""
-        self.teller.say_on_bus(name, severity, **detail)
+        self.publisher.say_on_bus(name, severity, **detail)
 
     def start_again(self, name: str) -> None:
         """Start a child once more, as it was configured, in place of one that died or is frozen.
@@ -272,7 +272,7 @@ class Supervisor:
             **self._environment,
             # In the environment, not among the arguments: a password must not show in the process list.
             addresses.ENVIRONMENT_VARIABLE: self._bus.address.url,
-            leash.ENVIRONMENT_VARIABLE: str(descriptor),
+            supervisor_pipe.ENVIRONMENT_VARIABLE: str(descriptor),
             "PYTHONUNBUFFERED": "1",
         }
 

@@ -17,7 +17,7 @@ from adapters.devices.fakes.pico.script import KeyFrame, Script, Skeleton
 from adapters.devices.fakes.pico.service import PicoService
 from adapters.retarget import calibration
 from adapters.retarget.human import of_height, standing
-from station.operator.reading import Body
+from station.operator.sample import Body
 from tests.cli.at_terminal import AtTerminal
 from tests.cli.running import Home, one_line
 from tests.waiting import wait_until

@@ -94,7 +94,7 @@ def test_when_a_server_dies_its_last_words_are_told_and_the_rest_is_stopped(home
     told = "✗ server 'motion' was killed by SIGKILL; its last words: I station."
     (words,) = (line.removeprefix(told) for line in station.lines if line.startswith(told))
     # A bus that owes an answer, as on a busy machine, may be the last that it speaks of.
-    assert words.startswith(("life.teller: ", "life.server: to be said again", "bus.client: "))
+    assert words.startswith(("life.event_publisher: ", "life.server: to be said again", "bus.client: "))
     assert "✗ stop motion  already was killed by SIGKILL" in station.text
     assert are_gone(list(pids.values()))
     shown = home.json("check", out.strip())

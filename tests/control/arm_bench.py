@@ -8,9 +8,9 @@ from adapters.commands.arm import arm_command
 from adapters.robots import arm_limits
 from station.bus import codec
 from station.control.arm_control import ArmControl, ArmRecord
-from station.control.commanded import Happening
+from station.control.command_path import Happening
+from station.control.command_validator import CommandSample
 from station.control.gate import GateConfig
-from station.control.inlet import CommandSample
 from station.protocols import Floats
 from tests.control.ideal_arm import TICK_S, IdealArm
 

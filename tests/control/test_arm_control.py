@@ -86,7 +86,7 @@ def test_what_is_no_command_is_refused_and_moves_nothing(value: bytes, kind: str
     bench.drive(20)
     sent = len(bench.arm.sent)
     bench.step(value)
-    assert bench.control.commanded.inlet.refused[kind] == 1
+    assert bench.control.commanded.validator.refused[kind] == 1
     bench.steps(0.5)
     assert len(bench.arm.sent) == sent
 

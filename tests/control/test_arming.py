@@ -9,8 +9,8 @@ import pytest
 
 from station import registry
 from station.control.arming import RAMP_S, Arming, why_not_arm
+from station.control.command_validator import CommandValidator
 from station.control.gate import Gate
-from station.control.inlet import Inlet
 from station.protocols import JointTargets
 
 TARGETS = JointTargets(np.ones(3), np.full(3, 100.0), np.full(3, 2.0))
@@ -67,7 +67,7 @@ def test_disarming_works_at_once_and_restart_returns_to_the_state_of_the_start()
 
 def test_under_a_latched_stop_a_robot_is_not_armed_though_no_command_comes() -> None:
     form = registry.find("command", "twist2")
-    gate, inlet = Gate(form.default), Inlet(form)
-    assert why_not_arm(gate, inlet, 0.0) == ""
+    gate, validator = Gate(form.default), CommandValidator(form)
+    assert why_not_arm(gate, validator, 0.0) == ""
     gate.stop("by hand")
-    assert why_not_arm(gate, inlet, 0.0).startswith("the emergency stop is latched (by hand); release it first")
+    assert why_not_arm(gate, validator, 0.0).startswith("the emergency stop is latched (by hand); release it first")

@@ -16,9 +16,9 @@ import pytest
 from adapters.robots.g1.joints import G1_29
 from station import registry
 from station.bus import codec
-from station.control.commanded import Happening
+from station.control.command_path import Happening
+from station.control.command_validator import CommandSample
 from station.control.control import ControlStep, StepRecord
-from station.control.inlet import CommandSample
 from station.errors import ConfigError
 from station.protocols import Fall
 from tests.control.ideal_robot import IdealRobot, IdealSimulation, Obedient
@@ -252,7 +252,7 @@ def test_refused_commands_of_others_are_counted_and_are_the_reason_once_the_firs
     for _ in range(10):
         bench.control.refuse_rivals(2, "a is obeyed")
         record = bench.step()
-    assert bench.control.inlet.refused["second-writer"] == 20
+    assert bench.control.validator.refused["second-writer"] == 20
     assert (record.decision.state, record.decision.reason) == ("holding", "second-writer: a is obeyed")
 
 

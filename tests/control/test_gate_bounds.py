@@ -14,12 +14,12 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 from adapters.motions import builtin
 from station import registry
 from station.bus import codec
+from station.control.command_arbiter import CommandArbiter
+from station.control.command_validator import CommandSample, CommandValidator
 from station.control.gate import Decision, Gate, GateConfig
-from station.control.inlet import CommandSample, Inlet
 from station.control.slew import LONGEST_TICK_S, Bounds
-from station.control.writers import Writers
 from station.errors import ConfigError
-from station.life.rivals import FOREIGN
+from station.life.writer_conflict import FOREIGN
 from station.motion.playback import Playback
 from station.protocols import CommandFormat, Floats, Motion
 from tests.examples import examples, some
@@ -63,8 +63,8 @@ class WritersAndClocks(RuleBasedStateMachine):
     )
     def begin(self, factor: float, rivals: str, start_s: float) -> None:
         config = GateConfig(rate_factor=factor, rivals=rivals)  # type: ignore[arg-type]
-        self.gate, self.inlet = bounded(FORM, config), Inlet(FORM)
-        self.writers = Writers(config.rivals, config.return_after_s)
+        self.gate, self.validator = bounded(FORM, config), CommandValidator(FORM)
+        self.writers = CommandArbiter(config.rivals, config.return_after_s)
         self.rate = np.minimum(FORM.rate * factor, 1e12)
         self.now_s = self.clock_s = start_s  # `clock_s` is the newest instant that was one
         self.sample: CommandSample | None = None
@@ -162,14 +162,14 @@ class WritersAndClocks(RuleBasedStateMachine):
         self.check(self.step(self.now_s), passed_s)
 
     def step(self, now_s: float) -> Decision:
-        inlet, good = self.inlet, self.inlet.good
-        inlet.take(self.sample)
-        if inlet.good is not good:
+        validator, good = self.validator, self.validator.good
+        validator.take(self.sample)
+        if validator.good is not good:
             self.quiet_s = 0.0
-            if good is not None and inlet.good is not None and inlet.good.source != good.source:
+            if good is not None and validator.good is not None and validator.good.source != good.source:
                 self.gate.change_hands("another writer")
-        refusal = "" if inlet.refusal is None else inlet.refusal.text
-        return self.gate.step(now_s, inlet.vector, inlet.age_s(now_s), refusal=refusal)
+        refusal = "" if validator.refusal is None else validator.refusal.text
+        return self.gate.step(now_s, validator.vector, validator.age_s(now_s), refusal=refusal)
 
     def check(self, decision: Decision, passed_s: float) -> None:
         vector = decision.vector
@@ -282,11 +282,11 @@ def test_rates_so_low_that_the_robot_could_not_return_in_time_are_refused() -> N
 
 def passed_through(motion: Motion, form: CommandFormat, gate: Gate) -> list[Decision]:
     """What the gate makes of a motion, from the first blend to the last, as in lock-step."""
-    playback, inlet, made, tick = Playback(motion, form, lead_s=DT), Inlet(form), [], 0
+    playback, validator, made, tick = Playback(motion, form, lead_s=DT), CommandValidator(form), [], 0
     while not playback.is_done:
         frame = playback.step(DT if tick else 0.0)
-        inlet.take(CommandSample(codec.json_vector(frame.command), arrived_s=tick * DT))
-        made.append(gate.step(tick * DT, inlet.vector, inlet.age_s(tick * DT)))
+        validator.take(CommandSample(codec.json_vector(frame.command), arrived_s=tick * DT))
+        made.append(gate.step(tick * DT, validator.vector, validator.age_s(tick * DT)))
         tick += 1
     return made
 

@@ -11,8 +11,8 @@ import pytest
 
 from adapters.policies.direct import DirectPolicy
 from station.bus import codec
+from station.control.command_validator import CommandSample
 from station.control.control import ControlStep, StepRecord
-from station.control.inlet import CommandSample
 from station.errors import ConfigError
 from station.protocols import Floats, JointTargets, RobotState
 from tests import six_joints

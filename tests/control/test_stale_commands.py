@@ -16,10 +16,10 @@ from station.bus.heard import Heard
 from station.bus.sample import Sample
 from station.clock import SYSTEM
 from station.contract import elements
-from station.control.commanded import Commanded
+from station.control.command_arbiter import CommandArbiter
+from station.control.command_path import CommandPath
+from station.control.command_receiver import Arrival, CommandReceiver, CommandWatch, Taken, writer_of
 from station.control.gate import Decision, GateConfig
-from station.control.inbox import Arrival, CommandWatch, Inbox, Taken, writer_of
-from station.control.writers import Writers
 from station.protocols import Floats, StockKeys
 from tests.examples import examples
 
@@ -40,7 +40,7 @@ FORM = BodyCommand(
 
 
 class VirtualWatch:
-    """What a `CommandWatch` is to an inbox: writes are delivered by the test, at instants that it says."""
+    """What a `CommandWatch` is to an receiver: writes are delivered by the test, at instants that it says."""
 
     doubtful, clock = 0, SYSTEM
 
@@ -71,8 +71,10 @@ class Robot:
     def __init__(self, config: GateConfig | None = None) -> None:
         config = config or GateConfig()
         self.watch = VirtualWatch()
-        self.inbox = Inbox(cast(CommandWatch, self.watch), KEY, Writers(config.rivals, config.return_after_s))
-        self.commanded = Commanded(FORM, config, is_armed=True)
+        self.receiver = CommandReceiver(
+            cast(CommandWatch, self.watch), KEY, CommandArbiter(config.rivals, config.return_after_s)
+        )
+        self.commanded = CommandPath(FORM, config, is_armed=True)
         self.seq = 0
 
     @property
@@ -86,8 +88,8 @@ class Robot:
 
     def tick(self) -> Decision:
         self.watch.now_ns += DT_NS
-        self.commanded.heard_all(*self.inbox.heard_s)
-        return self.commanded.decide(self.inbox.newest(), self.now_s)
+        self.commanded.heard_all(*self.receiver.heard_s)
+        return self.commanded.decide(self.receiver.newest(), self.now_s)
 
     def follow(self, vector: Floats, ticks: int = 60, **stamped: object) -> Decision:
         for _ in range(ticks):
@@ -112,7 +114,7 @@ def test_a_burst_of_old_commands_moves_nothing_is_counted_and_is_told_when_it_be
         assert decision.state == "waiting"
         np.testing.assert_array_equal(decision.vector, FORM.default)
     assert decision.reason.startswith("stale: written 0.")
-    assert robot.commanded.inlet.refused == {"stale": 14}
+    assert robot.commanded.validator.refused == {"stale": 14}
     assert robot.told("refused-command", "command-good-again") == ["refused-command"]
     assert robot.follow(ENDS / 2, ticks=1).state == "entering"
     assert robot.told("refused-command", "command-good-again") == ["command-good-again"]
@@ -143,7 +145,7 @@ def test_a_writer_on_another_machine_is_followed_by_arrival_whatever_its_clock_s
 def test_a_stamp_from_the_future_is_none_of_this_machines_clock_and_refused() -> None:
     robot = Robot()
     assert robot.follow(ENDS / 2, ago_s=-5.0).state == "waiting"
-    assert robot.commanded.inlet.refused == {"wrong-clock": 60}
+    assert robot.commanded.validator.refused == {"wrong-clock": 60}
 
 
 def test_who_holds_longer_takes_commands_as_old() -> None:
@@ -156,7 +158,7 @@ def test_in_lock_step_no_time_of_a_writer_counts() -> None:
     for tick in range(60):
         robot.write(ENDS / 2, ago_s=30.0)
         robot.watch.now_ns += DT_NS
-        decision = robot.commanded.decide(robot.inbox.newest(tick * 0.02), tick * 0.02)
+        decision = robot.commanded.decide(robot.receiver.newest(tick * 0.02), tick * 0.02)
     assert decision.state == "tracking"
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
-from station.control.inbox import CommandWatch
+from station.control.command_receiver import CommandWatch
 from station.control.stop_trace import StopTrace
 from tests.bus.proxy import Proxy
 from tests.waiting import wait_until

@@ -15,8 +15,8 @@ from station.bus import codec, keys, robot_streams
 from station.config import to_plain
 from station.control.arm_control import ArmControl
 from station.control.arm_values import result_values
+from station.control.command_validator import CommandSample
 from station.control.gate import GateConfig
-from station.control.inlet import CommandSample
 from station.protocols import Floats
 from tests.control.ideal_arm import TICK_S, IdealArm
 from tests.episode.synthetic import MONO_START_NS, EpisodeBuilder

@@ -12,8 +12,8 @@ import msgspec
 from servers.g1 import G1Config
 from station import registry
 from station.bus import codec, keys
+from station.control.command_validator import CommandSample
 from station.control.control import ControlStep
-from station.control.inlet import CommandSample
 from station.control.low_level import result_values
 from station.control.rig import Rig, build
 from station.motion.playback import Playback

@@ -34,7 +34,7 @@ from station.bus.tap import not_mirrored
 from station.camera.source import Drops
 from station.clock import SYSTEM
 from station.contract import TIMING_STAGES
-from station.control.inlet import CommandSample, Inlet, check_command
+from station.control.command_validator import CommandSample, CommandValidator, check_command
 from station.control.stop_trace import StopTrace
 from station.enrich.scalars import Shape
 from station.enrich.siblings import siblings
@@ -53,13 +53,13 @@ from station.life.server import Health, decode_health
 from station.life.stop_file import StopFile
 from station.motion.playback import Playback
 from station.motion.playback_requests import Requests
-from station.operator import reading as readings
-from station.operator.ear import Ear
+from station.operator import sample as readings
+from station.operator.device_subscriber import DeviceSubscriber
 from station.operator.onlooker import Onlooker, Vigil
 from station.operator.phrases import Phrases
-from station.operator.reading import Body, Pose, Reading, Status
 from station.operator.requests import RecordButtons
 from station.operator.robot_side import RobotSide
+from station.operator.sample import Body, OperatorSample, Pose, Status
 from station.operator.script_time import now_s
 from station.protobuf import foxglove
 from station.supervision import doctor
@@ -152,12 +152,12 @@ def health(name: str = "g1", role: str = "low-level") -> bytes:
 
 
 def _command(form: Any, data: bytes) -> None:
-    inlet = Inlet(form)
-    inlet.take(CommandSample(data, 1.0))
-    inlet.is_refusing(1.0, 1.0)
-    if inlet.vector is not None:
-        assert np.isfinite(inlet.vector).all()
-        assert ((inlet.vector >= form.lower) & (inlet.vector <= form.upper)).all()
+    validator = CommandValidator(form)
+    validator.take(CommandSample(data, 1.0))
+    validator.is_refusing(1.0, 1.0)
+    if validator.vector is not None:
+        assert np.isfinite(validator.vector).all()
+        assert ((validator.vector >= form.lower) & (validator.vector <= form.upper)).all()
     check_command(data, form)
 
 
@@ -372,7 +372,7 @@ def _record_state(data: bytes) -> None:
 _IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 _POSE = Pose(np.array([0.1, 0.2, 1.0]), _IDENTITY)
 _HAND = np.concatenate([np.zeros((26, 3)), np.tile(_IDENTITY, (26, 1))], axis=1)
-_READING = Reading(
+_READING = OperatorSample(
     capture_ns=5, controls={"left_trigger": 0.5, "right_stick_x": -0.2}, head=_POSE, left=_POSE, right=_POSE,
     body=Body(np.zeros((24, 3)), np.tile(_IDENTITY, (24, 1))), hands={"left": _HAND, "right": _HAND},
     twist=np.zeros(6), joints=np.zeros(7),
@@ -383,7 +383,7 @@ _SAMPLE = readings.encode("pico", _READING) | readings.encode_status("pico", _ST
 
 def _device(key: str, data: bytes) -> None:
     """What teleoperation makes of a device's sample with one of its parts replaced; for every device alike."""
-    ear = Ear(Shelf(_SAMPLE | {key: data}), "pico")  # type: ignore[arg-type]
+    ear = DeviceSubscriber(Shelf(_SAMPLE | {key: data}), "pico")  # type: ignore[arg-type]
     heard_of = ear.hear()
     codec.json_object({"why_not": heard_of.flaw, "sample": heard_of.sample})
     if heard_of.reading is not None:
@@ -491,9 +491,10 @@ def _by_itself() -> list[Parser]:
         Parser("vector f32", codec.parse_f32, (codec.f32(np.ones(7)),), (_BODY + "codec",), (codec.BadValue,)),
         Parser("stamp", _stamped, (STAMP, b"1 2 3 a.b.c.d"), (
             _BODY + "stamp", _BODY + "client", _BODY + "watch", "station.view.status", _EPISODE + "storage.channels",
-            _EPISODE + "storage.pictures", _EPISODE + "recorder.intake", _EPISODE + "recorder.resume")),
+            _EPISODE + "storage.pictures", _EPISODE + "recorder.tap_reader", _EPISODE + "recorder.resume")),
         Parser("stop", _stop, (b"0", b'{"stop": true, "who": "ada", "reason": "so", "arm": true}', b"1"), (
-            _LIFE + "estop", "station.control.inbox", "station.control.low_level", "station.supervision.stop_memory",
+            _LIFE + "estop", "station.control.command_receiver", "station.control.low_level",
+            "station.supervision.stop_memory",
             "station.control.stop_trace", _LIFE + "stop_file")),
         Parser("stop, kept", _kept_stop, (dumped(KEPT_STOP),), (_LIFE + "stop_file",)),
         Parser("write that was not mirrored", not_mirrored.decode, (b'{"command":"SWAPDB","key":"a","count":1}',),
@@ -541,7 +542,7 @@ def _by_key() -> list[Parser]:
     told = {keys.server_config("g1"): dumped(CONFIG), keys.command_gate(ROBOT): dumped(GATE)}
     commands = [
         Parser(f"command {form.key}", partial(_command, form), (codec.json_vector(form.default),),
-               ("station.control.inlet", _BODY + "codec"))
+               ("station.control.command_validator", _BODY + "codec"))
         for form in FORMS
     ]  # fmt: skip
     return [
@@ -554,7 +555,7 @@ def _by_key() -> list[Parser]:
             keys.server("g1"): health(), keys.server_config("g1"): dumped(CONFIG),
             keys.command_source(ROBOT): dumped(SOURCE),
         }),
-        *_each("device", _device, _OPERATOR + "reading", _SAMPLE),
+        *_each("device", _device, _OPERATOR + "sample", _SAMPLE),
         *_each("robot's side", _robot_side, _OPERATOR + "robot_side", {
             keys.command_gate(ROBOT): dumped(GATE), keys.command_used(ROBOT): codec.f64(np.zeros(35)),
             keys.ESTOP: b'{"stop": false}',

@@ -10,8 +10,8 @@ from station.bus.sample import Sample
 from station.bus.tap import Tap, Write
 from station.life import events
 from station.life.events import Event
-from station.operator import reading as readings
-from station.operator.reading import Reading, Status
+from station.operator import sample as readings
+from station.operator.sample import OperatorSample, Status
 from tests.waiting import wait_until
 
 
@@ -57,7 +57,7 @@ class Account:
     def told(self, name: str) -> int:
         return sum(event.name == name for event in self.events)
 
-    def samples(self) -> list[Reading]:
+    def samples(self) -> list[OperatorSample]:
         return [tick.reading for tick in self.ticks if tick.reading is not None]
 
     def status(self) -> Status:

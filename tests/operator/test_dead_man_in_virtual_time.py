@@ -23,7 +23,7 @@ from station.errors import StationError
 from station.life.server import Life, ServerKind
 from station.life.serving import serve
 from station.operator.device import Device, DeviceError
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 from station.operator.serve import serve_device
 from tests.examples import some
 from tests.virtual.clock import Process, VirtualClock
@@ -58,14 +58,14 @@ class Pad:
         self._clock = clock
         self.is_held = self.is_silent = self.is_stuck = self.is_torn = False
         self.samples: list[Sample] = []
-        self._newest: Reading | None = None
+        self._newest: OperatorSample | None = None
 
     def open(self) -> Device:
         if self.is_torn:
             raise DeviceError("no gamepad; plug it in")
         return self
 
-    def read(self) -> Reading | None:
+    def read(self) -> OperatorSample | None:
         if self.is_torn:
             raise DeviceError("the gamepad was torn out; plug it in")
         if self.is_silent:
@@ -74,7 +74,7 @@ class Pad:
             now_ns = self._clock.monotonic_ns()
             self.samples.append(Sample(now_ns * 1e-9, self.is_held))
             controls = {ENABLE: float(self.is_held), "left_stick_y": 0.5}
-            self._newest = Reading(capture_ns=now_ns, controls=controls)
+            self._newest = OperatorSample(capture_ns=now_ns, controls=controls)
         return self._newest
 
     def why_silent(self) -> str:

@@ -11,7 +11,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from station import rotations
 from station.operator import deltas
 from station.operator.deadman import DeadMan, Snapshot
-from station.operator.reading import Pose
+from station.operator.sample import Pose
 from tests.examples import examples
 
 HERE = Pose(np.array([0.1, 0.2, 1.0]), np.array([1.0, 0.0, 0.0, 0.0]))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from station import rotations
 from station.operator.deltas import angle_between, flaw, followed, jump
-from station.operator.reading import Pose
+from station.operator.sample import Pose
 
 EVEN = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 

@@ -14,7 +14,7 @@ from station.operator.buttons import Buttons, button_map
 from station.operator.deadman import Snapshot
 from station.operator.driver import Look
 from station.operator.driving import Driven, Driving, buttons_to_drive
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 from station.protocols import CommandFormat, Floats
 
 TICK_S = 0.01
@@ -32,7 +32,7 @@ class Slider:
         self.mode = "slow"
         self.companions: Mapping[str, Floats] = {}
 
-    def look(self, reading: Reading) -> Look:
+    def look(self, reading: OperatorSample) -> Look:
         if reading.twist is None:
             return Look(None, "nothing to slide")
         x = float(reading.twist[0])
@@ -45,7 +45,7 @@ class Slider:
         self.mode = "fast" if self.mode == "slow" else "slow"
         return self.mode
 
-    def step(self, reading: Reading | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+    def step(self, reading: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
         if reading is not None and snapshot is not None:
             assert reading.twist is not None
             self.target = snapshot.target + float(reading.twist[0]) - snapshot.start
@@ -68,7 +68,9 @@ class Seat:
 
     def tick(self, x: float | None, *down: str, obstacle: str = "") -> Driven:
         twist = None if x is None else np.array([x, 0.0, 0.0, 0.0, 0.0, 0.0])
-        return self.driving.step(Reading(controls=dict.fromkeys(down, 1.0), twist=twist), TICK_S, obstacle=obstacle)
+        return self.driving.step(
+            OperatorSample(controls=dict.fromkeys(down, 1.0), twist=twist), TICK_S, obstacle=obstacle
+        )
 
     def release(self, x: float = 0.0) -> Driven:
         return [self.tick(x) for _ in range(5)][-1]

@@ -7,13 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from station.operator.freshness import Freshness
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 
 TICK_S = 0.01
 
 
-def at(capture_ns: int | None) -> Reading:
-    return Reading(capture_ns=capture_ns)
+def at(capture_ns: int | None) -> OperatorSample:
+    return OperatorSample(capture_ns=capture_ns)
 
 
 def live() -> tuple[Freshness, float]:

@@ -14,9 +14,9 @@ from station.bus.client import Bus
 from station.errors import StationError
 from station.life.server import Life, ServerKind
 from station.life.serving import serve
-from station.operator import reading as readings
+from station.operator import sample as readings
 from station.operator.device import Device, DeviceError
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 from station.operator.serve import serve_device
 from tests.virtual.clock import VirtualClock
 from tests.virtual.network import Network
@@ -39,14 +39,14 @@ class Wheel:
         self.opened += 1
         return self
 
-    def read(self) -> Reading | None:
+    def read(self) -> OperatorSample | None:
         if not self.is_there:
             raise DeviceError("the wheel was torn out; plug it in")
         return None if self.turn is None else self.reading()
 
-    def reading(self) -> Reading:
+    def reading(self) -> OperatorSample:
         assert self.turn is not None
-        return Reading(capture_ns=self.capture_ns, controls={"wheel": self.turn}, joints=np.array([self.turn]))
+        return OperatorSample(capture_ns=self.capture_ns, controls={"wheel": self.turn}, joints=np.array([self.turn]))
 
     def why_silent(self) -> str:
         return "nobody turns the wheel"

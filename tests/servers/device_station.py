@@ -16,8 +16,8 @@ from station.bus.address import BusAddress
 from station.bus.sample import Sample
 from station.bus.tap import Write
 from station.life.events import Event
-from station.operator import reading as readings
-from station.operator.reading import Reading, Status
+from station.operator import sample as readings
+from station.operator.sample import OperatorSample, Status
 from tests.servers.one_server import OneServer
 
 RUN = """
@@ -48,7 +48,7 @@ class Station(OneServer):
     def __init__(self, device: str, address: BusAddress, folder: Path) -> None:
         super().__init__(address, folder / "stderr")
         self.device, self._folder = device, folder
-        self.samples: list[Reading] = []
+        self.samples: list[OperatorSample] = []
         self.statuses: list[Status] = []
         self.facts: dict[str, Any] = {}
 

@@ -22,9 +22,9 @@ from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.control.arm_control import ArmControl
-from station.control.commanded import told_of_gate
+from station.control.command_path import gate_status
+from station.control.command_validator import CommandSample
 from station.control.gate import GateConfig
-from station.control.inlet import CommandSample
 from station.life.events import Event
 from station.life.loop import Rate
 from station.protocols import Floats
@@ -73,7 +73,7 @@ class ArmAtWork:
                 {
                     keys.state_joints(ROBOT): codec.f64(np.concatenate([state.q, np.zeros(14)])),
                     keys.command_used(ROBOT): codec.f64(record.decision.vector),
-                    keys.command_gate(ROBOT): codec.json_object(told_of_gate(record.decision, self.control.commanded)),
+                    keys.command_gate(ROBOT): codec.json_object(gate_status(record.decision, self.control.commanded)),
                 }
             )
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from servers.kassow import Desk
+from servers.kassow import RequestHandler
 from station.bus import codec
 from station.life.controller_request import Action, ControllerAnswer, ControllerRequest
 from tests.adapters.robots.kassow.driven_arm import DrivenArm
@@ -26,15 +26,15 @@ def arm(kord: Any) -> Iterator[DrivenArm]:
 
 
 @pytest.fixture
-def desk(arm: DrivenArm) -> Desk:
-    return Desk(arm.control, arm.session, ROBOT)
+def desk(arm: DrivenArm) -> RequestHandler:
+    return RequestHandler(arm.control, arm.session, ROBOT)
 
 
 def request(action: Action, number: str, **asked: Any) -> bytes:
     return codec.json_object(ControllerRequest(action=action, id=number, robot=ROBOT, who="ada", **asked))
 
 
-def answer_to(desk: Desk, number: str) -> ControllerAnswer:
+def answer_to(desk: RequestHandler, number: str) -> ControllerAnswer:
     """Look as the server does, tick by tick, until a request is answered."""
     found: list[ControllerAnswer] = []
 
@@ -50,7 +50,7 @@ def answer_to(desk: Desk, number: str) -> ControllerAnswer:
 
 @pytest.mark.parametrize("kind", [MemoryError, RuntimeError, OSError])
 def test_a_clear_that_fails_in_a_way_that_nobody_foresaw_is_told_and_another_may_be_tried(
-    arm: DrivenArm, desk: Desk, monkeypatch: pytest.MonkeyPatch, kind: type[Exception]
+    arm: DrivenArm, desk: RequestHandler, monkeypatch: pytest.MonkeyPatch, kind: type[Exception]
 ) -> None:
     def fail(_: float) -> None:
         raise kind("of the library,\nin two lines")
@@ -66,7 +66,9 @@ def test_a_clear_that_fails_in_a_way_that_nobody_foresaw_is_told_and_another_may
     assert answer_to(desk, "b").refused == ""
 
 
-def test_a_clear_for_which_the_system_has_no_thread_is_told(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_clear_for_which_the_system_has_no_thread_is_told(
+    desk: RequestHandler, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def none_left(_: threading.Thread) -> None:
         raise RuntimeError("can't start new thread")
 
@@ -76,7 +78,7 @@ def test_a_clear_for_which_the_system_has_no_thread_is_told(desk: Desk, monkeypa
 
 
 def test_a_second_clear_is_refused_while_the_first_goes_on_and_both_are_answered(
-    arm: DrivenArm, desk: Desk, monkeypatch: pytest.MonkeyPatch
+    arm: DrivenArm, desk: RequestHandler, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     go_on = threading.Event()
     clear = arm.bridge.clear_faults
@@ -93,7 +95,7 @@ def test_a_second_clear_is_refused_while_the_first_goes_on_and_both_are_answered
     assert answer_to(desk, "a").refused == ""
 
 
-def test_answers_that_come_at_once_are_told_one_after_the_other(desk: Desk) -> None:
+def test_answers_that_come_at_once_are_told_one_after_the_other(desk: RequestHandler) -> None:
     for number in range(5):
         desk.hear(request("throttle", str(number), throttle=number + 1))
     told = [answer.id for answer in (desk.look() for _ in range(200)) if answer is not None]
@@ -103,7 +105,7 @@ def test_answers_that_come_at_once_are_told_one_after_the_other(desk: Desk) -> N
 
 
 def test_of_more_requests_than_can_be_answered_in_time_each_is_done_and_answered_once_or_neither(
-    arm: DrivenArm, desk: Desk
+    arm: DrivenArm, desk: RequestHandler
 ) -> None:
     desk.hear(request("clear", "clear"))
     for number in range(1, 201):
@@ -130,7 +132,7 @@ def test_of_more_requests_than_can_be_answered_in_time_each_is_done_and_answered
     assert answer_to(desk, "later").refused == ""
 
 
-def test_a_clear_ends_driving_and_who_drove_has_to_let_go(arm: DrivenArm, desk: Desk) -> None:
+def test_a_clear_ends_driving_and_who_drove_has_to_let_go(arm: DrivenArm, desk: RequestHandler) -> None:
     arm.drive(20)
     desk.hear(request("clear", "a"))
     record = arm.drive(1)
@@ -143,7 +145,7 @@ def test_a_clear_ends_driving_and_who_drove_has_to_let_go(arm: DrivenArm, desk: 
     assert arm.bridge.get_state().stream_j_sends == sends
 
 
-def test_requests_to_another_arm_and_what_is_none_are_not_answered(desk: Desk) -> None:
+def test_requests_to_another_arm_and_what_is_none_are_not_answered(desk: RequestHandler) -> None:
     for data in (b"hello", codec.json_object(ControllerRequest(action="clear", id="a", robot="kassow_other"))):
         desk.hear(data)
     assert desk.look() is None
@@ -151,7 +153,7 @@ def test_requests_to_another_arm_and_what_is_none_are_not_answered(desk: Desk) -
 
 @pytest.mark.parametrize("ticks", [0, 251, 1 << 31, -(1 << 31) - 1, (1 << 63) - 1])
 def test_a_throttle_that_is_no_number_of_ticks_is_refused_however_large_it_is(
-    arm: DrivenArm, desk: Desk, ticks: int
+    arm: DrivenArm, desk: RequestHandler, ticks: int
 ) -> None:
     before = arm.bridge.get_state().throttle
     desk.hear(request("throttle", "a", throttle=ticks))

@@ -10,7 +10,7 @@ import pytest
 
 from station.bus.address import BusAddress
 from station.life.restarts import RESTARTS_VARIABLE
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 from tests.servers.device_station import station
 
 AGAIN = f"import os; os.environ['{RESTARTS_VARIABLE}'] = '1'\n"
@@ -18,7 +18,7 @@ FIRST_S, LATER_S = 0.3, 2.0  # what is to be seen in between lasts long enough f
 PULL = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 PUSH = [0.5, 0.0, 0.0, 0.0, 0.0, 0.0]
 
-Number = Callable[[Reading], float]
+Number = Callable[[OperatorSample], float]
 CASES: dict[str, tuple[list[Mapping[str, Any]], Number]] = {
     "gamepad": (
         [{"at_s": FIRST_S, "set": {"left_stick_y": 1.0}}, {"at_s": LATER_S, "set": {"left_stick_y": 0.5}}],

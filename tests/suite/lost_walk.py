@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from station.bus import codec
-from station.control.inlet import CommandSample
+from station.control.command_validator import CommandSample
 from station.control.rig import Rig
 from station.protocols import Motion, SimulatedRobot
 

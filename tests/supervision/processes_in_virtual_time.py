@@ -1,6 +1,6 @@
 """Child processes in virtual time, in the place of the operating system's: the supervisor above them is the real one.
 
-A child says what a server says (`station.life.server`): its health on the bus, in its states; it reads its leash.
+A child says what a server says (`station.life.server`): its health on the bus, in its states; it reads its pipe.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import pytest
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.life import leash
+from station.life import supervisor_pipe
 from station.life.restarts import RESTARTS_VARIABLE
 from station.life.server import HEARTBEAT_S, Health, State
 from tests.virtual.clock import Process, VirtualClock
@@ -69,8 +69,8 @@ class FakeProcess:
         self.killed_s: float | None = None
         self.ended_s: float | None = None
         self.script = place.next_script(self.name)
-        self._place, self._clock, self._leash = place, place.clock, os.dup(descriptor)
-        os.set_blocking(self._leash, False)
+        self._place, self._clock, self._supervisor_pipe = place, place.clock, os.dup(descriptor)
+        os.set_blocking(self._supervisor_pipe, False)
         self._told = b""
         self._process: Process = place.clock.spawn(self._live, self.name)
 
@@ -96,7 +96,7 @@ class FakeProcess:
 
     def _end(self, code: int) -> None:
         self.returncode, self.ended_s = code, self._clock.monotonic_s()
-        os.close(self._leash)
+        os.close(self._supervisor_pipe)
 
     def _live(self) -> None:
         script, clock = self.script, self._clock
@@ -131,7 +131,7 @@ class FakeProcess:
 
     def _hears(self, word: bytes) -> bool:
         with suppress(BlockingIOError):
-            self._told += os.read(self._leash, 1024)
+            self._told += os.read(self._supervisor_pipe, 1024)
         return word in self._told.split(b"\n")
 
     def _say(self, bus: Bus, state: State) -> None:
@@ -164,7 +164,7 @@ class Processes:
         return make(len(self.of(name)))
 
     def popen(self, arguments: Sequence[str], *, env: dict[str, str], **_: Any) -> FakeProcess:
-        self.started.append(FakeProcess(self, arguments, int(env[leash.ENVIRONMENT_VARIABLE]), env))
+        self.started.append(FakeProcess(self, arguments, int(env[supervisor_pipe.ENVIRONMENT_VARIABLE]), env))
         return self.started[-1]
 
 

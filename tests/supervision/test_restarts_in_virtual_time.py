@@ -160,7 +160,7 @@ def test_the_end_asks_all_at_once_and_kills_whoever_is_deaf_to_it(tmp_path: Path
             takes_s = 0.0 if process.script.ends_s is None or process.go_s is None else process.script.ends_s
             assert (process.killed_s is not None) == (is_deaf or takes_s > supervisors._HURRY_S), told
         assert station.supervisor.children == {}
-    assert len(os.listdir("/proc/self/fd")) == before, "leashes are let go of"
+    assert len(os.listdir("/proc/self/fd")) == before, "pipes are let go of"
 
 
 def test_one_that_is_stopped_by_name_is_asked_given_its_time_and_then_killed(tmp_path: Path) -> None:

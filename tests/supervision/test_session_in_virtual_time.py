@@ -13,7 +13,8 @@ import pytest
 
 from station.bus.client import Bus
 from station.life.server import HEARTBEAT_S
-from station.supervision import deaths, runbook
+from station.supervision import exit_policy as deaths
+from station.supervision import runbook
 from station.supervision.session import Session
 from station.supervision.supervisor import _STOP_S, Supervisor
 from tests.examples import some

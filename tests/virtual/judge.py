@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from station.bus import codec, keys, stamp
-from station.life.rivals import FOREIGN
+from station.life.writer_conflict import FOREIGN
 from station.protocols import Floats
 from tests.control.ideal_robot import Obedient
 from tests.virtual.station import FORM, Tick

@@ -24,19 +24,19 @@ from station.bus import codec, keys, stamp
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import Connection
+from station.control.command_validator import CommandSample
 from station.control.control import ControlStep, StepRecord
 from station.control.gate import GateConfig
-from station.control.inlet import CommandSample
 from station.control.low_level import LowLevelLoop, result_values
 from station.errors import BusError, Refused
 from station.life.estop import StopWatch
 from station.life.events import Event, decode
-from station.life.leash import Leash
 from station.life.loop import Rate
 from station.life.pace import WallPace
 from station.life.server import Life, Role, ServerKind
 from station.life.serving import serve
-from station.operator.ear import Heard
+from station.life.supervisor_pipe import SupervisorPipe
+from station.operator.device_subscriber import DeviceSample
 from station.operator.writer import CommandWriter
 from station.protocols import CommandFormat, Floats, Reference, RobotState
 from tests.control.ideal_robot import IdealRobot, IdealSimulation, Obedient
@@ -117,14 +117,14 @@ class ControlledRobot:
     @property
     def refused(self) -> int:
         """How many commands were refused."""
-        return self.control.commanded.inlet.refused.total() if self.control is not None else 0
+        return self.control.commanded.validator.refused.total() if self.control is not None else 0
 
     def stop_past_the_bus(self) -> None:
-        """Ask for the emergency stop as the supervisor does, by the leash."""
+        """Ask for the emergency stop as the supervisor does, by its pipe."""
         assert self.life is not None
-        leash = self.life._leash
-        assert leash is not None
-        leash.on_estop()
+        pipe = self.life._supervisor_pipe
+        assert pipe is not None
+        pipe.on_estop()
 
     def _main(self, config: NoConfig, life: Life) -> int:
         clock = self._network.clock
@@ -133,7 +133,7 @@ class ControlledRobot:
         control = self.control = LoggedControl(
             robot, policy, FORM, gate=self.gate, is_armed=self._is_simulated, clock=clock, ticks=self.ticks
         )
-        life._leash = _NoSupervisor()
+        life._supervisor_pipe = _NoSupervisor()
         with LowLevelLoop(
             life,
             control,
@@ -148,7 +148,7 @@ class ControlledRobot:
         return 0
 
 
-class _NoSupervisor(Leash):
+class _NoSupervisor(SupervisorPipe):
     """The end of a pipe that no supervisor holds: what is asked for on it is asked by the test."""
 
     def __init__(self) -> None:
@@ -285,7 +285,7 @@ def _teleop(network: Network, commander: Commander, name: str) -> None:
             return 0
         pace, time_s = WallPace(RATE_HZ, life.clock), 0.0
         while not life.stopping:
-            writer.write(commander.walk.vector(time_s), FORM.companions, Heard(None), engaged=True)
+            writer.write(commander.walk.vector(time_s), FORM.companions, DeviceSample(None), engaged=True)
             life.report(**pace.health())
             time_s += pace.wait(is_leaving=False)
         return 0

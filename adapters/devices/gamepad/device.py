@@ -8,7 +8,7 @@ from typing import Any
 
 from adapters.devices.gamepad import names, sdl
 from station.operator.device import DeviceError
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 
 
 class Gamepad:
@@ -41,7 +41,7 @@ class Gamepad:
         self._state = dict.fromkeys(names.CONTROLS, 0.0) if self._pad.is_mapped else self._unmapped()
         self._pygame.event.clear(pump=False)  # what was pressed before is nobody's command
 
-    def read(self) -> Reading | None:
+    def read(self) -> OperatorSample | None:
         """Return the controls as they are now; never blocks.
 
         Raises:
@@ -59,7 +59,7 @@ class Gamepad:
         self._tapped.clear()
         if self._pad.is_mapped:
             self._apply_dead_band(shown)
-        return Reading(controls=shown)
+        return OperatorSample(controls=shown)
 
     def why_silent(self) -> str:
         """Return nothing: a gamepad that is there is never silent, it rests."""

@@ -17,7 +17,7 @@ from adapters.devices.gello.calibration import Calibration
 from adapters.devices.gello.sampler import Sampler
 from station.clock import SYSTEM, Clock
 from station.operator.device import DeviceError
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 from station.protocols import Floats
 
 log = logging.getLogger(__name__)
@@ -74,7 +74,7 @@ class Gello:
         for calibration, bus in opened:
             self._samplers.append(Sampler(bus, calibration, rate_hz=rate_hz, patience_s=patience_s))
 
-    def read(self) -> Reading | None:
+    def read(self) -> OperatorSample | None:
         """Return the joints of all leaders if they are new since the last call; never blocks.
 
         Raises:
@@ -89,14 +89,14 @@ class Gello:
         if len(samples) < len(newest) or captured == self._given:
             return None
         self._given = captured
-        return Reading(capture_ns=min(captured), joints=self._ordered([sample.values for sample in samples]))
+        return OperatorSample(capture_ns=min(captured), joints=self._ordered([sample.values for sample in samples]))
 
     def why_silent(self) -> str:
         """Return which servo does not answer, once that is known."""
         return "; ".join(sampler.fault for sampler in self._samplers if sampler.fault)
 
     def facts(self) -> dict[str, Any]:
-        """Return the leaders, what `Reading.joints` are called, and the library."""
+        """Return the leaders, what `OperatorSample.joints` are called, and the library."""
         return {
             "device": "gello",
             "leaders": [

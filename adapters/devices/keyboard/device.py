@@ -19,7 +19,7 @@ from typing import Any
 
 from adapters.devices.keyboard import keys
 from station.operator.device import DeviceError
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 
 HOLD_S = 0.15
 OWN_TERMINAL = "/dev/tty"
@@ -65,7 +65,7 @@ class Keyboard:
         self._waiting, self._waiting_since_s = b"", 0.0
         self._lost = ""
 
-    def read(self) -> Reading | None:
+    def read(self) -> OperatorSample | None:
         """Return which keys are held, and which are not; never blocks.
 
         Raises:
@@ -82,7 +82,9 @@ class Keyboard:
             self._held_until_s, pressed = dict.fromkeys(self._held_until_s, -math.inf), []
         for key in pressed:
             self._held_until_s[key] = now_s + self._hold_s
-        return Reading(controls={f"key_{key}": float(now_s < until_s) for key, until_s in self._held_until_s.items()})
+        return OperatorSample(
+            controls={f"key_{key}": float(now_s < until_s) for key, until_s in self._held_until_s.items()}
+        )
 
     def why_silent(self) -> str:
         """Return nothing: a terminal that is there is never silent, nobody types."""

@@ -44,7 +44,7 @@ from station import rotations
 from station.bus.joints import SMPL_24
 from station.clock import SYSTEM, Clock
 from station.operator.device import DeviceError
-from station.operator.reading import Body, Pose, Reading, Side
+from station.operator.sample import Body, OperatorSample, Pose, Side
 from station.protocols import Floats
 
 LIBRARY = "xrobotoolkit-sdk"
@@ -95,7 +95,7 @@ class Headset:
         atexit.register(self.close)
         self._is_open = True
 
-    def read(self) -> Reading | None:
+    def read(self) -> OperatorSample | None:
         """Return the newest sample, or None when the headset's time stamp has not moved since the last call.
 
         Raises:
@@ -163,10 +163,10 @@ class Headset:
             return False
         return True
 
-    def _reading(self, stamp_ns: int) -> Reading:
+    def _reading(self, stamp_ns: int) -> OperatorSample:
         sdk = self._sdk
         controllers = {side: self._controller(side, stamp_ns) for side in _SIDES}
-        return Reading(
+        return OperatorSample(
             capture_ns=stamp_ns,
             controls=self._controls([side for side, pose in controllers.items() if pose is not None]),
             head=_pose(sdk.get_headset_pose()),

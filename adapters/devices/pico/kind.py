@@ -20,7 +20,7 @@ from station.clock import Clock
 from station.operator.device import Device
 from station.operator.device_kind import DeviceConfig, DeviceKind, Source
 from station.operator.measure import OperatorMeasure
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 
 _HOST = "127.0.0.1"
 _LOOK_S = 0.2
@@ -61,7 +61,7 @@ def _source(config: PicoConfig, clock: Clock, start_s: float) -> Iterator[Source
         yield Source(open=lambda: opened(_HOST, fake.port), begin=fake.begin, also=_stock)
 
 
-def _stock(reading: Reading) -> Mapping[str, bytes]:
+def _stock(reading: OperatorSample) -> Mapping[str, bytes]:
     from adapters.devices.pico.stock import controller_data
     from adapters.robots.g1 import twist_keys
 

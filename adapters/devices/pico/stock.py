@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from station.operator.reading import Reading, Side
+from station.operator.sample import OperatorSample, Side
 
 
-def controller_data(reading: Reading) -> dict[str, Any]:
+def controller_data(reading: OperatorSample) -> dict[str, Any]:
     """Return a sample as stock TWIST2 teleoperation writes it; the time stamp is the headset's [ns].
 
     Source: amazon-far/TWIST2, ``deploy_real/xrobot_teleop_to_robot_w_hand.py``; its recorder fails where a key lacks.
@@ -19,7 +19,7 @@ def controller_data(reading: Reading) -> dict[str, Any]:
     }
 
 
-def _controller(side: Side, reading: Reading) -> dict[str, Any]:
+def _controller(side: Side, reading: OperatorSample) -> dict[str, Any]:
     def value(name: str) -> float:
         return reading.controls.get(f"{side}_{name}", 0.0)
 

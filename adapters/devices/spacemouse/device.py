@@ -11,7 +11,7 @@ from adapters.devices.spacemouse.find import choose, library, open_all
 from adapters.devices.spacemouse.reports import Deflection, with_dead_band
 from station.clock import SYSTEM, Clock
 from station.operator.device import DeviceError
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 from station.protocols import Floats
 
 _REPORT_BYTES = 64
@@ -57,7 +57,7 @@ class Spacemouse:
         self._reports = 0
         self._lost = ""
 
-    def read(self) -> Reading | None:
+    def read(self) -> OperatorSample | None:
         """Return twist and buttons as they are now; never blocks.
 
         Raises:
@@ -113,9 +113,9 @@ class Spacemouse:
         self._reports += count
         return count
 
-    def _reading(self) -> Reading:
+    def _reading(self) -> OperatorSample:
         buttons = self._deflection.take_pressed()
-        return Reading(
+        return OperatorSample(
             twist=self._twist(),
             controls={f"button_{bit}": float(buttons >> bit & 1) for bit in self._mouse.model.buttons},
         )

@@ -31,7 +31,7 @@ class CatchingUp:
         self.is_late = tap.is_catching_up
 
     def must_wait(self, load: float, now_s: float) -> bool:
-        """Return whether the tap is not to be read now, and take note of how far it is.
+        """Return whether the tap is not to be read now, and record how far it is.
 
         Args:
             load: How full the queue before the disk is, 0..1.

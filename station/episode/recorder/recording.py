@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from station.bus import keys
 from station.clock import SYSTEM, Clock
-from station.episode.recorder.desk import Desk
+from station.episode.recorder.controller import RecorderController
 from station.episode.recorder.options import RecordingOptions
 from station.episode.storage.manifest import Recorder
 from station.episode.storage.request import parse_request, request_id
@@ -25,7 +25,7 @@ _MOST_CHANGES = 10  # of the tap, that are told one by one
 _MOST_KEYS = 100_000  # of which we remember whether they matter; a client that invents keys must not fill the memory
 
 
-class Recording(Desk):
+class Recording(RecorderController):
     """A recorder's state. One thread feeds it and polls it; no call waits for the disk but for making a folder."""
 
     def __init__(

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from station.bus import keys
 from station.bus import stamp as stamps
 from station.clock import SYSTEM, Clock
+from station.episode.recorder.active_episode import ActiveEpisode
 from station.episode.recorder.options import RecordingOptions
-from station.episode.recorder.take import Take
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, iso, take_anchor
@@ -59,7 +59,7 @@ class TakenUp(NamedTuple):
         written_ns: When the last write arrived that the file holds [ns, monotonic]; 0 when it holds none.
     """
 
-    take: Take
+    take: ActiveEpisode
     requests: list[str]
     awaited: str
     written_ns: int
@@ -118,7 +118,7 @@ def take_up(
         reopened=files, clock=clock,
     )  # fmt: skip
     is_awaited = is_exact and not point.messages
-    take = Take(writer, manifest, start_id=point.start_id if not point.messages else None)
+    take = ActiveEpisode(writer, manifest, start_id=point.start_id if not point.messages else None)
     written_ns = point.anchor.mono_ns + totals.last_ns - point.anchor.wall_ns if totals.last_ns else 0
     return TakenUp(take, [*retelling.told.requests, point.start_id], point.start_id if is_awaited else "", written_ns)
 

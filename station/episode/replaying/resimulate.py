@@ -15,8 +15,8 @@ import msgspec
 import numpy as np
 
 from station.bus import codec, keys
+from station.control.command_validator import CommandSample
 from station.control.control import ControlStep, StepRecord
-from station.control.inlet import CommandSample
 from station.control.rig import Rig, RigConfig, build
 from station.episode.reading.reader import EpisodeReader, Message
 from station.episode.reading.steps import Step, StepJoiner, timing_row
@@ -127,7 +127,7 @@ def _other_than_recorded(facts: Mapping[str, Any], rig: Rig) -> Iterator[str]:
 def _compare(reader: EpisodeReader, control: ControlStep, rig: Rig, report: Resimulation) -> None:
     run = _Run(control, rig.period_s, report)
     joiner = StepJoiner(report.robot, results=(keys.policy_timing, keys.command_gate))
-    key = control.inlet.form.key
+    key = control.validator.form.key
     began = time.perf_counter()
     for message in reader.messages(joiner.topics | {key, keys.EVENT}):
         if message.topic == key:

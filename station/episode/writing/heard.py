@@ -63,7 +63,7 @@ class Heard:
         return key.startswith((keys.SERVER_PREFIX, keys.CONFIG_PREFIX, _SOURCE_PREFIX))
 
     def hear(self, key: str, value: bytes, stamp: bytes | None, mono_ns: int) -> None:
-        """Take note of one value; one that is not a JSON object says nothing."""
+        """Record one value; one that is not a JSON object says nothing."""
         stated = statement(value, LARGEST_CONFIGURATION)
         decoded = stamps.decode(stamp) if stamp is not None else None
         source = decoded.source if decoded else ""

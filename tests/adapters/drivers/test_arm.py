@@ -19,7 +19,7 @@ from station.errors import ConfigError
 from station.operator.buttons import Buttons, button_map
 from station.operator.deadman import Snapshot
 from station.operator.driving import Driven, Driving
-from station.operator.reading import Pose, Reading
+from station.operator.sample import OperatorSample, Pose
 from station.protocols import Floats
 from tests import six_joints
 
@@ -44,22 +44,22 @@ def made(name: str, options: ArmOptions) -> ArmDriver:
     return driver
 
 
-def follow(driver: ArmDriver, readings: list[Reading]) -> Floats:
+def follow(driver: ArmDriver, readings: list[OperatorSample]) -> Floats:
     """Engage with the first sample and follow the others; return the commands, shape (n, 7)."""
     snapshot = Snapshot(driver.look(readings[0]).input, driver.target)
     return np.array([driver.step(reading, snapshot, TICK_S) for reading in readings])
 
 
-def held(reading: Reading, seconds: float) -> list[Reading]:
+def held(reading: OperatorSample, seconds: float) -> list[OperatorSample]:
     return [reading] * (round(seconds / TICK_S) + 1)
 
 
-def twist(*axes: float) -> Reading:
-    return Reading(twist=np.array([*axes, *[0.0] * (6 - len(axes))]))
+def twist(*axes: float) -> OperatorSample:
+    return OperatorSample(twist=np.array([*axes, *[0.0] * (6 - len(axes))]))
 
 
-def pressed(**controls: float) -> Reading:
-    return Reading(controls={"key_x": 0.0} | controls)
+def pressed(**controls: float) -> OperatorSample:
+    return OperatorSample(controls={"key_x": 0.0} | controls)
 
 
 def position(q: Floats) -> Floats:
@@ -219,9 +219,9 @@ def test_a_tool_that_goes_round_and_round_brings_its_elbow_back() -> None:
     assert q == pytest.approx(DOWN, abs=0.03)  # 0.33 rad from there where nothing brings it back
 
 
-def hand(*way: float, turn: tuple[float, float, float] = (0.0, 0.0, 0.0), head: Pose | None = None) -> Reading:
+def hand(*way: float, turn: tuple[float, float, float] = (0.0, 0.0, 0.0), head: Pose | None = None) -> OperatorSample:
     quat = rotations.from_rotation_vector(np.array(turn))
-    return Reading(
+    return OperatorSample(
         capture_ns=1, controls={"right_grip": 1.0}, right=Pose(RIGHT.position + np.array(way), quat), head=head
     )
 
@@ -251,29 +251,33 @@ def test_what_is_forward_may_be_where_the_headset_looks() -> None:
 
 def test_a_leader_that_is_near_is_followed_no_faster_than_told() -> None:
     leader = DOWN + np.array([0.2, -0.1, 0.0, 0.3, 0.0, 0.0, -0.2])
-    commands = follow(joints(), held(Reading(joints=leader), 1.5))
+    commands = follow(joints(), held(OperatorSample(joints=leader), 1.5))
     assert np.abs(np.diff(commands, axis=0)).max() <= 0.3 * TICK_S + 1e-12
     assert commands[-1] == pytest.approx(leader)
 
 
 def test_a_leader_that_is_far_away_may_not_begin_and_is_told_what_to_move_where() -> None:
-    look = joints().look(Reading(joints=np.append(DOWN + 0.9 * np.eye(7)[3] - 1.0 * np.eye(7)[0], 0.5)))
+    look = joints().look(OperatorSample(joints=np.append(DOWN + 0.9 * np.eye(7)[3] - 1.0 * np.eye(7)[0], 0.5)))
     assert look.objection == "leader is too far from the arm; move it (rad): joint_1 by +1.00, joint_4 by -0.90"
 
 
 @pytest.mark.parametrize(
     ("reading", "mode", "flaw"),
     [
-        (Reading(), BASE, "the device sends nothing that moves an arm"),
-        (Reading(joints=np.zeros(6)), BASE, "the leader sends 6 values, expected 7 joints, and a gripper or none"),
-        (Reading(joints=np.full(7, np.nan)), BASE, "the leader sends 7 values, expected 7 joints"),
-        (Reading(joints=DOWN), TOOL, "a leader arm drives joints and not the tool; change the mode"),
-        (Reading(twist=np.full(6, np.nan)), BASE, "the device sends no numbers"),
-        (Reading(left=RIGHT), TOOL, "right is not tracked"),
-        (Reading(right=Pose(np.zeros(3), np.zeros(4))), TOOL, "right has no orientation yet"),
+        (OperatorSample(), BASE, "the device sends nothing that moves an arm"),
+        (
+            OperatorSample(joints=np.zeros(6)),
+            BASE,
+            "the leader sends 6 values, expected 7 joints, and a gripper or none",
+        ),
+        (OperatorSample(joints=np.full(7, np.nan)), BASE, "the leader sends 7 values, expected 7 joints"),
+        (OperatorSample(joints=DOWN), TOOL, "a leader arm drives joints and not the tool; change the mode"),
+        (OperatorSample(twist=np.full(6, np.nan)), BASE, "the device sends no numbers"),
+        (OperatorSample(left=RIGHT), TOOL, "right is not tracked"),
+        (OperatorSample(right=Pose(np.zeros(3), np.zeros(4))), TOOL, "right has no orientation yet"),
     ],
 )
-def test_what_does_not_fit_is_refused(reading: Reading, mode: str, flaw: str) -> None:
+def test_what_does_not_fit_is_refused(reading: OperatorSample, mode: str, flaw: str) -> None:
     look = (tool() if mode == TOOL else joints()).look(reading)
     assert look.input is None
     assert look.flaw.startswith(flaw)
@@ -284,7 +288,7 @@ def test_what_jumps_or_is_lost_is_told() -> None:
     here, there = driver.look(hand(0.0, 0.0, 0.0)).input, driver.look(hand(0.5, 0.0, 0.0)).input
     assert driver.jump(here, there).startswith("right jumped 0.50 m")
     assert driver.jump(here, driver.look(pressed()).input) == "the device sends controls and no hand any more"
-    leads = [joints().look(Reading(joints=q)).input for q in (DOWN, DOWN + 2 * np.pi * np.eye(7)[2])]
+    leads = [joints().look(OperatorSample(joints=q)).input for q in (DOWN, DOWN + 2 * np.pi * np.eye(7)[2])]
     assert driver.jump(*leads) == "joint_3 of the leader jumped 6.28 rad between two samples (limit 0.8)"
 
 
@@ -304,7 +308,7 @@ class Seat:
         self.driving = Driving(driver, Buttons(button_map("spacemouse")))
         self.tick()
 
-    def tick(self, reading: Reading | None = None, **controls: float) -> Driven:
+    def tick(self, reading: OperatorSample | None = None, **controls: float) -> Driven:
         reading = replace(reading or twist(), controls={"button_1": 0.0} | controls)
         return self.driving.step(reading, TICK_S)
 
@@ -407,15 +411,17 @@ def test_an_arm_of_six_joints_is_driven_by_whatever_drives_one_of_seven(six: Arm
 
 
 def test_a_leader_of_six_joints_and_a_gripper_leads_it_and_one_of_another_number_does_not(six: ArmDriver) -> None:
-    leader = Reading(joints=np.array([0.1, -0.1, 0.1, 0.0, 0.1, 0.0, 0.7]))
+    leader = OperatorSample(joints=np.array([0.1, -0.1, 0.1, 0.0, 0.1, 0.0, 0.7]))
     assert follow(six, held(leader, 2.0))[-1] == pytest.approx([0.1, -0.1, 0.1, 0.0, 0.1, 0.0])
     assert (
-        six.look(Reading(joints=np.zeros(8))).flaw
+        six.look(OperatorSample(joints=np.zeros(8))).flaw
         == "the leader sends 8 values, expected 6 joints, and a gripper or none"
     )
-    far = six.look(Reading(joints=np.array([0.1, -0.1, 0.1, 0.0, 0.1, 1.5])))
+    far = six.look(OperatorSample(joints=np.array([0.1, -0.1, 0.1, 0.0, 0.1, 1.5])))
     assert far.objection == "leader is too far from the arm; move it (rad): flange by -1.50"
-    jump = six.jump(six.look(leader).input, six.look(Reading(joints=np.array([0.1, 0.9, 0.1, 0.0, 0.1, 0.0]))).input)
+    jump = six.jump(
+        six.look(leader).input, six.look(OperatorSample(joints=np.array([0.1, 0.9, 0.1, 0.0, 0.1, 0.0]))).input
+    )
     assert jump.startswith("shoulder of the leader jumped 1.00 rad")
 
 

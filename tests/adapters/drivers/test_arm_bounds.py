@@ -14,7 +14,7 @@ from adapters.robots.kassow.kinematics import REACHING_DOWN
 from station import rotations
 from station.operator.buttons import Buttons, button_map
 from station.operator.driving import Driving
-from station.operator.reading import Pose, Reading
+from station.operator.sample import OperatorSample, Pose
 from station.protocols import Floats
 from tests.examples import examples
 
@@ -22,15 +22,15 @@ TICK_S = 0.004
 SPEED = 0.3
 FORM = ArmDriver("arm-joints", ArmOptions(), "joints").form
 
-Wish = Callable[[np.random.Generator, Floats], Reading]
+Wish = Callable[[np.random.Generator, Floats], OperatorSample]
 """From chance, and where the arm is asked to be, to a sample."""
 
 
-def by_twist(random: np.random.Generator, q: Floats) -> Reading:
-    return Reading(twist=random.uniform(-3.0, 3.0, 6))
+def by_twist(random: np.random.Generator, q: Floats) -> OperatorSample:
+    return OperatorSample(twist=random.uniform(-3.0, 3.0, 6))
 
 
-def by_sticks(random: np.random.Generator, q: Floats) -> Reading:
+def by_sticks(random: np.random.Generator, q: Floats) -> OperatorSample:
     names = (
         "left_stick_x",
         "left_stick_y",
@@ -41,20 +41,20 @@ def by_sticks(random: np.random.Generator, q: Floats) -> Reading:
         "key_up",
         "key_5",
     )
-    return Reading(controls=dict(zip(names, random.uniform(-1.0, 1.0, len(names)).tolist(), strict=True)))
+    return OperatorSample(controls=dict(zip(names, random.uniform(-1.0, 1.0, len(names)).tolist(), strict=True)))
 
 
-def by_hand(random: np.random.Generator, q: Floats) -> Reading:
+def by_hand(random: np.random.Generator, q: Floats) -> OperatorSample:
     turn = rotations.from_rotation_vector(random.uniform(-0.3, 0.3, 3))
-    return Reading(right=Pose(random.uniform(-0.12, 0.12, 3), turn))
+    return OperatorSample(right=Pose(random.uniform(-0.12, 0.12, 3), turn))
 
 
-def by_leader(random: np.random.Generator, q: Floats) -> Reading:
-    return Reading(joints=q + random.uniform(-0.35, 0.35, 7))
+def by_leader(random: np.random.Generator, q: Floats) -> OperatorSample:
+    return OperatorSample(joints=q + random.uniform(-0.35, 0.35, 7))
 
 
-def by_nothing(random: np.random.Generator, q: Floats) -> Reading:
-    return Reading()
+def by_nothing(random: np.random.Generator, q: Floats) -> OperatorSample:
+    return OperatorSample()
 
 
 WISHES: tuple[Wish, ...] = (by_twist, by_sticks, by_hand, by_leader, by_nothing)
@@ -79,11 +79,11 @@ class Pilot:
         driver.take_up(q)
         self.driving = Driving(driver, Buttons(button_map("pico", {"engage": "left_grip"})))
         self.command = q
-        self.tick(Reading())
+        self.tick(OperatorSample())
 
-    def tick(self, reading: Reading | None, *down: str) -> None:
+    def tick(self, reading: OperatorSample | None, *down: str) -> None:
         if reading is not None:
-            reading = Reading(
+            reading = OperatorSample(
                 controls={"left_grip": 0.0} | dict(reading.controls) | dict.fromkeys(down, 1.0),
                 twist=reading.twist, right=reading.right, joints=reading.joints,
             )  # fmt: skip
@@ -128,13 +128,13 @@ def test_the_first_command_after_engaging_is_where_the_arm_stands_also_where_it_
 ) -> None:
     driver = ArmDriver("arm", ArmOptions(), begins)
     pilot = Pilot(driver, q)
-    pilot.tick(Reading(twist=np.ones(6)), "left_grip")
-    pilot.tick(Reading(twist=np.ones(6)), "left_grip")
+    pilot.tick(OperatorSample(twist=np.ones(6)), "left_grip")
+    pilot.tick(OperatorSample(twist=np.ones(6)), "left_grip")
     for _ in range(5):
-        pilot.tick(Reading(twist=np.ones(6)))
+        pilot.tick(OperatorSample(twist=np.ones(6)))
     elsewhere = np.random.default_rng(seed).uniform(FORM.lower, FORM.upper)
     driver.take_up(elsewhere)  # by hand, or by another server
     pilot.command = elsewhere
-    pilot.tick(Reading(twist=np.ones(6)), "left_grip")
+    pilot.tick(OperatorSample(twist=np.ones(6)), "left_grip")
     assert pilot.driving.deadman.is_engaged
     assert np.abs(pilot.command - elsewhere).max() <= 1e-6

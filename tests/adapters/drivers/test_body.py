@@ -9,11 +9,11 @@ import pytest
 
 from adapters.commands.twist2 import FORMAT
 from adapters.drivers.body import LEAVE_S, BodyDriver
-from adapters.drivers.outlet import ENTER_S
+from adapters.drivers.command_shaper import ENTER_S
 from station.blends import VELOCITY_FADE_S
 from station.errors import StationError
 from station.operator.deadman import Snapshot
-from station.operator.reading import Body
+from station.operator.sample import Body
 from station.protocols import Reference
 
 from .operators import TICK_S, Shadow, body

@@ -8,7 +8,7 @@ import pytest
 from adapters.commands.twist2 import FORMAT
 from station.operator.deadman import Snapshot
 from station.operator.driver import Driver
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 from station.protocols import Floats
 
 from .operators import DRIVERS, TICK_S, Operator
@@ -53,7 +53,7 @@ class Wheel:
         assert (np.abs(command - self.command) <= FORMAT.rate * TICK_S + 1e-12).all()
         self.command = command
 
-    def reading(self) -> Reading:
+    def reading(self) -> OperatorSample:
         return self.operator(self.time_s)
 
 
@@ -109,7 +109,7 @@ def test_silence_is_survived(pair: tuple[Driver, Operator]) -> None:
 def test_a_sample_without_what_it_needs_is_none(pair: tuple[Driver, Operator]) -> None:
     driver, operator = pair
     assert driver.look(operator(0.0)).flaw == ""
-    look = driver.look(Reading())
+    look = driver.look(OperatorSample())
     assert look.input is None
     assert look.flaw
     assert "\n" not in look.flaw

@@ -13,7 +13,7 @@ from adapters.retarget.arm_ik import SIDES
 from adapters.robots.g1 import twist_keys
 from station import rotations
 from station.operator.deadman import Snapshot
-from station.operator.reading import Pose, Reading
+from station.operator.sample import OperatorSample, Pose
 
 from .operators import TICK_S, hand, hands
 
@@ -22,7 +22,7 @@ pytest.importorskip("mink")
 START = replace(hands(0.0), controls={})
 
 
-def engaged(options: HandsOptions | None = None, reading: Reading = START) -> tuple[HandsDriver, Snapshot]:
+def engaged(options: HandsOptions | None = None, reading: OperatorSample = START) -> tuple[HandsDriver, Snapshot]:
     driver = HandsDriver(options)
     snapshot = Snapshot(driver.look(reading).input, driver.target)
     driver.step(reading, snapshot, TICK_S)

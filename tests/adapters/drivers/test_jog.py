@@ -7,7 +7,7 @@ import pytest
 
 from adapters.drivers.jog import PALM_MPS, JogDriver
 from station.operator.deadman import Snapshot
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 
 from .operators import TICK_S
 
@@ -17,12 +17,12 @@ pytest.importorskip("mink")
 def engaged() -> tuple[JogDriver, Snapshot]:
     driver = JogDriver()
     snapshot = Snapshot(np.zeros(6), driver.target)
-    driver.step(Reading(twist=np.zeros(6)), snapshot, TICK_S)
+    driver.step(OperatorSample(twist=np.zeros(6)), snapshot, TICK_S)
     return driver, snapshot
 
 
-def twisted(*axes: float) -> Reading:
-    return Reading(twist=np.array([*axes, *[0.0] * (6 - len(axes))]))
+def twisted(*axes: float) -> OperatorSample:
+    return OperatorSample(twist=np.array([*axes, *[0.0] * (6 - len(axes))]))
 
 
 def test_up_is_up_and_letting_the_knob_go_stops_it() -> None:

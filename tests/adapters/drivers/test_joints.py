@@ -10,7 +10,7 @@ from adapters.drivers.joints import APART_RAD, GENTLE_RAD_S, JointsDriver, Joint
 from adapters.retarget.arm_ik import ARMS
 from adapters.robots.g1 import twist_keys
 from station.operator.deadman import Snapshot
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 from station.protocols import Floats
 
 from .operators import TICK_S
@@ -22,7 +22,7 @@ LEFT_ARM = slice(21, 28)
 def engaged(leader: Floats, options: JointsOptions | None = None) -> tuple[JointsDriver, Snapshot]:
     driver = JointsDriver(options)
     snapshot = Snapshot(leader, driver.target)
-    driver.step(Reading(joints=leader), snapshot, TICK_S)
+    driver.step(OperatorSample(joints=leader), snapshot, TICK_S)
     return driver, snapshot
 
 
@@ -30,7 +30,7 @@ def test_a_leader_that_is_far_away_may_not_begin_and_is_told_what_to_move_where(
     leader = STANDING.copy()
     leader[3] += APART_RAD + 0.1
     leader[0] -= 1.0
-    look = JointsDriver().look(Reading(joints=leader))
+    look = JointsDriver().look(OperatorSample(joints=leader))
     assert look.objection == (
         "leader is too far from the robot; move it (rad): left_shoulder_pitch by +1.00, left_elbow by -0.90"
     )
@@ -40,7 +40,7 @@ def test_a_leader_that_is_far_away_may_not_begin_and_is_told_what_to_move_where(
 
 
 def test_a_leader_that_is_near_may_begin() -> None:
-    assert JointsDriver().look(Reading(joints=STANDING + 0.7)).objection == ""
+    assert JointsDriver().look(OperatorSample(joints=STANDING + 0.7)).objection == ""
 
 
 def test_the_robot_goes_gently_to_its_leader_and_then_follows_at_once() -> None:
@@ -48,14 +48,14 @@ def test_the_robot_goes_gently_to_its_leader_and_then_follows_at_once() -> None:
     driver, snapshot = engaged(leader)
     before = driver.target
     for _ in range(50):
-        driver.step(Reading(joints=leader), snapshot, TICK_S)
+        driver.step(OperatorSample(joints=leader), snapshot, TICK_S)
         assert (np.abs(driver.target - before) <= GENTLE_RAD_S * TICK_S + 1e-9).all()
         before = driver.target
     for _ in range(100):
-        driver.step(Reading(joints=leader), snapshot, TICK_S)
+        driver.step(OperatorSample(joints=leader), snapshot, TICK_S)
     assert driver.target == pytest.approx(leader)
     leader = leader + 0.05
-    driver.step(Reading(joints=leader), snapshot, TICK_S)
+    driver.step(OperatorSample(joints=leader), snapshot, TICK_S)
     assert driver.target == pytest.approx(leader)
 
 
@@ -63,7 +63,7 @@ def test_the_command_carries_the_joints_and_stays_in_their_ranges() -> None:
     driver, snapshot = engaged(STANDING)
     for step in range(400):
         leader = STANDING + 0.02 * step * np.array([0, 1, 0, 0, 0, 1, 0])
-        command = driver.step(Reading(joints=leader), snapshot, TICK_S)
+        command = driver.step(OperatorSample(joints=leader), snapshot, TICK_S)
     assert command[LEFT_ARM][[1, 5]] == pytest.approx(FORMAT.upper[LEFT_ARM][[1, 5]])
 
 
@@ -71,7 +71,7 @@ def test_values_after_the_joints_close_the_hands() -> None:
     options = JointsOptions(grippers=("left",))
     driver, snapshot = engaged(np.append(STANDING, 0.0), options)
     for _ in range(30):
-        driver.step(Reading(joints=np.append(STANDING, 1.0)), snapshot, TICK_S)
+        driver.step(OperatorSample(joints=np.append(STANDING, 1.0)), snapshot, TICK_S)
     assert driver.companions[twist_keys.action_hand("left")][1] == pytest.approx(1.0)
 
 
@@ -84,7 +84,7 @@ def test_values_after_the_joints_close_the_hands() -> None:
     ],
 )
 def test_a_leader_that_does_not_fit_is_refused(joints: Floats | None, flaw: str) -> None:
-    assert JointsDriver().look(Reading(joints=joints)).flaw == flaw
+    assert JointsDriver().look(OperatorSample(joints=joints)).flaw == flaw
 
 
 def test_a_joint_that_comes_back_a_turn_off_is_a_jump() -> None:

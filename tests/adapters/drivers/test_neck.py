@@ -15,7 +15,7 @@ from adapters.robots.g1 import twist_keys
 from station import rotations
 from station.bus.joints import SMPL_24
 from station.operator.deadman import Snapshot
-from station.operator.reading import Body, Pose
+from station.operator.sample import Body, Pose
 from station.protocols import Floats
 
 from .operators import TICK_S, Shadow, body, hands

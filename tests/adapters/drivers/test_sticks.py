@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from adapters.drivers.sticks import DEAD_BAND, HEIGHT_RATE, Sticks
-from adapters.retarget.walking import FASTEST, FASTEST_BACK, HIGHEST_M, LOWEST_M, Wish
+from adapters.retarget.walking import FASTEST, FASTEST_BACK, HIGHEST_M, LOWEST_M, VelocityCommand
 
 TICK_S = 0.01
 
@@ -35,7 +35,7 @@ def test_the_height_stays_where_it_was_left() -> None:
     sticks = Sticks()
     for _ in range(50):
         sticks.wish({"right_stick_y": -1.0}, TICK_S)
-    assert sticks.rest() == Wish(height=sticks.height)
+    assert sticks.rest() == VelocityCommand(height=sticks.height)
     assert sticks.height == pytest.approx(HIGHEST_M - 0.5 * HEIGHT_RATE)
     for _ in range(500):
         sticks.wish({"dpad_down": 1.0}, TICK_S)

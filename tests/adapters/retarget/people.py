@@ -11,7 +11,7 @@ from adapters.retarget.human import Proportions, of_height
 from adapters.retarget.played import person_of
 from adapters.retarget.skeleton_file import Skeletons
 from station import rotations
-from station.operator.reading import Body
+from station.operator.sample import Body
 from station.protocols import Floats
 
 PERIOD_NS = 11_111_111

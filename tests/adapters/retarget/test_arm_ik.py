@@ -17,7 +17,7 @@ from adapters.robots.g1.joints import G1_29
 from station import rotations
 from station.errors import StationError
 from station.operator import deltas
-from station.operator.reading import Pose, Side
+from station.operator.sample import Pose, Side
 from station.protocols import Floats
 
 pytest.importorskip("mink")

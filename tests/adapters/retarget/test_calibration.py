@@ -17,7 +17,7 @@ from adapters.retarget.human import INDEX, of_height, standing
 from adapters.retarget.scaling import Scaler
 from station import rotations
 from station.errors import BadFile
-from station.operator.reading import Body
+from station.operator.sample import Body
 from tests.adapters.retarget.people import ADULT, doing, longer_arms, moved
 
 

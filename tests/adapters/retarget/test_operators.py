@@ -17,7 +17,7 @@ from adapters.retarget.operators import BodyMeasure
 from adapters.retarget.scaling import segments
 from station.errors import StationError, UsageError
 from station.operator.measure import Measured, OperatorMeasure
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 from tests.adapters.retarget.people import ADULT, longer_arms
 
 
@@ -28,11 +28,13 @@ def settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "station" / "operators"
 
 
-def seen(lengths: Proportions, metres: float = 0.002) -> list[Reading]:
+def seen(lengths: Proportions, metres: float = 0.002) -> list[OperatorSample]:
     """Two seconds of somebody in a T-pose, as a tracker with some noise sees it."""
     random, body = np.random.default_rng(0), standing(lengths)
     return [
-        Reading(capture_ns=n, body=replace(body, positions=body.positions + random.normal(scale=metres, size=(24, 3))))
+        OperatorSample(
+            capture_ns=n, body=replace(body, positions=body.positions + random.normal(scale=metres, size=(24, 3)))
+        )
         for n in range(144)
     ]
 

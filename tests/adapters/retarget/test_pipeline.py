@@ -21,7 +21,7 @@ from adapters.retarget.weights import Weights
 from adapters.robots.g1 import joints as g1
 from adapters.robots.g1.joints import G1_29
 from station import rotations
-from station.operator.reading import Body
+from station.operator.sample import Body
 from station.protocols import Reference
 from tests.adapters.retarget.people import ADULT, PERIOD_NS, doing, moved
 from tests.examples import some

@@ -18,7 +18,7 @@ from adapters.retarget.skeleton_file import Skeletons
 from station import rotations
 from station.control.rig import RigConfig, build
 from station.errors import BadFile, UsageError
-from station.operator.reading import Body
+from station.operator.sample import Body
 from station.rehearse import rehearse
 from tests.adapters.retarget.people import ADULT, doing
 from tests.examples import some

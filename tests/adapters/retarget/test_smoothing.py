@@ -8,7 +8,7 @@ import pytest
 from adapters.retarget.human import standing
 from adapters.retarget.smoothing import BodySmoother, Smoothness
 from station import rotations
-from station.operator.reading import Body
+from station.operator.sample import Body
 from station.protocols import Floats
 from tests.adapters.retarget.people import ADULT
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from adapters.retarget.tcp import TcpFollower
 from station import rotations
 from station.operator.deltas import angle_between, followed
-from station.operator.reading import Pose
+from station.operator.sample import Pose
 
 TICK_S = 0.01
 START = Pose(np.array([0.4, 0.0, 0.3]), np.array([1.0, 0.0, 0.0, 0.0]))

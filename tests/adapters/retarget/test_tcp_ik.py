@@ -11,7 +11,7 @@ from adapters.retarget import tcp_ik
 from adapters.robots import arm_limits
 from adapters.robots.kassow.kinematics import KR810, REACHING_DOWN
 from station.operator import deltas
-from station.operator.reading import Pose
+from station.operator.sample import Pose
 from station.protocols import Floats
 from tests.examples import examples
 

@@ -14,10 +14,10 @@ from mcap.records import ChunkIndex
 from station.bus import keys
 from station.bus.tap import Write
 from station.episode.reading.reader import open_episode
+from station.episode.recorder.active_episode import ActiveEpisode
 from station.episode.recorder.answers import Answers
 from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.recording import Recording
-from station.episode.recorder.take import Take
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage.anchor import take_anchor
 from station.episode.storage.manifest import MAX_STREAMS, Manifest, Timing, dump_manifest, note_recovery, parse_manifest
@@ -103,7 +103,7 @@ def test_events_that_hold_thousands_of_numbers_leave_a_manifest_that_can_be_read
 
 def test_a_bus_that_comes_and_goes_without_end_leaves_one_long_last_hole(tmp_path: Path) -> None:
     writer, manifest = writer_in(tmp_path)
-    take = Take(writer, manifest)
+    take = ActiveEpisode(writer, manifest)
     start_ns = take.anchor.mono_ns
     for second in range(1_500):
         take.hole(start_ns + second * 1_000_000_000, start_ns + (second + 1) * 1_000_000_000, "gone")

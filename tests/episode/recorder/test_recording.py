@@ -14,9 +14,9 @@ from station.bus import keys
 from station.bus.tap import Write
 from station.episode.reading.listing import list_episodes
 from station.episode.reading.reader import open_episode
+from station.episode.recorder.active_episode import ActiveEpisode
 from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.recording import Recording
-from station.episode.recorder.take import Take
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage.anchor import take_anchor
 from station.episode.storage.folder import new_folder
@@ -308,7 +308,7 @@ def test_a_start_that_a_hole_has_swallowed_is_not_waited_for(make: Make, tmp_pat
 def test_an_episode_whose_start_a_hole_has_swallowed_goes_on_and_can_be_ended(make: Make, tmp_path: Path) -> None:
     recording, cli = make(), Native("record")
     folder, manifest = new_folder(tmp_path, "walk", "g1"), Manifest(episode_id="e")
-    take = Take(EpisodeWriter(folder, anchor=take_anchor(), manifest=manifest), manifest, start_id="swallowed")
+    take = ActiveEpisode(EpisodeWriter(folder, anchor=take_anchor(), manifest=manifest), manifest, start_id="swallowed")
     recording.take_up(take, [], awaited="swallowed")
     recording.hole(0, time.monotonic_ns(), "the tap was lost")
     recording.feed([Native().write(BODY, b"[0]"), cli.request("stop")])
@@ -320,7 +320,7 @@ def test_an_episode_whose_start_a_hole_has_swallowed_goes_on_and_can_be_ended(ma
 def test_a_request_that_the_recorder_before_has_done_is_answered_and_not_done_again(make: Make, tmp_path: Path) -> None:
     recording, cli = make(), Native("record")
     folder, manifest = new_folder(tmp_path, "walk", "g1"), Manifest(episode_id="e")
-    take = Take(EpisodeWriter(folder, anchor=take_anchor(), manifest=manifest), manifest, start_id=None)
+    take = ActiveEpisode(EpisodeWriter(folder, anchor=take_anchor(), manifest=manifest), manifest, start_id=None)
     recording.take_up(take, ["marked"])
     recording.feed([cli.request("mark", "marked", label="again")])
     assert (answer(recording).id, manifest.marks) == ("marked", [])

@@ -59,7 +59,7 @@ def test_commands_that_came_late_are_held_as_early_as_they_were(tmp_path: Path) 
     full(made)
     found = audited(made)
     assert found.is_equal, found
-    assert made.control.commanded.inlet.refused.total() == 0
+    assert made.control.commanded.validator.refused.total() == 0
     assert found.followed > 1000
 
 

@@ -21,7 +21,7 @@ SI, in our frame (x forward, y left, z up; quaternions w x y z). All fields may 
 does not have stays as in the frame before it; a body, hands and controls are those of the newest frame.
 
 **A control** is ``{"at_s": 1.0, "press": "right_primary", "for_s": 0.2}`` (0.2 by default), or ``{"at_s": 2.0, "set":
-{"left_stick_y": 0.5}, "for_s": 3.0}`` (to the end by default); names are those of `station.operator.reading`.
+{"left_stick_y": 0.5}, "for_s": 3.0}`` (to the end by default); names are those of `station.operator.sample`.
 
 **A fault** is ``{"at_s": 10.0, "kind": "silence", "for_s": 1.5}``; one second by default. Kinds:
 

@@ -16,7 +16,7 @@ from adapters.devices.fakes.pico.script import Fault, Script
 from adapters.devices.fakes.pico.service import PicoService
 from adapters.devices.pico.controls import CONTROLS
 from adapters.retarget import frames
-from station.operator.reading import Body, Pose, Reading, Side
+from station.operator.sample import Body, OperatorSample, Pose, Side
 from station.protocols import Floats
 
 _PRESS_S = 0.2
@@ -92,13 +92,13 @@ class Wearer:
         self._spoil(found, time_s, number)
         return found
 
-    def _reading(self, time_s: float, number: int) -> Reading:
+    def _reading(self, time_s: float, number: int) -> OperatorSample:
         reading = self._scene(time_s)
         for fault in self._script.faults:
             if fault.kind == "jump" and fault.at_s <= time_s < fault.at_s + (fault.for_s or math.inf):
                 reading = moved(reading, np.array(fault.by_m), math.radians(fault.turn_deg))
         shake_m = 0.0 if self._is_recorded else _TREMBLE_M * (number % 2)
-        return Reading(
+        return OperatorSample(
             head=reading.head,
             left=_trembling(reading.left, shake_m),
             right=_trembling(reading.right, shake_m),
@@ -164,7 +164,7 @@ def _lasts_s(fault: Fault) -> float:
     return fault.for_s or _FAULT_S
 
 
-def _as_sent(reading: Reading, stamp_ns: int) -> dict[str, Any]:
+def _as_sent(reading: OperatorSample, stamp_ns: int) -> dict[str, Any]:
     """Return a sample in the words and the frame of the headset's app."""
     found: dict[str, Any] = {"timeStampNs": stamp_ns, "predictTime": 0, "appState": {"focus": True}, "Input": 1}
     if reading.head is not None:

@@ -8,10 +8,10 @@ import msgspec
 
 from adapters.devices.fakes.pico.script import Hands, KeyFrame, Script, Skeleton
 from adapters.devices.pico.controls import CONTROLS
-from station.operator.reading import Body, Pose, Reading
+from station.operator.sample import Body, OperatorSample, Pose
 
 
-def script(readings: Iterable[tuple[float, Reading]]) -> bytes:
+def script(readings: Iterable[tuple[float, OperatorSample]]) -> bytes:
     """Return the script, as a file holds it, of samples with their times, in order [s]; the first one is its start.
 
     Controls that a headset does not have are left out.
@@ -24,7 +24,7 @@ def script(readings: Iterable[tuple[float, Reading]]) -> bytes:
     return msgspec.json.encode(Script(frames=frames, between="hold", origin="floor"))
 
 
-def _frame(at_s: float, reading: Reading) -> KeyFrame:
+def _frame(at_s: float, reading: OperatorSample) -> KeyFrame:
     hands = {side: hand.tolist() for side, hand in reading.hands.items()}
     return KeyFrame(
         at_s=at_s,

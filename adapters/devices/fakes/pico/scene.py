@@ -10,14 +10,14 @@ import numpy as np
 
 from adapters.devices.fakes.pico.script import KeyFrame, Script
 from station import registry, rotations
-from station.operator.reading import Body, Pose, Reading, Side
+from station.operator.sample import Body, OperatorSample, Pose, Side
 from station.protocols import Floats, Motion
 
 _LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 _AT_REST = ((0.0, 0.0, 0.0), (0.3, 0.2, -0.5), (0.3, -0.2, -0.5))  # head, left and right hand [m]
 _SIDES: tuple[Side, ...] = ("left", "right")
 
-Scene = Callable[[float], Reading]
+Scene = Callable[[float], OperatorSample]
 """What is where at a time [s] of the script; without controls but those of explicit frames."""
 
 
@@ -32,7 +32,7 @@ def scene_of(script: Script) -> Scene:
     return scene if script.origin == "floor" else _from_the_head(scene)
 
 
-def moved(reading: Reading, shift: Floats, yaw_rad: float) -> Reading:
+def moved(reading: OperatorSample, shift: Floats, yaw_rad: float) -> OperatorSample:
     """Turn everything about the origin to the left [rad], then shift it (3,) [m]."""
     turn = rotations.from_rotation_vector([0.0, 0.0, yaw_rad])
 
@@ -56,9 +56,9 @@ def moved(reading: Reading, shift: Floats, yaw_rad: float) -> Reading:
     )
 
 
-def _at_rest(_time_s: float) -> Reading:
+def _at_rest(_time_s: float) -> OperatorSample:
     head, left, right = (Pose(np.array(place), _LEVEL) for place in _AT_REST)
-    return Reading(head=head, left=left, right=right)
+    return OperatorSample(head=head, left=left, right=right)
 
 
 def _from_the_head(scene: Scene) -> Scene:
@@ -77,13 +77,13 @@ def _of_motion(script: Script) -> Scene:
     motion: Motion = registry.find("loader", "motion")(script.motion)
     in_hand = dict(zip(_SIDES, (_quat(rest.T) for rest in HAND_REST), strict=True))
 
-    def at(time_s: float) -> Reading:
+    def at(time_s: float) -> OperatorSample:
         body = skeleton_of(motion.at(_motion_time(script, motion.duration_s, time_s)), script.height_m)
 
         def joint(index: int, after: Floats = _LEVEL) -> Pose:
             return Pose(body.positions[index], rotations.multiply(body.quats_wxyz[index], after))
 
-        return Reading(
+        return OperatorSample(
             head=joint(_HEAD), left=joint(_LEFT_HAND, in_hand["left"]), right=joint(_RIGHT_HAND, in_hand["right"]),
             body=body,
         )  # fmt: skip
@@ -124,10 +124,10 @@ def _of_frames(script: Script) -> Scene:
     starts_s = [frame.at_s for frame in frames]
     tracks = [_track(frames, name) for name in ("head", "left", "right")]
 
-    def at(time_s: float) -> Reading:
+    def at(time_s: float) -> OperatorSample:
         frame = frames[max(bisect.bisect_right(starts_s, time_s) - 1, 0)]
         head, left, right = (track.at(time_s, is_blended=is_blended) for track in tracks)
-        return Reading(
+        return OperatorSample(
             head=head, left=left, right=right, body=_body(frame), hands=_hands(frame), controls=frame.controls
         )
 

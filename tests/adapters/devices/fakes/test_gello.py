@@ -17,7 +17,7 @@ import pytest
 from adapters.devices.fakes.gello import FakeGello
 from adapters.devices.gello.device import Gello
 from station.errors import BadFile
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 from tests.adapters.devices.by_hand import HandClock
 from tests.adapters.devices.gello.test_device import OTHER, POSE, near
 from tests.waiting import DEADLINE_S, wait_until
@@ -80,7 +80,7 @@ def test_the_fake_as_a_process_says_how_to_use_it(tmp_path: Path, number: signal
         folder = line.split("gello.calibrations=")[1].strip()
         device = Gello(ports_wanted=(str(port),), calibrations_folder=Path(folder), by_id=port.parent)
         try:
-            found: list[Reading] = []
+            found: list[OperatorSample] = []
             wait_until(lambda: found.append(reading) if (reading := device.read()) else found)
             assert found[0].joints == near(POSE)
         finally:

@@ -22,7 +22,7 @@ from adapters.devices.fakes.pico.service import PicoService
 from station import rotations
 from station.errors import BadFile
 from station.operator.device import DeviceError
-from station.operator.reading import Body, Pose, Reading
+from station.operator.sample import Body, OperatorSample, Pose
 
 LEVEL = [1.0, 0.0, 0.0, 0.0]
 HALF = float(np.sqrt(0.5))
@@ -199,7 +199,7 @@ def test_a_frame_that_is_spoilt_is_sent_however_late_it_gets(tmp_path: Path) -> 
 def test_what_was_recorded_is_sent_at_its_own_times_and_to_the_last_digit(tmp_path: Path) -> None:
     times_s = [0.0, 0.013, 0.031, 0.5]
     readings = [
-        (100.0 + time_s, Reading(
+        (100.0 + time_s, OperatorSample(
             head=Pose(np.array([0.1, 0.2, 0.3]), np.array(LEVEL)), left=Pose(np.array([time_s, 0, 0]), np.array(LEVEL)),
             right=Pose(np.array([0.5, 0, 0]), np.array([HALF, 0, 0, HALF])), controls={"left_trigger": time_s},
             body=Body(np.full((24, 3), time_s), np.tile(LEVEL, (24, 1))),

@@ -22,7 +22,7 @@ from adapters.devices.gello.calibration import load, save
 from adapters.devices.gello.device import Gello
 from station.errors import BadFile
 from station.operator.device import Device, DeviceError
-from station.operator.reading import Reading
+from station.operator.sample import OperatorSample
 from tests.adapters.devices.gello.serial_line import LinePort, lines_in_memory
 from tests.examples import some
 from tests.virtual.clock import VirtualClock
@@ -65,7 +65,7 @@ class Bench:
             assert self.clock.monotonic_s() < end_s
             self.clock.sleep(0.001)
 
-    def sample(self, device: Gello) -> Reading:
+    def sample(self, device: Gello) -> OperatorSample:
         """Return the next new sample, of what is the case now."""
         begun_ns, found = self.clock.monotonic_ns(), [device.read()]
 

@@ -17,7 +17,7 @@ from typing import Any
 from adapters.devices.fakes.pico.service import PicoService
 from adapters.devices.pico.headset import Headset
 from station.operator.device import DeviceError
-from station.operator.reading import Pose, Reading
+from station.operator.sample import OperatorSample, Pose
 from tests.waiting import DEADLINE_S
 
 HUNG = 1
@@ -80,7 +80,7 @@ def _at(frame: dict[str, Any], epoch_ns: int) -> dict[str, Any]:
     return moved | {"timeStampNs": frame["timeStampNs"] + epoch_ns}
 
 
-def _plain(reading: Reading) -> dict[str, Any]:
+def _plain(reading: OperatorSample) -> dict[str, Any]:
     def pose(item: Pose | None) -> list[float] | None:
         return item and [*item.position.tolist(), *item.quat_wxyz.tolist()]
 

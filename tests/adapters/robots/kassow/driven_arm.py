@@ -12,8 +12,8 @@ from adapters.robots.kassow import kinematics
 from adapters.robots.kassow.session import KordSession
 from station.bus import codec
 from station.control.arm_control import ArmControl, ArmRecord
+from station.control.command_validator import CommandSample
 from station.control.gate import GateConfig
-from station.control.inlet import CommandSample
 from station.protocols import Floats
 
 LIMITS = arm_limits.load("kassow", "kr810")

@@ -1,0 +1,235 @@
+"""How a session shows itself: a line per step, below them in a terminal how the run is going, live."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from types import TracebackType
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.markup import escape
+
+from station.arms import remedy_of
+from station.bus.client import Bus
+from station.cli import stop_key
+from station.cli.keyboard import Keyboard
+from station.cli.stop_key import StopKey
+from station.errors import BusError
+from station.life.events import Severity
+from station.life.server import Health
+from station.life.stop_button import StopButton
+from station.printable import printable
+from station.view import progress_panel
+from station.view.progress import ProgressReader
+from station.view.table import plain, render_servers
+
+_REFRESH_HZ = 8
+_LOOK_S = 0.5  # without a screen
+_TELL_S = 10.0  # without a screen, while the same is being played
+_AGAIN = ("r", "R")
+_LONGEST = 200  # characters of something that happened; the log and the episode have the rest
+_MARKS: dict[Severity, str] = {"info": "[cyan]·[/]", "warning": "[yellow]![/]", "error": "[red]✗[/]"}
+
+
+class TerminalUI:
+    """Prints steps and events to stderr; a real terminal has a footer below them that tells how the run is going, and
+    keys: for the emergency stop, at any time, and for what a session offers.
+
+    Args:
+        stop: Ends a question without an answer when it is set.
+        is_brief: For somebody who looks on: no table of the servers, and lines of progress where there is no screen.
+
+    Attributes:
+        estop_directly: What the emergency stop's key does beside writing it to the bus.
+        look_for_dead: Tells how servers ended that have died and are not started again, by name; called by a thread.
+    """
+
+    def __init__(self, stop: threading.Event, *, is_brief: bool = False) -> None:
+        self._console = Console(stderr=True, highlight=False)
+        self._stop, self._is_brief = stop, is_brief
+        self._live: Live | None = None
+        self._step = ""
+        self._names: Sequence[str] = ()
+        self._progress: ProgressReader | None = None
+        self._told, self._told_s, self._looked_s = "", 0.0, 0.0
+        self._log = _Log(self)
+        self._handlers: list[logging.Handler] = []
+        self._stop_key: StopKey | None = None
+        self.estop_directly: Callable[[], None] = lambda: None
+        self.look_for_dead: Callable[[], Mapping[str, str]] = dict
+        self._keyboard = Keyboard(self._act_at_once, self._look_after_stop, self._echo)
+        self._offered = ""
+
+    @contextmanager
+    def watching(self, bus: Bus, names: Sequence[str]) -> Iterator[None]:
+        """Show, until the end of the block, how the run of some servers on a bus is going, and listen to the keys."""
+        self._names, self._progress = names, ProgressReader(bus, names)
+        try:
+            with StopButton(bus.address, name="stop-key") as button, self._keyboard:
+                self._stop_key = StopKey(button, self._stop_directly, self.say)
+                if self._keyboard.is_there and not self._console.is_terminal:
+                    self.say(stop_key.HINT)
+                yield
+        finally:
+            self._stop_key = None
+            self._end_footer()
+            self._progress = None
+
+    @property
+    def is_attended(self) -> bool:
+        """Whether a person is at the terminal."""
+        return self._keyboard.is_there
+
+    def offer(self, restart: str) -> None:
+        """Show that a key starts some servers again, or no more."""
+        self._offered = restart
+        while self._keyboard.take():  # what was typed before the offer does not take it
+            pass
+
+    def take_restart(self) -> bool:
+        """Whether that key was pressed since the last call."""
+        found = False
+        while key := self._keyboard.take():
+            found = found or key in _AGAIN
+        return found and bool(self._offered)
+
+    def __enter__(self) -> TerminalUI:
+        root = logging.getLogger()
+        self._handlers, root.handlers = root.handlers, [self._log]  # a bare line would tear the footer
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        logging.getLogger().handlers = self._handlers
+        self._end_footer()
+
+    def begin(self, step: str) -> None:
+        """Show what is being done, where a slow step would otherwise leave a person wondering."""
+        self._step = step
+        self._begin_footer()
+
+    def done(self, step: str, result: str) -> None:
+        """Print a finished step and its result."""
+        self._step = ""
+        self._print(f"[green]✓[/] {plain(step)}  [dim]{plain(result)}[/]")
+
+    def failed(self, step: str, reason: str) -> None:
+        """Print a step that failed."""
+        self._step = ""
+        self._print(f"[red]✗[/] {plain(step)}  [red]{plain(reason)}[/]")
+
+    def say(self, text: str, severity: Severity = "info") -> None:
+        """Print a line."""
+        shown = text if len(text) <= _LONGEST or severity != "info" else text[:_LONGEST] + "…"
+        self._print(f"{_MARKS[severity]} {plain(shown)}")
+
+    def confirm(self, sentence: str) -> bool:
+        """Ask a person; without one at the terminal, and when interrupted, the answer is no."""
+        self._end_footer()
+        if not self._keyboard.is_there:
+            self.say("nobody is here to answer; use --yes in simulation", "error")
+            return False
+        answer = self._keyboard.ask(f"? {sentence} [y/N] ({stop_key.HINT}): ", self._stop)
+        if self._stop.is_set():
+            self._echo("\n")
+        return not self._stop.is_set() and answer.strip().lower() in ("y", "yes")
+
+    def show(self, health: list[Health]) -> None:
+        """Show how the run goes; the footer looks for itself, more often than it is told."""
+        self._begin_footer()
+        if self._is_brief and not self._console.is_terminal:
+            self._tell_progress()
+
+    def _tell_progress(self) -> None:
+        """Print a line when something else is being played, and now and then."""
+        now_s = time.monotonic()
+        if self._progress is None or now_s - self._looked_s < _LOOK_S:
+            return
+        self._looked_s = now_s
+        seen = self._progress.look()
+        what = progress_panel.doing(seen.motion) if seen.motion is not None else ""
+        if what and (what != self._told or now_s - self._told_s >= _TELL_S):
+            self._told, self._told_s = what, now_s
+            self.say(progress_panel.line(seen))
+
+    def _print(self, text: str) -> None:
+        self._console.print(text, soft_wrap=True)
+
+    def _begin_footer(self) -> None:
+        if self._live is None and self._console.is_terminal:
+            self._live = Live(console=self._console, transient=True, get_renderable=self._footer,
+                              refresh_per_second=_REFRESH_HZ)  # fmt: skip
+            self._live.start()
+
+    def _footer(self) -> RenderableType:
+        """Return what stands below the lines; called by a thread of the terminal's."""
+        return Group(*self._progress_lines(), self._key_line())
+
+    def _progress_lines(self) -> Iterator[RenderableType]:
+        try:
+            seen = self._progress.look() if self._progress is not None else None
+        except BusError:  # the session tells of it
+            seen = None
+        if seen is None:
+            yield f"[dim]… {escape(self._step)}[/]" if self._step else ""
+            return
+        yield progress_panel.panel(seen, self._names, self._step, self.look_for_dead())
+        if not self._is_brief:
+            yield from ("", render_servers(seen.servers))
+        gates = {one.gate for one in (seen.robot, seen.arm) if one is not None}
+        if "stopped" in gates:
+            yield "[bold red]EMERGENCY STOP is latched; release it with: station estop --reset[/]"
+        if seen.arm is not None and seen.arm.gate == "faulted":
+            yield f"[bold red]the arm's controller has a fault; {escape(printable(remedy_of(seen.arm.reason)))}[/]"
+
+    def _key_line(self) -> RenderableType:
+        if not self._keyboard.is_there:
+            return ""
+        again = f"[bold yellow]r: start {escape(self._offered)} again[/] · " if self._offered else ""
+        return f"{again}[bold]{stop_key.HINT}[/] · Ctrl-C: take down"
+
+    def _act_at_once(self, key: str, is_typing: bool) -> bool:
+        """Stop the robots if that is what a key asks for; in an answer such as "yes" an e is a letter."""
+        if self._stop_key is None or key not in stop_key.KEYS or (is_typing and key != " "):
+            return False
+        self._stop_key.press()
+        return True
+
+    def _stop_directly(self) -> None:
+        self.estop_directly()
+
+    def _look_after_stop(self) -> None:
+        if self._stop_key is not None:
+            self._stop_key.try_again()
+
+    def _echo(self, text: str) -> None:
+        sys.stderr.write(text)
+        sys.stderr.flush()
+
+    def _end_footer(self) -> None:
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+
+
+class _Log(logging.Handler):
+    """Shows what is logged, among the steps; but for the bus, of whose loss the session tells."""
+
+    def __init__(self, face: TerminalUI) -> None:
+        super().__init__()
+        self._face = face
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Show a record."""
+        if record.name.startswith("station.bus"):
+            return
+        severity: Severity = (
+            "error" if record.levelno >= logging.ERROR else "warning" if record.levelno >= logging.WARNING else "info"
+        )
+        self._face.say(record.getMessage(), severity)

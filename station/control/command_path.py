@@ -1,0 +1,214 @@
+"""What every robot does with a command before it acts on it: validator, gate, arming, and telling what changed.
+
+Shared by robots that a policy moves (`station.control.control`) and by arms behind a controller of their own
+(`station.control.arm_control`). Pure: no bus, no robot, no clock.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+from station.control.arming import RAMP_S, Arming
+from station.control.command_arbiter import spoken
+from station.control.command_validator import CommandSample, CommandValidator
+from station.control.gate import Decision, Gate, GateConfig
+from station.control.rate_limiting import RateLimiting
+from station.control.reengage_interlock import Quiet
+from station.control.slew import Bounds
+from station.life.events import Severity
+from station.protocols import CommandFormat
+
+_ALARMING = ("holding", "returning", "faulted")
+
+
+@dataclass(frozen=True, slots=True)
+class Happening:
+    """Something that happened within a step, for an event on the bus."""
+
+    name: str
+    severity: Severity
+    detail: dict[str, Any]
+
+
+class CommandPath:
+    """The command's way to the robot, up to what the gate lets through.
+
+    Args:
+        form: Format of the command.
+        config: Times of the gate.
+        is_armed: Whether the robot is armed from the start; False for real robots.
+        ramp_s: How long arming takes [s].
+
+    Attributes:
+        gate, validator, arming: What it is made of.
+    """
+
+    def __init__(self, form: CommandFormat, config: GateConfig, *, is_armed: bool, ramp_s: float = RAMP_S) -> None:
+        bounds = Bounds.of(form, config.rate_factor)
+        self.gate = Gate(form.default, config, bounds, stays=form.stays, velocities=form.velocities)
+        self.validator = CommandValidator(form, config.longest_delay_s)
+        self.arming = Arming(is_armed=is_armed, ramp_s=ramp_s)
+        self._ramp_s = ramp_s
+        self._refusing: str | None = None
+        self._rival = ""  # why somebody else's command was refused in this step
+        self._heard_s = (-math.inf, math.inf)  # offline everything is known
+        self._slewing = RateLimiting(form)
+        self._happenings: list[Happening] = []
+
+    def decide(self, sample: CommandSample | None, now_s: float, *, obstacle: str = "") -> Decision:
+        """Take up the newest command and return what the gate lets through.
+
+        Args:
+            sample: The newest write of the command key, good or bad; the same object as long as nothing new came.
+            now_s: The instant, on the clock of `CommandSample.arrived_s` [s].
+            obstacle: Why no command may be followed now, or "".
+        """
+        validator, before = self.validator, self.validator.good
+        if validator.take(sample):
+            self._note_refusal()
+        if before is not None and validator.good is not None and before.source != validator.good.source:
+            self.gate.change_hands(f"{spoken(validator.good.source)} commands in place of {spoken(before.source)}")
+        refusal = self._rival if validator.refusal is None else f"{validator.refusal.kind}: {validator.refusal.text}"
+        quiet = self._quiet(now_s)
+        self._rival = ""
+        vector, age_s = validator.vector, validator.age_s(now_s)
+        if obstacle:
+            vector, refusal = None, obstacle
+        decision = self.gate.step(now_s, vector, age_s, delay_s=validator.delay_s, refusal=refusal, quiet=quiet)
+        for change in decision.transitions:
+            severity: Severity = "warning" if change.after in _ALARMING else "info"
+            self.note("gate", severity, **{"from": change.before, "to": change.after, "reason": change.reason})
+        for name, detail in self._slewing.note(decision.limited, now_s):
+            self.note(name, "warning", **detail)
+        return decision
+
+    def stop(self, reason: str) -> None:
+        """Latch the emergency stop."""
+        if self.gate.state != "stopped":
+            self.gate.stop(reason)
+            self.note("estop", "error", reason=reason)
+
+    def arm(self, now_s: float, who: str, refusal: str) -> str:
+        """Begin to arm, unless there is a reason not to; return that reason, or ""."""
+        if refusal:
+            self.note("arm-refused", "warning", who=who, reason=refusal)
+        elif self.arming.state == "disarmed":
+            self.arming.arm(now_s)
+            self.note("arming", "warning", who=who, ramp_s=self._ramp_s)
+        return refusal
+
+    def disarm(self, who: str = "") -> None:
+        """Send nothing to the robot from the next step on."""
+        if self.arming.state != "disarmed":
+            self.arming.disarm()
+            self.note("disarmed", "warning", who=who)
+
+    def refuse_rivals(self, count: int, reason: str) -> None:
+        """Count refused commands of a second writer; call before the step that they arrived for."""
+        self.validator.refused["second-writer"] += count
+        self._rival = f"second-writer: {reason}"
+
+    def heard_all(self, since_s: float, until_s: float) -> None:
+        """Set the span in which every write was seen [s]; call before the step that it is about."""
+        self._heard_s = since_s, until_s
+
+    def note(self, name: str, severity: Severity, **detail: Any) -> None:
+        """Have something told with this step."""
+        self._happenings.append(Happening(name, severity, detail))
+
+    def taken(self) -> tuple[Happening, ...]:
+        """Return what happened since the last call, in order."""
+        happenings, self._happenings = tuple(self._happenings), []
+        return happenings
+
+    def _quiet(self, now_s: float) -> Quiet:
+        since_s, until_s = self._heard_s
+        came_s = 0.0 if self._rival else self.validator.quiet_s(now_s)
+        return Quiet(min(now_s - since_s, came_s), max(now_s - until_s, 0.0))
+
+    def _note_refusal(self) -> None:
+        """Say once that commands are refused, again when the reason changes, and once that they are good again."""
+        refusal, validator = self.validator.refusal, self.validator
+        kind = refusal.kind if refusal is not None else None
+        if kind == self._refusing:
+            return
+        total = validator.refused.total()
+        if refusal is not None:
+            self.note("refused-command", "warning", reason=f"{refusal.kind}: {refusal.text}", count=total)
+        else:
+            self.note("command-good-again", "info", count=total)
+        self._refusing = kind
+
+
+def gate_status(decision: Decision, commanded: CommandPath) -> dict[str, Any]:
+    """Return what a robot's `command_gate` tells of a step."""
+    return {
+        "state": decision.state,
+        "reason": decision.reason,
+        "age_s": decision.age_s if math.isfinite(decision.age_s) else None,
+        "clamped": commanded.validator.clamped,
+        "refused": commanded.validator.refused.total(),
+        "arming": commanded.arming.state,
+        "limited": len(decision.limited),
+        "needs_silence": commanded.gate.demand,
+    }
+
+
+class Record(Protocol):
+    """What every control step tells of itself."""
+
+    @property
+    def happenings(self) -> tuple[Happening, ...]:
+        """What happened, in order."""
+        ...
+
+
+StateT = TypeVar("StateT")
+RecordT_co = TypeVar("RecordT_co", bound=Record, covariant=True)
+
+
+class Control(Protocol[StateT, RecordT_co]):
+    """A control step: `station.control.control` has a robot's with a policy, `station.control.arm_control` an arm's."""
+
+    @property
+    def commanded(self) -> CommandPath:
+        """The command's way to the robot."""
+        ...
+
+    def sense(self) -> StateT:
+        """Return the state that the next `step` acts on."""
+        ...
+
+    def step(self, state: StateT, sample: CommandSample | None, now_s: float) -> RecordT_co:
+        """Act on a state and the newest command sample, at an instant [s]."""
+        ...
+
+    def stop(self, reason: str) -> None:
+        """Latch the emergency stop."""
+        ...
+
+    def reset(self, reason: str) -> None:
+        """Leave the emergency stop."""
+        ...
+
+    def arm(self, now_s: float, who: str = "") -> str:
+        """Begin to arm the robot; return why not, or ""."""
+        ...
+
+    def disarm(self, who: str = "") -> None:
+        """Send nothing to the robot from the next step on."""
+        ...
+
+    def refuse_rivals(self, count: int, reason: str) -> None:
+        """Count refused commands of a second writer; call before the step that they arrived for."""
+        ...
+
+    def heard_all(self, since_s: float, until_s: float) -> None:
+        """Set the span in which every write was seen [s]; call before the step that it is about."""
+        ...
+
+    def health(self) -> dict[str, Any]:
+        """Return what a server's heartbeat tells of this robot."""
+        ...

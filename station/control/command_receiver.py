@@ -1,0 +1,302 @@
+"""The newest command on the bus for a control step: of the writer that is obeyed, whoever else writes the key."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from station.bus import keys, stamp
+from station.bus.address import BusAddress
+from station.bus.connection import Connection
+from station.bus.heard import Heard
+from station.bus.outage import Outages
+from station.bus.sample import Sample
+from station.bus.watch import Read, Watch
+from station.control.command_arbiter import CommandArbiter
+from station.control.command_validator import CommandSample
+from station.control.stop_trace import StopNews, StopTrace
+from station.life.writer_conflict import FOREIGN
+
+_PROBE_S = 0.05  # who waits for a silence waits this much longer; a probe takes 0.1 ms
+_MOST = 16  # writers between two looks; a stranger may invent names
+_AHEAD = 2  # writes that were read before they were told of, at most: each is told of within a round trip
+_CONTEST_NS = 1_000_000_000  # so long after a foreign write the next may come
+_MOST_WRITES = 4096  # between two looks: eight seconds of two who write at 250 Hz; more are forgotten
+
+
+class Arrival(NamedTuple):
+    """That somebody wrote.
+
+    Attributes:
+        writer: Who.
+        at_ns: When it came, on the monotonic clock [ns].
+        is_clear: Whether the value that was found is known to be his; else that he lives is all that is known.
+    """
+
+    writer: str
+    at_ns: int
+    is_clear: bool
+
+
+class Taken(NamedTuple):
+    """What came since the last look.
+
+    Attributes:
+        heard: From when to when no write has escaped us; all that was written until then is in here, or was before.
+        arrivals: Who wrote when, in order.
+        newest: The newest value of each whose values are known.
+    """
+
+    heard: Heard
+    arrivals: list[Arrival]
+    newest: dict[str, Sample]
+
+
+class CommandWatch(Watch):
+    """A watch that keeps, for one key, who wrote when, and the newest value of each: a slot holds only the last one's.
+    A stop it keeps until it is taken, whatever is written after it (`station.control.stop_trace`).
+
+    A foreign write between a native one and our reading of it shows the foreign value beside the native stamp. So it
+    looks again for word of writes once it has read, and a value that both kinds of writers may have written is
+    nobody's; who wrote it writes again, and both are known to live.
+
+    Args:
+        address: Where the bus is.
+        wanted: Keys to watch.
+        key: The one of them whose writers are told apart.
+        outages: As of any watch.
+
+    Attributes:
+        urgent: Set when a write asks for the emergency stop: a loop that sleeps acts at once. Who obeys it clears it.
+        doubtful: Values of `key` that may be of either kind of writer, and were left out.
+    """
+
+    def __init__(self, address: BusAddress, wanted: Sequence[str], *, key: str, outages: Outages | None = None) -> None:
+        self._shared_key = key
+        self._by_writer: dict[str, Sample] = {}
+        self._arrivals: list[Arrival] = []
+        self._numbers: dict[str, int] = {}  # of each native writer's newest write that was read
+        self._ahead = 0
+        self._is_doubtful = False
+        self._foreign_ns = -_CONTEST_NS  # when a writer without stamps wrote the key last
+        self._stops = StopTrace()
+        self.urgent = threading.Event()
+        self.doubtful = 0
+        super().__init__(address, wanted, outages=outages, probe_s=_PROBE_S)
+
+    def take(self) -> Taken:
+        """Return the writes since the last call: a loop that stood still finds in them who wrote meanwhile.
+
+        Where they were too many, nothing is known of the time before: what is `heard` begins anew.
+        """
+        with self._changed:
+            taken = Taken(self._hearing.span, self._arrivals, self._by_writer)
+            self._arrivals, self._by_writer = [], {}
+        return taken
+
+    @property
+    def has_stop_news(self) -> bool:
+        """Whether a stop or its release was written since the last `take_stop`."""
+        return self._stops.has_news
+
+    def take_stop(self) -> StopNews | None:
+        """Return what was asked on the key of the stop since the last call."""
+        with self._changed:
+            return self._stops.take()
+
+    def begin_stops(self) -> None:
+        """Forget what was asked on the key of the stop until now; what it holds is in its slot."""
+        with self._changed:
+            self._stops.begin()
+
+    def _note(self, message: Any, touched: Counter[str]) -> None:
+        before = touched[keys.ESTOP]
+        super()._note(message, touched)
+        if touched[keys.ESTOP] > before:
+            self._stops.on_event(message[2])
+
+    def _fill_at_start(self, reader: Connection) -> None:
+        before, has_heard = self._slots.get(keys.ESTOP), self.connections > 0
+        super()._fill_at_start(reader)
+        sample = self._slots.get(keys.ESTOP)
+        if has_heard:
+            with self._changed:
+                self._stops.on_cut(sample.value if sample else None, is_new=sample is not before)
+                self._hurry()
+
+    def _take(self, reader: Connection, touched: Counter[str]) -> None:
+        while touched and not self._closed.is_set():
+            wanted = [key for key in self._keys if touched[key] or touched[keys.stamp(key)]]
+            values = self._fetch(reader, wanted)
+            later = self._told_meanwhile()
+            if self._events is not None and self._must_know_all(values):
+                self._hear_all(self._events, later)
+            told = touched + later
+            native, every = told[keys.stamp(self._shared_key)], told[self._shared_key]
+            self._is_doubtful = 0 < native < every
+            now_ns = self.clock.monotonic_ns()
+            if native < every:
+                self._foreign_ns = now_ns
+            with self._changed:
+                for key, (value, mark) in values.items():
+                    self._put(key, value, mark, now_ns, is_foreign=touched[key] > touched[keys.stamp(key)])
+                if self._shared_key in values and self._events is not None:  # who polls is told of no write
+                    self._note_overwritten(values[self._shared_key][1], touched[keys.stamp(self._shared_key)], now_ns)
+                self._changed.notify_all()
+            touched = later
+
+    def _must_know_all(self, values: Mapping[str, Read]) -> bool:
+        """Whether what was read says something only together with every write until then.
+
+        Word of a write comes on another line than what was read, and on a network may come after it: beside a writer
+        without stamps a value is nobody's before all is told.
+        """
+        is_contested = self.clock.monotonic_ns() - self._foreign_ns < _CONTEST_NS
+        return (self._shared_key in values and is_contested) or (
+            keys.ESTOP in values and self._stops.may_have_missed(values[keys.ESTOP][0])
+        )
+
+    def _told_meanwhile(self) -> Counter[str]:
+        """Count the writes that we are told of by now."""
+        told: Counter[str] = Counter()
+        events = self._events
+        while events is not None and (message := events.poll()) is not False:
+            self._note(message, told)
+        return told
+
+    def _put(self, key: str, value: bytes | None, mark: stamp.Stamp | None, now_ns: int, *, is_foreign: bool) -> None:
+        before, mark_before = self._slots.get(key), self._newest_mark.get(key)
+        super()._put(key, value, mark, now_ns, is_foreign=is_foreign)
+        sample = self._slots.get(key)
+        if key == keys.ESTOP:
+            is_new = before is None or (before.value, mark_before) != (value, mark)
+            self._stops.on_read(value, is_new=is_new)
+            self._hurry()
+        if key != self._shared_key or sample is None or sample is before:
+            return
+        if self._is_doubtful:
+            self.doubtful += 1
+            if mark is not None and mark != mark_before:
+                self._arrive(Arrival(mark.source, now_ns, is_clear=False))
+            self._arrive(Arrival(FOREIGN, now_ns, is_clear=False))
+            return
+        writer = writer_of(sample)
+        self._by_writer.pop(writer, None)
+        if len(self._by_writer) < _MOST:
+            self._by_writer[writer] = sample
+            self._arrive(Arrival(writer, now_ns, is_clear=True))
+
+    def _note_overwritten(self, mark: stamp.Stamp | None, told: int, now_ns: int) -> None:
+        """Take as alive whose write may have been overwritten before we read it.
+
+        Of the native writes that we were told of, as many are of him whose is read as his numbers say. Where they are
+        fewer, somebody else wrote too: of two who answer to the same state, one is always overwritten at once.
+        """
+        own = 0
+        if mark is not None:
+            own = max(0, mark.seq - self._numbers.pop(mark.source, mark.seq - 1))
+            self._numbers[mark.source] = mark.seq
+            if len(self._numbers) > _MOST:
+                del self._numbers[next(iter(self._numbers))]
+        left = self._ahead + own - told
+        self._ahead = min(max(left, 0), _AHEAD)
+        if left < 0:
+            for name in self._numbers:
+                if mark is None or name != mark.source:
+                    self._arrive(Arrival(name, now_ns, is_clear=False))
+
+    def _hurry(self) -> None:
+        if self._stops.is_stop_pending:
+            self.urgent.set()
+
+    def _arrive(self, arrival: Arrival) -> None:
+        if len(self._arrivals) >= _MOST_WRITES:
+            self._arrivals.clear()
+            self._hearing.begin(arrival.at_ns)
+        self._arrivals.append(arrival)
+
+
+class CommandReceiver:
+    """The newest command of a watch, as the control step wants it, and who writes it.
+
+    Args:
+        watch: Watches the key.
+        key: The command's key.
+        writers: Decides whose command it is.
+
+    Attributes:
+        heard_s: From when to when no write of it has escaped us, by the last call of `newest` or `has_come`, on the
+            gate's clock [s].
+    """
+
+    def __init__(self, watch: CommandWatch, key: str, writers: CommandArbiter) -> None:
+        self._watch, self._key, self.writers = watch, key, writers
+        self.seen: Sample | None = None
+        self._command: CommandSample | None = None
+        self._refused = self._doubtful = 0
+        self.heard_s = (-math.inf, -math.inf)
+
+    def newest(self, now_s: float | None = None) -> CommandSample | None:
+        """Return the newest command, the same object as long as nothing new came from who is obeyed.
+
+        Args:
+            now_s: When a command that is new counts as arrived, on the gate's clock [s]; None for its real arrival
+                on the monotonic clock.
+        """
+        self.has_come(now_s)
+        return self._command
+
+    def has_come(self, now_s: float | None = None) -> bool:
+        """Take up what came since the last call; return whether something did from who is obeyed."""
+        before, newest, taken = self._command, self._watch.latest(self._key), self._watch.take()
+        self.heard_s = self._seconds(taken.heard, now_s)
+        for writer, at_ns, is_clear in taken.arrivals:
+            at_s = now_s if now_s is not None else at_ns * 1e-9
+            if not is_clear:
+                self.writers.alive(writer, at_s)
+            elif not self.writers.hear(writer, at_s, self.heard_s):
+                self._refused += 1
+        self.writers.know(self.heard_s)
+        if self.writers.obeyed in taken.newest:
+            self._command = _command(taken.newest[self.writers.obeyed], now_s)
+        doubtful = self._watch.doubtful
+        self._refused, self._doubtful = self._refused + doubtful - self._doubtful, doubtful
+        if newest is not None and newest is not self.seen:
+            is_left = newest.arrived_ns is None and self._command is before  # from before we looked
+            if is_left and self.writers.obeyed in ("", writer_of(newest)):
+                self._command = _command(newest, now_s)
+            self.seen = newest
+        return self._command is not before
+
+    def take_refused(self) -> int:
+        """Return how many commands came since the last call that are not used: of others, and of who knows whom."""
+        refused, self._refused = self._refused, 0
+        return refused
+
+    def _seconds(self, heard: Heard, now_s: float | None) -> tuple[float, float]:
+        """Return a span on the gate's clock [s]."""
+        ahead_s = 0.0 if now_s is None else now_s - self._watch.clock.monotonic_s()
+        return heard.since_ns * 1e-9 + ahead_s, heard.until_ns * 1e-9 + ahead_s
+
+
+def writer_of(sample: Sample) -> str:
+    """Return who wrote a value."""
+    return sample.stamp.source if sample.stamp is not None else FOREIGN
+
+
+def _command(sample: Sample, now_s: float | None) -> CommandSample:
+    arrived_ns, mark = sample.arrived_ns, sample.stamp
+    at_s = None if arrived_ns is None else arrived_ns * 1e-9 if now_s is None else now_s
+    is_ours = mark is not None and mark.is_from_this_boot
+    return CommandSample(
+        value=sample.value,
+        arrived_s=at_s,
+        delay_s=sample.delay_s if now_s is None else None,  # ticks are no writer's clock
+        written_ns=mark.mono_ns if mark is not None and is_ours else 0,
+        arrived_ns=arrived_ns or 0,
+        seq=mark.seq if mark is not None else 0,
+        source=writer_of(sample),
+    )

@@ -1,0 +1,60 @@
+"""The line between a supervisor and the servers it starts: a pipe that says "go", and breaks when the supervisor dies.
+
+The supervisor holds the writing end. A line ``go`` activates the server; ``estop`` asks for the emergency stop, which
+so reaches a robot also past a bus that is dead; end of file, which the kernel delivers even after ``kill -9`` of the
+supervisor, asks it to finish cleanly, and soon after makes it.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import threading
+from collections.abc import Callable
+
+log = logging.getLogger(__name__)
+
+ENVIRONMENT_VARIABLE = "STATION_LEASH_FD"
+GRACE_S = 10.0  # longer than the 2 s blend of a command server and the closing of an episode
+
+
+class SupervisorPipe:
+    """A server's end of the line.
+
+    Attributes:
+        activated: Set by ``go``.
+        on_estop: Called, in the pipe's thread, by ``estop``.
+    """
+
+    def __init__(self, descriptor: int, on_release: Callable[[], None]) -> None:
+        self.activated = threading.Event()
+        self.on_estop: Callable[[], None] = lambda: None
+        self._descriptor = descriptor
+        self._on_release = on_release
+        threading.Thread(target=self._listen, name="supervisor-pipe", daemon=True).start()
+
+    def _listen(self) -> None:
+        with os.fdopen(self._descriptor) as line:
+            for word in line:
+                if word.strip() == "go":
+                    self.activated.set()
+                elif word.strip() == "estop":
+                    self.on_estop()
+        log.warning("the supervisor is gone; finishing")
+        self._on_release()
+        self.activated.set()
+        watchdog = threading.Timer(GRACE_S, _die)
+        watchdog.daemon = True
+        watchdog.start()
+
+
+def from_environment(on_release: Callable[[], None]) -> SupervisorPipe | None:
+    """Return the pipe that the supervisor put into the environment; None for a server started by hand."""
+    value = os.environ.pop(ENVIRONMENT_VARIABLE, None)
+    return SupervisorPipe(int(value), on_release) if value else None
+
+
+def _die() -> None:
+    sys.stderr.write(f"not finished {GRACE_S:.0f} s after the supervisor was gone; giving up\n")
+    os._exit(1)

@@ -1,0 +1,114 @@
+"""The newest sample of an operator's device, or why there is none that may be used.
+
+Fresh is what arrived here a moment ago, was written a moment ago (where that is known, on one machine), and is live by
+the device server's own word: none of them alone is enough, because a device server may be dead, a line may have been
+frozen, and a living server may have lost its device.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from station.bus import codec
+from station.bus.sample import Sample
+from station.bus.watch import Watch
+from station.operator import sample as readings
+from station.operator.sample import OperatorSample, Status
+
+STALE_S = 0.1
+"""A device server that has not spoken for longer is silent [s]; it speaks with every tick."""
+
+LATE_S = 0.25
+"""Nobody drives by a sample that took longer to come [s]: a line that was frozen delivers those of seconds ago at once.
+Its buttons count all the same, the stop among them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeviceSample:
+    """What was heard in a tick.
+
+    Attributes:
+        reading: The newest sample; None when there is none that may be used.
+        flaw: Why there is none, or why it holds buttons only and nobody may drive by it; else "".
+        sample: Count of samples by the device server's own counting, for the source of a command.
+    """
+
+    reading: OperatorSample | None
+    flaw: str = ""
+    sample: int = 0
+
+
+class DeviceSubscriber:
+    """Listens to a device, or to one that gives poses and another that has the buttons.
+
+    Args:
+        watch: Watches the keys of `watched`.
+        device: Name of the device server.
+        controls_from: Name of another whose controls count in place of the device's own; "" for its own.
+    """
+
+    def __init__(self, watch: Watch, device: str, controls_from: str = "") -> None:
+        self._one = _One(watch, device)
+        self._other = _One(watch, controls_from) if controls_from else None
+
+    @staticmethod
+    def watched(device: str, controls_from: str = "") -> Sequence[str]:
+        """Return the keys that must be watched."""
+        return [key for name in (device, controls_from) if name for key in readings.watched_keys(name)]
+
+    def hear(self) -> DeviceSample:
+        """Return what is known now; buttons of another device count while poses are lost too, the stop among them."""
+        heard = self._one.hear()
+        if self._other is None:
+            return heard
+        other = self._other.hear()
+        if other.reading is None:
+            return DeviceSample(None, other.flaw, heard.sample)
+        reading = replace(heard.reading or OperatorSample(), controls=other.reading.controls)
+        return DeviceSample(reading, heard.flaw or other.flaw, heard.sample)
+
+
+class _One:
+    """Listens to one device server."""
+
+    def __init__(self, watch: Watch, device: str) -> None:
+        self._watch, self._device = watch, device
+        self._keys = readings.watched_keys(device)
+        self._status_key = self._keys[0]
+        self._newest: tuple[Status, OperatorSample] | None = None
+
+    def hear(self) -> DeviceSample:
+        sample = self._watch.latest(self._status_key)
+        if sample is None:
+            return DeviceSample(None, f"nothing was ever heard of {self._device}; is its server started?")
+        age_s = sample.age_s(self._watch.clock.monotonic_ns())
+        if age_s > STALE_S:
+            told = "" if math.isinf(age_s) else f" for {age_s:.1f} s"
+            return DeviceSample(None, f"{self._device} is silent{told}")
+        samples = {key: found for key in self._keys if (found := self._watch.latest(key)) is not None}
+        try:
+            status = readings.decode_status(self._device, samples)
+            if status is None:
+                return DeviceSample(None, f"{self._device} is silent")
+            if status.state != "live":
+                why = f": {status.reason}" if status.reason else ""
+                return DeviceSample(None, f"{self._device} is {status.state}{why}", status.new)
+            reading, late = self._decoded(status, samples), self._why_late(sample)
+            return DeviceSample(OperatorSample(controls=reading.controls) if late else reading, late, status.new)
+        except codec.BadValue as error:
+            return DeviceSample(None, str(error))
+
+    def _why_late(self, sample: Sample) -> str:
+        is_late = sample.delay_s is not None and sample.delay_s > LATE_S
+        return f"samples of {self._device} come {sample.delay_s:.1f} s late" if is_late else ""
+
+    def _decoded(self, status: Status, samples: dict[str, Sample]) -> OperatorSample:
+        """Return the sample, decoded once: a tick without a new one gives the same object."""
+        known = self._newest
+        if known is None or (known[0].new, known[0].capture_ns, known[0].parts) != (
+            status.new, status.capture_ns, status.parts,
+        ):  # fmt: skip
+            self._newest = known = (status, readings.decode(self._device, samples))
+        return known[1]

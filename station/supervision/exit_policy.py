@@ -1,0 +1,123 @@
+"""What becomes of a station when one of its servers dies or falls silent.
+
+The robot needs nobody for its safety: the gate holds, returns to standing and stands. So where a person attends, the
+station stays up, says who died and waits for the answer; nothing that moves a robot starts again by itself unless the
+runbook says so.
+"""
+
+from __future__ import annotations
+
+import getpass
+from collections.abc import Callable, Sequence
+
+from station.life.server import Health
+from station.life.stop_file import LatchedStop
+from station.supervision.runbook import Runbook
+from station.supervision.session_ui import SessionUI
+from station.supervision.supervisor import Supervisor, how_it_ended
+
+SILENT_S = 3.0
+"""A process that lives and has said nothing for this long is taken for frozen [s]; it speaks twice a second."""
+
+
+_DIED = "server-died"
+
+
+class ExitPolicy:
+    """Watches over the servers of a session, a few times a second.
+
+    Args:
+        runbook: What it starts, and what is to be done if one dies.
+        supervisor: Has the processes.
+        face: Shows and asks.
+        is_unattended: Whether nobody is asked, whoever is there.
+    """
+
+    def __init__(self, runbook: Runbook, supervisor: Supervisor, face: SessionUI, *, is_unattended: bool) -> None:
+        self._steps = {step.start: step for step in runbook.servers}
+        self._supervisor, self._face = supervisor, face
+        self._asks = face.is_attended and not is_unattended
+        self._dead: dict[str, str] = {}  # how, by name
+        self._silent: set[str] = set()
+        self._starting: set[str] = set()
+        self._heard: dict[str, tuple[int, float]] = {}  # newest word, and when it came
+
+    @property
+    def are_open(self) -> bool:
+        """Whether a server is dead now that was not started again."""
+        return bool(self._dead)
+
+    def look(
+        self, health: Sequence[Health] | None, latched: Callable[[], LatchedStop | None] = lambda: None
+    ) -> tuple[str, int] | None:
+        """See who has died; return why the station should end, and an exit code, or None.
+
+        Args:
+            health: What the servers said last; None where the bus cannot tell.
+            latched: Returns the stop under which nothing is started again.
+        """
+        for name, code in self._supervisor.ended().items():
+            step = self._steps[name]
+            if name in self._dead:
+                continue
+            if code == 0 and step.kind.role == "command":
+                return f"{name} has finished", int(self.are_open)
+            how = how_it_ended(code)
+            what = f"{how}; its last words: {self._supervisor.last_words(name)}"
+            self._starting.discard(name)
+            if not self._asks or step.if_it_dies == "end":
+                self._supervisor.tell(_DIED, "error", server=name, reason=what)
+                return f"server {name!r} {what}", 1
+            self._dead[name] = how
+            self._tell(name, what, _DIED)
+        if health is None:
+            self._heard.clear()  # nobody could speak: their time begins anew when the bus is back
+        else:
+            self._look_for_silent(health)
+        if (self._dead or self._silent) and self._face.take_restart():
+            if (stop := latched()) is not None:
+                self._face.say(f"{stop}; until then nothing starts", "error")
+            else:
+                self._start_again()
+        return None
+
+    def _look_for_silent(self, health: Sequence[Health]) -> None:
+        now_s = self._supervisor.clock.monotonic_s()
+        for said in health:
+            if said.name not in self._steps or said.name in self._dead:
+                continue
+            if self._heard.get(said.name, (0, 0.0))[0] != said.wall_ns:
+                self._heard[said.name] = said.wall_ns, now_s
+                self._hear(said)
+            elif now_s - self._heard[said.name][1] > SILENT_S and said.name not in self._silent | self._starting:
+                self._silent.add(said.name)
+                self._tell(said.name, f"lives, but has said nothing for {SILENT_S:g} s (frozen?)", "server-silent")
+
+    def _hear(self, said: Health) -> None:
+        if said.name in self._silent:
+            self._silent.discard(said.name)
+            self._offer()
+            self._supervisor.tell("server-back", "info", server=said.name)
+        if said.name in self._starting and said.state == "active":
+            self._starting.discard(said.name)
+            self._supervisor.tell("server-active", "info", server=said.name, pid=said.pid)
+
+    def _tell(self, name: str, what: str, event: str) -> None:
+        keys = "; r starts it again, Ctrl-C takes the station down" if self._asks else ""
+        self._supervisor.tell(event, "error", server=name, reason=what)
+        self._offer()  # before it is said: a key that is pressed at the sight of the line counts
+        self._face.say(f"server {name!r} {what}{keys}", "error")
+
+    def _offer(self) -> None:
+        if self._asks:
+            self._face.offer(", ".join(sorted({*self._dead, *self._silent})))
+
+    def _start_again(self) -> None:
+        for name in sorted({*self._dead, *self._silent}):
+            how = self._dead.pop(name, "was silent")
+            self._silent.discard(name)
+            self._heard.pop(name, None)
+            self._starting.add(name)
+            self._supervisor.tell("server-restarted", "warning", server=name, reason=how, who=getpass.getuser())
+            self._supervisor.start_again(name)
+        self._offer()

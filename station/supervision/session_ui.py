@@ -1,0 +1,49 @@
+"""How a session shows itself and asks; the command line implements it."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from station.life.events import Severity
+from station.life.server import Health
+
+
+class SessionUI(Protocol):
+    """What a person sees and answers."""
+
+    @property
+    def is_attended(self) -> bool:
+        """Whether a person is there to answer."""
+        ...
+
+    def begin(self, step: str) -> None:
+        """A step begins."""
+        ...
+
+    def done(self, step: str, result: str) -> None:
+        """A step is done."""
+        ...
+
+    def failed(self, step: str, reason: str) -> None:
+        """A step has failed."""
+        ...
+
+    def say(self, text: str, severity: Severity = "info") -> None:
+        """Something happened."""
+        ...
+
+    def confirm(self, sentence: str) -> bool:
+        """Ask a person; whether the answer was yes."""
+        ...
+
+    def offer(self, restart: str) -> None:
+        """Offer to start some servers again, by their names; "" takes the offer back."""
+        ...
+
+    def take_restart(self) -> bool:
+        """Whether a person has taken the offer since the last call."""
+        ...
+
+    def show(self, health: list[Health]) -> None:
+        """How the servers are doing, a few times a second."""
+        ...
