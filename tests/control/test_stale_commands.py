@@ -40,7 +40,7 @@ FORM = BodyCommand(
 
 
 class VirtualWatch:
-    """What a `CommandWatch` is to an receiver: writes are delivered by the test, at instants that it says."""
+    """What a `CommandWatch` is to a receiver: writes are delivered by the test, at instants that it says."""
 
     doubtful, clock = 0, SYSTEM
 

@@ -56,7 +56,7 @@ def g1(bus_server: BusAddress) -> Iterator[Bus]:
 
 @pytest.fixture
 def make(bus_server: BusAddress, tmp_path: Path) -> Iterator[Make]:
-    """Opens an tap reader as the recorder's process does; at the end all are closed."""
+    """Opens a tap reader as the recorder's process does; at the end all are closed."""
     made: list[tuple[TapReader, Life]] = []
     with Bus(bus_server, name="recorder", timeout_s=5.0) as line:
 
