@@ -9,6 +9,8 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
@@ -21,6 +23,7 @@ from station.bus.redis_server import RedisServer, ServerOptions
 from station.bus.tap import TapRefused, open_tap
 from station.bus.tap.replication import ReplicationTap
 from station.bus.watch import Watch
+from station.clock import Clock
 from station.errors import BusError
 from tests.bus.answering import answering
 from tests.bus.proxy import Proxy
@@ -208,16 +211,19 @@ def test_a_connection_over_a_network_is_kept_alive_by_the_kernel(tmp_path: Path)
 
 
 def test_a_watch_that_fell_silent_together_with_the_bus_is_not_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = Outages()
-    began = time.monotonic_ns()
-    found.note("watch-back", began)
-    found.note("bus-silent", began)
-    found.note("watch-back", began)
+    now_ns = 1_000
+    found = Outages(cast(Clock, SimpleNamespace(monotonic_ns=lambda: now_ns)))
+    found.note("watch-back", 0)
+    found.note("bus-silent", 0)
+    found.note("watch-back", 0)
     assert [one.kind for one in found.take()] == ["bus-silent"]
-    found.note("watch-back", began)
+    now_ns = 2_000
+    found.note("watch-back", 0)
     assert found.take() == [], "nor when it came back later than the bus was told of"
-    found.note("watch-back", time.monotonic_ns())
-    found.note("watch-back", time.monotonic_ns() - 1000)
+    now_ns = 3_000
+    found.note("watch-back", 2_900)
+    now_ns = 4_000
+    found.note("watch-back", 2_000)
     assert [one.kind for one in found.take()] == ["watch-back"], "two watches of one process"
 
 
