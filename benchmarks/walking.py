@@ -92,7 +92,7 @@ def fresh(rig: Rig) -> ControlStep:
 
 def follow(control: ControlStep, command: Floats, now_s: float) -> StepRecord:
     """Let the robot take a step at a command, as it stands on the bus."""
-    form = control.validator.form
+    form = control.commanded.form
     data = codec.json_vector(np.clip(command, form.lower, form.upper))
     return control.step(control.sense(), CommandSample(data, arrived_s=now_s), now_s)
 

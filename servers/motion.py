@@ -28,6 +28,7 @@ from station.life.server import Life, ServerKind
 from station.life.stop_file import StopFile
 from station.motion.playback import AtEnd, Frame, Playback
 from station.motion.playback_requests import Requests
+from station.parts import by_key, parts_of
 from station.protocols import CommandFormat, Motion
 
 if TYPE_CHECKING:
@@ -138,7 +139,7 @@ def _facts(life: Life, config: MotionConfig, motion: Motion, command: CommandFor
 
 def _watched_keys(command: CommandFormat) -> list[str]:
     return [
-        command.key,
+        *(part.key for part in parts_of(command)),
         keys.robot_state(command.robot),
         keys.MOTION_CONTROL,
         *command.stock.signals,
@@ -171,7 +172,7 @@ class Player:
         self._writer = _Writer(life, motion, command)
         self._requests = Requests(life, watch, self._playback, command.stock.signals)
         self._story = _Story(life, self._playback)
-        self._own_key = OwnKey(life, command.key)
+        self._own_keys = [(part.key, OwnKey(life, part.key)) for part in parts_of(command)]
         self._stop = StopWatch(watch, command.robot)
         self._preview = _open_preview(config, life, motion, command)
         if config.wait_for_start:
@@ -236,7 +237,8 @@ class Player:
                 self._playback.leave()
             self._requests.obey()
             frame = self._playback.step(dt_s)
-            self._own_key.check(self._watch.latest(self._command.key))
+            for key, own in self._own_keys:
+                own.check(self._watch.latest(key))
             self._writer.write(frame, pace.state_seq)
             self._story.tell(frame)
             if self._preview is not None:
@@ -268,7 +270,7 @@ class _Writer:
         }
         self._life.bus.publish(
             {
-                self._command.key: codec.json_vector(frame.command),
+                **{key: codec.json_vector(each) for key, each in by_key(self._command, frame.command).items()},
                 **self._companions,
                 **dict.fromkeys(self._command.stock.clocks, b"%d" % (self._life.clock.wall_ns() // 1_000_000)),
                 keys.command_source(self._command.robot): codec.json_object(source),

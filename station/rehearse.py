@@ -13,11 +13,10 @@ from functools import lru_cache
 import msgspec
 
 from station import registry, side_by_side
-from station.bus import codec
 from station.contract import names_of
-from station.control.command_validator import CommandSample
 from station.control.control import ControlStep, Resettable, StepRecord
 from station.control.gate import GateConfig
+from station.control.parted_path import samples_of
 from station.control.rig import Rig, RigConfig, build
 from station.control.tracking import TrackingError
 from station.motion.playback import Frame, Playback
@@ -133,8 +132,7 @@ def rehearse_all(
 def _step(control: ControlStep, playback: Playback, now_s: float, dt_s: float) -> tuple[Frame, StepRecord]:
     state = control.sense()
     frame = playback.step(dt_s)
-    sample = CommandSample(codec.json_vector(frame.command), arrived_s=now_s)
-    return frame, control.step(state, sample, now_s)
+    return frame, control.step(state, samples_of(control.commanded.form, frame.command, now_s), now_s)
 
 
 def _rehearse_named(task: tuple[str, RigConfig, str]) -> Rehearsal:

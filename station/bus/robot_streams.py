@@ -41,6 +41,25 @@ def command_stream(form: CommandFormat) -> Contract:
     )  # fmt: skip
 
 
+def part_streams(form: CommandFormat, rate_hz: float = 50.0) -> tuple[Contract, ...]:
+    """Return the streams of a part that is commanded apart (`station.parts`), beside those of all of the robot.
+
+    Args:
+        form: Of the part's command.
+        rate_hz: Of the robot's steps [Hz].
+    """
+
+    def make(key: str, role: Role, codec: Codec, items: tuple[Element, ...] = (), note: str = "") -> Contract:
+        return Contract(key=key, family="station", role=role, codec=codec, elements=items, rate_hz=rate_hz, note=note)
+
+    return (
+        command_stream(form),
+        make(keys.command_gate(form.robot), "policy", "json", note="state, reason and age of this part's command"),
+        make(keys.command_used(form.robot), "policy", "f64", form.elements, "this part's command after its gate"),
+        make(keys.command_source(form.robot), "command", "json", note="where this part's command comes from"),
+    )
+
+
 def driven_by_policy(command: tuple[Element, ...] = (), rate_hz: float = 50.0) -> tuple[Contract, ...]:
     """Return the streams of a robot whose joints a policy drives.
 

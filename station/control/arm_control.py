@@ -16,8 +16,9 @@ import numpy as np
 
 from station.arms import ArmSession, ArmState
 from station.clock import SYSTEM, Clock
+from station.control.arming import Arming
 from station.control.command_path import CommandPath, Happening
-from station.control.command_validator import CommandSample
+from station.control.command_validator import Samples
 from station.control.gate import Decision, GateConfig
 from station.control.gate_state import FOLLOWING, MOVING
 from station.protocols import CommandFormat, Floats
@@ -78,7 +79,7 @@ class ArmControl:
         self, session: ArmSession, form: CommandFormat, *, gate: GateConfig, is_armed: bool, clock: Clock = SYSTEM
     ) -> None:
         self.session, self._clock = session, clock
-        self.commanded = CommandPath(form, gate, is_armed=is_armed, ramp_s=0.0)
+        self.commanded = CommandPath(form, gate, Arming(is_armed=is_armed, ramp_s=0.0))
         self._target: Floats | None = None  # newest target that was taken; None: not engaged
         self._refusal = ""  # of this tick
         self._was_refused = False  # whether it took none when it was last handed one
@@ -89,7 +90,7 @@ class ArmControl:
         """Return the state that the next `step` acts on."""
         return self.session.read()
 
-    def step(self, state: ArmState, sample: CommandSample | None, now_s: float) -> ArmRecord:
+    def step(self, state: ArmState, sample: Samples, now_s: float) -> ArmRecord:
         """Act on a state and the newest command sample.
 
         Args:
@@ -165,14 +166,6 @@ class ArmControl:
         self.commanded.disarm(who)
         self._release()
         self.commanded.gate.insist_on_silence(_DISARMED)
-
-    def refuse_rivals(self, count: int, reason: str) -> None:
-        """Count refused commands of a second writer; call before the step that they arrived for."""
-        self.commanded.refuse_rivals(count, reason)
-
-    def heard_all(self, since_s: float, until_s: float) -> None:
-        """Set the span in which every write was seen [s]; call before the step that it is about."""
-        self.commanded.heard_all(since_s, until_s)
 
     def health(self) -> dict[str, Any]:
         """Return what a server's heartbeat tells of this arm."""

@@ -6,7 +6,7 @@ import msgspec
 
 from station.bus import codec, keys
 from station.control.arm_control import ArmRecord
-from station.control.command_path import CommandPath, gate_status
+from station.control.command_path import CommandPath
 from station.life.arm_request import ArmAnswer
 from station.life.controller_request import ControllerAnswer
 
@@ -23,7 +23,7 @@ def result_values(
         armed: Answer to the last request to arm.
         asked: Answer to a request to the controller.
     """
-    gate = gate_status(record.decision, commanded)
+    gate = commanded.status(record.decision)
     if record.refusal:
         gate["target_refused"] = record.refusal
     if armed is not None:

@@ -28,7 +28,7 @@ class Arming:
 
     def __init__(self, *, is_armed: bool, ramp_s: float = RAMP_S) -> None:
         self._starts_armed = is_armed
-        self._ramp_s = ramp_s
+        self.ramp_s = ramp_s
         self._ramped_s = 0.0
         self._now_s = 0.0
         self._state: State = "disarmed"
@@ -67,7 +67,7 @@ class Arming:
         if self._state != "arming":
             return float(self._state == "armed")
         self._pass_time(now_s)
-        fraction = self._ramped_s / self._ramp_s if self._ramp_s > 0 else 1.0
+        fraction = self._ramped_s / self.ramp_s if self.ramp_s > 0 else 1.0
         if fraction >= 1.0 - _ROUNDING:
             self._state = "armed"
             return 1.0

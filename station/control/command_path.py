@@ -10,10 +10,11 @@ import math
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-from station.control.arming import RAMP_S, Arming
+from station.control.arming import Arming, why_not_arm
 from station.control.command_arbiter import spoken
-from station.control.command_validator import CommandSample, CommandValidator
+from station.control.command_validator import CommandValidator, Samples
 from station.control.gate import Decision, Gate, GateConfig
+from station.control.gate_state import State
 from station.control.rate_limiting import RateLimiting
 from station.control.reengage_interlock import Quiet
 from station.control.slew import Bounds
@@ -38,26 +39,50 @@ class CommandPath:
     Args:
         form: Format of the command.
         config: Times of the gate.
-        is_armed: Whether the robot is armed from the start; False for real robots.
-        ramp_s: How long arming takes [s].
+        arming: Of the robot.
+        part: Name of the part that it is about, for its events; "" for all of the robot.
+        happenings: Where to put what happened; a list of its own without it.
 
     Attributes:
-        gate, validator, arming: What it is made of.
+        form, gate, validator, arming: What it is made of.
     """
 
-    def __init__(self, form: CommandFormat, config: GateConfig, *, is_armed: bool, ramp_s: float = RAMP_S) -> None:
+    def __init__(
+        self,
+        form: CommandFormat,
+        config: GateConfig,
+        arming: Arming,
+        *,
+        part: str = "",
+        happenings: list[Happening] | None = None,
+    ) -> None:
         bounds = Bounds.of(form, config.rate_factor)
+        self.form, self.part = form, part
         self.gate = Gate(form.default, config, bounds, stays=form.stays, velocities=form.velocities)
         self.validator = CommandValidator(form, config.longest_delay_s)
-        self.arming = Arming(is_armed=is_armed, ramp_s=ramp_s)
-        self._ramp_s = ramp_s
+        self.arming = arming
         self._refusing: str | None = None
         self._rival = ""  # why somebody else's command was refused in this step
         self._heard_s = (-math.inf, math.inf)  # offline everything is known
         self._slewing = RateLimiting(form)
-        self._happenings: list[Happening] = []
+        self._happenings: list[Happening] = [] if happenings is None else happenings
 
-    def decide(self, sample: CommandSample | None, now_s: float, *, obstacle: str = "") -> Decision:
+    @property
+    def paths(self) -> tuple[CommandPath, ...]:
+        """Each with a key of its own; here the one."""
+        return (self,)
+
+    @property
+    def state(self) -> State:
+        """The gate's."""
+        return self.gate.state
+
+    @property
+    def reason(self) -> str:
+        """Why the gate is in its state."""
+        return self.gate.reason
+
+    def decide(self, sample: Samples, now_s: float, *, obstacle: str = "") -> Decision:
         """Take up the newest command and return what the gate lets through.
 
         Args:
@@ -65,6 +90,7 @@ class CommandPath:
             now_s: The instant, on the clock of `CommandSample.arrived_s` [s].
             obstacle: Why no command may be followed now, or "".
         """
+        sample = sample[0] if isinstance(sample, tuple) else sample
         validator, before = self.validator, self.validator.good
         if validator.take(sample):
             self._note_refusal()
@@ -86,9 +112,19 @@ class CommandPath:
 
     def stop(self, reason: str) -> None:
         """Latch the emergency stop."""
-        if self.gate.state != "stopped":
-            self.gate.stop(reason)
+        if self.state != "stopped":
+            for path in self.paths:
+                path.gate.stop(reason)
             self.note("estop", "error", reason=reason)
+
+    def reset(self, reason: str) -> None:
+        """Leave the stop, a fault, and any other state: wait for commands that begin anew."""
+        for path in self.paths:
+            path.gate.reset(reason)
+
+    def why_not_arm(self, now_s: float) -> str:
+        """Return why the robot may not be armed now, or ""."""
+        return next(filter(None, (why_not_arm(path.gate, path.validator, now_s) for path in self.paths)), "")
 
     def arm(self, now_s: float, who: str, refusal: str) -> str:
         """Begin to arm, unless there is a reason not to; return that reason, or ""."""
@@ -96,7 +132,7 @@ class CommandPath:
             self.note("arm-refused", "warning", who=who, reason=refusal)
         elif self.arming.state == "disarmed":
             self.arming.arm(now_s)
-            self.note("arming", "warning", who=who, ramp_s=self._ramp_s)
+            self.note("arming", "warning", who=who, ramp_s=self.arming.ramp_s)
         return refusal
 
     def disarm(self, who: str = "") -> None:
@@ -104,6 +140,19 @@ class CommandPath:
         if self.arming.state != "disarmed":
             self.arming.disarm()
             self.note("disarmed", "warning", who=who)
+
+    def status(self, decision: Decision) -> dict[str, Any]:
+        """Return what a robot's `command_gate` tells of a step."""
+        return {
+            "state": decision.state,
+            "reason": decision.reason,
+            "age_s": decision.age_s if math.isfinite(decision.age_s) else None,
+            "clamped": self.validator.clamped,
+            "refused": self.validator.refused.total(),
+            "arming": self.arming.state,
+            "limited": len(decision.limited),
+            "needs_silence": self.gate.demand,
+        }
 
     def refuse_rivals(self, count: int, reason: str) -> None:
         """Count refused commands of a second writer; call before the step that they arrived for."""
@@ -116,11 +165,13 @@ class CommandPath:
 
     def note(self, name: str, severity: Severity, **detail: Any) -> None:
         """Have something told with this step."""
-        self._happenings.append(Happening(name, severity, detail))
+        of_part = {"part": self.part} if self.part else {}
+        self._happenings.append(Happening(name, severity, of_part | detail))
 
     def taken(self) -> tuple[Happening, ...]:
         """Return what happened since the last call, in order."""
-        happenings, self._happenings = tuple(self._happenings), []
+        happenings = tuple(self._happenings)
+        self._happenings.clear()
         return happenings
 
     def _quiet(self, now_s: float) -> Quiet:
@@ -140,20 +191,6 @@ class CommandPath:
         else:
             self.note("command-good-again", "info", count=total)
         self._refusing = kind
-
-
-def gate_status(decision: Decision, commanded: CommandPath) -> dict[str, Any]:
-    """Return what a robot's `command_gate` tells of a step."""
-    return {
-        "state": decision.state,
-        "reason": decision.reason,
-        "age_s": decision.age_s if math.isfinite(decision.age_s) else None,
-        "clamped": commanded.validator.clamped,
-        "refused": commanded.validator.refused.total(),
-        "arming": commanded.arming.state,
-        "limited": len(decision.limited),
-        "needs_silence": commanded.gate.demand,
-    }
 
 
 class Record(Protocol):
@@ -181,7 +218,7 @@ class Control(Protocol[StateT, RecordT_co]):
         """Return the state that the next `step` acts on."""
         ...
 
-    def step(self, state: StateT, sample: CommandSample | None, now_s: float) -> RecordT_co:
+    def step(self, state: StateT, sample: Samples, now_s: float) -> RecordT_co:
         """Act on a state and the newest command sample, at an instant [s]."""
         ...
 
@@ -199,14 +236,6 @@ class Control(Protocol[StateT, RecordT_co]):
 
     def disarm(self, who: str = "") -> None:
         """Send nothing to the robot from the next step on."""
-        ...
-
-    def refuse_rivals(self, count: int, reason: str) -> None:
-        """Count refused commands of a second writer; call before the step that they arrived for."""
-        ...
-
-    def heard_all(self, since_s: float, until_s: float) -> None:
-        """Set the span in which every write was seen [s]; call before the step that it is about."""
         ...
 
     def health(self) -> dict[str, Any]:

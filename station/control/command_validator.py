@@ -87,6 +87,10 @@ class CommandSample:
     source: str = ""
 
 
+Samples = CommandSample | None | tuple[CommandSample | None, ...]
+"""The newest write of a robot's command, or of the command of each of its parts."""
+
+
 @dataclass
 class CommandValidator:
     """Remembers the newest good command and counts what was refused.

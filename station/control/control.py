@@ -6,6 +6,7 @@ The same step drives the station's servers and the offline rehearsal, so both gi
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -13,11 +14,13 @@ import numpy as np
 
 from station.clock import SYSTEM, Clock
 from station.contract import names_of
-from station.control.arming import why_not_arm
+from station.control.arming import Arming
 from station.control.command_path import CommandPath, Happening
-from station.control.command_validator import CommandSample
-from station.control.gate import Decision, GateConfig
+from station.control.command_validator import Samples
+from station.control.gate import Decision, Gate, GateConfig
+from station.control.parted_path import PartedPath
 from station.errors import ConfigError
+from station.parts import PartedCommand
 from station.protocols import CommandFormat, Fall, Floats, Floats32, JointTargets, Policy, Robot, RobotState
 
 _UPRIGHT_AGAIN_S = 1.0  # a fallen robot bounces; a fall is over when it has stood this long
@@ -92,31 +95,38 @@ class ControlStep:
     ) -> None:
         _check_fit(robot, policy, form)
         self.robot, self.policy, self._clock = robot, policy, clock
-        self.commanded = CommandPath(form, gate or GateConfig(), is_armed=is_armed)
-        self.gate, self.validator, self.arming = self.commanded.gate, self.commanded.validator, self.commanded.arming
+        self.arming = Arming(is_armed=is_armed)
+        config = gate or GateConfig()
+        self.commanded = (
+            PartedPath(form, config, self.arming)
+            if isinstance(form, PartedCommand)
+            else CommandPath(form, config, self.arming)
+        )
         self._note = self.commanded.note
         self._reset_after_s, self._fell_at_s = reset_after_s, math.inf
         self._tick = self._falls = 0
         self._is_down = False
         self._stood_since_s = 0.0
         self._action_is_bad = False
-        self._stays = form.stays
+        self._resting = tuple(_resting(robot, self.commanded.paths))
         self._asked: Floats | None = None  # where a robot that stays was asked to be; None: it is where it is
 
     def sense(self) -> RobotState:
         """Return the state that the next `step` acts on."""
         return self.robot.read()
 
-    def step(self, state: RobotState, sample: CommandSample | None, now_s: float) -> StepRecord:
+    def step(self, state: RobotState, sample: Samples, now_s: float) -> StepRecord:
         """Act on a state and the newest command sample.
 
         Args:
             state: From `sense`.
-            sample: The newest write of the command key, good or bad; the same object as long as nothing new came.
+            sample: The newest write of the command key, good or bad; the same object as long as nothing new came. Of a
+                robot whose parts are commanded apart, that of each.
             now_s: The instant, on the clock of `CommandSample.arrived_s` [s].
         """
         self._tick += 1
-        decision = self.commanded.decide(sample, now_s, obstacle=self._see_to_rest(state) if self._stays else "")
+        self._see_to_rest(state)
+        decision = self.commanded.decide(sample, now_s)
         observation = self.policy.observe(state, decision.vector)
         observed_ns = self._clock.monotonic_ns()
         action = self.policy.act(observation)
@@ -130,8 +140,8 @@ class ControlStep:
         else:
             sent = self.robot.write(allowed)
         is_limp = allowed is None or decision.state == "stopped" or self._action_is_bad
-        self._asked = None if is_limp else sent.q
-        good = self.validator.good
+        self._asked = None if is_limp else decision.vector
+        good = self.commanded.paths[0].validator.good
         stages = (good.written_ns if good else 0, good.arrived_ns if good else 0)
         record = StepRecord(
             tick=self._tick,
@@ -156,15 +166,15 @@ class ControlStep:
 
     def reset(self, reason: str) -> None:
         """Leave the emergency stop; a simulated robot is put back on its feet, a real one needs arming again."""
-        if self.gate.state == "stopped":
-            self.gate.reset(reason)
+        if self.commanded.state == "stopped":
+            self.commanded.reset(reason)
             self._note("operator-reset", "warning", reason=reason)
             self._start_over()
 
     def restart(self, reason: str) -> None:
         """Put a simulated robot back on its feet and wait for commands anew."""
-        if self.gate.state != "stopped":
-            self.gate.reset(reason)
+        if self.commanded.state != "stopped":
+            self.commanded.reset(reason)
         self._note("robot-reset", "warning", reason=reason)
         self._start_over()
 
@@ -176,34 +186,25 @@ class ControlStep:
         """Send no targets to the robot from the next step on; its joints are damped."""
         self.commanded.disarm(who)
 
-    def refuse_rivals(self, count: int, reason: str) -> None:
-        """Count refused commands of a second writer; call before the step that they arrived for."""
-        self.commanded.refuse_rivals(count, reason)
-
-    def heard_all(self, since_s: float, until_s: float) -> None:
-        """Set the span in which every write was seen [s]; call before the step that it is about."""
-        self.commanded.heard_all(since_s, until_s)
-
     def health(self) -> dict[str, Any]:
         """Return what a server's heartbeat tells of this robot."""
         return {"falls": self._falls}
 
-    def _see_to_rest(self, state: RobotState) -> str:
-        """Tell the gate where a robot that stays rests; return why it may follow nobody now, or "".
+    def _see_to_rest(self, state: RobotState) -> None:
+        """Tell the gate where a robot, or a part, that stays rests.
 
         It rests where it was asked to be, not where it is: one that sags a little under its load, and were asked to be
         there, would sag on. While it is disarmed nobody is followed, and who commands then has to begin anew.
         """
-        self.gate.rest(state.q if self._asked is None else self._asked)
-        if self.arming.state != "disarmed":
-            return ""
-        self.gate.insist_on_silence("the robot was disarmed")
-        return "the robot is disarmed"
+        for gate, elements, joints in self._resting:
+            gate.rest(state.q[joints] if self._asked is None else self._asked[elements])
+            if self.arming.state == "disarmed":
+                gate.insist_on_silence("the robot was disarmed")
 
     def _why_not_arm(self, now_s: float) -> str:
-        if self.arming.state != "disarmed" and self.gate.state != "stopped":
+        if self.arming.state != "disarmed" and self.commanded.state != "stopped":
             return ""
-        if refusal := why_not_arm(self.gate, self.validator, now_s):
+        if refusal := self.commanded.why_not_arm(now_s):
             return refusal
         if self._action_is_bad:
             return "the policy's output is not finite"
@@ -269,6 +270,18 @@ def _check_fit(robot: Robot, policy: Policy, form: CommandFormat) -> None:
             f"policy {spec.name!r} drives {len(spec.joint_names)} joints, the robot has {len(robot.joint_names)}; "
             + (f"not in both: {', '.join(odd[:4])}" if odd else "their order differs")
         )
-    wanted = [f"{joint}_pos" for joint in robot.joint_names]
-    if form.stays and list(names_of(form.elements)) != wanted:
-        raise ConfigError(f"a robot that stays takes positions of its joints; command {form.name!r} has other elements")
+
+
+def _resting(robot: Robot, paths: Sequence[CommandPath]) -> Iterator[tuple[Gate, slice, list[int]]]:
+    """Yield, of what stays without a command, its gate, its elements in the whole command, and their joints."""
+    places, start = {f"{name}_pos": index for index, name in enumerate(robot.joint_names)}, 0
+    for path in paths:
+        names = names_of(path.form.elements)
+        if path.form.stays:
+            odd = [name for name in names if name not in places]
+            if odd:
+                raise ConfigError(
+                    f"what stays takes positions of joints; command {path.form.name!r} has {', '.join(odd[:4])}"
+                )
+            yield path.gate, slice(start, start + len(names)), [places[name] for name in names]
+        start += len(names)

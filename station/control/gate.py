@@ -116,6 +116,7 @@ class Decision:
         age_s: Age of the newest good command [s]; infinite when there is none.
         transitions: Changes since the last tick, in order.
         limited: Indices of the elements that are not where the command wants them: its way is beyond rate or range.
+        parts: Of a robot whose parts are commanded apart, the decision of each; `vector` is all of theirs.
     """
 
     state: State
@@ -124,6 +125,7 @@ class Decision:
     age_s: float
     transitions: tuple[Transition, ...]
     limited: tuple[int, ...] = ()
+    parts: tuple[Decision, ...] = ()
 
 
 class Gate:

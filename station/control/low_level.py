@@ -17,10 +17,11 @@ import numpy as np
 
 from station.bus import codec, keys
 from station.control.command_arbiter import CommandArbiter, News, spoken
-from station.control.command_path import CommandPath, Control, Happening, Record, gate_status
+from station.control.command_path import CommandPath, Control, Happening, Record
 from station.control.command_receiver import CommandReceiver, CommandWatch
-from station.control.command_validator import CommandSample
+from station.control.command_validator import CommandSample, Samples
 from station.control.control import StepRecord
+from station.control.gate import Decision
 from station.errors import BusError
 from station.life import arm_request, estop
 from station.life.arm_request import ArmAnswer
@@ -63,11 +64,16 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         self._life, self._control, self._clock = life, control, life.clock
         self._state_values, self._result_values = state_values, result_values
         self._period_s, self._requests = period_s, dict(requests or {})
-        self._key = control.commanded.validator.form.key
-        watched = [self._key, keys.ESTOP, keys.ARM, *self._requests]
-        self._watch = CommandWatch(life.bus.address, watched, key=self._key, outages=life.bus.outages)
-        config = control.commanded.gate.config
-        self._receiver = CommandReceiver(self._watch, self._key, CommandArbiter(config.rivals, config.return_after_s))
+        self._paths = control.commanded.paths
+        self._watches, self._receivers = list[CommandWatch](), list[CommandReceiver]()
+        for path in self._paths:
+            key, config, is_first = path.form.key, path.gate.config, not self._watches
+            asked = (keys.ESTOP, keys.ARM, *self._requests) if is_first else ()
+            outages = life.bus.outages if is_first else None
+            self._watches.append(CommandWatch(life.bus.address, [key, *asked], key=key, outages=outages))
+            arbiter = CommandArbiter(config.rivals, config.return_after_s)
+            self._receivers.append(CommandReceiver(self._watches[-1], key, arbiter))
+        self._watch, self._receiver, self._key = self._watches[0], self._receivers[0], self._paths[0].form.key
         self._is_stopped_past_bus = False  # asked to, and not obeyed yet
         self._keeper = StopKeeper(life.bus.address)
         self._arm_seen = self._watch.latest(keys.ARM)  # a request from before our time is none
@@ -82,7 +88,8 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._watch.close()
+        for watch in self._watches:
+            watch.close()
         self._keeper.close()
 
     def run_at(self, rate: Rate) -> None:
@@ -94,7 +101,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             state = self._sense()
             now_s = self._clock.monotonic_s()
             self._obey(now_s)
-            self._act(state, self._receiver.newest(), now_s)
+            self._act(state, tuple(receiver.newest() for receiver in self._receivers), now_s)
             if self._is_time_to_report():
                 stats = rate.stats()
                 self._report(
@@ -119,7 +126,8 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             patience_s = timeout_s if has_come or not started else self._period_s
             was_told = self._obey(now_s)
             if started or was_told:
-                self._act(state, self._receiver.newest(now_s) if started else None, now_s)
+                newest = tuple(receiver.newest(now_s) for receiver in self._receivers) if started else None
+                self._act(state, newest, now_s)
                 tick += 1
             if self._is_time_to_report():
                 elapsed_s = self._clock.monotonic_s() - began_s
@@ -199,7 +207,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
 
     def _restate_stop(self) -> None:
         """Tell a bus that has forgotten it that we are stopped, for servers that start only now."""
-        gate = self._control.commanded.gate
+        gate = self._paths[0].gate
         if gate.state == "stopped" and estop.restate(self._life.bus, gate.reason, self._life.name):
             self._keeper.latch(gate.reason)
             self._life.event("estop-restated", severity="warning", reason=gate.reason)
@@ -226,20 +234,21 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             self._life.event("release-refused", severity="warning", reason=_TOO_EARLY)
         return True
 
-    def _act(self, state: StateT, command: CommandSample | None, now_s: float) -> None:
-        writers = self._receiver.writers
-        if refused := self._receiver.take_refused():
-            self._control.refuse_rivals(refused, writers.refusal)
-        self._control.heard_all(*self._receiver.heard_s)
+    def _act(self, state: StateT, command: Samples, now_s: float) -> None:
+        for path, receiver in zip(self._paths, self._receivers, strict=True):
+            if refused := receiver.take_refused():
+                path.refuse_rivals(refused, receiver.writers.refusal)
+            path.heard_all(*receiver.heard_s)
         record = self._control.step(state, command, now_s)
         self._publish(self._result_values(record, self._arm_answer))
         for happening in record.happenings:
             self._say(happening)
-        for news in writers.take_news(now_s):
-            self._tell_of_writers(news)
+        for path, receiver in zip(self._paths, self._receivers, strict=True):
+            for news in receiver.writers.take_news(now_s):
+                self._tell_of_writers(path.form.key, news)
 
-    def _tell_of_writers(self, news: News) -> None:
-        detail: dict[str, Any] = {"key": self._key, "writers": list(news.writers), "obeyed": spoken(news.obeyed)}
+    def _tell_of_writers(self, key: str, news: News) -> None:
+        detail: dict[str, Any] = {"key": key, "writers": list(news.writers), "obeyed": spoken(news.obeyed)}
         if news.kind == "handover":
             self._life.event("command-handover", **detail, reason=news.reason)
         elif news.kind == "alone":
@@ -269,9 +278,9 @@ class LowLevelLoop(Generic[StateT, RecordT]):
 
     def _report(self, **loop: float) -> None:
         commanded = self._control.commanded
-        gate, validator = commanded.gate, commanded.validator
+        validator = self._paths[0].validator
         self._life.report(
-            gate=gate.state, gate_reason=gate.reason, arming=commanded.arming.state,
+            gate=commanded.state, gate_reason=commanded.reason, arming=commanded.arming.state,
             command_age_by=_age_by(validator.good),
             command_writer=self._receiver.writers.obeyed and spoken(self._receiver.writers.obeyed),
             refused=dict(validator.refused), clamped=validator.clamped_samples, **self._control.health(), **loop,
@@ -297,10 +306,11 @@ def result_values(
         answer: To the last request to arm.
     """
     decision, sent = record.decision, record.sent
-    gate = gate_status(decision, commanded)
+    gate = commanded.status(decision)
     if answer is not None:
         gate["arm"] = msgspec.structs.asdict(answer)
     return {
+        **_values_of_parts(decision, commanded),
         keys.policy_obs(suffix): codec.f32(record.observation),
         keys.policy_action(suffix): codec.f32(record.action),
         keys.target(suffix): codec.f64(np.concatenate([sent.q, sent.kp, sent.kd])),
@@ -308,3 +318,12 @@ def result_values(
         keys.command_used(suffix): codec.f64(decision.vector),
         keys.policy_timing(suffix): codec.json_vector((record.tick, record.command_seq, *record.timing_ns)),
     }
+
+
+def _values_of_parts(decision: Decision, commanded: CommandPath) -> dict[str, bytes]:
+    """Return gate and used command of each part of a robot whose parts are commanded apart, by key; else nothing."""
+    values: dict[str, bytes] = {}
+    for path, part in zip(commanded.paths, decision.parts, strict=False):
+        values[keys.command_gate(path.form.robot)] = codec.json_object(path.status(part))
+        values[keys.command_used(path.form.robot)] = codec.f64(part.vector)
+    return values

@@ -18,6 +18,7 @@ from station.control.rig import Rig, RigConfig, build
 from station.errors import ConfigError
 from station.life.loop import Rate, real_time
 from station.life.server import Life
+from station.parts import PartedCommand
 from station.software import software
 
 _RESET_AFTER_S = 1.0  # so that a fall can be seen, and stands in the episode
@@ -146,6 +147,7 @@ def _facts(config: PolicyServerConfig, name: str, rig: Rig) -> dict[str, Any]:
         "server": name,
         "role": "low-level",
         "robot": rig.form.robot,
+        **({"parts": [part.robot for part in rig.form.parts]} if isinstance(rig.form, PartedCommand) else {}),
         "description": to_plain(rig.kind.describe(rig.form)),
         "robot_facts": robot_facts,
         "policy": {

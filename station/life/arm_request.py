@@ -53,6 +53,7 @@ class _Gate(msgspec.Struct):
 
 class _Stated(msgspec.Struct):
     robot: str
+    parts: list[str] = []  # names of its parts' keys, where they are commanded apart
 
 
 def read(data: bytes) -> ArmRequest | None:
@@ -95,10 +96,12 @@ def server_of(bus: Bus, robot: str) -> str:
     Raises:
         NotReady: none does.
     """
-    found = {robot_of(bus, health): health.name for health in _low_level(bus, "")}
-    if robot not in found:
-        raise NotReady(f"no server drives {robot} on {bus.address}; those that run drive {', '.join(sorted(found))}")
-    return found[robot]
+    found = _low_level(bus, "")
+    for health in found:
+        if _drives(bus, health, robot):
+            return health.name
+    driven = sorted(robot_of(bus, health) for health in found)
+    raise NotReady(f"no server drives {robot} on {bus.address}; those that run drive {', '.join(driven)}")
 
 
 def story(action: Action, states: list[str]) -> str:
@@ -124,9 +127,10 @@ def _low_level(bus: Bus, name: str) -> list[Health]:
 
 def _drives(bus: Bus, health: Health, robot: str) -> bool:
     try:
-        return robot_of(bus, health) == robot
+        stated = _stated(bus, health)
     except NotReady:  # it has not said so yet
         return False
+    return robot == stated.robot or robot in stated.parts
 
 
 def robot_of(bus: Bus, health: Health) -> str:
@@ -135,8 +139,12 @@ def robot_of(bus: Bus, health: Health) -> str:
     Raises:
         NotReady: it has not said so yet.
     """
+    return _stated(bus, health).robot
+
+
+def _stated(bus: Bus, health: Health) -> _Stated:
     try:
-        return codec.parse_struct(bus.get(keys.server_config(health.name)) or b"", _Stated).robot
+        return codec.parse_struct(bus.get(keys.server_config(health.name)) or b"", _Stated)
     except codec.BadValue as error:
         raise NotReady(f"server {health.name!r} has not stated which robot it drives yet ({error})") from None
 

@@ -10,10 +10,9 @@ import msgspec
 import numpy as np
 
 from station import registry
-from station.bus import codec
 from station.contract import names_of
-from station.control.command_validator import CommandSample
 from station.control.control import ControlStep, StepRecord
+from station.control.parted_path import samples_of
 from station.control.rig import Rig, RigConfig, build
 from station.control.tracking import TrackingError
 from station.errors import ConfigError
@@ -160,7 +159,7 @@ def _fresh(rig: Rig, robot: SimulatedRobot) -> ControlStep:
 
 def _step(control: ControlStep, command: Floats | None, now_s: float) -> StepRecord:
     """Do a step; without a command, the last one grows old. As in a rehearsal, it goes through its JSON text."""
-    sample = None if command is None else CommandSample(codec.json_vector(command), arrived_s=now_s)
+    sample = None if command is None else samples_of(control.commanded.form, command, now_s)
     return control.step(control.sense(), sample, now_s)
 
 

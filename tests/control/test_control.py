@@ -250,9 +250,9 @@ def test_refused_commands_of_others_are_counted_and_are_the_reason_once_the_firs
     bench = Bench()
     bench.track()
     for _ in range(10):
-        bench.control.refuse_rivals(2, "a is obeyed")
+        bench.control.commanded.refuse_rivals(2, "a is obeyed")
         record = bench.step()
-    assert bench.control.validator.refused["second-writer"] == 20
+    assert bench.control.commanded.validator.refused["second-writer"] == 20
     assert (record.decision.state, record.decision.reason) == ("holding", "second-writer: a is obeyed")
 
 

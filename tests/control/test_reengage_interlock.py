@@ -139,7 +139,7 @@ class OneWhoDoesNotLetGo(RuleBasedStateMachine):
         for _ in range(ticks):
             self.now_s += TICK_S
             self.heard.append(self.now_s)
-            self.control.refuse_rivals(1, "another commands")
+            self.control.commanded.refuse_rivals(1, "another commands")
             self.tick()
 
     @rule(ticks=st.integers(1, 120))
@@ -246,7 +246,7 @@ class OneWhoDoesNotLetGo(RuleBasedStateMachine):
     def tick(self) -> None:
         self.arm.pass_tick()
         self.probe()
-        self.control.heard_all(*(at_ns * 1e-9 for at_ns in self.hearing.span))
+        self.control.commanded.heard_all(*(at_ns * 1e-9 for at_ns in self.hearing.span))
         before = len(self.arm.engaged_at)
         record = self.control.step(self.control.sense(), self.sample, self.now_s)
         is_refused = "engage-refused" in [happening.name for happening in record.happenings]

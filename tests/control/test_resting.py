@@ -11,6 +11,7 @@ import pytest
 
 from adapters.policies.direct import DirectPolicy
 from station.bus import codec
+from station.contract import Element
 from station.control.command_validator import CommandSample
 from station.control.control import ControlStep, StepRecord
 from station.errors import ConfigError
@@ -112,7 +113,8 @@ def test_after_a_stop_it_rests_where_it_is_and_who_commanded_has_to_begin_anew(b
 def test_while_it_is_disarmed_nobody_is_followed_and_who_commanded_has_to_begin_anew(disarmed: Bench) -> None:
     goal = START + 0.4
     record = disarmed.steps(100, goal)
-    assert (record.decision.state, record.decision.reason) == ("waiting", "the robot is disarmed")
+    assert record.decision.state == "waiting"
+    assert record.decision.reason == "the robot was disarmed; let go, then engage anew"
     assert not disarmed.arm.written
     assert disarmed.arm.damped == 100
     assert disarmed.control.arm(disarmed.tick * DT) == ""
@@ -138,6 +140,6 @@ def test_a_command_of_other_joints_is_refused(tmp_path: Path, monkeypatch: pytes
     six_joints.register(monkeypatch)
     file = tmp_path / "six.yaml"
     file.write_text(FILE)
-    other = replace(six_joints.COMMAND, elements=six_joints.COMMAND.elements[::-1])
-    with pytest.raises(ConfigError, match="takes positions of its joints; command 'six' has other elements"):
+    other = replace(six_joints.COMMAND, elements=(Element("tool_x", "m"), *six_joints.COMMAND.elements[1:]))
+    with pytest.raises(ConfigError, match="what stays takes positions of joints; command 'six' has tool_x"):
         ControlStep(Arm(), DirectPolicy(file), other)

@@ -16,6 +16,7 @@ from station.bus.heard import Heard
 from station.bus.sample import Sample
 from station.clock import SYSTEM
 from station.contract import elements
+from station.control.arming import Arming
 from station.control.command_arbiter import CommandArbiter
 from station.control.command_path import CommandPath
 from station.control.command_receiver import Arrival, CommandReceiver, CommandWatch, Taken, writer_of
@@ -74,7 +75,7 @@ class Robot:
         self.receiver = CommandReceiver(
             cast(CommandWatch, self.watch), KEY, CommandArbiter(config.rivals, config.return_after_s)
         )
-        self.commanded = CommandPath(FORM, config, is_armed=True)
+        self.commanded = CommandPath(FORM, config, Arming(is_armed=True))
         self.seq = 0
 
     @property

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from station import Station
 from station.bus.address import parse
+from station.episode.reading.reader import open_episode
 from tests.main_job.page_package import install
 from tests.main_job.station_runs import Terminal
 from tests.waiting import bus_answers, wait_until
@@ -19,33 +23,77 @@ JOINTS = ("base", "shoulder", "elbow", "forearm", "wrist", "flange")
 pytestmark = pytest.mark.timeout(300)
 
 
+HELD = {"left_bumper": 1}
+PAD = [
+    {"at_s": 1.0, "set": HELD},
+    {"at_s": 1.5, "set": HELD | {"left_stick_y": 1}},
+    {"at_s": 4.0, "set": HELD | {"left_stick_y": 0}},
+    {"at_s": 4.5, "set": {"left_bumper": 0}},
+]
+KEYS = [
+    {"at_s": 1.0, "press": "space"},
+    {"at_s": 2.0, "press": "up", "for_s": 1.0},
+    {"at_s": 5.0, "plugged": False},
+    {"at_s": 9.0, "plugged": True},
+]
+
+
 @pytest.fixture(scope="module")
-def driven(processes: None, tmp_path_factory: pytest.TempPathFactory) -> Terminal:
-    """A terminal in which the package is installed, and whose arm was driven once, however long that took."""
+def place(processes: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Terminal, Path]:
+    """A terminal in which the package is installed, and the folder that holds everything."""
     folder = tmp_path_factory.mktemp("arm")
-    terminal = install("your-arm.md", "arm-lab", folder)
-    script = folder / "script.json"
-    held = {"left_bumper": 1}
-    steps = [
-        {"at_s": 1.0, "set": held},
-        {"at_s": 1.5, "set": held | {"left_stick_y": 1}},
-        {"at_s": 4.0, "set": held | {"left_stick_y": 0}},
-        {"at_s": 4.5, "set": {"left_bumper": 0}},
-    ]
-    script.write_text(json.dumps({"device": "gamepad", "period_s": 6.0, "steps": steps}))
-    runbook, bus = folder / "arm-lab" / "arm6.yaml", parse(f"unix://{folder}/station/station/bus.sock")
-    pad = ("--set", f"gamepad.fake={script}")
-    with terminal.start("up", str(runbook), "--yes", "--record", "--task", "wave", *pad) as up:
+    return install("your-arm.md", "arm-lab", folder), folder
+
+
+@contextlib.contextmanager
+def running(
+    place: tuple[Terminal, Path], runbook: str, task: str, *settings: str, **scripts: object
+) -> Iterator[Station]:
+    """A runbook of the page, recorded, with scripts of fake devices that begin again; ended as by Ctrl-C."""
+    terminal, folder = place
+    fakes = [word for setting in settings for word in ("--set", setting)]
+    for device, steps in scripts.items():
+        script = folder / f"{device}.json"
+        script.write_text(json.dumps({"device": device, "period_s": 12.0, "steps": steps}))
+        fakes += ["--set", f"{device}.fake={script}"]
+    bus = parse(f"unix://{folder}/station/station/bus.sock")
+    command = ("up", str(folder / "arm-lab" / runbook), "--yes", "--record", "--task", task, *fakes)
+    with terminal.start(*command) as up:
         try:
             wait_until(lambda: bus_answers(bus))
             with Station(bus.url) as lab:
-                wait_until(lambda: base_of(lab) > 0.3)
+                yield lab
         finally:
             up.send_signal(signal.SIGINT)
             said, _ = up.communicate(timeout=60)
-            Path(folder / "up.log").write_text(said)
-        assert up.returncode == 0, said
-    return terminal
+            sys.stdout.write(said)  # shown where it failed
+        assert up.returncode == 0
+
+
+@pytest.fixture(scope="module")
+def driven(place: tuple[Terminal, Path]) -> Terminal:
+    """The terminal, where the arm was driven once, however long that took."""
+    with running(place, "arm6.yaml", "wave", gamepad=PAD) as lab:
+        wait_until(lambda: base_of(lab) > 0.3)
+    return place[0]
+
+
+@pytest.fixture(scope="module")
+def driven_apart(place: tuple[Terminal, Path], driven: Terminal) -> Terminal:
+    """The terminal, where two operators drove arm and wrist, and the keyboard of one was torn out."""
+    soon = "wrist_operator.patience_s=1"  # then its commands end
+    with running(place, "arm6-parts.yaml", "both", soon, gamepad=PAD, keyboard=KEYS) as lab:
+        wait_until(lambda: states(lab) == ("tracking", "tracking"))
+        wait_until(lambda: states(lab) == ("tracking", "waiting"))
+        before = base_of(lab)
+        wait_until(lambda: base_of(lab) > before + 0.1)
+    return driven
+
+
+def states(lab: Station) -> tuple[str, ...]:
+    """What the gates of upper arm and wrist do."""
+    gate = lab.read("command_gate_arm6")
+    return tuple(part["state"] for part in gate.json()["parts"].values()) if gate is not None else ()
 
 
 def base_of(lab: Station) -> float:
@@ -54,8 +102,8 @@ def base_of(lab: Station) -> float:
     return float(state.named()["base_pos"]) if state is not None else 0.0
 
 
-def episode(terminal: Terminal) -> str:
-    return str(terminal.episode("wave"))
+def episode(terminal: Terminal, task: str = "wave") -> str:
+    return str(terminal.episode(task))
 
 
 def test_its_episode_is_good_and_has_joints_with_names(driven: Terminal, tmp_path: Path) -> None:
@@ -91,3 +139,30 @@ def test_its_gains_and_limits_are_told(driven: Terminal) -> None:
                 if each.get("robot") == "arm6" and each["role"] == "low-level"]  # fmt: skip
     assert facts["policy"]["kp"] == [300.0, 300.0, 200.0, 60.0, 60.0, 30.0]
     assert [joint["name"] for joint in facts["description"]["joints"]] == list(JOINTS)
+
+
+def test_where_one_operator_s_keyboard_is_torn_out_the_other_drives_on(driven_apart: Terminal) -> None:
+    shown = driven_apart.json("episodes", "show", episode(driven_apart, "both"))["manifest"]["events"]
+    moves = [event["numbers"] for event in shown if event["name"] == "gate"]
+    assert {"part": "wrist", "from": "tracking", "to": "holding"}.items() <= next(
+        move for move in moves if (move["part"], move["to"]) == ("wrist", "holding")
+    ).items()
+    assert not [move for move in moves if move["part"] == "upper" and move["from"] == "tracking"]
+    ended = next(event for event in shown if event["name"] == "teleop-commands-end")
+    assert ended["source"] == "wrist_operator"
+
+
+def test_what_both_did_is_derived_again_and_each_part_has_its_names(driven_apart: Terminal) -> None:
+    audit = driven_apart.json("audit", episode(driven_apart, "both"))
+    assert audit["observations"]["compared"] == audit["steps"] > 100
+    assert (audit["different"], audit["observations"]["different"]) == (0, 0)
+    found = driven_apart.json("check", episode(driven_apart, "both"))
+    (robot,) = found["steps"]
+    assert (robot["robot"], robot["missing_steps"]) == ("arm6", 0)
+    assert sum(stream["lost"] for stream in found["streams"]) == 0
+    contract = open_episode(episode(driven_apart, "both")).contract("command_used_arm6_wrist")
+    assert contract is not None
+    assert contract.names == ("forearm_pos", "wrist_pos", "flange_pos")
+    refused = driven_apart.run("replay", episode(driven_apart, "both"), "--to", "sim")
+    assert refused.returncode == 1
+    assert "the parts of arm6 were commanded apart, and are not simulated again" in refused.stderr

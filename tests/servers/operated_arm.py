@@ -22,7 +22,6 @@ from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.control.arm_control import ArmControl
-from station.control.command_path import gate_status
 from station.control.command_validator import CommandSample
 from station.control.gate import GateConfig
 from station.life.events import Event
@@ -73,7 +72,7 @@ class ArmAtWork:
                 {
                     keys.state_joints(ROBOT): codec.f64(np.concatenate([state.q, np.zeros(14)])),
                     keys.command_used(ROBOT): codec.f64(record.decision.vector),
-                    keys.command_gate(ROBOT): codec.json_object(gate_status(record.decision, self.control.commanded)),
+                    keys.command_gate(ROBOT): codec.json_object(self.control.commanded.status(record.decision)),
                 }
             )
 

@@ -24,7 +24,7 @@ from station.bus import codec, keys, stamp
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import Connection
-from station.control.command_validator import CommandSample
+from station.control.command_validator import Samples
 from station.control.control import ControlStep, StepRecord
 from station.control.gate import GateConfig
 from station.control.low_level import LowLevelLoop, result_values
@@ -177,7 +177,7 @@ class LoggedControl(ControlStep):
         super().__init__(*arguments, **options)
         self._ticks = ticks
 
-    def step(self, state: RobotState, sample: CommandSample | None, now_s: float) -> StepRecord:
+    def step(self, state: RobotState, sample: Samples, now_s: float) -> StepRecord:
         record = super().step(state, sample, now_s)
         self._ticks.append(Tick(now_s, record, self.arming.state))
         return record

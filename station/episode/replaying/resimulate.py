@@ -127,7 +127,12 @@ def _other_than_recorded(facts: Mapping[str, Any], rig: Rig) -> Iterator[str]:
 def _compare(reader: EpisodeReader, control: ControlStep, rig: Rig, report: Resimulation) -> None:
     run = _Run(control, rig.period_s, report)
     joiner = StepJoiner(report.robot, results=(keys.policy_timing, keys.command_gate))
-    key = control.validator.form.key
+    if len(control.commanded.paths) > 1:
+        raise EpisodeError(
+            f"episode {reader.episode_id}: the parts of {report.robot} were commanded apart, and are not simulated "
+            "again; `station audit` derives what its policy did"
+        )
+    key = control.commanded.form.key
     began = time.perf_counter()
     for message in reader.messages(joiner.topics | {key, keys.EVENT}):
         if message.topic == key:
