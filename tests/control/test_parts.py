@@ -202,6 +202,12 @@ def test_parts_that_nobody_has_commanded_rest_where_they_are() -> None:
     np.testing.assert_allclose(record.sent.q, [0.4, 0.0, 0.3, 0.4, 0.5])
 
 
+def test_arms_are_followed_before_anybody_has_touched_the_pedal() -> None:
+    record = Bench().steps(100, None, [1.0, 0.5], None)
+    assert states(record) == ["waiting", "tracking", "waiting"]
+    np.testing.assert_allclose(record.sent.q, [0.0, 0.0, 1.0, 0.5, 0.5])
+
+
 def test_a_stop_is_all_of_the_robot_s_and_after_its_release_each_part_has_to_begin_anew() -> None:
     bench, commands = Bench(), ([0.4, 0.2], [1.0, 0.5], [0.2])
     bench.steps(100, *commands)
