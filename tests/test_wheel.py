@@ -50,7 +50,7 @@ from station.bus.sample import Sample
 from station.errors import StationError, UnknownName
 from station.life.server import Life, ServerKind
 from station.operator.device import DeviceError
-from station.operator.sample import Reading
+from station.operator.sample import OperatorSample
 from station.protocols import Floats, Floats32, JointTargets, Policy, PolicySpec, RobotState
 
 
@@ -87,7 +87,7 @@ class Standing:
 class Dial:
     """Reads a dial."""
 
-    def read(self) -> Reading | None:
+    def read(self) -> OperatorSample | None:
         raise DeviceError("no dial; plug it in")
 
 

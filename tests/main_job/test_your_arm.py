@@ -60,7 +60,7 @@ def running(
     command = ("up", str(folder / "arm-lab" / runbook), "--yes", "--record", "--task", task, *fakes)
     with terminal.start(*command) as up:
         try:
-            wait_until(lambda: bus_answers(bus))
+            wait_until(lambda: up.poll() is not None or bus_answers(bus))
             with Station(bus.url) as lab:
                 yield lab
         finally:

@@ -34,7 +34,7 @@ def driven(processes: None, place: Path) -> Terminal:
     feet = ("--set", f"pedals.fake={place}/site/pedal_lab/pedals.json")
     with terminal.start("up", str(runbook), "--yes", "--record", "--task", "pedals", *feet) as up:
         try:
-            wait_until(lambda: bus_answers(bus(place)))
+            wait_until(lambda: up.poll() is not None or bus_answers(bus(place)))
             with Station(bus(place).url) as lab:
                 wait_until(lambda: element(lab, 0) > 0.1)
                 wait_until(lambda: element(lab, 2) > 0.1)
