@@ -226,7 +226,7 @@ class RequestHandler:
             self._begin_clearing(request)
 
     def look(self) -> ControllerAnswer | None:
-        """Record what is done by now; return this tick's answer, each long enough for who waits for it."""
+        """Take up what is done by now; return this tick's answer, each long enough for who waits for it."""
         if self._is_clearing and not self._cleared.empty():
             request, refusal = self._cleared.get()
             self._is_clearing = False

@@ -100,6 +100,10 @@ class MotionConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 def main(config: MotionConfig, life: Life) -> int:
     """Load the motion, play it, leave in the default pose; return the exit code."""
     command: CommandFormat = registry.find("command", config.format)
+    if staying := [part.name for part in parts_of(command) if part.stays]:  # a motion begins and ends at a default
+        raise ConfigError(
+            f"format {config.format!r}: {', '.join(staying)} rests where it is, and has no pose to begin a motion from"
+        )
     motion: Motion = registry.find("loader", "motion")(config.motion, holes=config.holes, fps=config.fps)
     life.configured(_facts(life, config, motion, command))
     with life.bus.watch(_watched_keys(command)) as watch:

@@ -34,7 +34,7 @@ class PartedCommand:
         parts: In the order of the vector; each element and each joint is in one of them.
 
     Raises:
-        ConfigError: an element is in two parts, a part is called otherwise, or there is but one.
+        ConfigError: an element is in two parts, two have one name or key, one is called otherwise, or there is but one.
     """
 
     key, note = "", "its parts have keys of their own"
@@ -47,9 +47,10 @@ class PartedCommand:
         if twice:
             raise ConfigError(f"command {name!r}: {', '.join(twice[:4])}: in more than one part")
         odd = [part.robot for part in parts if not part.robot.startswith(f"{robot}_") or not part.key]
-        if odd or len(parts) < 2:
+        alike = len({part.robot for part in parts}) < len(parts) or len({part.key for part in parts}) < len(parts)
+        if odd or alike or len(parts) < 2:
             raise ConfigError(
-                f"command {name!r}: expected two parts or more, each with a key, whose robots are called {robot}_PART; "
+                f"command {name!r}: expected two parts or more, each with a key and a name of its own, {robot}_PART; "
                 f"got {', '.join(part.robot for part in parts) or 'none'}"
             )
         self.default, self.lower, self.upper, self.margin, self.rate = (

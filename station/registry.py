@@ -92,7 +92,7 @@ def find(kind: Kind, name: str) -> Any:
 
     Raises:
         UnknownName: nothing is registered under it; the message lists what is.
-        StationError: a package of somebody else has the name of one of ours, and hides it.
+        StationError: it cannot be loaded, or a package of somebody else has the name of one of ours, and hides it.
     """
     entry = _entries(kind).get(name)
     if entry is None:
@@ -100,10 +100,11 @@ def find(kind: Kind, name: str) -> Any:
     _expect_our_packages()
     try:
         return entry.load()
-    except ImportError as error:
+    except (ImportError, AttributeError) as error:
         if (foreign := next(packages.foreign(), None)) is not None:
             raise StationError(f"{foreign} ({error})") from error
-        raise
+        mend = INSTALL if is_ours(kind, name) else "mend or uninstall the package that registers it"
+        raise StationError(f"{kind} {name!r} ({entry.value}) cannot be loaded: {error}; {mend}") from error
 
 
 @cache

@@ -6,7 +6,7 @@
 | 1, 2, 3 | roll, pitch, yaw [rad]; yaw is absolute, in the motion's world |
 | 4, 5, 6 | root velocity x, y, z in the root frame [m/s] |
 | 7 | yaw rate about the root's z [rad/s] |
-| 8-32 | 25 joint positions in the order of `adapters.robots.g1.G1_25` [rad]; the wrist rolls bypass the policy |
+| 8-32 | 25 joint positions in the order of `adapters.robots.g1.joints.G1_25` [rad]; the wrist rolls bypass the policy |
 
 Source: YanjieZe/TWIST, motion server and low-level servers.
 """

@@ -6,7 +6,7 @@
 | 2 | root height above ground [m] |
 | 3, 4 | roll, pitch [rad] |
 | 5 | yaw rate about the root's z [rad/s] |
-| 6-34 | 29 joint positions in the order of `adapters.robots.g1.G1_29` [rad] |
+| 6-34 | 29 joint positions in the order of `adapters.robots.g1.joints.G1_29` [rad] |
 
 Heading and place are not commanded: they drift freely. Source: amazon-far/TWIST2, motion and teleoperation servers.
 """

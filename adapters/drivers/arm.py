@@ -28,6 +28,7 @@ from station.operator import deltas
 from station.operator.deadman import Snapshot
 from station.operator.driver import Look
 from station.operator.sample import OperatorSample, Pose
+from station.parts import PartedCommand
 from station.protocols import CommandFormat, Floats
 
 TOOL = "tool"
@@ -228,8 +229,11 @@ def _form(options: ArmOptions) -> tuple[CommandFormat, dict[str, Any]]:
     """Return the format of the commands, and what a manifest says of the limits."""
     if options.command:
         form: CommandFormat = registry.find("command", options.command)
-        if any(not element.name.endswith("_pos") for element in form.elements):
-            raise ConfigError(f"command {options.command!r} has other elements than positions of joints")
+        if isinstance(form, PartedCommand):
+            parts = ", ".join(part.name for part in form.parts)
+            raise ConfigError(f"command {options.command!r} is made of parts, which are driven apart: {parts}")
+        if not form.stays or any(not element.name.endswith("_pos") for element in form.elements):
+            raise ConfigError(f"command {options.command!r} has other elements than positions of an arm's joints")
         slowest, facts = float(form.rate.min()), {name: getattr(form, name).tolist() for name in _LIMITS}
     else:
         limits = arm_limits.load(MAKER, options.model, options.limits)

@@ -22,7 +22,7 @@ CLOSED: dict[Side, Floats] = {
     "left": np.array([0.0, 1.0, 1.74, -1.57, -1.74, -1.57, -1.74]),
     "right": np.array([0.0, -1.0, -1.74, 1.57, 1.74, 1.57, 1.74]),
 }
-"""Joints of a closed hand in the order of `station.bus.joints.hand` [rad]; an open one is all zeros. Source:
+"""Joints of a closed hand in the order of `adapters.robots.g1.dex3.MOTORS` [rad]; an open one is all zeros. Source:
 amazon-far/TWIST2, parameters of the hand poses."""
 
 

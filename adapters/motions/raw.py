@@ -30,7 +30,7 @@ class RawMotion:
         fps: Frames per second; need not be whole.
         root_pos: Position of the pelvis in the motion's world, z up, shape (n, 3) [m].
         root_quat_wxyz: Orientation of the pelvis in that world, shape (n, 4).
-        q: Joint positions in the order of `adapters.robots.g1.G1_29`, shape (n, 29) [rad].
+        q: Joint positions in the order of `adapters.robots.g1.joints.G1_29`, shape (n, 29) [rad].
         filled: Joints that the file does not have; they are zero.
     """
 
@@ -149,7 +149,9 @@ def _known(path: Path, names: tuple[str, ...], columns: Floats) -> tuple[str, ..
     unknown = [name for name in short if name not in G1_29]
     missing = [name for name in G1_23 if name not in short]
     if unknown:
-        raise BadFile(f"{path}: joint {unknown[0]!r} is none of the G1's; names are as in adapters.robots.g1.G1_29")
+        raise BadFile(
+            f"{path}: joint {unknown[0]!r} is none of the G1's; names are as in adapters.robots.g1.joints.G1_29"
+        )
     if missing:
         raise BadFile(f"{path}: joint {missing[0]!r} is missing; only wrists may be left out")
     return short

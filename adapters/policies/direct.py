@@ -6,6 +6,7 @@ says for which robot it is:
 ```yaml
 command: arm6-joints     # registered format, whose elements are the positions of the joints, in this order
 rate_hz: 100
+lead_rad: 0.3            # how far a target may be ahead of its joint
 joints:
   - {name: base, kp: 300, kd: 30}                        # [N m/rad, N m s/rad]
   - {name: shoulder, kp: 300, kd: 30, default_rad: 0.5}
@@ -33,7 +34,7 @@ class JointGains(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         name: As the robot calls it.
         kp: Stiffness [N m/rad].
         kd: Damping [N m s/rad].
-        default_rad: Where it is at rest [rad].
+        default_rad: Stands for a joint that does not say where it is [rad].
     """
 
     name: str
@@ -47,13 +48,24 @@ class JointGains(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class DirectFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the file says: the format of the commands, their rate [Hz], and the joints."""
+    """What the file says.
+
+    Attributes:
+        command: Registered format of the commands.
+        rate_hz: Their rate [Hz].
+        joints: In the order of the command.
+        lead_rad: How far a target may be ahead of its joint [rad]: an arm that is held up pushes with no more than its
+            stiffness times that, and does not leap when it is let go. More than it lags at full speed and sags.
+    """
 
     command: str
     rate_hz: float
     joints: tuple[JointGains, ...]
+    lead_rad: float = 0.3
 
     def __post_init__(self) -> None:
+        if not 0.0 < self.lead_rad < math.inf:
+            raise ValueError(f"lead_rad is {self.lead_rad:g}; expected more than 0")
         registry.expect("command", self.command)
         form: CommandFormat = registry.find("command", self.command)
         wanted, named = names_of(form.elements), tuple(f"{joint.name}_pos" for joint in self.joints)
@@ -75,7 +87,10 @@ class DirectPolicy:
     def __init__(self, checkpoint: Path) -> None:
         path = Path(checkpoint)
         read = config.build(DirectFile, config.read_yaml(path), where=str(path))
-        self._kp, self._kd = np.array([(joint.kp, joint.kd) for joint in read.joints]).T
+        self._kp, self._kd = (np.array([getattr(joint, name) for joint in read.joints]) for name in ("kp", "kd"))
+        self._kp.flags.writeable = self._kd.flags.writeable = False
+        self._lead_rad = read.lead_rad
+        self._q = np.array([joint.default_rad for joint in read.joints])
         size = len(read.joints)
         self._spec = PolicySpec(
             name="direct", checkpoint=path, sha256=sha256(path), runtime="none", rate_hz=read.rate_hz,
@@ -93,7 +108,8 @@ class DirectPolicy:
         """There is no history."""
 
     def observe(self, state: RobotState, command: Floats) -> Floats32:
-        """Return the command, shape (n,) [rad]."""
+        """Return the command, shape (n,) [rad]; where the joints are is remembered for the targets."""
+        self._q = state.q
         return command.astype(np.float32)
 
     def act(self, observation: Floats32) -> Floats32:
@@ -101,8 +117,9 @@ class DirectPolicy:
         return observation
 
     def targets(self, action: Floats32, command: Floats) -> JointTargets:
-        """Return the command itself, which has more digits than the action."""
-        return JointTargets(command, self._kp, self._kd)
+        """Return the command itself, which has more digits than the action, no farther from a joint than its lead."""
+        near = np.clip(command, self._q - self._lead_rad, self._q + self._lead_rad)
+        return JointTargets(near, self._kp, self._kd)
 
     def restore(self, observation: Floats32) -> None:
         """There is no history."""

@@ -199,7 +199,7 @@ class _Came:
         self._hash = hashlib.sha256()
 
     def add(self, chunk: bytes) -> None:
-        """Record what comes next, and refuse more than there should be, however much more follows."""
+        """Count and hash what comes next; refuse more than there should be, however much more follows."""
         self.count += len(chunk)
         if self.count > self._file.size_bytes:
             raise BadFile(f"{self._url}: more than the pinned {self._file.size_bytes} bytes came; {_OTHER}")

@@ -234,7 +234,7 @@ class Bus:
         self._refused, self.last_error = 0, ""
 
     def _lose(self, error: BusError) -> None:
-        """Record a lost connection and look for it in the background; called with the lock held."""
+        """Note a lost connection, and look for it in the background; called with the lock held."""
         began_s = self._heard_s if self._unanswered else self.clock.monotonic_s()
         lost = sum(self._unanswered)  # the server may have taken some: counted as lost, to be honest
         before = self.lost_writes

@@ -58,7 +58,7 @@ class Outages:
         self._told: deque[Outage] = deque(maxlen=_REMEMBERED)
 
     def note(self, kind: Kind, began_ns: int, **numbers: Any) -> None:
-        """Record one that ends now."""
+        """Note one that ends now."""
         with self._lock:
             self._held.append(Outage(kind, began_ns, self._clock.monotonic_ns(), numbers))
 

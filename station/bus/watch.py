@@ -236,7 +236,7 @@ class Watch:
             raise ConnectionLost(f"bus {self._address}: {message!r} came where writes are told of")
 
     def _hear_all(self, events: Connection, touched: Counter[str]) -> None:
-        """Record every message of what was written by now: all come before the answer to a question.
+        """Take in every message of what was written by now: all come before the answer to a question.
 
         Raises:
             ConnectionLost: no answer in time.

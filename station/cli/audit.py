@@ -9,6 +9,7 @@ import click
 import msgspec
 
 from station.cli.options import data_option, episode_argument, json_option
+from station.errors import StationError, UsageError
 
 if TYPE_CHECKING:
     from station.episode.replaying.arm_audit import ArmAudit
@@ -26,7 +27,7 @@ def command(episode: str, data: Path | None, checkpoint: str | None, robot: str 
 
     Of an arm, which has no policy, the recorded commands go through its gate again, and targets are compared. Exit code
     1 when any bit of any action, observation or target differs, or when there was none to compare. Of several robots
-    each is audited, and --json prints a list.
+    each is audited, and --json prints a list; one that cannot be is an object with its ``error``.
     """
     from station.episode.reading import steps
     from station.episode.reading.reader import open_episode
@@ -35,21 +36,30 @@ def command(episode: str, data: Path | None, checkpoint: str | None, robot: str 
 
     reader = open_episode(episode, data)
     robots: list[str | None] = [robot] if robot is not None else [*steps.robots(reader.topics())] or [None]
-    found: list[Audit | ArmAudit] = []
+    if checkpoint is not None and sum(each is None or not is_arm(reader, each) for each in robots) > 1:
+        raise UsageError("audit --checkpoint: name the robot whose it is with --robot; the episode has several")
+    found: list[Audit | ArmAudit | dict[str, str]] = []
+    is_equal = True
     for each in robots:
-        if each is not None and is_arm(reader, each):
-            arm = audit_arm(reader, each)
-            found.append(arm)
-            told = arm_story(arm)
-        else:
-            policy = audit(reader, checkpoint=checkpoint, robot=each)
-            found.append(policy)
-            told = story(policy)
+        try:
+            if each is not None and is_arm(reader, each):
+                arm = audit_arm(reader, each)
+                found.append(arm)
+                told, is_equal = arm_story(arm), is_equal and arm.is_equal
+            else:
+                policy = audit(reader, checkpoint=checkpoint, robot=each)
+                found.append(policy)
+                told, is_equal = story(policy), is_equal and policy.is_equal
+        except StationError as error:
+            if each is None or len(robots) == 1:
+                raise
+            found.append({"robot": each, "error": str(error)})  # the others are audited all the same
+            told, is_equal = f"{reader.episode_id} ({each}): NOT AUDITED: {error}", False
         if not as_json:
             click.echo(told)
     if as_json:
         click.echo(msgspec.json.encode(found if len(found) > 1 else found[0]))
-    raise SystemExit(0 if all(one.is_equal for one in found) else 1)
+    raise SystemExit(0 if is_equal else 1)
 
 
 def story(found: Audit) -> str:

@@ -8,7 +8,7 @@ import json
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -21,7 +21,7 @@ from station.camera.source import CameraError, CameraKind
 from station.cli import calibrate_operator, candidates, readings
 from station.cli.options import Verbs, json_option, set_option
 from station.cli.tables import Column, plain, print_table
-from station.errors import UsageError
+from station.errors import StationError, UsageError
 from station.operator.device import DeviceError
 from station.operator.device_kind import DeviceKind
 from station.operator.voice import Cue, VoiceKind
@@ -63,7 +63,7 @@ def listing(as_json: bool) -> None:
 
     For each: the library that reads it, what can be seen of it now, and what it gives.
     """
-    found = [_look(_kind(name)) for name in registry.names("device")]
+    found = [_look(name) for name in registry.names("device")]
     found += [_look_at_camera(registry.find("camera", name)) for name in registry.names("camera")]
     if as_json:
         click.echo(json.dumps(msgspec.to_builtins(found)))
@@ -84,19 +84,34 @@ def listing(as_json: bool) -> None:
 
 def _kind(name: str) -> DeviceKind:
     kind: DeviceKind = registry.find("device", name)
+    if kind.name != name:
+        raise StationError(f"device {name!r} calls itself {kind.name!r}; its entry point has to have the same name")
     return kind
 
 
-def _look(kind: DeviceKind) -> _Found:
+def _look(name: str) -> _Found:
+    """Look for a device; one whose package is broken is listed with that, and the others all the same."""
     seen, problem = list[str](), ""
     try:
+        kind = _kind(name)
+    except StationError as error:
+        return _Found(device=name, role="device", about="", library="", version=None, extra="", plugged_in=(),
+                      problem=str(error))  # fmt: skip
+    try:
         seen += kind.plugged_in()
-    except DeviceError as error:
+    except (DeviceError, OSError, ImportError) as error:
         problem = str(error)
     return _Found(
         device=kind.name, role="device", about=kind.about, library=kind.library, version=_version(kind.library),
         extra=kind.extra, plugged_in=seen, problem=problem,
     )  # fmt: skip
+
+
+def _loadable() -> Iterator[DeviceKind]:
+    """Yield the devices whose packages are not broken; `station devices list` tells of the others."""
+    for name in registry.names("device"):
+        with contextlib.suppress(StationError):
+            yield _kind(name)
 
 
 def _look_at_camera(kind: CameraKind) -> _Found:
@@ -134,8 +149,8 @@ def _row(found: _Found) -> Sequence[str]:
 @click.argument("device", shell_complete=candidates.registered("device"))
 @click.option(
     "--play", metavar="FILE", default=None, type=click.Path(path_type=Path),
-    help="Script of what the operator does, a file or builtin:DEVICE/NAME.json (`station assets list builtin`).  "
-    "[default: builtin:DEVICE/example.json]",
+    help="Script of what the operator does, a file, or builtin:DEVICE/NAME.json of a device of ours "
+    "(`station assets list builtin`).  [default: the device's example]",
 )  # fmt: skip
 @click.option(
     "--port", default=None, type=click.IntRange(0, 65535), help="TCP port, for a device that has one; 0: any."
@@ -165,7 +180,7 @@ class _Calibrations(Verbs):
     """The verbs of the devices that are calibrated."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return [name for name in registry.names("device") if (_kind(name).calibrate or _kind(name).measure) is not None]
+        return [kind.name for kind in _loadable() if (kind.calibrate or kind.measure) is not None]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in registry.names("device"):
@@ -238,7 +253,7 @@ def buttons(device: str, changes: Path | None, as_json: bool) -> None:
 
     if changes is not None and not device:
         raise UsageError("devices buttons --map: name the device whose buttons the file changes")
-    names = [_kind(device).name] if device else [name for name in registry.names("device") if _kind(name).buttons]
+    names = [_kind(device).name] if device else [kind.name for kind in _loadable() if kind.buttons]
     found = [maps.button_map(name) if changes is None else maps.load(name, changes) for name in names]
     if as_json:
         plain_maps = {

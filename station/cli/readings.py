@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from station import config
 from station.clock import SYSTEM
 from station.operator.device import Device, DeviceError
 from station.operator.device_kind import DeviceKind
@@ -22,10 +23,13 @@ def play(kind: DeviceKind, file: Path) -> None:
         BadFile: the script cannot be read.
         DeviceError: the device cannot be opened.
     """
-    with kind.source(kind.config(fake=file), SYSTEM, 0.0) as source:
+    settings = config.build(kind.config, {"fake": str(file)}, where=f"devices fake {kind.name}")
+    with kind.source(settings, SYSTEM, 0.0) as source:
         device = source.open()
         click.echo(
-            f"what a station makes of it; a {kind.name} server plays it with --set {kind.name}.fake={file}", err=True
+            f"what a station makes of it; `station up` plays it with --set {kind.name}.fake={file}, "
+            f"`station serve {kind.name}` with --set fake={file}",
+            err=True,
         )
         if source.begin is not None:
             source.begin()

@@ -72,7 +72,7 @@ class ArmControl:
         clock: Says when a target was handed over.
 
     Attributes:
-        commanded: Inlet, gate and arming.
+        commanded: Validator, gate and arming.
     """
 
     def __init__(

@@ -86,14 +86,14 @@ class CommandArbiter:
         return is_obeyed
 
     def alive(self, writer: str, now_s: float) -> None:
-        """Record that somebody wrote of whose write nothing else is known; a stranger stays one."""
+        """Note that somebody wrote of whose write nothing else is known; a stranger stays one."""
         if writer in self._heard:
             self._heard[writer] = now_s
             if writer == self.obeyed:  # with others, their first write that is known begins
                 self._silent.discard(writer)
 
     def know(self, known_s: tuple[float, float]) -> None:
-        """Record who has been silent in a span of which all writes have been told to us."""
+        """Note who has been silent in a span of which all writes have been told to us."""
         since_s, until_s = known_s
         for writer, at_s in self._heard.items():
             if until_s - max(at_s, since_s) > self._silent_after_s:

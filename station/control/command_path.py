@@ -124,7 +124,10 @@ class CommandPath:
 
     def why_not_arm(self, now_s: float) -> str:
         """Return why the robot may not be armed now, or ""."""
-        return next(filter(None, (why_not_arm(path.gate, path.validator, now_s) for path in self.paths)), "")
+        for path in self.paths:
+            if refusal := why_not_arm(path.gate, path.validator, now_s):
+                return f"{path.part}: {refusal}" if path.part and path.gate.state != "stopped" else refusal
+        return ""
 
     def arm(self, now_s: float, who: str, refusal: str) -> str:
         """Begin to arm, unless there is a reason not to; return that reason, or ""."""

@@ -76,7 +76,7 @@ class ControlStep:
         clock: Says how long a step takes, and decides nothing.
 
     Attributes:
-        commanded: Inlet, gate and arming.
+        commanded: Validator, gate and arming; of each part, where parts are commanded apart.
 
     Raises:
         ConfigError: the policy's joints are not the robot's, or it follows another format.
@@ -109,7 +109,11 @@ class ControlStep:
         self._stood_since_s = 0.0
         self._action_is_bad = False
         self._resting = tuple(_resting(robot, self.commanded.paths))
-        self._asked: Floats | None = None  # where a robot that stays was asked to be; None: it is where it is
+        self._asked: Floats | None = (
+            None  # where the joints were asked to be; None: nobody has, they are where they are
+        )
+        self._has_jumped = False  # whether it was put elsewhere since the state was read
+        self._is_lost = False  # whether nobody knows where something is that is to stay there
 
     def sense(self) -> RobotState:
         """Return the state that the next `step` acts on."""
@@ -132,15 +136,17 @@ class ControlStep:
         action = self.policy.act(observation)
         inferred_ns = self._clock.monotonic_ns()
         targets = self._targets(action, state, decision)
-        allowed = self._allowed(targets, now_s)
+        allowed = None if self._has_jumped else self._allowed(targets, now_s)
         sent_ns = self._clock.monotonic_ns()  # before `write`, which in a simulation also runs the physics
         if allowed is None:
             self.robot.damp()
             sent = _nothing(targets)
         else:
             sent = self.robot.write(allowed)
-        is_limp = allowed is None or decision.state == "stopped" or self._action_is_bad
-        self._asked = None if is_limp else decision.vector
+        is_limp = allowed is None or decision.state == "stopped" or self._action_is_bad or self._is_lost
+        if not self._has_jumped:
+            self._asked = None if is_limp else sent.q
+        self._has_jumped = False
         good = self.commanded.paths[0].validator.good
         stages = (good.written_ns if good else 0, good.arrived_ns if good else 0)
         record = StepRecord(
@@ -196,10 +202,17 @@ class ControlStep:
         It rests where it was asked to be, not where it is: one that sags a little under its load, and were asked to be
         there, would sag on. While it is disarmed nobody is followed, and who commands then has to begin anew.
         """
-        for gate, elements, joints in self._resting:
-            gate.rest(state.q[joints] if self._asked is None else self._asked[elements])
-            if self.arming.state == "disarmed":
-                gate.insist_on_silence("the robot was disarmed")
+        self._is_lost = False
+        for gate, joints in self._resting:
+            where = state.q[joints] if self._asked is None else self._asked[joints]
+            if np.isfinite(where).all():
+                gate.rest(where)
+            else:
+                self._is_lost = True
+                gate.insist_on_silence("the robot did not say where it is")
+        if self.arming.state == "disarmed" and (self._resting or len(self.commanded.paths) > 1):
+            for path in self.commanded.paths:
+                path.gate.insist_on_silence("the robot was disarmed")
 
     def _why_not_arm(self, now_s: float) -> str:
         if self.arming.state != "disarmed" and self.commanded.state != "stopped":
@@ -216,6 +229,8 @@ class ControlStep:
         self._is_down = False
         if isinstance(self.robot, Resettable):
             self.robot.reset()
+            if self._resting:  # the state that the next step acts on was read before, so nothing may come of it
+                self._asked, self._has_jumped = self.robot.read().q, True
             self.arming.restart()
         else:
             self.arming.disarm()  # however it started: stiffness must not come back at once
@@ -236,7 +251,7 @@ class ControlStep:
         if is_bad and not self._action_is_bad:
             self._note("bad-action", "error", reason="the policy's output is not finite; joints are damped")
         self._action_is_bad = is_bad
-        if is_bad or decision.state == "stopped":
+        if is_bad or self._is_lost or decision.state == "stopped":
             q = np.where(np.isfinite(state.q), state.q, self.policy.spec.default_q)
             return JointTargets(q, np.zeros_like(targets.kp), targets.kd)
         return targets
@@ -272,9 +287,9 @@ def _check_fit(robot: Robot, policy: Policy, form: CommandFormat) -> None:
         )
 
 
-def _resting(robot: Robot, paths: Sequence[CommandPath]) -> Iterator[tuple[Gate, slice, list[int]]]:
-    """Yield, of what stays without a command, its gate, its elements in the whole command, and their joints."""
-    places, start = {f"{name}_pos": index for index, name in enumerate(robot.joint_names)}, 0
+def _resting(robot: Robot, paths: Sequence[CommandPath]) -> Iterator[tuple[Gate, list[int]]]:
+    """Yield, of what stays without a command, its gate and the joints that its elements are."""
+    places = {f"{name}_pos": index for index, name in enumerate(robot.joint_names)}
     for path in paths:
         names = names_of(path.form.elements)
         if path.form.stays:
@@ -283,5 +298,4 @@ def _resting(robot: Robot, paths: Sequence[CommandPath]) -> Iterator[tuple[Gate,
                 raise ConfigError(
                     f"what stays takes positions of joints; command {path.form.name!r} has {', '.join(odd[:4])}"
                 )
-            yield path.gate, slice(start, start + len(names)), [places[name] for name in names]
-        start += len(names)
+            yield path.gate, [places[name] for name in names]

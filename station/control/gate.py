@@ -315,7 +315,7 @@ class Gate:
         self._limited = tuple(np.flatnonzero(self._vector != wanted).tolist())
 
     def _pass_time(self, now_s: float) -> float:
-        """Record how much time a tick counts for; return the instant, or the last one when it is none."""
+        """Count the time that a tick is worth; return the instant, or the last one when it is none."""
         if not abs(now_s) < _LATEST_S:
             self._passed_s = 0.0
             return self._now_s or 0.0

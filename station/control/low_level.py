@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, Generic, Self, TypeVar
 
@@ -69,8 +70,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         for path in self._paths:
             key, config, is_first = path.form.key, path.gate.config, not self._watches
             asked = (keys.ESTOP, keys.ARM, *self._requests) if is_first else ()
-            outages = life.bus.outages if is_first else None
-            self._watches.append(CommandWatch(life.bus.address, [key, *asked], key=key, outages=outages))
+            self._watches.append(CommandWatch(life.bus.address, [key, *asked], key=key, outages=life.bus.outages))
             arbiter = CommandArbiter(config.rivals, config.return_after_s)
             self._receivers.append(CommandReceiver(self._watches[-1], key, arbiter))
         self._watch, self._receiver, self._key = self._watches[0], self._receivers[0], self._paths[0].form.key
@@ -279,11 +279,13 @@ class LowLevelLoop(Generic[StateT, RecordT]):
     def _report(self, **loop: float) -> None:
         commanded = self._control.commanded
         validator = self._paths[0].validator
+        refused = sum((path.validator.refused for path in self._paths), Counter[str]())
         self._life.report(
             gate=commanded.state, gate_reason=commanded.reason, arming=commanded.arming.state,
             command_age_by=_age_by(validator.good),
             command_writer=self._receiver.writers.obeyed and spoken(self._receiver.writers.obeyed),
-            refused=dict(validator.refused), clamped=validator.clamped_samples, **self._control.health(), **loop,
+            refused=dict(refused), clamped=sum(path.validator.clamped_samples for path in self._paths),
+            **self._control.health(), **loop,
         )  # fmt: skip
 
 

@@ -105,6 +105,10 @@ def serve(config: PolicyServerConfig, life: Life) -> int:
     rig = build(config.rig, may_be_real=True)
     suffix = rig.form.robot
     try:
+        if config.pace == "command" and isinstance(rig.form, PartedCommand):
+            raise ConfigError(
+                f"pace: command waits for one command; the parts of {suffix} are commanded apart, so run it by wall"
+            )
         reset_after_s = _RESET_AFTER_S if config.on_fall == "reset" else None
         control = rig.control(gate=config.gate, is_armed=config.is_armed, reset_after_s=reset_after_s,
                               clock=life.clock)  # fmt: skip

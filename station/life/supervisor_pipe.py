@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 log = logging.getLogger(__name__)
 
-ENVIRONMENT_VARIABLE = "STATION_LEASH_FD"
+ENVIRONMENT_VARIABLE = "STATION_SUPERVISOR_FD"
 GRACE_S = 10.0  # longer than the 2 s blend of a command server and the closing of an episode
 
 

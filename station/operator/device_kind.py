@@ -64,9 +64,9 @@ class DeviceKind:
     Attributes:
         name: Of the device, its server and its scripts.
         about: What it is, in a line.
-        source: Returns where its server has it from, for as long as the block lasts. Takes the settings, the server's
-            clock, and the time [s] at which the script of a fake is to begin. Raises `station.errors.BadFile` (of a
-            script) and `station.operator.device.DeviceError`.
+        source: A function under `contextlib.contextmanager` that yields where its server has it from. Takes the
+            settings, the server's clock, and the time [s] at which the script of a fake is to begin. Raises
+            `station.errors.BadFile` (of a script) and `station.operator.device.DeviceError`.
         plugged_in: Returns each one that can be seen now, as a person is told; raises `DeviceError` where nobody can
             tell: no library, no permission.
         config: Type of its server's settings.

@@ -58,11 +58,11 @@ class RobotSide:
         return [keys.command_gate(robot), keys.command_used(robot), keys.ESTOP]
 
     def begin(self, now_ns: int) -> None:
-        """Record that our commands begin [ns, monotonic]."""
+        """Note that our commands begin [ns, monotonic]."""
         self._begun_ns, self._has_followed = now_ns, False
 
     def end(self) -> None:
-        """Record that our commands have ended."""
+        """Note that our commands have ended."""
         self._begun_ns = None
 
     def look(self, now_ns: int) -> None:

@@ -53,16 +53,18 @@ class _Stated(msgspec.Struct):
     policy: _StatedPolicy | None = None
     command: _StatedCommand | None = None
 
-    def obeys(self) -> _StatedCommand:
-        """Return the keys of its command.
+    def obeys(self) -> list[_StatedCommand]:
+        """Return the keys of its command, or of the commands of its parts.
 
         Raises:
             UnknownName: its policy follows a format that is not registered.
         """
         if self.policy is None:
-            return self.command or _StatedCommand("")
+            return [self.command or _StatedCommand("")]
+        from station.parts import parts_of  # it loads NumPy, as the format has
+
         form: CommandFormat = registry.find("command", self.policy.command)
-        return _StatedCommand(form.key, list(form.companions))
+        return [_StatedCommand(part.key, list(part.companions)) for part in parts_of(form)]
 
 
 class _Gate(msgspec.Struct):
@@ -147,20 +149,22 @@ def _low_level(bus: Bus, health: Health) -> Iterator[Finding]:
     subject = f"server {health.name}"
     try:
         facts = codec.parse_struct(bus.get(keys.server_config(health.name)) or b"", _Stated)
-        command = facts.obeys()
+        commands = facts.obeys()
     except (codec.BadValue, UnknownName) as error:
         yield Finding("broken", subject, f"has not stated what it runs ({error})", "restart it; recording refuses it")
         return
     gate = keys.command_gate(facts.robot)
-    with bus.watch([command.key, *command.companions, gate]) as watch:
-        yield _command(watch, command.key, _sources(watch, command.key))
-        for key in command.companions:
+    companions = [key for command in commands for key in command.companions]
+    with bus.watch([*(command.key for command in commands), *companions, gate]) as watch:
+        for command in commands:
+            yield _command(watch, command.key, _sources(watch, command.key))
+        for key in companions:
             if watch.latest(key) is None:
                 yield Finding("warning", key, "absent; stock low-level servers crash without it, ours does not",
                               "nothing, unless you swap in a stock server")  # fmt: skip
         yield from _gate(watch, gate)
     now = next((other for other in read_health(bus) if other.name == health.name), health)
-    yield from _troubles(now, command.key)
+    yield from _troubles(now, commands[0].key)
 
 
 def _troubles(health: Health, key: str) -> Iterator[Finding]:
@@ -178,8 +182,8 @@ def _troubles(health: Health, key: str) -> Iterator[Finding]:
 def _commands_without_a_robot(bus: Bus) -> Iterator[Finding]:
     """Tell who writes commands when no low-level server of ours tells which ones it wants."""
     for name in registry.names("command"):
-        key = registry.find("command", name).key
-        if bus.get(key) is not None:
+        key = registry.find("command", name).key  # "" of one that is made of parts, which are registered too
+        if key and bus.get(key) is not None:
             with bus.watch([key]) as watch:
                 yield _command(watch, key, _sources(watch, key))
 

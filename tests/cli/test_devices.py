@@ -118,6 +118,23 @@ def test_a_device_that_may_not_be_read_and_a_library_that_is_missing_are_told_wi
     assert install == "to install what is missing: pip install 'teleop-station[lab]'"
 
 
+def test_a_package_that_is_broken_is_told_of_and_hides_no_other_device(lab: Home, tmp_path: Path) -> None:
+    facts = tmp_path / "broken-1.0.dist-info"
+    facts.mkdir()
+    (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
+    (facts / "entry_points.txt").write_text(
+        "[station.devices]\nwheel = no_such_module:KIND\nlever = lab_devices:NOTHING\nknob2 = lab_devices:KNOB\n"
+    )
+    listed = words(lab, "list")
+    assert {"gamepad", "lab-arm", "wheel", "lever", "knob2"} <= set(cells(listed.split("\n\n")[0]))
+    assert "wheel: device 'wheel' (no_such_module:KIND) cannot be loaded: No module named 'no_such_module'" in listed
+    assert "knob2: device 'knob2' calls itself 'lab-knob'; its entry point has to have the same name" in listed
+    assert "lab-arm" in lab.json("devices", "buttons")
+    said = one_line(lab.run("devices", "buttons", "lever"))
+    assert "cannot be loaded" in said
+    assert said.endswith("mend or uninstall the package that registers it")
+
+
 def test_a_device_of_somebody_s_package_brings_its_buttons(lab: Home, tmp_path: Path) -> None:
     shown = cells(words(lab, "buttons", "lab-arm"))
     assert (shown["engage"][0], shown["estop"][0], shown["mark"][0]) == ("pedal", "knob", "-")
@@ -140,7 +157,10 @@ def test_an_example_is_played_until_it_is_stopped(home: Home, device: str, numbe
         fake.process.send_signal(number)
         assert fake.finish()[0] == 0
     example = registry.find("device", device).example
-    assert fake.lines == [f"what a station makes of it; a {device} server plays it with --set {device}.fake={example}"]
+    assert fake.lines == [
+        f"what a station makes of it; `station up` plays it with --set {device}.fake={example}, "
+        f"`station serve {device}` with --set fake={example}"
+    ]
 
 
 UNPLUGGED = {"at_s": 0.3, "plugged": False}

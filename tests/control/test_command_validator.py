@@ -88,7 +88,7 @@ def test_whatever_is_let_through_is_within_its_range(values: list[float]) -> Non
         assert (checked.vector <= FORM.upper).all()
 
 
-def test_the_inlet_keeps_the_newest_good_command_and_counts_each_refused_sample_once() -> None:
+def test_the_validator_keeps_the_newest_good_command_and_counts_each_refused_sample_once() -> None:
     validator = CommandValidator(FORM)
     good = CommandSample(_text(), arrived_s=1.0)
     bad = CommandSample(b"[1]", arrived_s=1.1)

@@ -225,6 +225,31 @@ def test_a_stop_is_all_of_the_robot_s_and_after_its_release_each_part_has_to_beg
     )
 
 
+def test_a_pedal_that_is_down_while_the_robot_is_armed_moves_nothing_before_it_was_let_go() -> None:
+    bench, commands = Bench(is_armed=False), ([0.4, 0.2], [1.0, 0.5], [0.2])
+    bench.steps(50, *commands)
+    assert bench.control.arm(bench.tick * DT) == ""
+    record = bench.steps(200, *commands)
+    assert bench.control.arming.state == "armed"
+    assert states(record) == ["waiting"] * 3
+    np.testing.assert_allclose(record.sent.q, [0.0, 0.0, 0.3, 0.4, 0.5])
+    bench.steps(20)
+    assert states(bench.steps(100, *commands)) == ["tracking"] * 3
+
+
+def test_a_part_that_does_not_say_where_it_is_leaves_the_robot_limp_and_comes_back_when_it_does() -> None:
+    bench = Bench()
+    bench.cart.q[3] = math.nan
+    record = bench.steps(5, [0.4, 0.2], [1.0, 0.5], [0.2])
+    assert not record.sent.kp.any()
+    assert np.isfinite(record.decision.vector).all()
+    bench.cart.q[3] = 0.4
+    bench.steps(20)
+    record = bench.steps(150, [0.4, 0.2], [1.0, 0.5], [0.2])
+    assert states(record) == ["tracking"] * 3
+    np.testing.assert_allclose(record.sent.q, [0.4, 0.2, 1.0, 0.5, 0.2])
+
+
 def test_what_happens_to_a_part_is_told_with_its_name_and_the_stop_once() -> None:
     bench = Bench()
     told = [happening for _ in range(100) for happening in bench.step([0.4, 0.2], None, None).happenings]
@@ -249,8 +274,9 @@ def test_the_gate_tells_of_the_robot_and_of_each_part() -> None:
     ("parts", "line"),
     [
         ((PARTS[1], joints("legs", (ARMS[0],))), "shoulder_pos: in more than one part"),
-        ((PARTS[0],), "expected two parts or more, each with a key, whose robots are called cart_PART; got cart_legs"),
+        ((PARTS[0],), "expected two parts or more, each with a key and a name of its own, cart_PART; got cart_legs"),
         ((PARTS[0], joints("x", HANDS)), ""),
+        ((joints("arms", ARMS), joints("arms", HANDS)), "each with a key and a name of its own"),
     ],
 )
 def test_parts_that_do_not_fit_together_are_refused_in_a_line(parts: tuple[JointCommand, ...], line: str) -> None:

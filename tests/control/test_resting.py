@@ -136,6 +136,49 @@ def test_armed_again_it_rests_where_it_is_by_then(bench: Bench) -> None:
     np.testing.assert_array_equal(bench.steps(300).sent.q, START - 0.3)
 
 
+class Simulated(Arm):
+    def reset(self) -> None:
+        self.q = START.copy()
+
+
+def test_a_simulated_arm_that_is_put_back_stays_there_and_not_where_it_lay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    six_joints.register(monkeypatch)
+    bench = Bench(tmp_path)
+    bench.arm = bench.control.robot = Simulated()
+    bench.steps(100, START + 0.4)
+    bench.control.stop("test")
+    bench.step()
+    bench.arm.q = START - 1.0
+    bench.tick += 1
+    before = bench.control.sense()  # as the loop does: it reads, is told of the release, and steps
+    bench.control.reset("test")
+    bench.control.step(before, bench.sample, bench.tick * DT)
+    np.testing.assert_array_equal(bench.steps(300).sent.q, START)
+
+
+class Blocked(Arm):
+    """Somebody holds it."""
+
+    def write(self, targets: JointTargets) -> JointTargets:
+        self.written.append(targets)
+        return targets
+
+
+def test_an_arm_that_is_held_up_is_pushed_no_farther_than_its_lead_and_rests_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    six_joints.register(monkeypatch)
+    bench = Bench(tmp_path)
+    bench.arm = bench.control.robot = Blocked()
+    record = bench.steps(300, START + 1.2)
+    np.testing.assert_allclose(record.sent.q, START + 0.3)
+    record = bench.steps(100)
+    assert record.decision.state == "waiting"
+    np.testing.assert_allclose(record.sent.q, START + 0.3)
+
+
 def test_a_command_of_other_joints_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     six_joints.register(monkeypatch)
     file = tmp_path / "six.yaml"

@@ -66,7 +66,7 @@ def _numbers(reader: EpisodeReader) -> None:
 
 def _eased(reader: EpisodeReader) -> None:
     shelf = Shelf({keys.command_used(ARM): codec.f64(np.full(7, np.nan))})
-    ease_in._blend(shelf, reader, 0.1)  # type: ignore[arg-type]
+    ease_in._blends(shelf, reader, 0.1)  # type: ignore[arg-type]
 
 
 @cache

@@ -28,6 +28,7 @@ from station.config import build
 from station.errors import ConfigError
 from station.life.server import Life, read_health
 from station.protocols import Floats, Reference
+from tests import six_joints
 from tests.adapters.motions.made import smooth
 from tests.waiting import DEADLINE_S, wait_until
 
@@ -385,3 +386,11 @@ def test_an_error_in_the_middle_still_ends_in_the_default(bus: Bus, writes: Writ
     np.testing.assert_array_equal(vectors[-1], FORM.default)
     leaving = vectors[-11:]  # 0.2 s: ten equal steps from the last good vector
     np.testing.assert_allclose(np.diff(leaving, axis=0), np.tile((FORM.default - leaving[0]) / 10, (10, 1)), atol=1e-9)
+
+
+def test_what_rests_where_it_is_has_no_pose_to_begin_a_motion_from(monkeypatch: pytest.MonkeyPatch) -> None:
+    six_joints.register(monkeypatch)
+    with pytest.raises(
+        ConfigError, match="format 'six': six rests where it is, and has no pose to begin a motion from"
+    ):
+        KIND.main(MotionConfig(motion="builtin:wave", format="six"), None)

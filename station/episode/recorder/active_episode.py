@@ -114,7 +114,7 @@ class ActiveEpisode:
         return self.writer.wait(0.0)
 
     def state(self, backend: str) -> RecorderState:
-        """Return what a recorder with this take is doing."""
+        """Return what a recorder with this episode is doing."""
         writer = self.writer
         return RecorderState(
             state="recording", episode_id=self.episode_id, path=str(self.folder), messages=writer.messages,

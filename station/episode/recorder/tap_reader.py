@@ -107,7 +107,7 @@ class TapReader:
         self.recording.feed(writes, self.tap.position(), is_live=not is_late)
 
     def _read(self) -> list[Write]:
-        """Return what the tap brings, and record up to when we know of every write: what it brings may be old."""
+        """Return what the tap brings, and note up to when we know of every write: what it brings may be old."""
         writes = self.tap.read(_READ_S)
         self._heard_ns = now_ns = self._clock.monotonic_ns()
         self._known_ns = max(self._known_ns, min(newest_written_ns(writes), now_ns))

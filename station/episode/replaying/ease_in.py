@@ -20,6 +20,10 @@ _ARM_RAD_S = 0.2
 """Speed of the joint of an arm that has the farthest to go."""
 
 
+_TOGETHER_NS = 500_000_000
+"""What begins so soon after the first command begins with it."""
+
+
 class _Blend(NamedTuple):
     key: str
     start: Floats
@@ -35,35 +39,42 @@ def ease_in(bus: Bus, reader: EpisodeReader, duration_s: float) -> float:
         reader: The episode.
         duration_s: Length of the blend [s]; of an arm's at least, which takes as long as it has to go.
     """
-    blend = _blend(bus, reader, duration_s)
-    if blend is None or duration_s <= 0.0:
+    blends = _blends(bus, reader, duration_s) if duration_s > 0.0 else []
+    if not blends:
         return 0.0
-    steps = max(1, round(blend.duration_s * _RATE_HZ))
+    steps = max(1, round(max(blend.duration_s for blend in blends) * _RATE_HZ))
     began_ns = bus.clock.monotonic_ns()
     for step in range(steps):
         bus.clock.sleep_until(began_ns + round(step / _RATE_HZ * 1e9))
-        vector = blend.start + (blend.goal - blend.start) * (step / steps)
-        bus.publish({blend.key: codec.json_vector(vector)})
+        share = step / steps
+        bus.publish({each.key: codec.json_vector(each.start + (each.goal - each.start) * share) for each in blends})
     bus.clock.sleep_until(began_ns + round(steps / _RATE_HZ * 1e9))
     return steps / _RATE_HZ
 
 
-def _blend(bus: Bus, reader: EpisodeReader, duration_s: float) -> _Blend | None:
+def _blends(bus: Bus, reader: EpisodeReader, duration_s: float) -> list[_Blend]:
+    """Return a blend for each command that the episode begins with."""
     known: list[CommandFormat] = [registry.find("command", name) for name in registry.names("command")]
-    defaults = {form.key: form.default for form in known}
-    arms = {key for key in reader.topics() if key.startswith(keys.action_joints(""))}
-    for message in reader.messages({*defaults, *arms}):
+    places = {form.key: form.default for form in known if form.key and not form.stays}
+    arms = {key for key in reader.topics() if key.startswith(keys.action_joints("")) and not keys.is_stamp(key)}
+    found: list[_Blend] = []
+    until_ns: int | None = None
+    for message in reader.messages({*places, *arms}):
+        if until_ns is not None and message.log_ns > until_ns:
+            break
+        if message.topic in [blend.key for blend in found]:
+            continue
         is_arm = message.topic in arms
-        start = _where_it_is(bus, message.topic) if is_arm else defaults[message.topic]
+        start = _where_it_is(bus, message.topic) if is_arm else places[message.topic]
         try:
             goal = codec.parse_json_vector(message.data, None if start is None else len(start))
         except codec.BadValue:
             continue  # the gate refuses it as it did then
-        if start is None:  # nobody drives that arm here
-            return None
-        takes_s = float(np.abs(goal - start).max()) / _ARM_RAD_S if is_arm else 0.0
-        return _Blend(message.topic, start, goal, max(duration_s, takes_s))
-    return None
+        until_ns = message.log_ns + _TOGETHER_NS if until_ns is None else until_ns
+        if start is not None:  # else nobody drives that arm here
+            takes_s = float(np.abs(goal - start).max()) / _ARM_RAD_S if is_arm else 0.0
+            found.append(_Blend(message.topic, start, goal, max(duration_s, takes_s)))
+    return found
 
 
 def _where_it_is(bus: Bus, key: str) -> Floats | None:

@@ -15,11 +15,13 @@ from adapters.drivers.arm import TOOL, ArmDriver
 from adapters.drivers.arm_options import ArmOptions
 from adapters.robots.kassow.kinematics import KR810, REACHING_DOWN
 from station import config, rotations
+from station.arms import JointCommand
 from station.errors import ConfigError
 from station.operator.buttons import Buttons, button_map
 from station.operator.deadman import Snapshot
 from station.operator.driving import Driven, Driving
 from station.operator.sample import OperatorSample, Pose
+from station.parts import PartedCommand
 from station.protocols import Floats
 from tests import six_joints
 
@@ -429,7 +431,7 @@ def test_a_leader_of_six_joints_and_a_gripper_leads_it_and_one_of_another_number
     ("options", "begins", "line"),
     [
         ({"command": "six"}, "tool", "the kinematics behind 'six' are not known; take the driver arm-joints"),
-        ({"command": "twist2"}, "joints", "command 'twist2' has other elements than positions of joints"),
+        ({"command": "twist2"}, "joints", "command 'twist2' has other elements than positions of an arm's joints"),
         ({"command": "six", "speed_rad_s": 1.5}, "joints", "speed_rad_s is 1.5; the slowest joint does 1 rad/s"),
     ],
 )
@@ -439,6 +441,18 @@ def test_a_command_that_cannot_be_driven_is_refused_in_a_line(
     six_joints.register(monkeypatch)
     with pytest.raises(ConfigError, match=line):
         ArmDriver("arm", ArmOptions(**options), begins)
+
+
+def test_a_command_that_is_made_of_parts_is_refused_with_their_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    two = [
+        JointCommand.within(name, f"six_{name}", joints, lower=-np.ones(3), upper=np.ones(3), margin=np.ones(3),
+                            rate=np.ones(3))
+        for name, joints in (("upper", six_joints.JOINTS[:3]), ("wrist", six_joints.JOINTS[3:]))
+    ]  # fmt: skip
+    monkeypatch.setattr(six_joints, "COMMAND", PartedCommand("six", "six", two))
+    six_joints.register(monkeypatch)
+    with pytest.raises(ConfigError, match="is made of parts, which are driven apart: upper, wrist"):
+        ArmDriver("arm-joints", ArmOptions(command="six"), "joints")
 
 
 def test_a_command_that_nobody_registered_is_named_with_the_nearest(six: ArmDriver) -> None:

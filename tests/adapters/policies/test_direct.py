@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,7 @@ def written(folder: Path, text: str) -> Path:
 def test_targets_are_the_command_to_the_last_bit_and_the_observation_is_it_in_single_precision(tmp_path: Path) -> None:
     policy = DirectPolicy(written(tmp_path, FILE))
     command = np.array([1.0 / 3.0, -0.1, 0.2, 0.7, -1.9, 0.0])
-    observation = policy.observe(STATE, command)
+    observation = policy.observe(replace(STATE, q=command - 0.01), command)
     assert (observation.dtype, observation.tolist()) == (np.float32, command.astype(np.float32).tolist())
     targets = policy.targets(policy.act(observation), command)
     assert targets.q.tobytes() == command.tobytes()
@@ -54,6 +55,7 @@ def test_its_file_says_for_which_joints_and_commands_it_is(tmp_path: Path) -> No
         (FILE.replace("kp: 103", "kp: 0"), "forearm: kp 0, kd 5; expected a stiffness above 0"),
         (FILE.replace("kp: 103", "kp: .nan"), "forearm: kp nan, kd 5; expected a stiffness above 0"),
         (FILE.replace("rate_hz: 100", "rate_hz: often"), "rate_hz"),
+        (FILE.replace("rate_hz: 100", "rate_hz: 100\nlead_rad: 0"), "lead_rad is 0; expected more than 0"),
         (FILE.replace("kd: 5", "kd: 5, ki: 1"), "ki"),
         (FILE.replace("rate_hz: 100\n", ""), "rate_hz"),
     ],

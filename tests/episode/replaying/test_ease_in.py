@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from adapters.robots.g1 import twist_keys
+from station import registry
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -47,3 +49,18 @@ def test_an_arm_is_led_from_where_it_is_at_a_fifth_of_a_radian_a_second(
 def test_an_arm_that_nobody_drives_there_is_led_nowhere(reader: EpisodeReader, bus_server: BusAddress) -> None:
     with Bus(bus_server, name="replay", timeout_s=5.0) as bus:
         assert ease_in(bus, reader, 1.0) == 0.0
+
+
+def test_commands_that_begin_together_are_led_in_together(tmp_path: Path, bus_server: BusAddress) -> None:
+    builder = EpisodeBuilder(tmp_path, task="both")
+    made = ArmRun(builder)
+    standing = registry.find("command", "twist2").default
+    builder.write({twist_keys.action_body(): codec.json_vector(standing + 0.01)}, at_s=0.01, writer="motion")
+    made.move(0.1)
+    reader, tap = open_episode(made.finish()), open_tap(bus_server)
+    with Bus(bus_server, name="replay", timeout_s=5.0) as bus:
+        bus.publish({keys.command_used(ROBOT): codec.f64(first_command(reader))})
+        assert ease_in(bus, reader, 0.2) == pytest.approx(0.2)
+    written = [write.key for _ in range(3) for write in tap.read(0.2) if not keys.is_stamp(write.key)]
+    tap.close()
+    assert written.count(keys.action_joints(ROBOT)) == written.count(twist_keys.action_body()) == 10

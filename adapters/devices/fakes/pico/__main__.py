@@ -1,6 +1,6 @@
 """``python -m adapters.devices.fakes.pico FILE``: a fake PC service that plays a script until it is stopped.
 
-Another program that starts it gives ``--on-leash``: then it says ``listening PORT`` on its standard output, begins
+Another program that starts it gives ``--as-child``: then it says ``listening PORT`` on its standard output, begins
 with the line ``go`` on its standard input, and ends with the end of that: it cannot outlive who started it.
 """
 
@@ -24,8 +24,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     def tell(service: PicoService, go: threading.Event, stop: threading.Event) -> None:
         sys.stdout.write(f"listening {service.port}\n")
         sys.stdout.flush()
-        if options.on_leash:
-            threading.Thread(target=_obey, args=(go, stop), name="leash", daemon=True).start()
+        if options.as_child:
+            threading.Thread(target=_obey, args=(go, stop), name="parent-pipe", daemon=True).start()
         else:
             go.set()
 
@@ -49,7 +49,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("file", type=Path, help="the script, JSON")
     parser.add_argument("--port", type=int, default=DEFAULT_PORT, help=f"TCP port; default {DEFAULT_PORT}, 0: any")
     parser.add_argument("--start-s", type=float, default=0.0, help="time of the script to begin at [s]; default 0")
-    parser.add_argument("--on-leash", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--as-child", action="store_true", help=argparse.SUPPRESS)
     return parser
 
 

@@ -41,7 +41,7 @@ def child(script: Path, start_s: float) -> Iterator[Child]:
         NotReady: it does not listen.
     """
     load(script)  # a mistake in it is told here, in one line, and not by a child
-    arguments = [str(script), "--port", "0", "--on-leash", "--start-s", repr(start_s)]
+    arguments = [str(script), "--port", "0", "--as-child", "--start-s", repr(start_s)]
     command = python_child.command("-m", "adapters.devices.fakes.pico", *arguments)
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin is not None
