@@ -1,10 +1,12 @@
 """The gate between a command and the robot: blends in, holds, returns to standing, stops. Pure; its time is given.
 
-    waiting ──fresh──► entering ──blend done──► tracking
-       ▲                  │  ▲                    │  ▲
-       │                stale│fresh             stale│fresh
-       │                  ▼  │                    ▼  │
-       └──blend done── returning ◄──still stale── holding          stopped: from anywhere, left only by `reset`
+    waiting    ─ a good command ──► entering
+    entering   ─ blend done ──────► tracking        ─ stale ────────► holding
+    tracking   ─ stale ───────────► holding
+    holding    ─ a good command ──► tracking, or entering where the blend had not ended
+                                                    ─ still stale ──► returning
+    returning  ─ a good command ──► entering        ─ blend done ───► waiting
+    any        ─ a stop ──────────► stopped, which only `reset` leaves
 
 A stop, or an arm's own controller's fault (`faulted`), is left by `reset`, and then only commands are followed that
 begin anew, after a silence that was heard since: no robot goes on with a command that ran through its stop. A hole in a
