@@ -18,6 +18,7 @@ from tests.main_job.page_package import install
 from tests.main_job.station_runs import Terminal
 from tests.waiting import bus_answers, wait_until
 
+WRIST = "action_joints_arm6_wrist"
 JOINTS = ("base", "shoulder", "elbow", "forearm", "wrist", "flange")
 
 pytestmark = pytest.mark.timeout(300)
@@ -84,10 +85,18 @@ def driven_apart(place: tuple[Terminal, Path], driven: Terminal) -> Terminal:
     soon = "wrist_operator.patience_s=1"  # then its commands end
     with running(place, "arm6-parts.yaml", "both", soon, gamepad=PAD, keyboard=KEYS) as lab:
         wait_until(lambda: states(lab) == ("tracking", "tracking"))
+        wait_until(lambda: refused_beside(lab))
         wait_until(lambda: states(lab) == ("tracking", "waiting"))
         before = base_of(lab)
         wait_until(lambda: base_of(lab) > before + 0.1)
     return driven
+
+
+def refused_beside(lab: Station) -> bool:
+    """Write the wrist's command beside its operator; return whether that was refused yet."""
+    lab.publish({WRIST: [0.0, 0.0, 0.0]})
+    gate = lab.read("command_gate_arm6")
+    return gate is not None and gate.json()["parts"]["wrist"]["refused"] > 0
 
 
 def states(lab: Station) -> tuple[str, ...]:
@@ -144,6 +153,8 @@ def test_its_gains_and_limits_are_told(driven: Terminal) -> None:
 def test_where_one_operator_s_keyboard_is_torn_out_the_other_drives_on(driven_apart: Terminal) -> None:
     shown = driven_apart.json("episodes", "show", episode(driven_apart, "both"))["manifest"]["events"]
     assert {event["numbers"]["part"] for event in shown if event["name"] == "gate"} == {"upper", "wrist"}
+    rivals = [event["numbers"] for event in shown if event["name"] == "second-writer"]
+    assert {rival["key"] for rival in rivals} == {WRIST}
     ended = next(event for event in shown if event["name"] == "teleop-commands-end")
     assert ended["source"] == "wrist_operator"
 
