@@ -41,11 +41,10 @@ from station.enrich.siblings import siblings
 from station.episode.reading import vectors
 from station.episode.reading.messages import Channel, Message
 from station.episode.reading.steps import robot_state, timing_row
-from station.episode.recorder.remote import _decode as record_answer
 from station.episode.storage import pictures
 from station.episode.storage.channels import encoding_of, source_of
 from station.episode.storage.manifest import Manifest, Timing, dump_manifest
-from station.episode.storage.request import parse_request, request_id
+from station.episode.storage.request import parse_answer, parse_request, request_id
 from station.episode.writing import heard, retell
 from station.errors import NotReady, Refused, UnknownName, UsageError
 from station.life import arm_request, controller_request, estop, events, stop_button, stop_file
@@ -518,7 +517,8 @@ def _by_itself() -> list[Parser]:
         Parser("heartbeat", _heartbeat, (health(),), (
             _LIFE + "server", "station.supervision.supervisor", "station.supervision.doctor", "station.view.status")),
         Parser("record request", _record_request, (dumped(REQUEST),), (_EPISODE + "storage.request",), (Refused,)),
-        Parser("record answer", record_answer, (dumped(ANSWER),), (_EPISODE + "recorder.remote",)),
+        Parser("record answer", lambda data: parse_answer(data, "a-1"), (dumped(ANSWER),), (
+            _EPISODE + "storage.request", _EPISODE + "recorder.remote")),
         Parser("recorder's state", _record_state, (dumped(RECORDER),), (_OPERATOR + "requests",)),
         Parser("recorded event", _noted, (EVENT.encode(),), (_EPISODE + "writing.retell",)),
         Parser("recorded value", encoding_of, (dumped(GATE), b"x"), (_EPISODE + "storage.channels",)),

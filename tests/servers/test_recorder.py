@@ -25,7 +25,7 @@ from station.episode.reading.reader import open_episode
 from station.episode.recorder import remote
 from station.episode.storage.manifest import load_manifest
 from station.episode.storage.progress import load_resume_point
-from station.episode.storage.request import RecorderState
+from station.episode.storage.request import RecorderState, parse_answer
 from station.errors import ConfigError, Refused
 from tests.waiting import wait_until
 
@@ -162,6 +162,16 @@ def test_ending_the_recorder_closes_its_episode(recorder: Start, bus: Bus) -> No
     manifest = load_manifest(Path(begun.path or ""))
     assert (manifest.state, manifest.recorder.ended_by, manifest.task.name) == ("finished", "shutdown", "squat")
     assert numbers(Path(begun.path or "")) == list(range(1, 101))
+
+
+def test_who_looks_too_late_for_an_answer_finds_it_behind_the_next(recorder: Start, bus: Bus) -> None:
+    recorder()
+    remote.ask(bus, "start")
+    for asker in ("a", "b"):
+        bus.publish({keys.RECORD: codec.json_object({"id": asker, "action": "mark", "label": asker})})
+    wait_until(lambda: parse_answer(bus.get(keys.RECORD_ACK) or b"", "b") is not None)
+    newest = bus.get(keys.RECORD_ACK) or b""
+    assert [getattr(parse_answer(newest, asker), "ok", None) for asker in ("a", "b")] == [True, True]
 
 
 def test_a_second_recorder_gets_one_line(recorder: Start, tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ from station.episode.storage.left_open import (
 )
 from station.episode.storage.manifest_copy import find_manifest
 from station.episode.storage.progress import ResumePoint, load_resume_point
-from station.episode.storage.request import RecordAnswer, request_id
+from station.episode.storage.request import RecordAnswer, parse_answer, request_id
 from station.episode.writing.closing import summary_of
 from station.episode.writing.repair import Repaired, close_whole
 from station.errors import BusError, EpisodeError
@@ -154,7 +154,7 @@ class CrashRecovery:
         if request is None:
             return
         asker, answer = request_id(request.value), bus.get(keys.RECORD_ACK)
-        is_answered = answer is not None and request_id(answer) == asker
+        is_answered = answer is not None and parse_answer(answer, asker) is not None
         if recording.answers.knows(asker):
             if not is_answered:
                 recording.answers.is_new(asker)  # which gives the answer once more

@@ -7,7 +7,7 @@ from typing import Any
 
 from station.bus import codec, keys
 from station.bus.client import Bus
-from station.episode.storage.request import Action, RecordAnswer, RecordRequest
+from station.episode.storage.request import Action, RecordAnswer, RecordRequest, parse_answer
 from station.errors import NotReady, Refused
 
 _LOOK_S = 0.2  # how soon a request is sent again to a bus that was restarted and forgot it
@@ -39,8 +39,7 @@ def ask(bus: Bus, action: Action, *, timeout_s: float = 20.0, **fields: Any) -> 
                     raise NotReady(f"record {action}: the bus {bus.address} did not take the request: {bus.last_error}")
             sample = watch.wait(keys.RECORD_ACK, after=newest, timeout_s=min(remaining, _LOOK_S))
             sample = sample or watch.latest(keys.RECORD_ACK)  # came while nobody told us: without age, yet with our id
-            answer = _decode(sample.value) if sample else None
-            if answer is not None and answer.id == wanted.id:
+            if sample is not None and (answer := parse_answer(sample.value, wanted.id)) is not None:
                 return _accepted(action, answer)
             newest = sample or newest
     if not sent_on:
@@ -54,10 +53,3 @@ def _accepted(action: Action, answer: RecordAnswer) -> RecordAnswer:
     if not answer.ok:
         raise Refused(f"record {action}: {answer.reason}")
     return answer
-
-
-def _decode(data: bytes) -> RecordAnswer | None:
-    try:
-        return codec.parse_struct(data, RecordAnswer)
-    except codec.BadValue:
-        return None

@@ -57,6 +57,7 @@ class RecordAnswer(msgspec.Struct, frozen=True, kw_only=True):
         episode_id, path: The episode it is about, and its folder.
         reason: Why not, in one line; "" when `ok`.
         summary: After ``stop`` and ``discard``: seconds, messages, bytes, lost, dropped, … as counted in the file.
+        earlier: The answers before it, newest first: who looked a moment too late finds its own among them.
     """
 
     id: str
@@ -65,6 +66,16 @@ class RecordAnswer(msgspec.Struct, frozen=True, kw_only=True):
     path: str | None = None
     reason: str = ""
     summary: dict[str, Any] = {}
+    earlier: tuple[RecordAnswer, ...] = ()
+
+
+def parse_answer(data: bytes, asker: str | None) -> RecordAnswer | None:
+    """Return the answer to a request that ``station:record:ack`` holds, the newest or one before it; None for none."""
+    try:
+        newest = codec.parse_struct(data, RecordAnswer)
+    except codec.BadValue:
+        return None
+    return next((answer for answer in (newest, *newest.earlier) if answer.id == asker), None)
 
 
 class RecorderState(msgspec.Struct, frozen=True, kw_only=True):

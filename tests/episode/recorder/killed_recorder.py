@@ -24,7 +24,7 @@ from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.episode.recorder import remote
-from station.episode.storage.request import RecordAnswer, RecorderState
+from station.episode.storage.request import RecordAnswer, RecorderState, parse_answer
 from station.life.serving import serve
 from tests.waiting import wait_until
 
@@ -90,7 +90,7 @@ class Client:
 
     def answered(self, asker: str) -> bool:
         value = self.bus.get(keys.RECORD_ACK)
-        return value is not None and msgspec.json.decode(value, type=RecordAnswer).id == asker
+        return value is not None and parse_answer(value, asker) is not None
 
     def state(self, recorder: Recorder) -> RecorderState | None:
         """Return what this recorder says that it does; None before its first word."""
