@@ -11,6 +11,7 @@ from types import TracebackType
 from station.bus import keys
 from station.bus.client import Bus
 from station.bus.sample import Sample
+from station.errors import BusError
 from station.life import estop
 from station.life.stop_file import LatchedStop, StopKeeper, on_bus
 
@@ -45,9 +46,19 @@ class StopMemory:
         return request.reason if request is not None and is_said else ""
 
     def latched(self) -> LatchedStop | None:
-        """Return the stop that nobody has released, by the file or by the bus; or None."""
+        """Return the stop that nobody has released, by the file or by the bus; or None.
+
+        The bus is asked as well as listened to: of a stop of this moment no word may have come yet.
+        """
         self._keep()
-        return self._keeper.file.read() or on_bus(self._bus.address, self._watch.latest(keys.ESTOP))
+        address = self._bus.address
+        heard = self._keeper.file.read() or on_bus(address, self._watch.latest(keys.ESTOP))
+        if heard is not None:
+            return heard
+        try:
+            return on_bus(address, self._bus.read([keys.ESTOP]).get(keys.ESTOP))
+        except BusError:
+            return None
 
     @property
     def has_forgetful_bus(self) -> bool:

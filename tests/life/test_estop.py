@@ -77,3 +77,17 @@ def test_a_station_says_a_stop_again_that_its_bus_has_forgotten_and_a_released_o
         soon(lambda: memory.has_forgetful_bus)
         assert memory.look() == ""
         soon(lambda: bus.call("EXISTS", keys.ESTOP) == 0)
+
+
+def test_a_stop_of_which_no_word_has_come_yet_is_found_where_it_is_asked_for(
+    bus_server: BusAddress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Bus(bus_server, name="supervisor", timeout_s=5.0) as bus, StopMemory(bus, "supervisor") as memory:
+        monkeypatch.setattr(memory._watch, "latest", lambda key: None)
+        assert memory.latched() is None
+        bus.publish({keys.ESTOP: b'{"stop": true, "reason": "smoke"}'})
+        latched = memory.latched()
+        assert latched is not None
+        assert latched.reason == "smoke"
+        bus.publish({keys.ESTOP: b'{"stop": false}'})
+        assert memory.latched() is None
