@@ -127,7 +127,7 @@ class HandsDriver:
         return self._body.send(wish, dt_s, named(self._ik.joint_names, self._ik.q))
 
     def take_up(self, command: Floats) -> None:
-        """Go on from a command of somebody else."""
+        """Start from a command that another writer gave, shape (m,)."""
         self._body.take_up(command)
         self._ik.reset(self._body.joints(self._ik.joint_names))
 
@@ -136,7 +136,7 @@ class HandsDriver:
         return {"driver": self.name, **msgspec.to_builtins(self._options)}
 
     def _turn_neck(self, snapshot: Snapshot[Poses, Palms], reading: OperatorSample, dt_s: float) -> None:
-        """Turn the neck as the headset is turned from what is forward; where nobody wears one it stays."""
+        """Turn the neck as far as the headset is turned away from forward; without a headset the neck stays."""
         if reading.head is None or deltas.flaw(reading.head):
             return
         forward = rotations.from_rotation_vector(np.array([0.0, 0.0, self._heading_rad(snapshot)]))

@@ -99,7 +99,7 @@ class JogDriver:
         return self._body.send(wish, dt_s, named(self._ik.joint_names, self._ik.q))
 
     def take_up(self, command: Floats) -> None:
-        """Go on from a command of somebody else."""
+        """Start from a command that another writer gave, shape (m,)."""
         self._body.take_up(command)
         self._ik.reset(self._body.joints(self._ik.joint_names))
         self._goals = self._ik.palms

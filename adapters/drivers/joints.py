@@ -109,7 +109,7 @@ class JointsDriver:
         return Look(joints, objection=f"leader is too far from the robot; move it (rad): {told}" if far else "")
 
     def differences(self, leader: Floats) -> list[Difference]:
-        """Return, joint by joint, where leader and robot are: the table for who has to bring them together."""
+        """Return a table of where each joint of leader and robot is, for the operator who brings them together."""
         pairs = zip(self._options.joints, leader.tolist(), self._q.tolist(), strict=False)
         return [Difference(*pair) for pair in pairs]
 
@@ -139,7 +139,7 @@ class JointsDriver:
         return self._body.send(self._body.sticks.rest(), dt_s, arms)
 
     def take_up(self, command: Floats) -> None:
-        """Go on from a command of somebody else."""
+        """Start from a command that another writer gave, shape (m,)."""
         self._body.take_up(command)
         self._q, self._arms = self._body.joints(self._options.joints), self._body.joints(ARMS)
 

@@ -68,7 +68,7 @@ class WalkDriver:
         return self._body.send(wish, dt_s)
 
     def take_up(self, command: Floats) -> None:
-        """Go on from a command of somebody else."""
+        """Start from a command that another writer gave, shape (m,)."""
         self._body.take_up(command)
 
     def facts(self) -> dict[str, Any]:

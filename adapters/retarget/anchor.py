@@ -16,7 +16,7 @@ from station.protocols import Floats
 
 JUMP_M = 0.3
 JUMP_RAD = math.radians(45.0)
-"""Further than this from one sample to the next nobody moves: the tracking did."""
+"""A larger change between two samples is an error of the tracking, not a movement."""
 
 _PELVIS = 0
 

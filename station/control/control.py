@@ -109,11 +109,9 @@ class ControlStep:
         self._stood_since_s = 0.0
         self._action_is_bad = False
         self._resting = tuple(_resting(robot, self.commanded.paths))
-        self._asked: Floats | None = (
-            None  # where the joints were asked to be; None: nobody has, they are where they are
-        )
-        self._has_jumped = False  # whether it was put elsewhere since the state was read
-        self._is_lost = False  # whether nobody knows where something is that is to stay there
+        self._asked: Floats | None = None  # positions that were sent last; None: none were, the joints are limp
+        self._has_jumped = False  # whether the robot was put elsewhere after its state was read
+        self._is_lost = False  # whether a joint that has to stay does not say where it is
 
     def sense(self) -> RobotState:
         """Return the state that the next `step` acts on."""

@@ -44,8 +44,8 @@ class PartedPath(CommandPath):
         self._paths = tuple(
             CommandPath(part, config, arming, part=part_name(form, part), happenings=happenings) for part in form.parts
         )
-        super().__init__(form.parts[0], config, arming, happenings=happenings)
-        self.form, self.gate, self.validator = form, self._paths[0].gate, self._paths[0].validator
+        self.form, self.part, self.arming, self._happenings = form, "", arming, happenings
+        self.gate, self.validator = self._paths[0].gate, self._paths[0].validator
 
     @property
     def paths(self) -> tuple[CommandPath, ...]:

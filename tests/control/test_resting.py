@@ -46,10 +46,10 @@ class Arm(IdealRobot):
 class Bench:
     """A control step over an arm, and a commander."""
 
-    def __init__(self, folder: Path, *, is_armed: bool = True) -> None:
+    def __init__(self, folder: Path, arm: Arm | None = None, *, is_armed: bool = True) -> None:
         file = folder / "six.yaml"
         file.write_text(FILE)
-        self.arm = Arm()
+        self.arm = arm or Arm()
         self.control = ControlStep(self.arm, DirectPolicy(file), six_joints.COMMAND, is_armed=is_armed)
         self.tick = 0
         self.sample: CommandSample | None = None
@@ -145,8 +145,7 @@ def test_a_simulated_arm_that_is_put_back_stays_there_and_not_where_it_lay(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     six_joints.register(monkeypatch)
-    bench = Bench(tmp_path)
-    bench.arm = bench.control.robot = Simulated()
+    bench = Bench(tmp_path, Simulated())
     bench.steps(100, START + 0.4)
     bench.control.stop("test")
     bench.step()
@@ -170,8 +169,7 @@ def test_an_arm_that_is_held_up_is_pushed_no_farther_than_its_lead_and_rests_the
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     six_joints.register(monkeypatch)
-    bench = Bench(tmp_path)
-    bench.arm = bench.control.robot = Blocked()
+    bench = Bench(tmp_path, Blocked())
     record = bench.steps(300, START + 1.2)
     np.testing.assert_allclose(record.sent.q, START + 0.3)
     record = bench.steps(100)

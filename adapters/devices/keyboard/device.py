@@ -87,11 +87,11 @@ class Keyboard:
         )
 
     def why_silent(self) -> str:
-        """Return nothing: a terminal that is there is never silent, nobody types."""
+        """Return why the terminal is gone, or "": without a key press a terminal is at rest, not silent."""
         return self._lost
 
     def facts(self) -> dict[str, Any]:
-        """Return the terminal, and that nobody may hang a dead-man on it."""
+        """Return the terminal; it does not tell when a key comes up, so no dead-man may depend on it."""
         return {"device": "keyboard", "tty": self._tty, "hold_s": self._hold_s, "tells_release": False}
 
     def close(self) -> None:

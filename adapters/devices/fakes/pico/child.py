@@ -1,4 +1,4 @@
-"""A fake PC service in a process of its own, which ends when who started it does."""
+"""A fake PC service in a process of its own; it ends with the process that started it."""
 
 from __future__ import annotations
 
