@@ -76,7 +76,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.hunt", description=__doc__)
     parser.add_argument("--runs", type=int, default=20, help="of the tier (default: %(default)s)")
     parser.add_argument("--tier", default="station", help="or an expression of tiers (default: %(default)s)")
-    parser.add_argument("--jobs", default="4", help="processes that run tests (default: %(default)s)")
+    parser.add_argument(
+        "--jobs", default="6", help="processes that run tests; they wait more than they work (default: %(default)s)"
+    )
     parser.add_argument("--idle", action="store_true", help="without the load beside it")
     parser.add_argument("selection", nargs="*", help="files or tests (default: all)")
     asked = parser.parse_args()
