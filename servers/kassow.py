@@ -29,9 +29,8 @@ from adapters.robots.kassow.session import KordSession
 from station.arms import ArmState, JointCommand
 from station.bus import codec, keys
 from station.config import to_plain
-from station.control.arm_control import ArmControl
+from station.control.arm_control import ArmControl, result_values
 from station.control.arm_kind import ArmServerKind
-from station.control.arm_values import result_values
 from station.control.gate import GateConfig
 from station.control.low_level import LowLevelLoop
 from station.life.controller_request import ControllerAnswer, ControllerRequest, read

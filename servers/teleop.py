@@ -33,11 +33,9 @@ from station.life.server import Life, ServerKind
 from station.operator.buttons import ButtonMap, Buttons, Pressed
 from station.operator.device_subscriber import DeviceSubscriber
 from station.operator.driver import Driver, DriverKind
-from station.operator.driving import Driven, Driving, buttons_to_drive
-from station.operator.exit_blend import ExitBlend
+from station.operator.driving import CommandWriter, Driven, Driving, ExitBlend, buttons_to_drive
 from station.operator.requests import ArmButtons, RecordButtons, Requests, StopPresser
 from station.operator.robot_side import RobotSide
-from station.operator.writer import CommandWriter
 from station.protocols import Floats
 
 _ENDING = "teleoperation is ending"

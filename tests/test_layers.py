@@ -30,7 +30,7 @@ HEAVY = (
 
 NO_VERBS = {
     "__init__", "calibrate_operator", "candidates", "fields", "keyboard", "main", "options", "quality",
-    "readings", "stop_key", "tables", "terminal_ui",
+    "tables", "terminal_ui",
 }  # fmt: skip
 """Modules of `station.cli` that verbs share."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from adapters.retarget import tcp_ik
-from adapters.retarget.tcp import TcpFollower
+from adapters.retarget.tcp_ik import TcpFollower
 from adapters.robots.serial_chain import SerialChain
 from station import rotations
 from station.operator import deltas

@@ -8,6 +8,7 @@ import json
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal
@@ -16,15 +17,19 @@ import click
 import msgspec
 from rich.markup import escape
 
-from station import registry
+from station import config, registry
 from station.camera.source import CameraError, CameraKind
-from station.cli import calibrate_operator, candidates, readings
+from station.cli import calibrate_operator, candidates
 from station.cli.options import Verbs, json_option, set_option
 from station.cli.tables import Column, plain, print_table
+from station.clock import SYSTEM
 from station.errors import StationError, UsageError
-from station.operator.device import DeviceError
+from station.operator.device import Device, DeviceError
 from station.operator.device_kind import DeviceKind
+from station.operator.sample import OperatorSample
 from station.operator.voice import Cue, VoiceKind
+
+_PERIOD_S = 0.02
 
 
 @click.group("devices", cls=Verbs)
@@ -169,7 +174,7 @@ def fake(device: str, play: Path | None, port: int | None) -> None:
     with contextlib.suppress(KeyboardInterrupt):
         file = kind.example if play is None else play
         if kind.play is None:
-            readings.play(kind, file)
+            _print_readings(kind, file)
         else:
             kind.play(file, kind.port if port is None else port)
     if sys.stdout.isatty():
@@ -267,3 +272,47 @@ def buttons(device: str, changes: Path | None, as_json: bool) -> None:
             click.echo()
         columns = [Column(title, "left") for title in (each.device, "ask with", "what is asked")]
         print_table(columns, [tuple(map(plain, row)) for row in each.table()])
+
+
+def _print_readings(kind: DeviceKind, file: Path) -> None:
+    """Play a script and print the device's readings as they change, until Ctrl-C or the end of the device.
+
+    Raises:
+        BadFile: the script cannot be read.
+        DeviceError: the device cannot be opened.
+    """
+    settings = config.build(kind.config, {"fake": str(file)}, where=f"devices fake {kind.name}")
+    with kind.source(settings, SYSTEM, 0.0) as source:
+        device = source.open()
+        click.echo(
+            f"what a station makes of it; `station up` plays it with --set {kind.name}.fake={file}, "
+            f"`station serve {kind.name}` with --set fake={file}",
+            err=True,
+        )
+        if source.begin is not None:
+            source.begin()
+        _show(device)
+
+
+def _show(device: Device) -> None:
+    began_s, last = time.monotonic(), ""
+    try:
+        while True:
+            reading = device.read()
+            line = _line(reading) if reading is not None else last
+            if line != last:
+                click.echo(f"{time.monotonic() - began_s:8.2f} s  {line}")
+                last = line
+            time.sleep(_PERIOD_S)
+    except DeviceError as error:
+        click.echo(f"{time.monotonic() - began_s:8.2f} s  {error}")
+    finally:
+        device.close()
+
+
+def _line(reading: OperatorSample) -> str:
+    parts = [f"{name}={value:.3g}" for name, value in reading.controls.items() if value]
+    for name, vector in (("twist", reading.twist), ("joints", reading.joints)):
+        if vector is not None:
+            parts.append(f"{name}=" + " ".join(f"{number:+.2f}" for number in vector))
+    return "  ".join(parts) or "at rest"

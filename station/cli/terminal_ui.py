@@ -16,9 +16,7 @@ from rich.markup import escape
 
 from station.arms import remedy_of
 from station.bus.client import Bus
-from station.cli import stop_key
 from station.cli.keyboard import Keyboard
-from station.cli.stop_key import StopKey
 from station.errors import BusError
 from station.life.events import Severity
 from station.life.server import Health
@@ -34,6 +32,11 @@ _TELL_S = 10.0  # without a screen, while the same is being played
 _AGAIN = ("r", "R")
 _LONGEST = 200  # characters of something that happened; the log and the episode have the rest
 _MARKS: dict[Severity, str] = {"info": "[cyan]·[/]", "warning": "[yellow]![/]", "error": "[red]✗[/]"}
+
+KEYS = (" ", "e", "E")
+HINT = "SPACE or e: emergency stop"
+
+_REPEATS_S = 1.0  # a key that is held down repeats thirty times a second
 
 
 class TerminalUI:
@@ -73,7 +76,7 @@ class TerminalUI:
             with StopButton(bus.address, name="stop-key") as button, self._keyboard:
                 self._stop_key = StopKey(button, self._stop_directly, self.say)
                 if self._keyboard.is_there and not self._console.is_terminal:
-                    self.say(stop_key.HINT)
+                    self.say(HINT)
                 yield
         finally:
             self._stop_key = None
@@ -135,7 +138,7 @@ class TerminalUI:
         if not self._keyboard.is_there:
             self.say("nobody is here to answer; use --yes in simulation", "error")
             return False
-        answer = self._keyboard.ask(f"? {sentence} [y/N] ({stop_key.HINT}): ", self._stop)
+        answer = self._keyboard.ask(f"? {sentence} [y/N] ({HINT}): ", self._stop)
         if self._stop.is_set():
             self._echo("\n")
         return not self._stop.is_set() and answer.strip().lower() in ("y", "yes")
@@ -192,11 +195,11 @@ class TerminalUI:
         if not self._keyboard.is_there:
             return ""
         again = f"[bold yellow]r: start {escape(self._offered)} again[/] · " if self._offered else ""
-        return f"{again}[bold]{stop_key.HINT}[/] · Ctrl-C: take down"
+        return f"{again}[bold]{HINT}[/] · Ctrl-C: take down"
 
     def _act_at_once(self, key: str, is_typing: bool) -> bool:
         """Stop the robots if that is what a key asks for; in an answer such as "yes" an e is a letter."""
-        if self._stop_key is None or key not in stop_key.KEYS or (is_typing and key != " "):
+        if self._stop_key is None or key not in KEYS or (is_typing and key != " "):
             return False
         self._stop_key.press()
         return True
@@ -233,3 +236,43 @@ class _Log(logging.Handler):
             "error" if record.levelno >= logging.ERROR else "warning" if record.levelno >= logging.WARNING else "info"
         )
         self._face.say(record.getMessage(), severity)
+
+
+class StopKey:
+    """Called by the keyboard's thread.
+
+    Args:
+        button: What it presses.
+        directly: Tells the servers of this station without the bus.
+        say: Prints a line.
+    """
+
+    def __init__(self, button: StopButton, directly: Callable[[], None], say: Callable[[str, Severity], None]) -> None:
+        self._button, self._directly, self._say = button, directly, say
+        self._pressed_s: float | None = None  # of a press that the bus has not taken yet
+        self._told_s = 0.0
+
+    def press(self) -> None:
+        """Stop every robot; pressed again it does so again."""
+        self._directly()
+        try:
+            self._button.press("key in `station up`")
+        except BusError as error:
+            self._say(f"EMERGENCY STOP: {error}; this station's own servers were told directly; trying on", "error")
+            self._pressed_s = self._pressed_s or time.monotonic()
+            return
+        self._pressed_s = None
+        if time.monotonic() - self._told_s > _REPEATS_S:
+            self._say("EMERGENCY STOP: the robots are damped until `station estop --reset`", "error")
+        self._told_s = time.monotonic()
+
+    def try_again(self) -> None:
+        """Press once more where the bus has not taken it; called again and again."""
+        if self._pressed_s is None:
+            return
+        try:
+            self._button.press("key in `station up`, late")
+        except BusError:
+            return
+        late_s, self._pressed_s = time.monotonic() - self._pressed_s, None
+        self._say(f"EMERGENCY STOP: taken {late_s:.1f} s after the key; the robots are damped", "error")

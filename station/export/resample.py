@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from station.episode.reading import steps
 from station.episode.reading.messages import Ints
 from station.errors import EpisodeError
-from station.export import clock
 from station.export.columns import KeyColumns
 from station.export.tracks import Recorded, Track
 from station.protocols import Floats
@@ -34,6 +33,12 @@ RULES = {
 
 _SLACK = 1.05  # a loop at its nominal rate may measure a little less
 _NEAR = 0.8  # of its nominal rate: a loop that was busy; another recorder that polled has less
+
+NANOSECONDS = 1_000_000_000
+
+_LATEST = 99  # percentile of the writes that a tick shall come after
+_MARGIN = 0.05  # of the writers' period
+_STEADY = 0.5  # length of the mean of the phases as unit vectors: 1 when all agree, 0 when they are anywhere
 
 
 class Column(NamedTuple):
@@ -112,7 +117,7 @@ def resample(
     pace = _pace(recorded, state, made)
     _expect_rate(pace, state, fps, episode)
     first, last = _span(recorded, newest, pairs)
-    ticks = clock.ticks(first, last, fps, pace)
+    ticks = ticks_at(first, last, fps, pace)
     if not len(ticks):
         raise EpisodeError(f"{episode}: no instant at which {_spoken(recorded)} all have a value; nothing to export")
     return _table(recorded, state, action, pairs, ticks)
@@ -166,8 +171,8 @@ def _pace(recorded: Recorded, state: Sequence[KeyColumns], made: Sequence[KeyCol
 
 
 def _expect_rate(pace: Ints, state: Sequence[KeyColumns], fps: int, episode: str) -> None:
-    period = clock.period_ns(pace)
-    measured = clock.NANOSECONDS / period if period > 0 else 0.0
+    period = period_ns(pace)
+    measured = NANOSECONDS / period if period > 0 else 0.0
     rate = max([measured, *(one.rate_hz for one in state if one.rate_hz and measured >= _NEAR * one.rate_hz)])
     if fps > rate * _SLACK:
         raise EpisodeError(
@@ -253,3 +258,43 @@ def ages_s(ticks: Ints, times: Ints) -> Floats:
 def _spoken(recorded: Recorded) -> str:
     names = list(_all_times(recorded))
     return ", ".join(names[:4]) + (" …" if len(names) > 4 else "")
+
+
+def ticks_at(first_ns: int, last_ns: int, fps: int, pace_ns: Ints) -> Ints:
+    """Return the instants of a table, ascending; none when the last comes before the first.
+
+    They are exactly 1/fps apart. The first one comes less than a period of the pace after `first_ns`, where most
+    writes of the pace (the robot's state) are just over. Ticks that fell on the writes themselves would see, by a few
+    microseconds of jitter, one value twice and the next one never.
+
+    Args:
+        first_ns, last_ns: Where the table may begin and must end [ns since the epoch].
+        fps: Rate [Hz].
+        pace_ns: When the values were written that the rows are made of, ascending.
+    """
+    start_ns = first_ns + _delay_ns(first_ns, fps, pace_ns)
+    if start_ns > last_ns:
+        start_ns = first_ns
+    count = (last_ns - start_ns) * fps // NANOSECONDS + 1
+    steps = np.arange(max(count, 0), dtype=np.int64)
+    return start_ns + steps * NANOSECONDS // fps
+
+
+def period_ns(times_ns: Ints) -> int:
+    """Return the usual time between two writes, 0 for fewer than two [ns]."""
+    return int(np.median(np.diff(times_ns))) if len(times_ns) > 1 else 0
+
+
+def _delay_ns(first_ns: int, fps: int, pace_ns: Ints) -> int:
+    """Return how long after an instant the writes of a steady pace are over, 0 for an unsteady one [ns]."""
+    period = period_ns(pace_ns)
+    if period <= 0:
+        return 0
+    rate = fps * max(1, round(NANOSECONDS / (fps * period)))  # of the clock, or as many times as fast
+    angles = (pace_ns - first_ns) * rate % NANOSECONDS * (2 * np.pi / NANOSECONDS)
+    mean = np.exp(1j * angles).mean()
+    if abs(mean) < _STEADY:
+        return 0
+    off = np.angle(np.exp(1j * (angles - np.angle(mean))))  # -pi to pi: early or late
+    over = np.angle(mean) + np.percentile(off, _LATEST) + 2 * np.pi * _MARGIN
+    return int(over % (2 * np.pi) * NANOSECONDS / (2 * np.pi * rate))

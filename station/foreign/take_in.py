@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import shutil
 import time
 from collections.abc import Iterator
 from itertools import islice
@@ -20,10 +22,10 @@ from station.episode.storage.anchor import Anchor, iso
 from station.episode.storage.folder import slug
 from station.episode.storage.manifest import Manifest, Operator, Recorder, Robot, Task, Timing, load_manifest
 from station.episode.storage.manifest_copy import find_manifest
+from station.episode.storage.named_lock import open_locked
 from station.episode.storage.progress import Totals
 from station.episode.writing.closing import close_manifest
 from station.errors import EpisodeError, StationError
-from station.foreign.claim import claimed
 from station.foreign.kind import ForeignKind, ForeignWrite, Recording
 from station.software import software
 
@@ -203,3 +205,25 @@ def _told(folder: Path, recording: Recording, *, is_new: bool) -> TakenIn:
         are_times_measured=recording.times.source == "measured",
         odd=list(recording.odd),
     )
+
+
+@contextlib.contextmanager
+def claimed(making: Path) -> Iterator[None]:
+    """Claim the place of a folder that is to be made, waiting while another process has it.
+
+    Nothing is there when it is claimed, nor afterwards: what a process made and did not rename is removed, also where
+    it was killed. A file beside it, ``NAME.lock``, is there as long as it is claimed.
+
+    Raises:
+        OSError: nothing can be made there.
+    """
+    with contextlib.suppress(FileExistsError):  # a file stands there, and the lock cannot be made
+        making.parent.mkdir(parents=True, exist_ok=True)
+    lock = making.with_name(f"{making.name}.lock")
+    with open_locked(lock, waits=True):
+        try:
+            shutil.rmtree(making, ignore_errors=True)  # of a process that was killed
+            yield
+        finally:
+            shutil.rmtree(making, ignore_errors=True)
+            lock.unlink(missing_ok=True)  # last: from now on others make theirs

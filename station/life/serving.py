@@ -9,16 +9,18 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import logging
+import os
 import signal
 import threading
 import traceback
+from pathlib import Path
 
 import msgspec
 
 from station.bus import address as addresses
-from station.bus.address import BusAddress
+from station.bus import password_file
+from station.bus.address import PASSWORD_FILE_VARIABLE, USER_VARIABLE, BusAddress
 from station.bus.client import Bus
-from station.bus.credentials import for_role
 from station.bus.protection import look
 from station.errors import BusError, Refused, StationError
 from station.life.server import Life, ServerKind, read_health
@@ -87,3 +89,14 @@ def _on_signals(life: Life) -> None:
 
     signal.signal(signal.SIGINT, ask_to_stop)
     signal.signal(signal.SIGTERM, ask_to_stop)
+
+
+def for_role(address: BusAddress, role: str) -> BusAddress:
+    """Return the address with the user of a role, where a file of passwords has one; else as it is.
+
+    So a server that a supervisor starts logs in as what it is, not as its supervisor. A user that the environment
+    names is meant, and stays.
+    """
+    file = None if os.environ.get(USER_VARIABLE) else os.environ.get(PASSWORD_FILE_VARIABLE)
+    password = password_file.read(Path(file)).get(role) if file else None
+    return address if password is None else msgspec.structs.replace(address, username=role, password=password)

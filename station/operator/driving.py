@@ -10,15 +10,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from station.blends import times_to_standing
+from station.bus import codec, keys
 from station.errors import ConfigError
+from station.life.server import Life
 from station.operator import buttons as button_maps
 from station.operator.buttons import ButtonMap, Buttons, Pressed
 from station.operator.deadman import Change, DeadMan
+from station.operator.device_subscriber import DeviceSample
 from station.operator.driver import Driver, Look
 from station.operator.sample import OperatorSample
-from station.protocols import Floats
+from station.protocols import CommandFormat, Floats
 
 _NOTHING = Look(None, "no valid data from the device")
+
+COMES_TO_REST_S = 5.0
+"""Longest wait for what was let go to come to rest [s]; a walk stands within two."""
 
 
 def buttons_to_drive(device: str, file: Path | None) -> ButtonMap:
@@ -100,3 +109,95 @@ class Driving:
         command = self.driver.step(reading, self.deadman.snapshot, dt_s)
         mode = self.driver.mode  # a driver may change it by other controls as well
         return Driven(command, self.driver.companions, pressed, change, mode if mode != before else "")
+
+
+class ExitBlend:
+    """From whatever is driven to the default command.
+
+    Args:
+        form: Of the commands.
+        blend_s: Time of the blend [s].
+    """
+
+    def __init__(self, form: CommandFormat, blend_s: float) -> None:
+        self._form, self._default, self._blend_s = form, np.array(form.default), blend_s
+        self._times_s = times_to_standing(form, blend_s)
+        self._rested_s, self._blended_s = 0.0, 0.0
+        self._start: Floats | None = None
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the default has been reached, or there is none to go to."""
+        return self._start is not None and (self._form.stays or self._blended_s >= self._blend_s)
+
+    def _part(self, time_s: Floats | float) -> Floats:
+        """How much of a way to the default is done that takes so long [s], 0 to 1."""
+        return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.minimum(self._blended_s / time_s, 1.0)))
+
+    def companions(self, values: Mapping[str, Floats]) -> Mapping[str, Floats]:
+        """Return the values beside the command: a neck goes along to its default, hands keep what they hold."""
+        going = {key: self._form.companions[key] for key in self._form.stock.returning if key in values}
+        part = self._part(self._blend_s)
+        return {**values, **{key: values[key] + part * (np.asarray(rest) - values[key]) for key, rest in going.items()}}
+
+    def step(self, command: Floats, dt_s: float, *, is_still: bool) -> Floats:
+        """Return the command after a period.
+
+        Args:
+            command: What the driver wants, shape (m,); looked at until the blend begins.
+            dt_s: The period [s].
+            is_still: Whether the driver has come to rest.
+        """
+        if self._start is None:
+            self._rested_s += dt_s
+            if not is_still and self._rested_s < COMES_TO_REST_S:
+                return command
+            self._start = command
+        if self._form.stays:
+            return self._start
+        self._blended_s += dt_s
+        return self._start + self._part(self._times_s) * (self._default - self._start)
+
+
+class CommandWriter:
+    """Writes commands.
+
+    Args:
+        life: Its bus is written to.
+        form: Of the commands.
+        device, driver: Whose they are, for their source.
+
+    Attributes:
+        newest: The newest command, shape (m,); None before the first.
+        flaw: Why the newest command did not get away, or "".
+    """
+
+    def __init__(self, life: Life, form: CommandFormat, *, device: str, driver: str) -> None:
+        self._life, self._form = life, form
+        self._whose = {"kind": "operator", "device": device, "driver": driver}
+        self.newest: Floats | None = None
+        self.flaw = ""
+
+    def write(self, command: Floats, companions: Mapping[str, Floats], heard: DeviceSample, **state: Any) -> None:
+        """Write a command.
+
+        Args:
+            command: Shape (m,).
+            companions: Values of the keys beside it.
+            heard: The sample that it was made of.
+            state: What else its source tells.
+        """
+        capture_ns = heard.reading.capture_ns if heard.reading is not None else None
+        source = {**self._whose, **state, "sample": heard.sample, "capture_ns": capture_ns}
+        beside = {key: codec.json_vector(value) for key, value in companions.items()}
+        self._publish(command, beside | {keys.command_source(self._form.robot): codec.json_object(source)})
+
+    def write_alone(self, command: Floats) -> None:
+        """Write a command and nothing else, shape (m,)."""
+        self._publish(command, {})
+
+    def _publish(self, command: Floats, others: dict[str, bytes]) -> None:
+        self.newest = command
+        clocks = dict.fromkeys(self._form.stock.clocks, b"%d" % (self._life.clock.wall_ns() // 1_000_000))
+        taken = self._life.bus.publish({self._form.key: codec.json_vector(command), **others, **clocks})
+        self.flaw = "" if taken else "the bus is lost"

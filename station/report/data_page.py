@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from statistics import median
 
+from station.bus import contracts
+from station.contract import Contract
 from station.episode.quality.findings import Spread
 from station.report import figures
 from station.report.episode_page import anchor, badge
 from station.report.episode_tables import words
 from station.report.gather import Episode, Unread
-from station.report.html import Child, Html, join, table, tag
+from station.report.html import Child, Html, details, join, table, tag
+
+_MOST_KEYS = 200
 
 
 def summary(episodes: Sequence[Episode], unread: Sequence[Unread], *, title: str, pictured: int) -> Html:
@@ -232,3 +236,35 @@ def _long(seconds: float) -> str:
     if seconds < 120:
         return f"{seconds:.1f} s"
     return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def columns(keys: Iterable[str], recorded: Mapping[str, Contract]) -> Html | None:
+    """Return every key with what its contract says: as it was recorded where that was read, else as it is today."""
+    found = {key: contract for key in keys if (contract := recorded.get(key) or contracts.contract(key)) is not None}
+    rows = [_row(found[key]) for key in sorted(found, key=lambda key: (not found[key].elements, key))][:_MOST_KEYS]
+    if not rows:
+        return None
+    text = (
+        "The names and units of these numbers are the columns of an export, which takes them from the same contracts; "
+        "they are recorded beside the values. In a LeRobot data set, unless other keys were named, observation.state "
+        "is robot_state_… (of an arm state_joints_…), action is command_used_…, observation.images.NAME is "
+        "camera_image_NAME; the columns age_s.* say how old each was at time_ns, the instant of the row. README.md in "
+        "the data set has all of its own."
+    )
+    head = ("key", "role", "rate", "numbers", "what it holds")
+    return tag(
+        "div",
+        tag("h3", "What each column is", id="columns"),
+        tag("p", text, class_="soft"),
+        table(head, rows),
+        class_="card",
+    )
+
+
+def _row(contract: Contract) -> tuple[Html | str, ...]:
+    rate = "on events" if contract.rate_hz is None else f"{contract.rate_hz:g} Hz"
+    names = [(str(n), tag("code", element.name), element.unit) for n, element in enumerate(contract.elements)]
+    note = tag("span", contract.note)
+    unfolded = details(f"{len(names)} columns", table(("", "name", "unit"), names)) if names else None
+    count = str(len(names)) if names else contract.codec
+    return tag("code", contract.key), contract.role, rate, count, tag("div", note, unfolded)

@@ -13,7 +13,7 @@ from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.folder import signals_file
 from station.episode.storage.whole_file import named_file
 from station.errors import EpisodeError
-from station.report import columns_page, data_page, episode_page, story, strip, tracking_plot
+from station.report import data_page, episode_page, story, strip, tracking_plot
 from station.report.gather import Episode, Unread
 from station.report.html import Html, join, tag
 from station.software import software
@@ -73,7 +73,7 @@ def _write(
         )
         tell()
     keys = sorted({stream.key for episode in episodes for stream in episode.quality.streams})
-    file.write("\n" + (columns_page.columns(keys, recorded) or ""))
+    file.write("\n" + (data_page.columns(keys, recorded) or ""))
     file.write("\n" + _foot() + "\n</main></body></html>\n")
 
 

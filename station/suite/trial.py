@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from functools import lru_cache, singledispatch
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -16,14 +18,16 @@ from station.control.parted_path import samples_of
 from station.control.rig import Rig, RigConfig, build
 from station.control.tracking import TrackingError
 from station.errors import ConfigError
-from station.protocols import Floats, Motion, RobotState, SimulatedRobot
+from station.protocols import Fall, Floats, JointTargets, Motion, RobotState, SimulatedRobot
 from station.rehearse import rehearse
 from station.rotations import roll_pitch_yaw, tilt
-from station.suite import commands, late
+from station.suite import commands
 from station.suite.cases import Arms, Case, Cut, Push, Stand, Track
 from station.suite.commands import Commands
 from station.suite.outcome import Drift, Fell, Outcome
 from station.suite.promise import ENTER_S, SETTLED_S
+
+_ROUNDING = 1e-9
 
 
 def run_case(case: Case, config: RigConfig) -> Outcome:
@@ -165,7 +169,7 @@ def _step(control: ControlStep, command: Floats | None, now_s: float) -> StepRec
 
 def _late(rig: Rig, late_s: float) -> Rig:
     robot = _simulated(rig)
-    return msgspec.structs.replace(rig, robot=late.LateRobot(robot, late.periods(late_s, rig.period_s)))
+    return msgspec.structs.replace(rig, robot=LateRobot(robot, periods(late_s, rig.period_s)))
 
 
 def _simulated(rig: Rig) -> SimulatedRobot:
@@ -192,3 +196,66 @@ def _rig(config: bytes) -> Rig:
 def _clip(reference: str) -> Motion:
     motion: Motion = registry.find("loader", "motion")(reference)
     return motion
+
+
+def periods(late_s: float, period_s: float) -> int:
+    """Return the fewest control periods that are at least so long [s]."""
+    return math.ceil(late_s / period_s - _ROUNDING)
+
+
+class LateRobot:
+    """Implements `station.protocols.SimulatedRobot` around another.
+
+    Args:
+        robot: Moves when it hears.
+        periods: How many control periods later; until then it follows the first targets.
+    """
+
+    def __init__(self, robot: SimulatedRobot, periods: int) -> None:
+        self._robot, self._periods = robot, periods
+        self._under_way: deque[JointTargets] = deque()
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """As of the robot."""
+        return self._robot.joint_names
+
+    @property
+    def joint_speeds(self) -> Floats:
+        """As of the robot."""
+        return self._robot.joint_speeds
+
+    def read(self) -> RobotState:
+        """Return the newest measurement; only targets are late."""
+        return self._robot.read()
+
+    def write(self, targets: JointTargets) -> JointTargets:
+        """Send targets; return those that are applied now."""
+        self._under_way.append(targets)
+        has_come = len(self._under_way) > self._periods
+        return self._robot.write(self._under_way.popleft() if has_come else self._under_way[0])
+
+    def damp(self) -> None:
+        """Damp the robot, at once."""
+        self._robot.damp()
+
+    def reset(self) -> None:
+        """Put the robot back on its feet; nothing is under way to it."""
+        self._under_way.clear()
+        self._robot.reset()
+
+    def push(self, velocity_step: Floats) -> None:
+        """Push the robot, at once."""
+        self._robot.push(velocity_step)
+
+    def fallen(self) -> Fall | None:
+        """Return why the robot counts as fallen."""
+        return self._robot.fallen()
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a manifest says of the robot."""
+        return {**self._robot.facts(), "targets_late_periods": self._periods}
+
+    def close(self) -> None:
+        """Close the robot."""
+        self._robot.close()

@@ -6,11 +6,12 @@ without those limbs has its joints below each other (`station.view.joint_plot`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from station import rotations
 from station.episode.reading.reader import EpisodeReader
@@ -18,21 +19,28 @@ from station.errors import StationError
 from station.protocols import FALL_TILT_RAD, Floats
 from station.view import joint_plot
 from station.view import plot_style as style
+from station.view.layout import GATE_COLOURS
+from station.view.phases import TRACKING, Span
 from station.view.picture_file import page, save
-from station.view.plot_lanes import draw_lanes
 from station.view.run import Run, read_run
-from station.view.tracking import joint_errors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.gridspec import GridSpec
 
+
 _HEAD_IN, _LANES_IN, _ROOT_IN, _ROW_IN, _FOOT_IN = 0.72, 0.52, 1.35, 1.36, 0.42
 _LEFT_IN, _RIGHT_IN = 0.55, 0.25
 _NAMES_IN = 0.55  # what the names beside the bars stick out to the left
 _LEAST_SPAN_RAD = 0.2  # a joint that stands still must not look as if it trembled
 _LEAST_ERROR_RAD = 0.01
+
+_CLIPS = ("#cfe1f2", "#e3edf7")  # neighbours differ
+_PALE = "#eceff2"
+_BLENDS = frozenset(("waiting", "entering", "paused", "leaving", "done"))
+_LETTER_PX, _PAD_PX = 5.4, 8.0  # of the labels' font
+_BAR = 0.78  # of the height of a lane
 
 
 def save_plot(reader: EpisodeReader, path: Path) -> Path:
@@ -257,3 +265,77 @@ def _draw_errors(axes: Axes, run: Run, errors: Mapping[str, float]) -> None:
     axes.grid(visible=True, axis="x")
     axes.grid(visible=False, axis="y")
     axes.locator_params(axis="x", nbins=5)
+
+
+def draw_lanes(axes: Axes, run: Run, *, width_px: float) -> None:
+    """Draw what played above what the gate did; a label stands where its bar is wide enough for it.
+
+    Args:
+        axes: Where to; its x-axis is time [s] and has its limits.
+        run: The run.
+        width_px: Width of the axes [px].
+    """
+    lanes = [("motion", run.phases, _clip_colours(run.phases)), ("gate", run.gate, [_gate(s.name) for s in run.gate])]
+    shown = [lane for lane in lanes if lane[1]]
+    start_s, end_s = axes.get_xlim()
+    px_per_s = width_px / max(end_s - start_s, 1e-9)
+    for row, (_, spans, colours) in enumerate(shown):
+        for span, colour in zip(spans, colours, strict=True):
+            length_s = span.end_s - span.start_s
+            axes.barh(row, length_s, _BAR, left=span.start_s, color=colour, edgecolor=style.PAPER, linewidth=1.0)
+            if len(span.name) * _LETTER_PX + _PAD_PX <= length_s * px_per_s:
+                axes.text(span.start_s + length_s / 2, row, span.name, ha="center", va="center", fontsize=7.5)
+    axes.set_yticks(range(len(shown)), [name for name, _, _ in shown])
+    axes.set_ylim(max(len(shown), 1) - 0.5, -0.5)
+    axes.tick_params(axis="x", bottom=False, labelbottom=False)
+    axes.tick_params(axis="y", labelsize=8.5, labelcolor=style.INK)
+    axes.grid(visible=False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_visible(False)
+    for at_s in run.falls_s:
+        axes.axvline(at_s, color=style.FELL, linewidth=1.6)
+        axes.annotate("fell", (at_s, -0.5), (3, 2), textcoords="offset points", color=style.FELL, fontsize=8.5)
+
+
+def _clip_colours(spans: Sequence[Span]) -> list[str]:
+    return [_PALE if span.name in _BLENDS else _CLIPS[number % 2] for number, span in enumerate(spans)]
+
+
+def _gate(state: str) -> str:
+    """Return a colour of the gate as in Rerun, pale enough to write on; following is what needs no attention."""
+    if state == TRACKING:
+        return "#d5ecd8"
+    rgba = GATE_COLOURS.get(state, 0x9E9E9EFF)
+    parts = [(rgba >> shift) & 0xFF for shift in (24, 16, 8)]
+    return "#" + "".join(f"{round(part + 0.55 * (255 - part)):02x}" for part in parts)
+
+
+def joint_errors(run: Run) -> dict[str, float]:
+    """Return the mean |measured - commanded| of each joint [rad]; empty where nothing can be compared.
+
+    It counts while the motion plays and the gate tracks; the measured value is the last one before each command.
+    """
+    asked, measured = run.commanded, run.joints
+    if asked is None or measured is None or not len(measured.q):
+        return {}
+    counts = within(asked.times_s, run.playing) if run.playing else np.full(len(asked.times_s), True)
+    if run.gate:
+        counts &= within(asked.times_s, [span for span in run.gate if span.name == TRACKING])
+    before = np.searchsorted(measured.times_s, asked.times_s, side="right") - 1
+    counts &= before >= 0
+    errors = {}
+    for column, name in enumerate(asked.names):
+        if name in measured.names:
+            differences = np.abs(measured.q[before, measured.names.index(name)] - asked.q[:, column])[counts]
+            known = differences[np.isfinite(differences)]
+            if len(known):
+                errors[name] = float(known.mean())
+    return errors
+
+
+def within(times_s: Floats, spans: Iterable[Span]) -> NDArray[np.bool_]:
+    """Return which instants lie within any of some spans, ends included, shape (n,)."""
+    found = np.full(len(times_s), False)
+    for span in spans:
+        found |= (times_s >= span.start_s) & (times_s <= span.end_s)
+    return found

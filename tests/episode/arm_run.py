@@ -13,8 +13,7 @@ from adapters.robots import arm_limits
 from adapters.robots.kassow.names import KR810_ROBOT
 from station.bus import codec, keys, robot_streams
 from station.config import to_plain
-from station.control.arm_control import ArmControl
-from station.control.arm_values import result_values
+from station.control.arm_control import ArmControl, result_values
 from station.control.command_validator import CommandSample
 from station.control.gate import GateConfig
 from station.protocols import Floats

@@ -14,9 +14,9 @@ from station.episode.reading.messages import Ints
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.folder import signals_file
 from station.errors import EpisodeError
-from station.export import clock, tracks
+from station.export import tracks
 from station.export.columns import KeyColumns, expect_same, key_columns, unique_names
-from station.export.resample import Table, nearest, resample, rule_of
+from station.export.resample import Table, nearest, resample, rule_of, ticks_at
 from tests.episode.synthetic import ROBOT, EpisodeBuilder
 from tests.export.pictured import HEAD, walked
 
@@ -61,7 +61,7 @@ def test_the_picture_of_a_row_is_the_nearest_by_capture_not_by_arrival(tmp_path:
 
 
 def test_ticks_are_exactly_apart_however_long_they_go_on() -> None:
-    ticks = clock.ticks(7, 3_600_000_000_007, 30, np.array([0]))
+    ticks = ticks_at(7, 3_600_000_000_007, 30, np.array([0]))
     assert len(ticks) == 108_001
     assert ticks[-1] == 3_600_000_000_007
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from station.foreign.claim import claimed
+from station.foreign.take_in import claimed
 
 CLAIMANTS, ROUNDS = 6, 25
 

@@ -62,7 +62,7 @@ from station.operator.sample import Body, OperatorSample, Pose, Status
 from station.operator.script_time import now_s
 from station.protobuf import foxglove
 from station.supervision import doctor
-from station.supervision.findings import Finding
+from station.supervision.doctor import Finding
 from station.view import episode_story, find_model, phases, progress_panel, status
 from station.view.progress import ProgressReader
 from tests.adapters.motions.made import smooth

@@ -22,7 +22,7 @@ from station.control.gate import GateConfig
 from station.enrich.enrich import enrich
 from station.episode.quality.check import check, write_measured
 from station.episode.reading.reader import EpisodeReader, open_episode
-from station.episode.replaying import arm_audit, ease_in
+from station.episode.replaying import arm_audit, replay
 from station.episode.replaying.audit import audit
 from station.errors import StationError
 from station.export import columns, tracks
@@ -66,7 +66,7 @@ def _numbers(reader: EpisodeReader) -> None:
 
 def _eased(reader: EpisodeReader) -> None:
     shelf = Shelf({keys.command_used(ARM): codec.f64(np.full(7, np.nan))})
-    ease_in._blends(shelf, reader, 0.1)  # type: ignore[arg-type]
+    replay._blends(shelf, reader, 0.1)  # type: ignore[arg-type]
 
 
 @cache
@@ -96,14 +96,14 @@ def _in_a_notebook(reader: EpisodeReader) -> None:
 _QUALITY, _REPLAYING = "station.episode.quality.", "station.episode.replaying."
 READERS = (
     Reader("check", _checked, (
-        _QUALITY + "alignment", _QUALITY + "arms", _QUALITY + "measuring", _QUALITY + "policy_steps",
+        _QUALITY + "alignment", _QUALITY + "arms", _QUALITY + "check", _QUALITY + "policy_steps",
         _QUALITY + "presence", "station.episode.writing.file")),
     Reader("report", _told, ("station.report.story",)),
     Reader("show", read_run, ("station.view.phases",)),
     Reader("enrich", enrich, ("station.enrich.enrich", "station.enrich.siblings")),
     Reader("export", _numbers, ("station.export.tracks", "station.episode.reading.reader")),
     Reader("notebook", _in_a_notebook, ("station.api.steps",)),
-    Reader("replay", _eased, (_REPLAYING + "ease_in",)),
+    Reader("replay", _eased, (_REPLAYING + "replay",)),
     Reader("audit", _audited, (_REPLAYING + "arm_audit", _REPLAYING + "audit")),
 )  # fmt: skip
 

@@ -8,7 +8,7 @@ from adapters.commands.arm import arm_command
 from adapters.robots import arm_limits
 from adapters.robots.g1 import twist_keys
 from station import registry
-from station.operator.exit_blend import COMES_TO_REST_S, ExitBlend
+from station.operator.driving import COMES_TO_REST_S, ExitBlend
 
 FORM = registry.find("command", "twist2")
 DT_S = 0.02

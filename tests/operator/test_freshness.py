@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from station.operator.freshness import Freshness
 from station.operator.sample import OperatorSample
+from station.operator.serve import Freshness
 
 TICK_S = 0.01
 

@@ -22,7 +22,7 @@ from station.bus.protection import look
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.errors import BusError, ConfigError, NotReady
 from station.supervision.checks import BusCheck
-from station.supervision.findings import bus_access
+from station.supervision.doctor import bus_access
 from tests.waiting import wait_until
 
 pytestmark = pytest.mark.usefixtures("processes")
@@ -217,7 +217,7 @@ def _acl(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:
 def test_credentials_come_from_the_environment_or_from_a_closed_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from station.bus.credentials import for_role
+    from station.life.serving import for_role
 
     file = tmp_path / "passwords"
     password_file.write(file, {"operator": "o", "viewer": "v", "recorder": "r"})

@@ -16,7 +16,7 @@ from station.control.rig import Rig, RigConfig, build
 from station.errors import ConfigError
 from station.protocols import Fall, JointTargets, Robot, RobotState, SimulatedRobot
 from station.rehearse import rehearse
-from station.suite import late, trial
+from station.suite import trial
 from station.suite.cases import Arms, Cut, Push, Stand, Track
 from station.suite.promise import SILENCES
 from station.suite.trial import run_case
@@ -100,11 +100,11 @@ def test_commands_that_break_off_and_come_back_leave_a_robot_that_stands_standin
     ("late_s", "period_s", "expected"), [(0.0, 0.02, 0), (0.02, 0.02, 1), (0.02, 0.01, 2), (0.02, 0.015, 2)]
 )
 def test_a_delay_is_the_fewest_periods_that_last_as_long(late_s: float, period_s: float, expected: int) -> None:
-    assert late.periods(late_s, period_s) == expected
+    assert trial.periods(late_s, period_s) == expected
 
 
 def test_late_targets_are_those_of_some_periods_before(robot: SimulatedRobot) -> None:
-    slow = late.LateRobot(robot, 2)
+    slow = trial.LateRobot(robot, 2)
     assert isinstance(slow, SimulatedRobot)
     kp, kd = gains(4.0, 0.2)
     sent = [JointTargets(DEFAULT_Q + 0.01 * k, kp, kd) for k in range(5)]

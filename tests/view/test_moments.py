@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adapters.robots.g1.joints import G1_29
-from station.view.moments import instants, moments
+from station.view.contact_sheet import instants, moments
 from station.view.phases import Span
 from station.view.poses import Posture
 from station.view.run import Run

@@ -13,8 +13,8 @@ from adapters.robots.g1.joints import G1_29
 from station.bus import codec, keys
 from station.episode.reading.reader import open_episode
 from station.view import plot_style as style
+from station.view.plots import joint_errors
 from station.view.run import Run, read_run
-from station.view.tracking import joint_errors
 from tests.episode.synthetic import ROBOT, STANDING, EpisodeBuilder, command, tick, walk
 from tests.view import arms
 

@@ -37,7 +37,7 @@ from station.life.server import Life, Role, ServerKind
 from station.life.serving import serve
 from station.life.supervisor_pipe import SupervisorPipe
 from station.operator.device_subscriber import DeviceSample
-from station.operator.writer import CommandWriter
+from station.operator.driving import CommandWriter
 from station.protocols import CommandFormat, Floats, Reference, RobotState
 from tests.control.ideal_robot import IdealRobot, IdealSimulation, Obedient
 from tests.virtual.clock import Process, VirtualClock

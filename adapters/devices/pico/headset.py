@@ -24,21 +24,22 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import ctypes
 import faulthandler
 import importlib
 import math
 import os
 import socket
+import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
 from adapters.devices.pico.controls import CONTROLS
-from adapters.devices.pico.quiet import QuietStdout
 from adapters.retarget import frames
 from station import rotations
 from station.bus.joints import SMPL_24
@@ -60,6 +61,8 @@ _STDERR = 2
 _SIDES: tuple[Side, ...] = ("left", "right")
 
 _in_use = False
+
+_STDOUT = 1
 
 
 class Headset:
@@ -274,3 +277,44 @@ def _folder_that_names(address: str, port: int) -> Iterator[None]:
         finally:
             os.fchdir(before)
             os.close(before)
+
+
+class QuietStdout:
+    """From its construction to `restore` only Python writes to the standard output.
+
+    File descriptor 1 leads to nowhere meanwhile; what Python writes goes on to where it led before.
+    """
+
+    def __init__(self) -> None:
+        self._python: TextIO | None = None
+        self._saved: int | None = None
+        try:
+            saved = os.dup(_STDOUT)
+        except OSError:  # it is closed, as in some services: there is nothing to keep clean
+            return
+        sys.stdout.flush()
+        self._saved = saved
+        if _leads_to(sys.stdout, _STDOUT):
+            self._python, sys.stdout = sys.stdout, os.fdopen(os.dup(saved), "w", buffering=1)
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, _STDOUT)
+        os.close(nowhere)
+
+    def restore(self) -> None:
+        """Give the standard output back; a second call does nothing."""
+        if self._saved is None:
+            return
+        ctypes.CDLL(None).fflush(None)  # what the C library still holds back must not come out afterwards
+        os.dup2(self._saved, _STDOUT)
+        os.close(self._saved)
+        self._saved = None
+        if self._python is not None:
+            sys.stdout.close()
+            sys.stdout, self._python = self._python, None
+
+
+def _leads_to(stream: TextIO, descriptor: int) -> bool:
+    try:
+        return stream.fileno() == descriptor
+    except (OSError, AttributeError):  # no file: a test's or a notebook's
+        return False

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+import hashlib
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,10 +17,8 @@ from adapters.exports.lerobot import card, parquet, stats
 from adapters.exports.lerobot.episode import ROWS, STATS, Measured
 from adapters.exports.lerobot.features import INDEX, info
 from adapters.exports.lerobot.layouts import Episode, Layout, layout_of, write_json
-from adapters.exports.lerobot.modality import modality
 from adapters.exports.lerobot.parquet import Columns
-from adapters.exports.lerobot.plan import Plan
-from adapters.exports.lerobot.split import ranges, split
+from adapters.exports.lerobot.plan import IMAGES, Common, Plan
 from station.errors import EpisodeError
 from station.export.kind import LeftOut, Shard
 
@@ -26,6 +26,18 @@ _TOLD = 3  # episodes of a note that are named
 _CUT_S = 1.0  # without rows at the ends of an episode, that whoever exports is told of [s] ...
 _CUT_SHARE = 0.05  # ... or this share of the episode, ...
 _LITTLE_S = 0.2  # ... if it is more than keys and cameras differ by anyway [s]
+
+TRAIN, VAL = "train", "val"
+
+_LIMBS = {
+    "leg": ("hip", "knee", "ankle"),
+    "arm": ("shoulder", "elbow", "wrist"),
+    "hand": ("hand",),
+}
+_QUANTITY = re.compile(r"_(pos|vel|kp|kd|pos_from_default|previous_action)$")
+_ELEMENT = re.compile(r"_(x|y|z|w|roll|pitch|yaw|\d+)$")
+_SCALED = "scaled_"
+_LANGUAGE = "human.task_description"
 
 
 def join(shards: Sequence[Shard], left_out: Sequence[LeftOut], plan: Plan, folder: Path) -> dict[str, Any]:
@@ -181,3 +193,91 @@ def _opened(plan: Plan, folder: Path) -> Iterator[Layout]:
     except BaseException:
         layout.abandon()
         raise
+
+
+def split(shards: Sequence[Shard], share: float, seed: int) -> dict[str, list[Shard]]:
+    """Return the shards for training, then those set aside, each in the order given.
+
+    LeRobot knows a part of a data set as a range of episodes, so those set aside come last. At least one is set aside
+    when a share is asked for and there are two, and at least one is left.
+    """
+    count = min(max(1, round(share * len(shards))), len(shards) - 1) if share > 0.0 else 0
+    ranked = sorted(shards, key=lambda shard: _rank(shard.source.episode_id, seed))
+    aside = {shard.source.episode_id for shard in ranked[:count]}
+    return {
+        TRAIN: [shard for shard in shards if shard.source.episode_id not in aside],
+        VAL: [shard for shard in shards if shard.source.episode_id in aside],
+    }
+
+
+def ranges(parts: dict[str, list[Shard]]) -> dict[str, str]:
+    """Return the parts as ranges of episodes, ``"0:80"``; an empty part is left out."""
+    found: dict[str, str] = {}
+    begin = 0
+    for name, shards in parts.items():
+        if shards:
+            found[name] = f"{begin}:{begin + len(shards)}"
+        begin += len(shards)
+    return found
+
+
+def _rank(episode_id: str, seed: int) -> str:
+    return hashlib.sha256(f"{seed}:{episode_id}".encode()).hexdigest()
+
+
+def modality(common: Common) -> dict[str, Any]:
+    """Return the document: groups of consecutive numbers for state and action, cameras, and where the task stands."""
+    return {
+        "state": groups(common.state_names),
+        "action": groups(common.action_names),
+        "video": {camera.name: {"original_key": IMAGES + camera.name} for camera in common.cameras},
+        "annotation": {_LANGUAGE: {"original_key": "task_index"}},
+    }
+
+
+def groups(names: Sequence[str]) -> dict[str, dict[str, int]]:
+    """Return start and end (exclusive) of each group of consecutive names that belong together, by its name."""
+    found: dict[str, dict[str, int]] = {}
+    last = ""
+    for index, name in enumerate(names):
+        group = group_of(name)
+        if group == last:
+            next(reversed(found.values()))["end"] = index + 1
+        else:
+            found[_free(group, found)] = {"start": index, "end": index + 1}
+        last = group
+    return found
+
+
+def group_of(name: str) -> str:
+    """Return the part of the body, or of the root, that an element belongs to, with ``_vel`` … for no position."""
+    name = name.rpartition(".")[2]  # without the key
+    quantity = _QUANTITY.search(name)
+    joint = name[: quantity.start()] if quantity else name
+    suffix = f"_{quantity[1]}" if quantity and quantity[1] != "pos" else ""
+    prefix = _SCALED if joint.startswith(_SCALED) else ""
+    return prefix + _part(joint.removeprefix(prefix), is_joint=quantity is not None) + suffix
+
+
+def _part(joint: str, *, is_joint: bool) -> str:
+    words = joint.split("_")
+    side = f"{words[0]}_" if words[0] in ("left", "right") else ""
+    if is_joint:
+        rest = words[1:] if side else words
+        limb = next((limb for limb, joints in _LIMBS.items() if rest and rest[0] in joints), None)
+        return side + (limb or (rest or words)[0])
+    if words[0] == "root" and "quat" not in words:
+        return "root"
+    while _ELEMENT.search(joint):
+        joint = _ELEMENT.sub("", joint)
+    return joint
+
+
+def _free(name: str, taken: Iterable[str]) -> str:
+    """Return a name that is not taken: with a number behind it where the same part comes again."""
+    names, number = set(taken), 2
+    if name not in names:
+        return name
+    while f"{name}_{number}" in names:
+        number += 1
+    return f"{name}_{number}"

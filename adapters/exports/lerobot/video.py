@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import os
+import threading
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -10,7 +13,6 @@ from typing import Any
 
 from adapters.exports.lerobot.av_library import av
 from adapters.exports.lerobot.codec import PIXELS, Codec
-from adapters.exports.lerobot.scheduling import kept_scheduling
 from station.errors import EpisodeError
 
 _ENCODERS: dict[Codec, tuple[str, dict[str, str]]] = {
@@ -21,6 +23,8 @@ _ENCODERS: dict[Codec, tuple[str, dict[str, str]]] = {
     # Preset 10 and not LeRobot's 12: in 23 of 519 frames of a counter preset 12 left out what had just changed.
     "av1": ("libsvtav1", {"preset": "10", "crf": "30", "g": "2", "svtav1-params": "lp=1"}),
 }
+
+_TASKS = Path("/proc/self/task")
 
 
 class VideoWriter:
@@ -163,3 +167,58 @@ class Concatenation:
     def _file(self) -> Path:
         chunk, number = divmod(self._number, self._per_chunk)
         return self._folder / f"chunk-{chunk:03d}" / f"file-{number:03d}.mp4"
+
+
+@contextlib.contextmanager
+def kept_scheduling() -> Iterator[None]:
+    """Undo what a library does to the scheduling of threads, also where it fails.
+
+    SVT-AV1, where it may (run by root, say), puts its threads and its caller's at the head of everything that runs on
+    the machine, for ever: an export would starve the loop of a robot.
+    """
+    if not _TASKS.exists():  # no Linux
+        yield
+        return
+    me = threading.get_native_id()
+    before, own = _all(), _of(me)
+    try:
+        yield
+    finally:
+        for thread, now in _all().items():
+            wanted = before.get(thread, own)
+            with contextlib.suppress(ProcessLookupError, PermissionError):  # it ended; or nobody could have raised it
+                if now != wanted:
+                    _put_back(thread, wanted) if thread != me else _put_own_back(wanted)
+
+
+def _all() -> dict[int, tuple[int, int]]:
+    """Return policy and priority of every thread that there is."""
+    found = {}
+    for task in _TASKS.iterdir():
+        with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+            found[int(task.name)] = _of(int(task.name))
+    return found
+
+
+def _of(thread: int) -> tuple[int, int]:
+    return os.sched_getscheduler(thread), os.sched_getparam(thread).sched_priority
+
+
+def _put_back(thread: int, wanted: tuple[int, int]) -> None:
+    policy, priority = wanted
+    os.sched_setscheduler(thread, policy, os.sched_param(priority))
+
+
+def _put_own_back(wanted: tuple[int, int]) -> None:
+    """Put the calling thread's scheduling back where its C library has kept it as well.
+
+    What `pthread_setschedparam` set, glibc keeps beside the thread, hands on to each thread that it starts, and answers
+    `pthread_getschedparam` with; the kernel's own call would leave that copy as it is.
+    """
+    policy, priority = wanted
+    library = ctypes.CDLL(None)
+    library.pthread_self.restype = ctypes.c_ulong
+    library.pthread_setschedparam.argtypes = [ctypes.c_ulong, ctypes.c_int, ctypes.POINTER(ctypes.c_int)]
+    error = library.pthread_setschedparam(library.pthread_self(), policy, ctypes.byref(ctypes.c_int(priority)))
+    if error:
+        raise OSError(error, os.strerror(error))

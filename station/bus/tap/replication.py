@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import logging
+import re
+from itertools import islice
 
 from station.bus.address import BusAddress
-from station.bus.connection import Connection, ConnectionLost
-from station.bus.tap.base import Backend, Position, Write, connect, write_probe
+from station.bus.connection import Connection, ConnectionLost, pack
+from station.bus.tap.base import (
+    MOST_KEYS,
+    PROBE,
+    PROBE_LIFE_MS,
+    Backend,
+    Position,
+    Snapshot,
+    Write,
+    connect,
+    new_token,
+    write_probe,
+)
 from station.bus.tap.link import Link
-from station.bus.tap.server_lag import ServerLag
-from station.bus.tap.snapshot import taken
 from station.bus.tap.stream import Stream
 from station.errors import BusError
 
@@ -19,6 +30,14 @@ _ARM_TIMEOUT_S = 20.0  # without any progress; measured 0.01 to 0.06 s
 _DEFAULT_PING_PERIOD_S = 10
 _SHORTEST_SILENCE_S = 5.0
 _NEAR_BYTES = 1 << 20  # in 30 ms so much comes from three cameras, and a busy machine wakes a reader as late
+
+_LOOK_S = 0.02  # as often as somebody who waits asks; an answer takes the server 0.05 ms
+_OFFSET = re.compile(rb"^master_repl_offset:(\d+)\r?$", re.MULTILINE)
+_REPLICAS = (b"slave", b"replica")
+
+_SCAN_COUNT = 1000
+_MOST_BYTES = 64 << 20
+_LARGEST = 1 << 20  # bytes of one value
 
 
 class ReplicationTap:
@@ -151,3 +170,129 @@ def _silence_limit_s(connection: Connection) -> float:
     except (BusError, IndexError, ValueError):  # not allowed to ask, or a server that does not know the name
         period_s = _DEFAULT_PING_PERIOD_S
     return max(_SHORTEST_SILENCE_S, 3.0 * period_s + 2.0)
+
+
+class ServerLag:
+    """Measures on a line of its own, as the replication link carries no questions.
+
+    A server cuts off a replica for which it would have to keep more than its output buffer takes; and if the recorder
+    is killed now, the next one finds only what the backlog holds: what it had not read yet, what had not reached the
+    disk, and what was written until it is there. So a tap may lag by half of the smaller of the two.
+
+    Args:
+        address: The bus.
+
+    Attributes:
+        limit: How far a tap may lag [bytes]; 0 where the server does not say how much it keeps.
+    """
+
+    def __init__(self, address: BusAddress) -> None:
+        self._clock = address.clock
+        self._connection: Connection | None = connect(address)
+        self._size: int | None = None
+        self._due_s = 0.0
+        self.limit = min(self._kept(), default=0) // 2
+
+    def behind(self, offset: int) -> int | None:
+        """Return how many bytes of its history the server has beyond an offset; None where it does not say.
+
+        It is asked fifty times a second at most; in between its last answer stands.
+        """
+        now_s = self._clock.monotonic_s()
+        if now_s >= self._due_s:
+            self._due_s, self._size = now_s + _LOOK_S, self._ask()
+        return None if self._size is None else max(0, self._size - offset)
+
+    def close(self) -> None:
+        """Hang up; a second call does nothing."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+
+    def _ask(self) -> int | None:
+        if self._connection is None:
+            return None
+        try:
+            found = _OFFSET.search(self._connection.call("INFO", "replication"))
+        except BusError:  # may not ask, or the server is gone: the link meets that too, and says so
+            self.close()
+            return None
+        return int(found[1]) if found else None
+
+    def _kept(self) -> list[int]:
+        """Return the server's bounds, those that it has [bytes]; none where it does not tell both."""
+        try:
+            backlog = int(self._setting("repl-backlog-size"))
+            words = self._setting("client-output-buffer-limit").split()
+            replica = next(index for index, word in enumerate(words) if word in _REPLICAS)
+            bounds = [backlog, int(words[replica + 1]), int(words[replica + 2])]  # at once; for some seconds
+        except (BusError, IndexError, ValueError, StopIteration):
+            return []
+        return [bound for bound in bounds if bound > 0]
+
+    def _setting(self, name: str) -> bytes:
+        if self._connection is None:
+            raise BusError(f"no line to ask for {name}")
+        value: bytes = self._connection.call("CONFIG", "GET", name)[1]
+        return value
+
+
+def taken(connection: Connection) -> Snapshot | None:
+    """Write a probe, and read what there was at that instant.
+
+    A key that is made between the listing and the transaction is not in it; the stream of a link that was open before
+    tells of it.
+
+    Returns:
+        The snapshot; None where this user may not do all of it: nothing was written then.
+
+    Raises:
+        ConnectionLost: the server is gone.
+    """
+    try:
+        names, is_whole = _names(connection)
+        wanted, unread = _small(connection, names)
+        connection.call("MULTI")
+        token, values = _probe_and_read(connection, wanted)
+    except ConnectionLost:
+        raise
+    except BusError as error:
+        log.info("what keys hold is not known before they are written: %s", error)
+        connection.send_packed(pack("DISCARD"))
+        return None
+    held = {key: value for key, value in zip(wanted, values, strict=True) if value is not None}
+    return Snapshot(token, held, unread, is_whole)
+
+
+def _probe_and_read(connection: Connection, wanted: list[bytes]) -> tuple[bytes, list[bytes | None]]:
+    """Do what is done in the transaction that is open; return the probe's value, and those that were wanted."""
+    token = new_token()
+    requests: list[tuple[bytes | str | int, ...]] = [("SET", PROBE, token, "PX", PROBE_LIFE_MS)]
+    if wanted:
+        requests.append(("MGET", *wanted))
+    *_, done = connection.pipeline([*requests, ("EXEC",)])
+    return token, done[1] if wanted else []
+
+
+def _names(connection: Connection) -> tuple[list[bytes], bool]:
+    """Return the names of the keys, and whether these are all."""
+    found: dict[bytes, None] = {}
+    cursor = b"0"
+    while True:
+        cursor, page = connection.call("SCAN", cursor, "COUNT", _SCAN_COUNT)
+        found.update(dict.fromkeys(page))
+        if cursor == b"0" or len(found) > MOST_KEYS:
+            return list(islice(found, MOST_KEYS)), cursor == b"0" and len(found) <= MOST_KEYS
+
+
+def _small(connection: Connection, names: list[bytes]) -> tuple[list[bytes], tuple[bytes, ...]]:
+    """Return the names of strings that are read, and of those that would take too much memory."""
+    sizes = connection.send_packed(b"".join(pack("STRLEN", name) for name in names), len(names))
+    wanted, unread, total = [], [], 0
+    for name, size in zip(names, sizes, strict=True):
+        if isinstance(size, int) and size <= _LARGEST and total + size <= _MOST_BYTES:
+            wanted.append(name)
+            total += size
+        else:
+            unread.append(name)
+    return wanted, tuple(unread)

@@ -8,15 +8,13 @@ because hiredis does not say how many bytes it has consumed, and a wrong count b
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Iterable, Mapping
 
 import hiredis
 
 from station.bus.tap.base import PROBE, Snapshot, Write, key_name
 from station.bus.tap.dumped import string_in
-from station.bus.tap.known_values import KnownValues
 from station.bus.tap.not_mirrored import not_mirrored
-from station.bus.tap.partial import PARTIAL, Command, after
 from station.clock import SYSTEM, Clock
 from station.errors import BusError
 
@@ -30,6 +28,15 @@ _KEY_AT = {b"BITOP": 2, b"XGROUP": 2, b"EVAL": 3, b"EVALSHA": 3, b"FCALL": 3}  #
 _SILENT = frozenset(
     b"PING MULTI EXEC EXPIRE EXPIREAT PEXPIRE PEXPIREAT PERSIST PUBLISH SPUBLISH SCRIPT FUNCTION".split()
 )
+
+Command = list[bytes]
+
+
+_LARGEST = 64 << 20  # bytes, the largest value that a bus of ours takes
+
+_MOST_BYTES = 64 << 20
+_MOST_KEYS = 100_000
+_LARGEST_KNOWN = 1 << 20  # bytes of one value; pictures have 100 kB
 
 
 def encoded_length(command: Command) -> int:
@@ -256,3 +263,148 @@ def _is_sibling(key: bytes, written: Container[bytes]) -> bool:
 
 def _ignore(command: Command) -> None:
     """Change nothing."""
+
+
+def after(command: Command, before: bytes) -> bytes | None:
+    """Return what the key of a command of `PARTIAL` holds after it.
+
+    Args:
+        command: The command.
+        before: What the key held; b"" where it did not exist.
+
+    Returns:
+        The value; None where it would be larger than a bus of ours takes.
+    """
+    name = command[0].upper()
+    reach = int(command[2]) // _PER_BYTE[name] if name in _PER_BYTE else 0
+    return PARTIAL[name](before, command) if reach <= _LARGEST else None
+
+
+def _set_range(before: bytes, command: Command) -> bytes:
+    start, part = int(command[2]), command[3]
+    return before[:start].ljust(start, b"\0") + part + before[start + len(part) :]
+
+
+def _set_bit(before: bytes, command: Command) -> bytes:
+    place, bit = int(command[2]), int(command[3])
+    value = bytearray(before.ljust(place // 8 + 1, b"\0"))
+    mask = 0x80 >> place % 8
+    value[place // 8] = value[place // 8] & ~mask | (mask if bit else 0)
+    return bytes(value)
+
+
+def _step(sign: int, step: int | None = None) -> Callable[[bytes, Command], bytes]:
+    """Return what adds a step, or what the command says, to a decimal number; a key that does not exist counts as 0."""
+    return lambda before, command: b"%d" % (int(before or b"0") + sign * (int(command[2]) if step is None else step))
+
+
+_PER_BYTE = {b"SETRANGE": 1, b"SETBIT": 8}  # places that a byte has, of commands that name one
+PARTIAL: dict[bytes, Callable[[bytes, Command], bytes]] = {
+    b"APPEND": lambda before, command: before + command[2],
+    b"SETRANGE": _set_range,
+    b"SETBIT": _set_bit,
+    b"INCR": _step(1, 1),
+    b"DECR": _step(-1, 1),
+    b"INCRBY": _step(1),
+    b"DECRBY": _step(-1),
+}
+"""By command: from what its key held before to what it holds afterwards."""
+
+
+class KnownValues:
+    """What every string key of the server holds, by database and key, as its stream told. Exact or unknown, no guess.
+
+    `APPEND` carries the end of a value, `COPY` and `RENAME` carry none: by what a key held before it is known what it
+    holds after them.
+
+    A database of which a whole snapshot was taken (`learn`), or that was flushed, is complete: a key that is not known
+    there does not exist. Beyond 64 MiB or 100,000 keys everything is forgotten, and no database is complete.
+    """
+
+    def __init__(self) -> None:
+        self._held: dict[int, dict[bytes, bytes]] = {}
+        self._unknown: set[tuple[int, bytes]] = set()
+        self._complete: set[int] = set()
+        self._size = 0
+        self._keys = 0
+
+    def get(self, db: int, key: bytes) -> bytes | None:
+        """Return what a key holds, b"" where it does not exist; None where that is not known."""
+        value = self._held.get(db, _NONE).get(key)
+        if value is None and db in self._complete and (db, key) not in self._unknown:
+            return b""
+        return value
+
+    def put(self, db: int, key: bytes, value: bytes) -> None:
+        """Say what a key holds from now on."""
+        if len(value) > _LARGEST_KNOWN:
+            self.forget(db, key)
+            return
+        held = self._held.setdefault(db, {})
+        known = held.get(key)
+        self._size += len(value) - (len(known) if known is not None else 0)
+        self._keys += known is None
+        held[key] = value
+        if self._unknown:
+            self._unknown.discard((db, key))
+        if self._size > _MOST_BYTES or self._keys > _MOST_KEYS:
+            self._forget_all()
+
+    def remove(self, db: int, key: bytes) -> None:
+        """Say that a key is gone."""
+        known = self._held.get(db, _NONE).pop(key, None)
+        if known is not None:
+            self._size -= len(known)
+            self._keys -= 1
+        self._unknown.discard((db, key))
+
+    def forget(self, db: int, key: bytes) -> None:
+        """Say that a key was changed to something unknown."""
+        self.remove(db, key)
+        if db in self._complete:
+            self._unknown.add((db, key))
+            if len(self._unknown) > _MOST_KEYS:
+                self._forget_all()
+
+    def learn(self, db: int, values: Mapping[bytes, bytes], unread: Iterable[bytes], *, is_whole: bool) -> None:
+        """Take a snapshot of a database that was made at this place of the stream.
+
+        Args:
+            db: The database.
+            values: What its string keys hold.
+            unread: Keys that are there and were not read.
+            is_whole: Whether these are all its keys.
+        """
+        if is_whole:
+            self._complete.add(db)
+        for key, value in values.items():
+            self.put(db, key, value)
+        for key in unread:
+            self.forget(db, key)
+
+    @property
+    def databases(self) -> set[int]:
+        """The databases of which anything is known."""
+        return {*self._held, *self._complete}
+
+    def clear(self, db: int) -> None:
+        """Say that a database is empty."""
+        held = self._held.pop(db, {})
+        self._size -= sum(map(len, held.values()))
+        self._keys -= len(held)
+        self._unknown = {(other, key) for other, key in self._unknown if other != db}
+        self._complete.add(db)
+
+    def forget_database(self, db: int) -> None:
+        """Say that a database may hold anything."""
+        self.clear(db)
+        self._complete.discard(db)
+
+    def _forget_all(self) -> None:
+        self._held.clear()
+        self._unknown.clear()
+        self._complete.clear()
+        self._size = self._keys = 0
+
+
+_NONE: dict[bytes, bytes] = {}

@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from station.bus import codec
-from station.episode.quality import falls, interruptions, pauses, presence, rule_file, timing
+from station.bus import codec, keys
+from station.bus.tap import not_mirrored
+from station.contract import Contract
+from station.episode.quality import arms, falls, interruptions, motion, pauses, presence, rule_file, timing
+from station.episode.quality.alignment import AlignmentMeter
+from station.episode.quality.cameras import CameraMeter, stated_hz
+from station.episode.quality.finding_parts import KeyChanges
 from station.episode.quality.findings import FallSeen, Quality
-from station.episode.quality.measuring import Measuring
+from station.episode.quality.policy_steps import StepMeter
+from station.episode.quality.presence import Heartbeats
 from station.episode.quality.rule_file import RuleBook
 from station.episode.quality.rules import judge
-from station.episode.quality.streams import rivals
+from station.episode.quality.streams import StreamCounter, rivals
+from station.episode.reading import frames, steps
+from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
+from station.episode.reading.steps import Step, StepJoiner
 from station.episode.storage.drops import Drops
 from station.episode.storage.manifest import MAX_STREAMS, Manifest, save_manifest
 from station.episode.storage.manifest_copy import manifest_to_change
@@ -26,6 +36,11 @@ from station.errors import EpisodeError
 
 _LONGEST_NAME, _MOST_CONTACTS = 60, 20  # of what an event tells of a fall; anybody may write events
 _LOCK_STEP_PACE = "command"  # of a low-level server: it waits for a command after each state
+
+DELETED = "deleted"
+"""Stands for the command of a deletion, which may have been any: DEL, an expiry, FLUSHALL."""
+
+_MOST = 1000  # kinds; a client may invent keys
 
 
 def check(reader: EpisodeReader, book: RuleBook | None = None) -> Quality:
@@ -153,3 +168,110 @@ def _fall(at_s: float, event: Mapping[str, Any]) -> FallSeen:
         seen_by="event",
         contacts=[str(name)[:_LONGEST_NAME] for name in listed[:_MOST_CONTACTS]],
     )
+
+
+class Measuring:
+    """The meters of an episode after they were fed with all of it.
+
+    Attributes:
+        start_ns: Instant that times are told from: the anchor of the episode, else its first message [ns since the
+            epoch].
+        counter: Counts every stream.
+        steps, alignment: By robot.
+        motion: One for each robot whose joints are told of.
+        arms: One for each arm.
+        cameras: Counts pictures.
+        changes: Counts changes of keys that are no values in the file.
+        heartbeats: Which servers lived.
+        events: Every event with its time from the start [s].
+        ends: Where commands ended because their server said so.
+    """
+
+    def __init__(self, reader: EpisodeReader) -> None:
+        topics = reader.topics()
+        self.start_ns = reader.start_ns
+        self.counter = StreamCounter()
+        self.steps = {robot: StepMeter(robot, self.start_ns, reader.contract) for robot in steps.robots(topics)}
+        self.alignment = {
+            robot: AlignmentMeter(robot, steps.state_key(robot, topics), reader.contract) for robot in self.steps
+        }
+        self.motion = motion.meters(reader)
+        self.arms = [arms.ArmMeter(robot) for robot in arms.robots(topics)]
+        self.cameras = CameraMeter(frames.cameras(reader), stated_hz(reader.manifest))
+        self.changes = ChangeCounter(self.start_ns, reader.contract)
+        self.heartbeats = Heartbeats(self.start_ns)
+        self.events: list[tuple[float, dict[str, Any]]] = []
+        self.ends: list[pauses.End] = []
+        self._joiners = {robot: StepJoiner(robot, context=meter.context) for robot, meter in self.steps.items()}
+        for message in reader.messages(stamps=self.cameras.is_needed):  # they tell when a picture was taken
+            self._feed(message)
+        for robot, joiner in self._joiners.items():
+            for step in joiner.finish():
+                self._feed_step(robot, step)
+
+    def _feed(self, message: Message) -> None:
+        self.counter.feed(message)
+        self.cameras.feed(message)
+        self.changes.feed(message)
+        self.heartbeats.feed(message)
+        for meter in self.motion:
+            meter.feed(message)
+        for arm in self.arms:
+            arm.feed(message)
+        if message.topic == keys.EVENT:
+            self._feed_event(message)
+        for robot, joiner in self._joiners.items():
+            step = joiner.feed(message)
+            if step is not None:
+                self._feed_step(robot, step)
+
+    def _feed_step(self, robot: str, step: Step) -> None:
+        self.alignment[robot].feed(step, self.steps[robot].feed(step))
+
+    def _feed_event(self, message: Message) -> None:
+        event = codec.parse_facts(message.data)
+        self.events.append(((message.log_ns - self.start_ns) * 1e-9 - interruptions.late_s(event), event))
+        if (end := pauses.end_of(message, event)) is not None and len(self.ends) < pauses.MOST_ENDS:
+            self.ends.append(end)
+
+
+@dataclass
+class ChangeCounter:
+    """Takes the messages of an episode and counts such changes by command and key.
+
+    Attributes:
+        start_ns: Instant that times are told from [ns since the epoch].
+        contract: Tells what a key holds.
+    """
+
+    start_ns: int
+    contract: Callable[[str], Contract | None]
+    _found: dict[tuple[str, str], KeyChanges] = field(default_factory=dict)
+
+    def feed(self, message: Message) -> None:
+        """Take a message; any other is passed over."""
+        if message.topic == keys.NOT_MIRRORED:
+            said = not_mirrored.decode(message.data)
+            if said is not None:
+                self._count(said.command, said.key, said.count, message.log_ns)
+        elif message.channel.is_deletion:
+            self._count(DELETED, message.topic, 1, message.log_ns)
+
+    def not_mirrored(self) -> list[KeyChanges]:
+        """Return the writes that are not in the file, in the order of the first of each kind."""
+        return [found for found in self._found.values() if found.command != DELETED]
+
+    def deletions(self) -> list[KeyChanges]:
+        """Return the deletions, likewise."""
+        return [found for found in self._found.values() if found.command == DELETED]
+
+    def _count(self, command: str, key: str, count: int, log_ns: int) -> None:
+        known = self._found.get((command, key))
+        if known is not None:
+            self._found[command, key] = msgspec.structs.replace(known, count=known.count + count)
+        elif len(self._found) < _MOST:
+            known_as = self.contract(key.removesuffix("@"))
+            at_s = round((log_ns - self.start_ns) * 1e-9, 3)
+            self._found[command, key] = KeyChanges(
+                command=command, key=key, count=count, at_s=at_s, role=known_as.role if known_as is not None else None
+            )

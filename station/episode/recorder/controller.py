@@ -11,11 +11,9 @@ import msgspec
 
 from station.clock import SYSTEM, Clock
 from station.episode.recorder.active_episode import ActiveEpisode
-from station.episode.recorder.answers import Answers
 from station.episode.recorder.disk_space import DiskSpace
 from station.episode.recorder.latched import believed
 from station.episode.recorder.options import Notice, RecordingOptions
-from station.episode.recorder.ring import Ring
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage.anchor import Anchor, iso, take_anchor
 from station.episode.storage.folder import new_folder
@@ -29,6 +27,63 @@ from station.software import software
 
 if TYPE_CHECKING:
     from station.bus.tap import Position, Write
+
+
+_REMEMBERED = 64
+_MOST_DUE = 256  # of a flood of requests the newest are answered: whoever sent the others has stopped waiting
+
+
+_WRITE_BYTES = 300  # of a write with its stamp, beside its value
+_PARTS = 4
+
+
+class Answers:
+    """Queue of answers, with a memory of the newest requests."""
+
+    def __init__(self) -> None:
+        self._due: deque[RecordAnswer] = deque(maxlen=_MOST_DUE)
+        self._known: dict[str, RecordAnswer | None] = {}
+
+    def is_new(self, asker: str | None) -> bool:
+        """Whether a request was not seen before; one whose answer may have been lost gets it again."""
+        if asker is None:
+            return True
+        if asker not in self._known:
+            self._remember(asker, None)
+            return True
+        answer = self._known[asker]
+        if answer is not None:
+            self._due.append(answer)
+        return False
+
+    def knows(self, asker: str | None) -> bool:
+        """Whether a request was seen before."""
+        return asker in self._known
+
+    def remember(self, asker: str, answer: RecordAnswer | None = None) -> None:
+        """Count a request as seen, and answered so should it come again; None leaves it without an answer."""
+        self._remember(asker, answer)
+
+    def give(self, answer: RecordAnswer) -> None:
+        """Have an answer published."""
+        self._remember(answer.id, answer)
+        self._due.append(answer)
+
+    def next(self) -> RecordAnswer | None:
+        """Return the oldest answer that is to be published, or None."""
+        return self._due.popleft() if self._due else None
+
+    def take(self) -> list[RecordAnswer]:
+        """Return what is to be published, oldest first; it is then taken as published."""
+        due = list(self._due)
+        self._due.clear()
+        return due
+
+    def _remember(self, asker: str, answer: RecordAnswer | None) -> None:
+        self._known[asker] = answer
+        while len(self._known) > _REMEMBERED:
+            del self._known[next(iter(self._known))]
+
 
 _MOST_CLOSING = 8  # each holds a queue and a thread until the disk lets go of it
 _MOST_NOTICES = 256  # that wait; of a flood of requests, each of which is refused, the newest are told
@@ -290,3 +345,61 @@ class RecorderController:
 
     def _notice(self, name: str, severity: Severity, **numbers: Any) -> None:
         self.notices.append(Notice(name, severity, numbers))
+
+
+class Ring:
+    """Writes of the last seconds, bounded by time and by bytes; what falls out at the old end is meant to.
+
+    Args:
+        seconds: How far back it reaches [s]; 0 keeps nothing.
+        max_bytes: Bound of its memory; with fast cameras on the bus it reaches less far back. A value of more than a
+            quarter of that is not kept: everything before it would have to go.
+    """
+
+    def __init__(self, seconds: float, max_bytes: int = 256 * 1024 * 1024) -> None:
+        self._span_ns = int(seconds * 1e9)
+        self._max_bytes = max_bytes
+        self._batches: deque[tuple[Sequence[Write], int, Position | None]] = deque()
+        self._bytes = 0
+
+    @property
+    def size(self) -> int:
+        """Bytes that are kept."""
+        return self._bytes
+
+    def add(self, writes: Sequence[Write], before: Position | None = None) -> None:
+        """Keep writes, in the order of their arrival; the sequence must not change afterwards.
+
+        Args:
+            writes: What arrived.
+            before: A place of the tap that none of them lies before.
+        """
+        if not writes or not self._span_ns:
+            return
+        size = sum([len(write.value) for write in writes if write.value is not None])
+        if size > self._max_bytes // _PARTS:
+            writes = [write for write in writes if len(write.value or b"") <= self._max_bytes // _PARTS]
+            size = sum(len(write.value or b"") for write in writes)
+        if not writes:
+            return
+        size += _WRITE_BYTES * len(writes)
+        self._batches.append((writes, size, before))
+        self._bytes += size
+        oldest_ns = writes[-1].mono_ns - self._span_ns
+        while self._batches and (self._bytes > self._max_bytes or self._batches[0][0][-1].mono_ns < oldest_ns):
+            self._bytes -= self._batches.popleft()[1]
+
+    def since(self, mono_ns: int) -> list[Write]:
+        """Return what is kept of the span that ends at a monotonic instant [ns], oldest first."""
+        oldest_ns = mono_ns - self._span_ns
+        return [write for writes, _, _ in self._batches for write in writes if write.mono_ns >= oldest_ns]
+
+    def place(self, mono_ns: int) -> Position | None:
+        """Return the tap's place before everything that `since` returns; None when nothing is kept, or no place."""
+        oldest_ns = mono_ns - self._span_ns
+        return next((before for writes, _, before in self._batches if writes[-1].mono_ns >= oldest_ns), None)
+
+    def clear(self) -> None:
+        """Forget everything: after a hole, what came before it must not pass for what came just before."""
+        self._batches.clear()
+        self._bytes = 0

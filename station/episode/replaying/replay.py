@@ -7,24 +7,42 @@ import threading
 from array import array
 from collections import deque
 from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 from itertools import islice
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import msgspec
 import numpy as np
 
+from station import registry
+from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
+from station.bus.contracts import Contracts
+from station.contract import Role
 from station.episode.reading.reader import EpisodeReader, Message
-from station.episode.replaying.ease_in import ease_in
-from station.episode.replaying.replay_target import look_at, roles_for
-from station.errors import UsageError
+from station.errors import Refused, UnknownName, UsageError
+from station.life.server import Health, read_configurations, read_health
+from station.protocols import CommandFormat, Floats
 
 SOURCE = "replay"
 _TIMEOUT_S = 1.0  # a replay may wait for the bus; what it may not do is leave out a message
 _AHEAD = 500  # moments that are read before they are due: some seconds
 _SLACK_NS = 5_000_000  # reading a chunk takes 2 to 3 ms; only done when that much time is left
 _NAP_S = 0.05  # longest wait before a request to stop is seen
+
+_LISTEN_S = 0.3  # six periods of a 20 Hz writer: who drives a robot is heard within
+COMMANDS = frozenset({"command"})
+ROLES: tuple[str, ...] = (*get_args(Role), "unknown")
+"""Every role that a key may have; ``unknown`` for a key without contract."""
+
+_RATE_HZ = 50.0
+_ARM_RAD_S = 0.2
+"""Speed of the joint of an arm that has the farthest to go."""
+
+
+_TOGETHER_NS = 500_000_000
+"""What begins so soon after the first command begins with it."""
 
 
 class Moment(NamedTuple):
@@ -219,3 +237,170 @@ class _Player:
         if len(late_s):
             report.lateness_p50_s, report.lateness_p99_s = (float(p) for p in np.percentile(late_s, (50, 99)))
             report.lateness_max_s = float(late_s.max())
+
+
+@dataclass(frozen=True)
+class Target:
+    """Who lives on a bus.
+
+    Attributes:
+        robots: Low-level servers, and state keys that somebody writes without being one of our servers.
+        commanders: Command servers, and command keys that somebody writes.
+        others: Recorders and sensors.
+    """
+
+    robots: tuple[str, ...] = ()
+    commanders: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether a robot, real or simulated, takes commands from this bus."""
+        return bool(self.robots)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nobody lives there."""
+        return not (self.robots or self.commanders or self.others)
+
+
+def look_at(bus: Bus) -> Target:
+    """Return who lives on a bus: by heartbeats, and by what stock scripts without one write within a moment."""
+    alive = [health for health in read_health(bus) if health.is_alive and not _is_replayed(bus, health)]
+    written = _written_now(bus)
+    by_role: dict[str, list[str]] = {"low-level": [], "command": []}
+    others: list[str] = []
+    for health in alive:
+        by_role.get(health.role, others).append(health.name)
+    return Target(
+        robots=tuple(by_role["low-level"] or written["state"]),
+        commanders=tuple(by_role["command"] or written["command"]),
+        others=tuple(others),
+    )
+
+
+def roles_for(
+    target: Target, wanted: Collection[str] | None, *, allow_live: bool, speed: float
+) -> frozenset[str] | None:
+    """Return the roles to replay, None for everything.
+
+    Raises:
+        Refused: a robot lives there and that is not allowed, or somebody else commands it.
+        UnknownName: no such role.
+    """
+    for role in wanted or ():
+        if role not in ROLES:
+            raise UnknownName("role", role, ROLES)
+    if target.commanders:
+        raise Refused(
+            f"replay: {', '.join(target.commanders)} is writing commands on this bus, and two writers of one command "
+            "key throw a robot about; stop it first"
+        )
+    if target.is_driven:
+        return _for_a_robot(target, wanted, allow_live=allow_live, speed=speed)
+    if wanted is not None:
+        return frozenset(wanted)
+    # A recorder would obey a recorded request to record; on an empty bus nobody obeys.
+    return None if target.is_empty else frozenset(ROLES) - {"control"}
+
+
+def _for_a_robot(target: Target, wanted: Collection[str] | None, *, allow_live: bool, speed: float) -> frozenset[str]:
+    who = ", ".join(target.robots)
+    if not allow_live:
+        raise Refused(
+            f"replay: a robot is driven on this bus ({who}) and would move; clear its surroundings and allow it, "
+            "or replay to another bus"
+        )
+    if speed > 1.0:
+        raise Refused(f"replay: speed {speed:g} to a robot that is driven ({who}); expected at most 1")
+    roles = frozenset(wanted) if wanted is not None else COMMANDS
+    if roles - COMMANDS:
+        raise Refused(
+            f"replay: roles {', '.join(sorted(roles - COMMANDS))} to a bus where {who} writes its own; "
+            "only commands may be replayed to a robot"
+        )
+    return roles
+
+
+def _written_now(bus: Bus) -> dict[str, list[str]]:
+    """Return the state and command keys that are written while we listen."""
+    suspects = {
+        item.key: item.role for item in Contracts(read_configurations(bus)).all() if item.role in ("state", "command")
+    }
+    written: dict[str, list[str]] = {"state": [], "command": []}
+    with bus.watch(list(suspects)) as watch:
+        bus.clock.sleep(_LISTEN_S)
+        for key, role in suspects.items():
+            sample = watch.latest(key)
+            if sample is not None and sample.arrived_ns is not None:
+                written[role].append(key)
+    return written
+
+
+def _is_replayed(bus: Bus, health: Health) -> bool:
+    """Whether a heartbeat was put there by a replay: it names the server that was recorded, not who wrote it."""
+    key = keys.server(health.name)
+    sample = bus.read([key]).get(key)
+    return sample is None or sample.stamp is None or sample.stamp.source != health.source
+
+
+class _Blend(NamedTuple):
+    key: str
+    start: Floats
+    goal: Floats
+    duration_s: float
+
+
+def ease_in(bus: Bus, reader: EpisodeReader, duration_s: float) -> float:
+    """Send a blend into the first command of an episode; return its length [s], 0 when there is none.
+
+    Args:
+        bus: Where to.
+        reader: The episode.
+        duration_s: Length of the blend [s]; of an arm's at least, which takes as long as it has to go.
+    """
+    blends = _blends(bus, reader, duration_s) if duration_s > 0.0 else []
+    if not blends:
+        return 0.0
+    steps = max(1, round(max(blend.duration_s for blend in blends) * _RATE_HZ))
+    began_ns = bus.clock.monotonic_ns()
+    for step in range(steps):
+        bus.clock.sleep_until(began_ns + round(step / _RATE_HZ * 1e9))
+        share = step / steps
+        bus.publish({each.key: codec.json_vector(each.start + (each.goal - each.start) * share) for each in blends})
+    bus.clock.sleep_until(began_ns + round(steps / _RATE_HZ * 1e9))
+    return steps / _RATE_HZ
+
+
+def _blends(bus: Bus, reader: EpisodeReader, duration_s: float) -> list[_Blend]:
+    """Return a blend for each command that the episode begins with."""
+    known: list[CommandFormat] = [registry.find("command", name) for name in registry.names("command")]
+    places = {form.key: form.default for form in known if form.key and not form.stays}
+    arms = {key for key in reader.topics() if key.startswith(keys.action_joints("")) and not keys.is_stamp(key)}
+    found: list[_Blend] = []
+    until_ns: int | None = None
+    for message in reader.messages({*places, *arms}):
+        if until_ns is not None and message.log_ns > until_ns:
+            break
+        if message.topic in [blend.key for blend in found]:
+            continue
+        is_arm = message.topic in arms
+        start = _where_it_is(bus, message.topic) if is_arm else places[message.topic]
+        try:
+            goal = codec.parse_json_vector(message.data, None if start is None else len(start))
+        except codec.BadValue:
+            continue  # the gate refuses it as it did then
+        until_ns = message.log_ns + _TOGETHER_NS if until_ns is None else until_ns
+        if start is not None:  # else nobody drives that arm here
+            takes_s = float(np.abs(goal - start).max()) / _ARM_RAD_S if is_arm else 0.0
+            found.append(_Blend(message.topic, start, goal, max(duration_s, takes_s)))
+    return found
+
+
+def _where_it_is(bus: Bus, key: str) -> Floats | None:
+    """Return where an arm's server says that its arm is, shape (n,) [rad]; None where none says so."""
+    data = bus.get(keys.command_used(key.removeprefix(keys.action_joints(""))))
+    try:
+        return None if data is None else codec.parse_f64(data)
+    except codec.BadValue:
+        return None

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import mcap.records
+from mcap.records import Schema
 from msgspec.structs import asdict
 
 from station.bus import stamp as stamps
@@ -17,12 +18,10 @@ from station.episode.storage.channels import MAX_CHANNELS, Channel, channel_from
 from station.episode.storage.disk import Disk
 from station.episode.storage.drops import Drops
 from station.episode.storage.progress import Gap
-from station.episode.storage.records import MAGIC
+from station.episode.storage.records import MAGIC, RawMessage
 from station.episode.storage.tail import closing_bytes
 from station.episode.writing.checkpoint import MOST_CHANNELS, Checkpoint, counters
 from station.episode.writing.chunks import ChunkWriter
-from station.episode.writing.picture_type import picture_type
-from station.episode.writing.recount import MOST_GAPS, STAMPS_NUMBER, Recount
 from station.episode.writing.retell import Retelling, is_told
 from station.episode.writing.salvage import Salvaged, salvage
 from station.errors import EpisodeError
@@ -30,6 +29,9 @@ from station.errors import EpisodeError
 _SEQUENCE_MASK = 0xFFFFFFFF
 _LARGEST_SEQUENCE = 1 << 48  # nine thousand years at 1 kHz: what counts further is no stamp of ours
 _BOOKKEEPING = {"source": "", "writer": "recorder", "contract": layout.NO_CONTRACT}
+
+STAMPS_NUMBER = 1  # of the channel that holds the exact stamps
+MOST_GAPS = 10_000  # beyond that only the counters go on
 
 
 class EpisodeFile:
@@ -304,3 +306,44 @@ class EpisodeFile:
         self.gaps, self.retelling = recount.gaps, recount.retelling
         self.messages = self._synced_messages = recount.messages
         self.last_log_ns = recount.last_log_ns or self._anchor.wall_ns
+
+
+def picture_type() -> Schema:
+    """Return the description of ``foxglove.CompressedImage``."""
+    from station.protobuf import foxglove, schema  # 30 ms and 7 MB, of which a station without cameras needs nothing
+
+    made = foxglove.schema(foxglove.COMPRESSED_IMAGE)
+    return Schema(id=1, name=made.name, encoding=schema.ENCODING, data=made.data)
+
+
+class Recount:
+    """Takes the messages of a file in order; begins with what is known of it, if anything is.
+
+    Attributes:
+        channels, gaps, messages, retelling: As in `station.episode.writing.file.EpisodeFile`.
+        last_log_ns: Log time of the last message [ns].
+    """
+
+    def __init__(self, anchor: Anchor, known: Checkpoint | None, file: str = layout.SIGNALS) -> None:
+        self._file = file
+        self.retelling = Retelling(anchor, known.told if known else None)
+        self.channels: dict[int, Channel] = {}
+        self.gaps: list[Gap] = []
+        self.messages = self.last_log_ns = 0
+        if known is not None:
+            self.channels = {one.id: one.channel(file) for one in known.channels if one.id != STAMPS_NUMBER}
+            self.gaps, self.messages, self.last_log_ns = known.gaps, known.messages, known.last_log_ns
+
+    def take(self, message: RawMessage, record: mcap.records.Channel) -> None:
+        """Count a message."""
+        self.last_log_ns = message.log_ns
+        self.retelling.take(message, record)
+        channel = self.channels.get(message.channel_id)
+        if channel is None:
+            if record.topic == layout.STAMPS_TOPIC:
+                return
+            channel = self.channels[message.channel_id] = channel_from(record, self._file)
+        before_ns = channel.last_ns
+        if (lost := channel.note(message.sequence, message.log_ns)) and len(self.gaps) < MOST_GAPS:
+            self.gaps.append(Gap(before_ns, message.log_ns, lost))
+        self.messages += 1

@@ -6,8 +6,9 @@ import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import BinaryIO, Literal, NamedTuple
 
+import mcap.records
 import msgspec
 
 from station.atomic_file import free_path, sync_folder
@@ -15,12 +16,13 @@ from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, iso
 from station.episode.storage.claim import is_claimed
 from station.episode.storage.disk import is_locked
-from station.episode.storage.drops import Drops
+from station.episode.storage.drops import Drops, drops_of, larger
 from station.episode.storage.folder import signals_file
 from station.episode.storage.left_open import is_left_open, not_begun, remove_not_begun, remove_temporary
 from station.episode.storage.manifest import (
     Manifest,
     dump_manifest,
+    facts_of,
     load_manifest,
     note_recovery,
     parse_manifest,
@@ -28,13 +30,13 @@ from station.episode.storage.manifest import (
 )
 from station.episode.storage.manifest_copy import find_manifest, manifest_to_change
 from station.episode.storage.progress import ResumePoint, load_resume_point
-from station.episode.storage.records import MAGIC, metadata_at_head, walk
+from station.episode.storage.records import MAGIC, RawMessage, metadata_at_head, walk
 from station.episode.writing.checkpoint import Told
 from station.episode.writing.closing import close_manifest, summary_record
+from station.episode.writing.file import EpisodeFile
 from station.episode.writing.files import EpisodeFiles
-from station.episode.writing.mended import Cut, Mended, look_over, mend
 from station.episode.writing.retell import Retelling
-from station.episode.writing.salvage import salvage
+from station.episode.writing.salvage import Salvaged, salvage
 from station.errors import EpisodeError
 
 State = Literal["whole", "closed", "repaired"]
@@ -296,3 +298,107 @@ def _place(mended: Sequence[Mended], target: Path, manifest: Manifest) -> dict[s
 def _present(folder: Path, *names: str) -> Path | None:
     """Return the first of some files of a folder that is there."""
     return next((folder / name for name in names if (folder / name).exists()), None)
+
+
+class Cut(msgspec.Struct, frozen=True, kw_only=True):
+    """What was cut of one file.
+
+    Attributes:
+        file: Name of the file that is good now.
+        at, bytes: Where the whole part ended, and how much of the file lay behind it.
+        seconds: From the last message kept to the last change of the torn file [s].
+        original: Where the torn file is kept.
+    """
+
+    file: str
+    at: int
+    bytes: int
+    seconds: float
+    original: str = ""
+
+
+class Mended(NamedTuple):
+    """A file that was torn, or was not.
+
+    Attributes:
+        names: What it is called.
+        source: The original, which nothing changes.
+        salvaged: What is whole of it.
+        file: The copy, open at its end; None where nothing was worth a copy.
+    """
+
+    names: layout.Names
+    source: Path
+    salvaged: Salvaged
+    file: EpisodeFile | None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the original lacks nothing."""
+        return self.salvaged.is_finished
+
+    def cut(self) -> Cut:
+        """Return what was cut."""
+        state, last_ns = self.source.stat(), self.file.last_log_ns if self.file and self.file.messages else 0
+        return Cut(
+            file=self.names.final,
+            at=self.salvaged.kept_to,
+            bytes=state.st_size - self.salvaged.kept_to,
+            seconds=round(max(0.0, (state.st_mtime_ns - last_ns) * 1e-9), 3) if last_ns else 0.0,
+        )
+
+
+def mend(source: Path, copy: Path, names: layout.Names, anchor: Anchor, manifest: Manifest, drops: Drops) -> Mended:
+    """Copy what is whole of a file, and open the copy.
+
+    Args:
+        source: The file.
+        copy: Where to; what is there is overwritten.
+        names: What it is called.
+        anchor, manifest: Clock and manifest of its episode, of which a head is made where that was not whole.
+        drops: What is known to have been dropped.
+
+    Raises:
+        OSError: the disk refused it.
+        EpisodeError: it is no MCAP file, or damaged in a way that nothing of it can be used.
+    """
+    copy.unlink(missing_ok=True)
+    with copy.open("xb") as output:
+        salvaged = look_over(source, names, output)
+    opened = _opened(copy, names, anchor, manifest, drops)
+    if names is layout.CAMERAS_NAMES and opened is not None and not opened.messages:
+        opened.close()
+        opened = None
+    if opened is None:
+        copy.unlink(missing_ok=True)
+    return Mended(names, source, salvaged, opened)
+
+
+def _opened(copy: Path, names: layout.Names, anchor: Anchor, manifest: Manifest, drops: Drops) -> EpisodeFile | None:
+    """Open what was saved; where not even the head of the signals was whole, with one made from the manifest."""
+    if copy.stat().st_size and layout.EPISODE_RECORD in (found := walk(copy).metadata):
+        known = larger(drops, drops_of(found.get(layout.DROPPED_RECORD)))
+        return EpisodeFile.reopen(copy, anchor, names=names, drops=known)
+    if names is layout.CAMERAS_NAMES:
+        return None
+    copy.unlink(missing_ok=True)
+    return EpisodeFile.create(copy, anchor, facts_of(manifest), manifest=dump_manifest(manifest))
+
+
+def look_over(source: Path, names: layout.Names, output: BinaryIO | None = None) -> Salvaged:
+    """Go through a file for its wholeness alone; nothing is whole of pictures that are no MCAP file at all.
+
+    Raises:
+        OSError: it cannot be read, or its copy not written.
+        EpisodeError: it is that of the signals, and no MCAP file.
+    """
+    try:
+        return salvage(source, _take_no_note, output=output)
+    except EpisodeError:
+        if names is not layout.CAMERAS_NAMES:
+            raise
+        return Salvaged({}, {}, 0, b"", is_finished=False)  # the signals are worth saving all the same
+
+
+def _take_no_note(_message: RawMessage, _channel: mcap.records.Channel) -> None:
+    pass

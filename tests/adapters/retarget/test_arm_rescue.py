@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from adapters.retarget.arm_rescue import ArmRescue
+from adapters.retarget.body_ik import ArmRescue
 
 DOWN, FORWARD, BACK = np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])
 DT_S = 1.0 / 90.0

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.retarget.tcp import TcpFollower
+from adapters.retarget.tcp_ik import TcpFollower
 from station import rotations
 from station.operator.deltas import angle_between, followed
 from station.operator.sample import Pose

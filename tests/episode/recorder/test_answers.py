@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from station.episode.recorder.answers import Answers
+from station.episode.recorder.controller import Answers
 from station.episode.storage.request import RecordAnswer
 
 DONE = RecordAnswer(id="1", ok=True)

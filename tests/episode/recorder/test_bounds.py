@@ -15,7 +15,7 @@ from station.bus import keys
 from station.bus.tap import Write
 from station.episode.reading.reader import open_episode
 from station.episode.recorder.active_episode import ActiveEpisode
-from station.episode.recorder.answers import Answers
+from station.episode.recorder.controller import Answers
 from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.recording import Recording
 from station.episode.recorder.writer import EpisodeWriter

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from station.episode.recorder.free_space import FreeSpace, mount_point, nearest_folder
+from station.episode.recorder.disk_space import FreeSpace, mount_point, nearest_folder
 
 
 def test_a_folder_that_is_not_there_yet_is_looked_up_where_it_will_be_made(tmp_path: Path) -> None:

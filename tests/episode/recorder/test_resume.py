@@ -163,7 +163,7 @@ def test_a_checkpoint_is_saved_now_and_then(data: Path, monkeypatch: pytest.Monk
     folder = data / "walk" / "e"
     folder.mkdir(parents=True)
     assert EVERY_S <= 10.0
-    monkeypatch.setattr("station.episode.recorder.ledger.EVERY_S", 0.0)
+    monkeypatch.setattr("station.episode.recorder.writer.EVERY_S", 0.0)
     writer = EpisodeWriter(folder, anchor=take_anchor(), manifest=Manifest(episode_id="e"))
     writer.put(written(Native(), 3))
     wait_until((folder / layout.CHECKPOINT).exists)

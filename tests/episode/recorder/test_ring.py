@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from station.bus.tap import Write
-from station.episode.recorder.ring import Ring
+from station.episode.recorder.controller import Ring
 
 SECOND = 1_000_000_000
 

@@ -28,9 +28,9 @@ from station.episode.reading.reader import open_episode
 from station.episode.recorder import remote
 from station.episode.recorder import tap_reader as intake_module
 from station.episode.recorder.latched import latched, not_among
-from station.episode.recorder.ledger import Ledger
 from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.tap_reader import TapReader
+from station.episode.recorder.writer import Ledger
 from station.episode.storage.anchor import Anchor, take_anchor
 from station.episode.storage.left_open import left_open
 from station.episode.storage.manifest import Hole, Manifest, Timing, load_manifest, save_manifest

@@ -14,7 +14,7 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.tap import open_tap
 from station.episode.reading.reader import EpisodeReader, open_episode
-from station.episode.replaying.ease_in import ease_in
+from station.episode.replaying.replay import ease_in
 from tests.episode.arm_run import ROBOT, ArmRun
 from tests.episode.synthetic import EpisodeBuilder
 

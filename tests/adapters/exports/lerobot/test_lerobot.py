@@ -16,9 +16,9 @@ import pytest
 
 from adapters.commands.twist2 import FORMAT
 from adapters.exports.kinds import LEROBOT
+from adapters.exports.lerobot.dataset import groups
 from adapters.exports.lerobot.features import INDEX
 from adapters.exports.lerobot.kind import LeRobotOptions
-from adapters.exports.lerobot.modality import groups
 from adapters.exports.lerobot.plan import Camera
 from adapters.exports.lerobot.video import packets
 from station.bus import codec, contracts, keys

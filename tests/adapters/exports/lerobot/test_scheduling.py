@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from adapters.exports.lerobot.scheduling import kept_scheduling
+from adapters.exports.lerobot.video import kept_scheduling
 
 ROOT = Path(__file__).parents[4]
 PRIORITY = 7
