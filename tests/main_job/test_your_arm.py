@@ -16,6 +16,7 @@ from station.bus.address import parse
 from station.episode.reading.reader import open_episode
 from tests.main_job.page_package import install
 from tests.main_job.station_runs import Terminal
+from tests.verdicts import OF_LATENESS
 from tests.waiting import bus_answers, wait_until
 
 WRIST = "action_joints_arm6_wrist"
@@ -117,7 +118,8 @@ def episode(terminal: Terminal, task: str = "wave") -> str:
 
 def test_its_episode_is_good_and_has_joints_with_names(driven: Terminal, tmp_path: Path) -> None:
     found = driven.json("check", episode(driven))
-    assert (found["verdict"], found["falls"]) == ("good", 0), found["reasons"]
+    assert {reason["rule"] for reason in found["reasons"]} <= OF_LATENESS, found["reasons"]
+    assert found["falls"] == 0
     (robot,) = found["steps"]
     assert (robot["robot"], robot["missing_steps"]) == ("arm6", 0)
     assert robot["mean_joint_error_rad"] < 0.1
