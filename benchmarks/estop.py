@@ -94,15 +94,18 @@ def _station() -> Iterator[BusAddress]:
 
 def _walk(stop: Stop, address: BusAddress) -> None:
     """Command a walk; after each stop of the robot be silent for as long as it wants, then begin anew."""
-    motion, form = registry.find("loader", "motion")("builtin:walk-forward"), registry.find("command", "twist2")
+    motion, command_format = (
+        registry.find("loader", "motion")("builtin:walk-forward"),
+        registry.find("command", "twist2"),
+    )
     with Bus(address, name="motion") as line, line.watch([keys.command_gate(ROBOT)]) as watch:
-        playback = Playback(motion, form, loop=True)
+        playback = Playback(motion, command_format, loop=True)
         while not stop():
             gate = codec.parse_json(sample.value) if (sample := watch.latest(keys.command_gate(ROBOT))) else {}
             if gate.get("state") == "stopped" or gate.get("needs_silence"):
-                playback = Playback(motion, form, loop=True)
+                playback = Playback(motion, command_format, loop=True)
             else:
-                line.publish({form.key: codec.json_vector(playback.step(1 / _LOOP_HZ).command)})
+                line.publish({command_format.key: codec.json_vector(playback.step(1 / _LOOP_HZ).command)})
             time.sleep(1 / _LOOP_HZ)
 
 

@@ -29,7 +29,7 @@ from station.episode.storage.manifest import Manifest, Robot, Task, Timing, dump
 from station.episode.storage.progress import Totals
 from station.episode.writing.closing import close_manifest
 from station.export.kind import ExportKind, Source
-from station.export.run import Exported, Where, export
+from station.export.run import Exported, Workers, export
 from station.export.select import sources
 from station.export.shards import Outcome
 
@@ -105,7 +105,7 @@ def _export(found: Sequence[Source], out: Path, jobs: int, on_done: Any = None) 
         if on_done is not None:
             on_done(outcome)
 
-    return export(kind, found, kind.options(), out, where=Where(jobs=jobs), on_done=note)
+    return export(kind, found, kind.options(), out, where=Workers(jobs=jobs), on_done=note)
 
 
 def _resident() -> float:

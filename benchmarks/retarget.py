@@ -11,7 +11,7 @@ from adapters.motions.load import load
 from adapters.retarget.calibration import of_person
 from adapters.retarget.human import of_height
 from adapters.retarget.pipeline import BodyRetarget
-from adapters.retarget.played import Played, noisy, person_of
+from adapters.retarget.played import RetargetedMotion, noisy, person_of
 from benchmarks.harness import Benchmark, Row, Settings, Target, compare, mean, p50, p99
 from station.control.rig import Rig, RigConfig, build
 from station.protocols import Motion
@@ -87,13 +87,13 @@ def _timed(step: Callable[..., object]) -> Callable[..., float]:
     return timed
 
 
-def _retargeted(motion: Motion) -> Played:
+def _retargeted(motion: Motion) -> RetargetedMotion:
     person = noisy(person_of(motion, _HEIGHT_M), metres=_METRES, radians=_RADIANS)
-    return Played(person, calibration=of_person(of_height(_HEIGHT_M)), name=motion.name)
+    return RetargetedMotion(person, calibration=of_person(of_height(_HEIGHT_M)), name=motion.name)
 
 
 def _followed(motion: Motion, rig: Rig) -> Rehearsal:
-    return rehearse(motion, rig.policy, rig.robot, rig.form, period_s=rig.period_s)
+    return rehearse(motion, rig.policy, rig.robot, rig.command_format, period_s=rig.period_s)
 
 
 def _falls(rehearsals: list[Rehearsal]) -> int:

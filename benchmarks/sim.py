@@ -64,7 +64,7 @@ def ours(physics_dt_s: float) -> Iterator[Callable[[], float]]:
     motion = _motion()
 
     def act() -> float:
-        result = rehearse(motion, rig.policy, rig.robot, rig.form, period_s=rig.period_s)
+        result = rehearse(motion, rig.policy, rig.robot, rig.command_format, period_s=rig.period_s)
         return result.speed_x_realtime
 
     yield act
@@ -117,8 +117,8 @@ def _motion() -> Motion:
 
 
 def _commands(motion: Motion) -> list[np.ndarray]:
-    form = registry.find("command", "twist2")
-    playback, found = Playback(motion, form), []
+    command_format = registry.find("command", "twist2")
+    playback, found = Playback(motion, command_format), []
     while not playback.is_done:
         found.append(np.array(playback.step(_PERIOD_S).command))
     return found

@@ -70,7 +70,7 @@ def velocity_reached(rig: Rig, asked: tuple[float, float, float]) -> Floats:
     places = []
     for tick in range(round((_SETTLED_S + _MEASURED_S) / STEP_S)):
         reference = walker.step(STEP_S, VelocityCommand(*asked) if tick * STEP_S > 1.0 else VelocityCommand())
-        record = follow(control, rig.form.encode(reference, G1_29), tick * STEP_S)
+        record = follow(control, rig.command_format.encode(reference, G1_29), tick * STEP_S)
         if record.fall is not None:
             return np.full(3, np.nan)
         if tick * STEP_S > _SETTLED_S and record.state.root_pos is not None:
@@ -92,8 +92,8 @@ def fresh(rig: Rig) -> ControlStep:
 
 def follow(control: ControlStep, command: Floats, now_s: float) -> StepRecord:
     """Let the robot take a step at a command, as it stands on the bus."""
-    form = control.commanded.form
-    data = codec.json_vector(np.clip(command, form.lower, form.upper))
+    command_format = control.commanded.command_format
+    data = codec.json_vector(np.clip(command, command_format.lower, command_format.upper))
     return control.step(control.sense(), CommandSample(data, arrived_s=now_s), now_s)
 
 
@@ -149,12 +149,12 @@ def session(rig: Rig, seed: int, seconds: float) -> Session:
     control = fresh(rig)
     driving = Driving(HandsDriver(), Buttons(button_map("pico")))
     operator = Operator(np.random.default_rng(seed))
-    costs, difference, command = [], 0.0, driving.driver.form.default
+    costs, difference, command = [], 0.0, driving.driver.command_format.default
     for tick in range(round(seconds / TICK_S)):
         now_s = tick * TICK_S
         reading = operator.at(now_s, is_engaged=driving.deadman.is_engaged)
         began_ns = time.perf_counter_ns()
-        driven = driving.step(reading, TICK_S, obstacle="" if reading else "stale")
+        driven = driving.step(reading, TICK_S, why_blocked="" if reading else "stale")
         costs.append((time.perf_counter_ns() - began_ns) / 1e6)
         if driven.change is not None and driven.change.name == "operator-engaged":
             difference = max(difference, float(np.abs(driven.command - command).max()))

@@ -21,7 +21,7 @@ import msgspec
 from station import config as configs
 from station import registry
 from station.camera.serve import serve_camera
-from station.camera.source import CameraKind, Newest, Wishes
+from station.camera.source import CameraKind, Newest, PictureSettings
 from station.config import to_plain
 from station.errors import ConfigError
 from station.life.server import Life, ServerKind
@@ -84,9 +84,9 @@ class CameraConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             raise ValueError(str(error)) from None
 
     @property
-    def wishes(self) -> Wishes:
+    def settings(self) -> PictureSettings:
         """What is wanted of the pictures."""
-        return Wishes(fps=self.fps, width=self.width, height=self.height, quality=self.quality)
+        return PictureSettings(fps=self.fps, width=self.width, height=self.height, quality=self.quality)
 
 
 def main(config: CameraConfig, life: Life) -> int:
@@ -103,7 +103,7 @@ def main(config: CameraConfig, life: Life) -> int:
 def _serve(config: CameraConfig, life: Life, kind: CameraKind, options: Any, newest: Newest) -> int:
     return serve_camera(
         life,
-        lambda: kind.open(options, config.wishes, newest),
+        lambda: kind.open(options, config.settings, newest),
         name=config.name or life.name,
         facts={"source": config.source, "config": to_plain(config)},
         fps=config.fps,

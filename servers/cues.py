@@ -23,8 +23,8 @@ from station.errors import ConfigError
 from station.life.server import Life, ServerKind
 from station.operator import phrases
 from station.operator.cues import OLD_S, CueQueue, Speaker
-from station.operator.onlooker import Onlooker
 from station.operator.phrases import Phrases
+from station.operator.station_monitor import StationMonitor
 from station.operator.voice import VoiceKind
 
 _PERIOD_S = 0.02
@@ -81,8 +81,8 @@ def main(config: CuesConfig, life: Life) -> int:
         life.configured({"server": life.name, "role": KIND.role, "phrases": told, "config": to_plain(config)})
         if not life.ready():
             return 0
-        onlooker = stack.enter_context(Onlooker(life.bus, life.name))
-        _run(life, onlooker, table, speakers)
+        monitor = stack.enter_context(StationMonitor(life.bus, life.name))
+        _run(life, monitor, table, speakers)
     return 0
 
 
@@ -100,15 +100,15 @@ def _speaker(config: CuesConfig, name: str, clock: Clock) -> Speaker:
     return Speaker(kind.make(config.typed_options(name)), CueQueue(old_s=config.old_s), clock)
 
 
-def _run(life: Life, onlooker: Onlooker, table: Phrases, speakers: Mapping[str, Speaker]) -> None:
+def _run(life: Life, monitor: StationMonitor, table: Phrases, speakers: Mapping[str, Speaker]) -> None:
     while not life.clock.wait(life.stop_event, _PERIOD_S):
-        for event in onlooker.take():
+        for event in monitor.take():
             if (cue := table.cue(event)) is not None:
                 for speaker in speakers.values():
                     speaker.say(cue)
         for name, speaker in speakers.items():
-            if flaw := speaker.take_flaw():
-                life.event("cue-not-said", severity="warning", voice=name, reason=flaw)
+            if why_not := speaker.take_flaw():
+                life.event("cue-not-said", severity="warning", voice=name, reason=why_not)
         life.report(
             said=sum(speaker.said for speaker in speakers.values()),
             dropped=sum(speaker.dropped for speaker in speakers.values()),

@@ -124,12 +124,12 @@ class KassowConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 def main(config: KassowConfig, life: Life) -> int:
     """Run until asked to stop."""
     limits = arm_limits.load(MAKER, config.model, config.limits)
-    form = arm_command(MAKER, limits, speed_rad_s=config.speed_rad_s, robot=config.robot)
+    command_format = arm_command(MAKER, limits, speed_rad_s=config.speed_rad_s, robot=config.robot)
     # Before the session's own thread is there, which asks for more than what every thread gets here.
     scheduling = real_time() if config.real_time_priority else "as it was"
     session = _open(config, limits)
     try:
-        control = ArmControl(session, form, gate=config.gate, is_armed=config.is_armed, clock=life.clock)
+        control = ArmControl(session, command_format, gate=config.gate, is_armed=config.is_armed, clock=life.clock)
         publisher = StatePublisher(life, config, session)
         requests = RequestHandler(control, session, config.robot)
         with LowLevelLoop(
@@ -142,7 +142,7 @@ def main(config: KassowConfig, life: Life) -> int:
             period_s=1.0 / RATE_HZ,
             requests={keys.CONTROLLER: requests.hear},
         ) as loop:
-            life.configured(_facts(config, life.name, form, limits, session))
+            life.configured(_facts(config, life.name, command_format, limits, session))
             if not life.ready():
                 return 0
             life.report(scheduling=scheduling, session_scheduling=session.real_time)
@@ -279,7 +279,7 @@ def _open(config: KassowConfig, limits: ArmLimits) -> KordSession:
 
 
 def _facts(
-    config: KassowConfig, name: str, form: JointCommand, limits: ArmLimits, session: KordSession
+    config: KassowConfig, name: str, command_format: JointCommand, limits: ArmLimits, session: KordSession
 ) -> dict[str, Any]:
     """What a recording must know of this server."""
     code = software()
@@ -288,7 +288,7 @@ def _facts(
         "role": KIND.role,
         "robot": config.robot,
         "description": to_plain(of_joints(config.robot, limits.joints())),
-        "command": form.facts(),
+        "command": command_format.facts(),
         "robot_facts": {
             "maker": MAKER,
             "backend": session.backend,

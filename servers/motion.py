@@ -100,7 +100,9 @@ class MotionConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 def main(config: MotionConfig, life: Life) -> int:
     """Load the motion, play it, leave in the default pose; return the exit code."""
     command: CommandFormat = registry.find("command", config.format)
-    if staying := [part.name for part in parts_of(command) if part.stays]:  # a motion begins and ends at a default
+    if staying := [
+        part.name for part in parts_of(command) if part.holds_position
+    ]:  # a motion begins and ends at a default
         raise ConfigError(
             f"format {config.format!r}: {', '.join(staying)} rests where it is, and has no pose to begin a motion from"
         )
@@ -257,7 +259,7 @@ class _Writer:
 
     def __init__(self, life: Life, motion: Motion, command: CommandFormat) -> None:
         self._life, self._command = life, command
-        self._companions = {key: codec.json_vector(value) for key, value in command.companions.items()}
+        self._auxiliary = {key: codec.json_vector(value) for key, value in command.auxiliary.items()}
         facts = motion.facts()
         self._file, self._sha256 = facts.get("file", motion.name), facts.get("sha256", "")
         self._first_frame = int(facts.get("first_frame", 0))
@@ -275,7 +277,7 @@ class _Writer:
         self._life.bus.publish(
             {
                 **{key: codec.json_vector(each) for key, each in by_key(self._command, frame.command).items()},
-                **self._companions,
+                **self._auxiliary,
                 **dict.fromkeys(self._command.stock.clocks, b"%d" % (self._life.clock.wall_ns() // 1_000_000)),
                 keys.command_source(self._command.robot): codec.json_object(source),
             }

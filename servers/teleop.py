@@ -33,7 +33,7 @@ from station.life.server import Life, ServerKind
 from station.operator.buttons import ButtonMap, Buttons, Pressed
 from station.operator.device_subscriber import DeviceSubscriber
 from station.operator.driver import Driver, DriverKind
-from station.operator.driving import CommandWriter, Driven, Driving, ExitBlend, buttons_to_drive
+from station.operator.driving import CommandWriter, Driving, DrivingStep, ExitBlend, buttons_to_drive
 from station.operator.requests import ArmButtons, RecordButtons, Requests, StopPresser
 from station.operator.robot_side import RobotSide
 from station.protocols import Floats
@@ -110,8 +110,12 @@ def main(config: TeleopConfig, life: Life) -> int:
     driver = kind.make(config.typed_options(), config.operator)
     config = msgspec.structs.replace(config, rate_hz=config.rate_hz or kind.rate_hz)
     life.configured(_facts(life, config, driver, bound))
-    watched = [*DeviceSubscriber.watched(config.device, config.controls_from), *RobotSide.watched(driver.form.robot),
-               driver.form.key, keys.RECORDER]  # fmt: skip
+    watched = [
+        *DeviceSubscriber.watched(config.device, config.controls_from),
+        *RobotSide.watched(driver.command_format.robot),
+        driver.command_format.key,
+        keys.RECORDER,
+    ]
     with life.bus.watch(watched) as watch:
         if not life.ready():
             return 0
@@ -134,12 +138,17 @@ KIND = ServerKind(
 
 
 def _facts(life: Life, config: TeleopConfig, driver: Driver, bound: ButtonMap) -> dict[str, Any]:
-    form = driver.form
+    command_format = driver.command_format
     return {
         "server": life.name,
         "role": KIND.role,
-        "robot": form.robot,
-        "command": {"format": form.name, "key": form.key, "rate_hz": config.rate_hz, "pace": "wall"},
+        "robot": command_format.robot,
+        "command": {
+            "format": command_format.name,
+            "key": command_format.key,
+            "rate_hz": config.rate_hz,
+            "pace": "wall",
+        },
         "driver": driver.facts(),
         "buttons": {action: gestures for action, gestures, _ in bound.table()},
         "config": to_plain(config),
@@ -159,16 +168,21 @@ class Teleop:
 
     def __init__(self, config: TeleopConfig, life: Life, driver: Driver, bound: ButtonMap, watch: Watch) -> None:
         self._config, self._life, self._driver, self._watch = config, life, driver, watch
-        self._form = driver.form
+        self._command_format = driver.command_format
         self._driving = Driving(driver, Buttons(bound))
         self._ear = DeviceSubscriber(watch, config.device, config.controls_from)
-        self._robot = RobotSide(watch, self._form.robot, len(self._form.default), stays=self._form.stays)
-        self._own_key = OwnKey(life, self._form.key)
-        self._writer = CommandWriter(life, driver.form, device=config.device, driver=driver.name)
+        self._robot = RobotSide(
+            watch,
+            self._command_format.robot,
+            len(self._command_format.default),
+            holds_position=self._command_format.holds_position,
+        )
+        self._own_key = OwnKey(life, self._command_format.key)
+        self._writer = CommandWriter(life, driver.command_format, device=config.device, driver=driver.name)
         person = {"interface": config.device, "id": config.operator or getpass.getuser()}
         self._to_drive, self._to_arm = bound.how_to_drive, bound.how_to_arm
         record = RecordButtons(life, watch, task=config.task, instruction=config.instruction, operator=person)
-        arm = ArmButtons(life, self._form.robot, config.device)
+        arm = ArmButtons(life, self._command_format.robot, config.device)
         self._requests = Requests(record, StopPresser(life), arm, device=config.device)
         self._speaks = False
         self._clock = life.clock
@@ -202,27 +216,29 @@ class Teleop:
     def _tick(self, dt_s: float) -> None:
         now_ns = self._clock.monotonic_ns()
         if self._leaving is None and self._life.stopping:
-            self._leaving = ExitBlend(self._form, self._config.leave_s)
+            self._leaving = ExitBlend(self._command_format, self._config.leave_s)
         heard = self._ear.hear()
-        if not heard.flaw:
+        if not heard.why_not:
             self._heard_s = now_ns * 1e-9
         self._robot.look(now_ns)
         self._take_up()
-        obstacle = _ENDING if self._leaving is not None else self._robot.obstacle or self._writer.flaw or heard.flaw
-        driven = self._driving.step(heard.reading, dt_s, obstacle=obstacle)
+        why_blocked = (
+            _ENDING if self._leaving is not None else self._robot.why_blocked or self._writer.why_not or heard.why_not
+        )
+        driven = self._driving.step(heard.reading, dt_s, why_blocked=why_blocked)
         self._tell(driven)
         self._obey(driven.pressed)
-        self._own_key.check(self._watch.latest(self._form.key))
+        self._own_key.check(self._watch.latest(self._command_format.key))
         self._decide_to_speak(driven, now_ns)
-        command, companions = driven.command, driven.companions
+        command, auxiliary = driven.command, driven.auxiliary
         if self._leaving is not None:
             command = self._leaving.step(command, dt_s, is_still=self._driver.is_still)
-            companions = self._leaving.companions(companions)
+            auxiliary = self._leaving.auxiliary(auxiliary)
         if self._speaks:
             deadman = self._driving.deadman
-            self._writer.write(command, companions, heard,
+            self._writer.write(command, auxiliary, heard,
                                engaged=deadman.is_engaged, mode=self._driver.mode, reason=deadman.reason)  # fmt: skip
-        self._report(obstacle)
+        self._report(why_blocked)
 
     def _take_up(self) -> None:
         """Before commands begin: take up the command that the robot follows, so that engaging starts from it."""
@@ -231,7 +247,7 @@ class Teleop:
             self._driver.take_up(used)
             self._taken_up = used
 
-    def _decide_to_speak(self, driven: Driven, now_ns: int) -> None:
+    def _decide_to_speak(self, driven: DrivingStep, now_ns: int) -> None:
         if driven.change is not None and driven.change.name == "operator-engaged":
             if not self._speaks:
                 self._robot.begin(now_ns)
@@ -246,21 +262,21 @@ class Teleop:
 
     def _be_silent(self, reason: str) -> None:
         """Command nothing more; the gate takes the robot to standing, or leaves it where it is."""
-        self._speaks, self._taken_up, self._writer.flaw = False, None, ""
+        self._speaks, self._taken_up, self._writer.why_not = False, None, ""
         self._robot.end()
         then = f"{self._then}; engage anew"
         self._life.event("teleop-commands-end", severity="warning", reason=reason, then=then)
 
     @property
     def _then(self) -> str:
-        return "the robot stays where it is" if self._form.stays else "the robot returns to standing"
+        return "the robot stays where it is" if self._command_format.holds_position else "the robot returns to standing"
 
     def _say_farewell(self) -> None:
         if self._speaks:
             reason = "the server was asked to stop" if self._life.stopping else "the operator left"
             self._life.event("teleop-commands-end", reason=reason, then=self._then)
 
-    def _tell(self, driven: Driven) -> None:
+    def _tell(self, driven: DrivingStep) -> None:
         mode = {"mode": self._driver.mode} if self._driver.mode else {}
         told: dict[str, Any] = {"device": self._config.device, "driver": self._driver.name} | mode
         if driven.mode:
@@ -274,19 +290,19 @@ class Teleop:
         self._requests.obey(pressed)
         if "exit" in pressed.started and self._leaving is None:
             self._life.event("operator-exit", device=self._config.device)
-            self._leaving = ExitBlend(self._form, self._config.leave_s)
+            self._leaving = ExitBlend(self._command_format, self._config.leave_s)
 
     def _leave_blindly(self, pace: WallPace) -> None:
         """Blend from the last command to the default, without anything that may have broken."""
         if not self._speaks or self._writer.newest is None:
             return
-        leaving = ExitBlend(self._form, self._config.leave_s)
+        leaving = ExitBlend(self._command_format, self._config.leave_s)
         while not leaving.is_done:
             self._writer.write_alone(leaving.step(self._writer.newest, pace.wait(is_leaving=True), is_still=True))
 
-    def _report(self, obstacle: str) -> None:
+    def _report(self, why_blocked: str) -> None:
         deadman = self._driving.deadman
-        reasons = [obstacle] if obstacle else [deadman.reason, self._to_drive]
+        reasons = [why_blocked] if why_blocked else [deadman.reason, self._to_drive]
         if self._robot.arming == "disarmed":
             reasons += [self._requests.refusal or self._to_arm]
         reason = "" if deadman.is_engaged else "; ".join(filter(None, reasons))

@@ -34,7 +34,7 @@ class ArmState:
         is_engaged: Whether targets are taken: `ArmSession.engage` was granted, and nothing has revoked it since.
         fault: Why the controller takes no commands until somebody clears it, or ""; after its last semicolon what an
             operator does about it.
-        obstacle: Why no target could be taken where the arm is, though nothing is at fault, or "".
+        why_blocked: Why no target could be taken where the arm is, though nothing is at fault, or "".
         told: The session's own snapshot, for whoever publishes it.
     """
 
@@ -43,7 +43,7 @@ class ArmState:
     is_moving: bool
     is_engaged: bool
     fault: str
-    obstacle: str
+    why_blocked: str
     told: Any
 
 
@@ -101,7 +101,7 @@ class JointCommand:
     upper: Floats
     margin: Floats
     rate: Floats
-    stays: bool = True
+    holds_position: bool = True
     velocities: tuple[int, ...] = ()
     note: str = ""
 
@@ -127,7 +127,7 @@ class JointCommand:
         return cls(name, robot, elements((positions(joint_names), "rad")), default, lower, upper, margin, rate)
 
     @property
-    def companions(self) -> Mapping[str, Floats]:
+    def auxiliary(self) -> Mapping[str, Floats]:
         """Nothing goes beside an arm's command."""
         return {}
 

@@ -13,8 +13,8 @@ Figures are in docs/reliability.md: blended over 2 s, as poses are, they take a 
 """
 
 
-def times_to_standing(form: CommandFormat, blend_s: float) -> Floats:
+def times_to_standing(command_format: CommandFormat, blend_s: float) -> Floats:
     """Return the time that each element takes, shape (m,) [s]: `VELOCITY_FADE_S` at most for velocities."""
-    times_s = np.full(len(form.default), blend_s)
-    times_s[list(form.velocities)] = min(blend_s, VELOCITY_FADE_S)
+    times_s = np.full(len(command_format.default), blend_s)
+    times_s[list(command_format.velocities)] = min(blend_s, VELOCITY_FADE_S)
     return times_s

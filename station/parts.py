@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from station.protocols import Floats, Reference
 
 
-def parts_of(form: CommandFormat) -> tuple[CommandFormat, ...]:
+def parts_of(command_format: CommandFormat) -> tuple[CommandFormat, ...]:
     """Return the formats that a robot's command is made of: those of its parts, else the format itself."""
-    return form.parts if isinstance(form, PartedCommand) else (form,)
+    return command_format.parts if isinstance(command_format, PartedCommand) else (command_format,)
 
 
 class PartedCommand:
@@ -38,7 +38,7 @@ class PartedCommand:
     """
 
     key, note = "", "its parts have keys of their own"
-    stays = False
+    holds_position = False
 
     def __init__(self, name: str, robot: str, parts: Sequence[CommandFormat]) -> None:
         self.name, self.robot, self.parts = name, robot, tuple(parts)
@@ -69,9 +69,9 @@ class PartedCommand:
         return tuple(element for part in self.parts for element in part.elements)
 
     @property
-    def companions(self) -> Mapping[str, Floats]:
+    def auxiliary(self) -> Mapping[str, Floats]:
         """Those of all parts."""
-        return {key: value for part in self.parts for key, value in part.companions.items()}
+        return {key: value for part in self.parts for key, value in part.auxiliary.items()}
 
     @property
     def stock(self) -> StockKeys:
@@ -87,12 +87,12 @@ class PartedCommand:
         return np.concatenate([part.encode(reference, joint_names) for part in self.parts])
 
 
-def part_name(form: PartedCommand, part: CommandFormat) -> str:
+def part_name(command_format: PartedCommand, part: CommandFormat) -> str:
     """Return what a part of a robot is called: the end of its keys' suffix."""
-    return part.robot.removeprefix(f"{form.robot}_")
+    return part.robot.removeprefix(f"{command_format.robot}_")
 
 
-def by_key(form: CommandFormat, vector: Floats) -> dict[str, Floats]:
+def by_key(command_format: CommandFormat, vector: Floats) -> dict[str, Floats]:
     """Return what each key of a robot's command is to hold, for one vector of shape (m,)."""
-    vectors = form.split(vector) if isinstance(form, PartedCommand) else [vector]
-    return {part.key: each for part, each in zip(parts_of(form), vectors, strict=True)}
+    vectors = command_format.split(vector) if isinstance(command_format, PartedCommand) else [vector]
+    return {part.key: each for part, each in zip(parts_of(command_format), vectors, strict=True)}

@@ -136,7 +136,7 @@ class SimulatedRobot(Robot, Protocol):
 
 
 @runtime_checkable
-class KnowsTruth(Protocol):
+class HasGroundTruth(Protocol):
     """A simulated robot, which knows where it is."""
 
     @property
@@ -258,7 +258,7 @@ class Motion(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class StockKeys:
-    """What programs of others expect of whoever commands, beside the values of `CommandFormat.companions`.
+    """What programs of others expect of whoever commands, beside the values of `CommandFormat.auxiliary`.
 
     Attributes:
         returning: Those of the companions that go back to their default when who drives leaves; others keep their
@@ -301,7 +301,7 @@ class CommandFormat(Protocol):
         ...
 
     @property
-    def companions(self) -> Mapping[str, Floats]:
+    def auxiliary(self) -> Mapping[str, Floats]:
         """Keys that stock readers expect beside it (hands, neck), with the value that asks for nothing."""
         ...
 
@@ -336,7 +336,7 @@ class CommandFormat(Protocol):
         ...
 
     @property
-    def stays(self) -> bool:
+    def holds_position(self) -> bool:
         """Whether a robot without a command stays where it is (an arm) instead of going back to `default`."""
         ...
 

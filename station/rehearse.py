@@ -52,7 +52,7 @@ def rehearse(
     motion: Motion,
     policy: Policy,
     robot: Robot,
-    form: CommandFormat,
+    command_format: CommandFormat,
     *,
     name: str = "",
     period_s: float = 0.02,
@@ -65,7 +65,7 @@ def rehearse(
     Args:
         motion: What the robot shall do.
         policy, robot: Fresh, or used before: both are reset.
-        form: The policy's command format.
+        command_format: The policy's command format.
         name: What the result calls the motion; its own name when "".
         period_s: Control period, that of the robot's `write` [s].
         lead_s: How far ahead the motion is sampled [s]; as the motion server does by itself.
@@ -75,9 +75,9 @@ def rehearse(
     policy.reset()
     if isinstance(robot, Resettable):
         robot.reset()
-    control = ControlStep(robot, policy, form, gate=gate)
-    playback = Playback(motion, form, lead_s=lead_s)
-    error = TrackingError(names_of(form.elements), robot.joint_names)
+    control = ControlStep(robot, policy, command_format, gate=gate)
+    playback = Playback(motion, command_format, lead_s=lead_s)
+    error = TrackingError(names_of(command_format.elements), robot.joint_names)
     started_s = time.perf_counter()
     tick, fell_at_s = 0, None
     while not playback.is_done and fell_at_s is None:
@@ -132,14 +132,14 @@ def rehearse_all(
 def _step(control: ControlStep, playback: Playback, now_s: float, dt_s: float) -> tuple[Frame, StepRecord]:
     state = control.sense()
     frame = playback.step(dt_s)
-    return frame, control.step(state, samples_of(control.commanded.form, frame.command, now_s), now_s)
+    return frame, control.step(state, samples_of(control.commanded.command_format, frame.command, now_s), now_s)
 
 
 def _rehearse_named(task: tuple[str, RigConfig, str]) -> Rehearsal:
     motion, config, holes = task
     clip = registry.find("loader", "motion")(motion, holes=holes)
     rig = _rig(msgspec.json.encode(config))
-    return rehearse(clip, rig.policy, rig.robot, rig.form, name=motion, period_s=rig.period_s)
+    return rehearse(clip, rig.policy, rig.robot, rig.command_format, name=motion, period_s=rig.period_s)
 
 
 @lru_cache(maxsize=1)

@@ -13,14 +13,14 @@ def test_a_command_keeps_limits_of_its_own_and_leaves_those_that_it_was_given_as
     given = {
         name: np.full(7, value) for name, value in (("lower", 0.5), ("upper", 3.0), ("margin", 0.2), ("rate", 1.0))
     }
-    form = JointCommand.within("kassow", "kassow_kr810", ARM_7, **given)
+    command_format = JointCommand.within("kassow", "kassow_kr810", ARM_7, **given)
     for name, array in given.items():
         array[:] = 9.0  # they are the caller's, who may change them
-        kept = getattr(form, name)
+        kept = getattr(command_format, name)
         assert not (kept == 9.0).any()
         with pytest.raises(ValueError, match="read-only"):
             kept[0] = 9.0
-    np.testing.assert_array_equal(form.default, np.full(7, 0.5))
+    np.testing.assert_array_equal(command_format.default, np.full(7, 0.5))
 
 
 @pytest.mark.parametrize(

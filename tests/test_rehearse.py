@@ -81,7 +81,7 @@ def test_a_rehearsal_is_the_same_every_time_also_in_a_rig_that_was_used() -> Non
     motion = Ramp(rig.robot.joint_names)
 
     def run() -> Rehearsal:
-        return rehearse(motion, rig.policy, rig.robot, rig.form, period_s=rig.period_s)  # type: ignore[arg-type]
+        return rehearse(motion, rig.policy, rig.robot, rig.command_format, period_s=rig.period_s)  # type: ignore[arg-type]
 
     first, second = run(), run()
     assert first.mean_joint_error_rad == second.mean_joint_error_rad
@@ -93,7 +93,7 @@ def test_only_ticks_that_play_and_track_count_and_commands_pass_through_their_te
     rig = build(RigConfig(robot_options={"physics_dt_s": 0.002}))
     seen: list[tuple[Frame, StepRecord]] = []
     result = rehearse(
-        Ramp(rig.robot.joint_names), rig.policy, rig.robot, rig.form,  # type: ignore[arg-type]
+        Ramp(rig.robot.joint_names), rig.policy, rig.robot, rig.command_format,  # type: ignore[arg-type]
         on_step=lambda frame, record: seen.append((frame, record)),
     )  # fmt: skip
     counted = [
@@ -107,13 +107,15 @@ def test_only_ticks_that_play_and_track_count_and_commands_pass_through_their_te
     for frame, record in seen:
         if record.decision.state == "tracking":
             sent = codec.parse_json_vector(codec.json_vector(frame.command))
-            np.testing.assert_array_equal(record.decision.vector, np.clip(sent, rig.form.lower, rig.form.upper))
+            np.testing.assert_array_equal(
+                record.decision.vector, np.clip(sent, rig.command_format.lower, rig.command_format.upper)
+            )
 
 
 def test_a_fall_ends_the_run_and_its_motion_time_is_said() -> None:
     rig = build(RigConfig(robot_options={"physics_dt_s": 0.002}))
     motion = Ramp(rig.robot.joint_names, lean_rad=-1.4)  # leans back as no robot can
-    result = rehearse(motion, rig.policy, rig.robot, rig.form)  # type: ignore[arg-type]
+    result = rehearse(motion, rig.policy, rig.robot, rig.command_format)  # type: ignore[arg-type]
     assert result.fell
     assert result.fell_at_s is not None
     assert 0.0 <= result.fell_at_s <= 1.0

@@ -12,7 +12,7 @@ from typing import Any
 from adapters.cameras import jpeg
 from adapters.cameras.encode import Encoder, library
 from adapters.cameras.pace import Pace
-from station.camera.source import CameraError, Drops, Picture, Wishes
+from station.camera.source import CameraError, Drops, Picture, PictureSettings
 
 _JPEG = (".jpg", ".jpeg")
 _PICTURES = (*_JPEG, ".png", ".bmp", ".webp", ".tif", ".tiff")
@@ -30,20 +30,20 @@ class FilesCamera:
     Args:
         path: A folder of pictures, in the order of the numbers in their names, or a video file.
         is_looped: Whether it begins again at the end.
-        wishes: The files' own size and rate unless they say otherwise; 30 Hz for pictures.
+        settings: The files' own size and rate unless they say otherwise; 30 Hz for pictures.
 
     Raises:
         CameraError: no such file or folder, no picture in it, or no library that reads it.
     """
 
-    def __init__(self, path: Path, wishes: Wishes, *, is_looped: bool = True) -> None:
+    def __init__(self, path: Path, settings: PictureSettings, *, is_looped: bool = True) -> None:
         self.drops = Drops()
         self._path, self._is_looped = path, is_looped
         if not path.exists():
             raise CameraError(f"{path}: no such file or folder; expected a folder of pictures, or a video file")
-        self._reel = _Folder(path, wishes) if path.is_dir() else _Video(path, wishes)
-        self._fps = wishes.fps or self._reel.fps or _FPS
-        self._quality = wishes.quality
+        self._reel = _Folder(path, settings) if path.is_dir() else _Video(path, settings)
+        self._fps = settings.fps or self._reel.fps or _FPS
+        self._quality = settings.quality
         self._pace = Pace(self._fps)
         self._frames: Iterator[_Frame] | None = None
         self._is_over = False
@@ -119,7 +119,7 @@ class _Folder:
         passes: Whether their bytes are passed on.
     """
 
-    def __init__(self, folder: Path, wishes: Wishes) -> None:
+    def __init__(self, folder: Path, settings: PictureSettings) -> None:
         self._files = sorted((file for file in folder.iterdir() if file.suffix.lower() in _PICTURES), key=_by_number)
         if not self._files:
             raise CameraError(f"{folder}: no pictures in it; expected files that end in {', '.join(_PICTURES)}")
@@ -127,9 +127,9 @@ class _Folder:
         self.fps: float | None = None
         self.form = first.suffix.lower().removeprefix(".").replace("jpeg", "jpg")
         own = _size(first)
-        self.size = (wishes.width or own[0], wishes.height or own[1])
+        self.size = (settings.width or own[0], settings.height or own[1])
         self.passes = self.size == own and all(file.suffix.lower() in _JPEG for file in self._files)
-        self._encoder = None if self.passes else Encoder(wishes.quality)
+        self._encoder = None if self.passes else Encoder(settings.quality)
 
     def pictures(self) -> Iterator[_Frame]:
         """Iterate over them once, from the first."""
@@ -155,13 +155,13 @@ class _Video:
 
     passes = False
 
-    def __init__(self, file: Path, wishes: Wishes) -> None:
-        self._file, self._encoder = file, Encoder(wishes.quality)
+    def __init__(self, file: Path, settings: PictureSettings) -> None:
+        self._file, self._encoder = file, Encoder(settings.quality)
         with _opened(file) as container:
             stream = container.streams.video[0]
             rate = stream.average_rate or stream.guessed_rate
             self.fps: float | None = round(float(rate), 3) if rate else None
-            self.size = (wishes.width or stream.width, wishes.height or stream.height)
+            self.size = (settings.width or stream.width, settings.height or stream.height)
             self.form = stream.codec_context.name
             if next(_decoded(container), None) is None:
                 raise CameraError(f"{file}: no picture in it; expected a video file")

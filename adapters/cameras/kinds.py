@@ -10,7 +10,7 @@ import msgspec
 
 from adapters.robots.g1 import twist_keys
 from station.bus import keys
-from station.camera.source import Camera, CameraKind, Newest, Wishes
+from station.camera.source import Camera, CameraKind, Newest, PictureSettings
 
 
 class UvcOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -74,29 +74,29 @@ def _plugged_in() -> Sequence[str]:
     return [str(camera) for camera in v4l2.found()]
 
 
-def _uvc(options: UvcOptions, wishes: Wishes, _newest: Newest) -> Camera:
+def _uvc(options: UvcOptions, settings: PictureSettings, _newest: Newest) -> Camera:
     from adapters.cameras.uvc import UvcCamera
 
-    return UvcCamera(options.device, options.serial, options.format, wishes, devices=options.devices)
+    return UvcCamera(options.device, options.serial, options.format, settings, devices=options.devices)
 
 
-def _files(options: FilesOptions, wishes: Wishes, _newest: Newest) -> Camera:
+def _files(options: FilesOptions, settings: PictureSettings, _newest: Newest) -> Camera:
     from adapters.cameras.files import FilesCamera
 
-    return FilesCamera(options.path, wishes, is_looped=options.loop)
+    return FilesCamera(options.path, settings, is_looped=options.loop)
 
 
-def _mujoco(options: MujocoOptions, wishes: Wishes, newest: Newest) -> Camera:
+def _mujoco(options: MujocoOptions, settings: PictureSettings, newest: Newest) -> Camera:
     from adapters.cameras.mujoco_g1 import MujocoCamera
 
     key = keys.sim_qpos(options.robot)
-    return MujocoCamera(options.model, options.camera, key, wishes, newest, is_fine=options.detail == "fine")
+    return MujocoCamera(options.model, options.camera, key, settings, newest, is_fine=options.detail == "fine")
 
 
-def _zmq(options: ZmqOptions, wishes: Wishes, _newest: Newest) -> Camera:
+def _zmq(options: ZmqOptions, settings: PictureSettings, _newest: Newest) -> Camera:
     from adapters.cameras.zmq_stream import ZmqCamera
 
-    return ZmqCamera(options.address, wishes)
+    return ZmqCamera(options.address, settings)
 
 
 UVC = CameraKind(

@@ -22,7 +22,7 @@ from adapters.robots.picture import Camera as Eye
 from station import assets
 from station.bus import codec
 from station.bus.sample import Sample
-from station.camera.source import CameraError, Drops, Newest, Picture, Wishes
+from station.camera.source import CameraError, Drops, Newest, Picture, PictureSettings
 from station.errors import StationError
 from station.protocols import Floats
 
@@ -48,16 +48,16 @@ class MujocoCamera:
     """
 
     def __init__(
-        self, model: str, camera: str, key: str, wishes: Wishes, newest: Newest, *, is_fine: bool = False
+        self, model: str, camera: str, key: str, settings: PictureSettings, newest: Newest, *, is_fine: bool = False
     ) -> None:
         self.drops = Drops()
         self._path, self._name, self._key, self._newest = assets.resolve(model), camera, key, newest
-        self._width, self._height = wishes.width or _SIZE[0], wishes.height or _SIZE[1]
-        self._fps = wishes.fps or _FPS
-        self._pace, self._encoder = Pace(self._fps), Encoder(wishes.quality)
+        self._width, self._height = settings.width or _SIZE[0], settings.height or _SIZE[1]
+        self._fps = settings.fps or _FPS
+        self._pace, self._encoder = Pace(self._fps), Encoder(settings.quality)
         self._detail: Literal["fine", "plain"] = "fine" if is_fine else "plain"
         self._shown: Sample | None = None
-        self._flaw = ""
+        self._why_not = ""
         if max(self._width, self._height) > _MOST_PX:
             raise CameraError(f"camera {camera}: {self._width}x{self._height}; expected {_MOST_PX} px at most")
         self._model = model_cache.load(self._path, mjcf.prepare, salt=mjcf.salt())
@@ -94,8 +94,8 @@ class MujocoCamera:
 
     def why_silent(self) -> str:
         """Return what is missing."""
-        if self._flaw:
-            return self._flaw
+        if self._why_not:
+            return self._why_not
         return f"{self._key}: nobody writes it; is the simulation running?"
 
     def facts(self) -> dict[str, Any]:
@@ -140,11 +140,11 @@ class MujocoCamera:
         if len(qpos) != _NUMBERS or not np.isfinite(qpos).all():
             self._refuse(f"{len(qpos)} numbers, expected {_NUMBERS} finite ones")
             return None
-        self._flaw = ""
+        self._why_not = ""
         return qpos
 
-    def _refuse(self, flaw: str) -> None:
-        self._flaw = f"{self._key}: {flaw}"
+    def _refuse(self, why_not: str) -> None:
+        self._why_not = f"{self._key}: {why_not}"
         self.drops.torn += 1
 
     def _pose(self, qpos: Floats) -> mujoco.MjData:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from adapters.cameras import jpeg, v4l2
 from adapters.cameras.encode import Encoder
 from adapters.cameras.v4l2_device import Frame, Layout
-from station.camera.source import CameraError, Drops, Picture, Wishes
+from station.camera.source import CameraError, Drops, Picture, PictureSettings
 
 Form = Literal["auto", "MJPG", "YUYV"]
 
@@ -42,7 +42,7 @@ class UvcCamera:
     """
 
     def __init__(
-        self, device: str, serial: str, form: Form, wishes: Wishes, *, devices: Path = v4l2.DEVICES
+        self, device: str, serial: str, form: Form, settings: PictureSettings, *, devices: Path = v4l2.DEVICES
     ) -> None:  # fmt: skip
         self.drops = Drops()
         self._found = v4l2.choose(device, serial, devices)
@@ -50,7 +50,7 @@ class UvcCamera:
         self._number: int | None = None
         self._heard_s: float | None = None
         try:
-            self._layout = self._set_up(form, wishes)
+            self._layout = self._set_up(form, settings)
         except OSError as error:
             self.close()
             raise self._error(error) from error
@@ -99,16 +99,16 @@ class UvcCamera:
         """Stop the stream and let go of the device."""
         self._device.close()
 
-    def _set_up(self, form: Form, wishes: Wishes) -> Layout:
+    def _set_up(self, form: Form, settings: PictureSettings) -> Layout:
         path, device = self._found.path, self._device
         if not device.info.captures:
             raise CameraError(f"{path}: gives no pictures (a camera's second file is for metadata)")
-        fps = wishes.fps or _FPS
-        size = (wishes.width or _SIZE[0], wishes.height or _SIZE[1])
+        fps = settings.fps or _FPS
+        size = (settings.width or _SIZE[0], settings.height or _SIZE[1])
         forms = (_JPEG, "YUYV") if form == "auto" else (form,)
         mode = v4l2.pick(v4l2.modes(device, size, fps), forms, size, fps, path)
         if mode.form != _JPEG:
-            self._encoder = Encoder(wishes.quality)
+            self._encoder = Encoder(settings.quality)
         layout = device.set_format(mode.form, size)
         if (layout.form, layout.width, layout.height) != (mode.form, *size):
             taken = f"{layout.form} {layout.width}x{layout.height}"

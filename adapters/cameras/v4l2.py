@@ -20,7 +20,7 @@ _GONE = (errno.ENODEV, errno.ENXIO, errno.ENOENT)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class CaptureDevice:
     """A capture device.
 
     Attributes:
@@ -28,31 +28,31 @@ class Found:
         card: What it calls itself.
         serial: Its serial number; "" for none.
         bus: Where it is plugged in.
-        flaw: Why it cannot be used, or "".
+        why_not: Why it cannot be used, or "".
     """
 
     path: Path
     card: str = ""
     serial: str = ""
     bus: str = ""
-    flaw: str = ""
+    why_not: str = ""
 
     def __str__(self) -> str:
-        if self.flaw:
-            return f"{self.path} ({self.flaw})"
+        if self.why_not:
+            return f"{self.path} ({self.why_not})"
         return f"{self.path} {self.card}" + (f" (serial {self.serial})" if self.serial else "")
 
 
-def found(folder: Path = DEVICES) -> list[Found]:
+def found(folder: Path = DEVICES) -> list[CaptureDevice]:
     """Return the capture devices that can be seen, in the order of their numbers."""
-    seen: list[Found] = []
+    seen: list[CaptureDevice] = []
     for path in sorted(folder.glob("video*"), key=lambda path: (len(path.name), path.name)):
         if path.is_char_device():
             seen += _look(path)
     return seen
 
 
-def choose(wanted: str, serial: str, folder: Path) -> Found:
+def choose(wanted: str, serial: str, folder: Path) -> CaptureDevice:
     """Return the one camera that is there, or the one of several that was asked for.
 
     Args:
@@ -76,27 +76,27 @@ def choose(wanted: str, serial: str, folder: Path) -> Found:
                       "options.device or options.serial")  # fmt: skip
 
 
-def _named(path: Path, folder: Path) -> Found:
+def _named(path: Path, folder: Path) -> CaptureDevice:
     if not path.exists():
         raise CameraError(f"{path}: no such device; {_there(found(folder))}")
     if not path.is_char_device():
         raise CameraError(f"{path}: no video device; {_there(found(folder))}")
-    return Found(path=path, serial=_serial(path))
+    return CaptureDevice(path=path, serial=_serial(path))
 
 
-def _there(cameras: Sequence[Found]) -> str:
+def _there(cameras: Sequence[CaptureDevice]) -> str:
     if not cameras:
         return "none is there: plug one in (`lsusb` lists it)"
     return "there are " + ", ".join(map(str, cameras))
 
 
-def _look(path: Path) -> Iterator[Found]:
+def _look(path: Path) -> Iterator[CaptureDevice]:
     try:
         with closing(open_device(path)) as device:
             if device.info.captures:  # the others give metadata
-                yield Found(path=path, card=device.info.card, serial=_serial(path), bus=device.info.bus)
+                yield CaptureDevice(path=path, card=device.info.card, serial=_serial(path), bus=device.info.bus)
     except CameraError as error:
-        yield Found(path=path, flaw=str(error).removeprefix(f"{path}: ").split(";")[0])
+        yield CaptureDevice(path=path, why_not=str(error).removeprefix(f"{path}: ").split(";")[0])
 
 
 def open_device(path: Path) -> VideoDevice:

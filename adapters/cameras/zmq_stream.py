@@ -14,7 +14,7 @@ from typing import Any
 
 from adapters.cameras import jpeg
 from adapters.cameras.encode import library
-from station.camera.source import CameraError, Drops, Picture, Wishes
+from station.camera.source import CameraError, Drops, Picture, PictureSettings
 
 _HEAD = struct.Struct("=iii")
 _MOST_BYTES = 16 << 20  # a stranger's message that is longer ends the connection
@@ -26,20 +26,20 @@ class ZmqCamera:
 
     Args:
         address: Where the sender is, such as ``tcp://192.168.123.164:5555``.
-        wishes: Size and rate are the sender's; another wish is refused.
+        settings: Size and rate are the sender's; another wish is refused.
 
     Raises:
         CameraError: no pyzmq, no such address, or a wish that cannot be met.
     """
 
-    def __init__(self, address: str, wishes: Wishes) -> None:
+    def __init__(self, address: str, settings: PictureSettings) -> None:
         self.drops = Drops()
         self._address = address
         self._zmq = library("zmq", "pyzmq", "the source zmq")
-        self._flaw = ""
+        self._why_not = ""
         self._size: tuple[int, int] | None = None
         self._socket: Any = None
-        if (wishes.width, wishes.height, wishes.fps) != (None, None, None):
+        if (settings.width, settings.height, settings.fps) != (None, None, None):
             raise CameraError(f"{address}: the sender decides on size and rate; leave out width, height and fps")
         self._connect()
         self._disconnect()  # an address that cannot be is found out now; pictures are wanted later
@@ -60,7 +60,7 @@ class ZmqCamera:
 
     def why_silent(self) -> str:
         """Return what is wrong with what comes, or where nothing comes from."""
-        return self._flaw or f"{self._address}: nothing comes; does the sender run, and is its port open?"
+        return self._why_not or f"{self._address}: nothing comes; does the sender run, and is its port open?"
 
     def facts(self) -> dict[str, Any]:
         """Return the address, and how little the stream tells."""
@@ -106,8 +106,8 @@ class ZmqCamera:
             if picture is not None:
                 self.drops.skipped += 1
                 continue
-            data, known, flaw = _file(b"".join(parts))
-            self._flaw = flaw and f"{self._address}: {flaw}"
+            data, known, why_not = _file(b"".join(parts))
+            self._why_not = why_not and f"{self._address}: {why_not}"
             if known is None:
                 self.drops.torn += 1
             else:

@@ -1,7 +1,7 @@
 """The command of an arm: absolute positions of its joints, 7 numbers [rad] on ``action_joints_<robot>``.
 
-An arm has no standing to go back to: without a command it stays where it is (`CommandFormat.stays`), and `default` only
-tells the length of the vector and a place within its range.
+An arm has no standing to go back to: without a command it stays where it is (`CommandFormat.holds_position`), and
+`default` only tells the length of the vector and a place within its range.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ JOINT_MARGIN_RAD = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Bound:
+class ElementBound:
     """One element of the head.
 
     Attributes:
@@ -55,7 +55,7 @@ class BodyCommand:
     key: str
     elements: tuple[Element, ...]
     note: str
-    companions: Mapping[str, Floats]
+    auxiliary: Mapping[str, Floats]
     stock: StockKeys
     default: Floats
     lower: Floats
@@ -65,7 +65,7 @@ class BodyCommand:
     velocities: tuple[int, ...]
     joint_names: tuple[str, ...]
     head: Callable[[Reference], list[float]]
-    stays: bool = False
+    holds_position: bool = False
 
     def encode(self, reference: Reference, joint_names: tuple[str, ...]) -> Floats:
         """Return the vector that asks for a reference whose joints are named, shape (m,).
@@ -83,9 +83,9 @@ def body_command(
     robot: str,
     key: str,
     note: str,
-    companions: Mapping[str, int],
+    auxiliary: Mapping[str, int],
     stock: StockKeys,
-    bounds: tuple[Bound, ...],
+    bounds: tuple[ElementBound, ...],
     joint_names: tuple[str, ...],
     default_pose: Mapping[str, float],
     head: Callable[[Reference], list[float]],
@@ -103,7 +103,7 @@ def body_command(
         key=key,
         elements=(*(Element(bound.name, bound.unit) for bound in bounds), *elements((positions(joint_names), "rad"))),
         note=note,
-        companions=MappingProxyType({other: _frozen(np.zeros(size)) for other, size in companions.items()}),
+        auxiliary=MappingProxyType({other: _frozen(np.zeros(size)) for other, size in auxiliary.items()}),
         stock=stock,
         default=whole("default", pose),
         lower=whole("lower", g1.lower(joint_names)),

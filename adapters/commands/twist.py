@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 
-from adapters.commands.body import Bound, body_command, standing
+from adapters.commands.body import ElementBound, body_command, standing
 from adapters.commands.twist2 import PITCH, ROLL, YAW_RATE, height, velocity
 from adapters.robots.g1 import twist_keys
 from adapters.robots.g1.joints import G1_25
@@ -30,13 +30,13 @@ def _head(reference: Reference) -> list[float]:
 
 
 # A heading that passes the half turn jumps by a whole one.
-_YAW = Bound("root_yaw", "rad", 0.0, lower=-math.pi, upper=math.pi, margin=0.1, rate=math.inf)
+_YAW = ElementBound("root_yaw", "rad", 0.0, lower=-math.pi, upper=math.pi, margin=0.1, rate=math.inf)
 
 FORMAT = body_command(
     name="twist",
     robot=twist_keys.TWIST_ROBOT,
     key=twist_keys.action_mimic(),
-    companions={twist_keys.action_hands(): 14},
+    auxiliary={twist_keys.action_hands(): 14},
     stock=StockKeys(
         clocks=(twist_keys.T_ACTION,),
         signals={twist_keys.MOTION_START_SIGNAL: "start", twist_keys.MOTION_EXIT_SIGNAL: "leave"},

@@ -13,7 +13,7 @@ Heading and place are not commanded: they drift freely. Source: amazon-far/TWIST
 
 from __future__ import annotations
 
-from adapters.commands.body import Bound, body_command, standing
+from adapters.commands.body import ElementBound, body_command, standing
 from adapters.robots.g1 import twist_keys
 from adapters.robots.g1.joints import G1_29
 from station.protocols import Reference, StockKeys
@@ -28,26 +28,26 @@ def _head(reference: Reference) -> list[float]:
 
 # Rates: joints have their motors'. Those of the head leave room above what people walk with once it is retargeted and
 # differentiated frame by frame: 22 m/s^2, 1.2 m/s up and down, 2.9 rad/s of lean, 100 rad/s^2 of turn (1.2 x speed).
-def velocity(axis: str) -> Bound:
+def velocity(axis: str) -> ElementBound:
     """Velocity of the root in its own frame."""
-    return Bound(f"root_vel_{axis}", "m/s", 0.0, lower=-3.0, upper=3.0, margin=1.0, rate=30.0, is_velocity=True)
+    return ElementBound(f"root_vel_{axis}", "m/s", 0.0, lower=-3.0, upper=3.0, margin=1.0, rate=30.0, is_velocity=True)
 
 
-def height(standing_m: float) -> Bound:
+def height(standing_m: float) -> ElementBound:
     """Height of the root above ground."""
-    return Bound("root_height", "m", standing_m, lower=0.2, upper=1.2, margin=0.1, rate=3.0)
+    return ElementBound("root_height", "m", standing_m, lower=0.2, upper=1.2, margin=0.1, rate=3.0)
 
 
 ROLL, PITCH = (
-    Bound(f"root_{tilt}", "rad", 0.0, lower=-1.3, upper=1.3, margin=0.2, rate=6.0) for tilt in ("roll", "pitch")
+    ElementBound(f"root_{tilt}", "rad", 0.0, lower=-1.3, upper=1.3, margin=0.2, rate=6.0) for tilt in ("roll", "pitch")
 )
-YAW_RATE = Bound("root_yaw_rate", "rad/s", 0.0, lower=-6.0, upper=6.0, margin=3.0, rate=150.0, is_velocity=True)
+YAW_RATE = ElementBound("root_yaw_rate", "rad/s", 0.0, lower=-6.0, upper=6.0, margin=3.0, rate=150.0, is_velocity=True)
 
 FORMAT = body_command(
     name="twist2",
     robot=twist_keys.TWIST2_ROBOT,
     key=twist_keys.action_body(),
-    companions={twist_keys.action_hand("left"): 7, twist_keys.action_hand("right"): 7, twist_keys.action_neck(): 2},
+    auxiliary={twist_keys.action_hand("left"): 7, twist_keys.action_hand("right"): 7, twist_keys.action_neck(): 2},
     stock=StockKeys(
         returning=frozenset({twist_keys.action_neck()}),
         clocks=(twist_keys.T_ACTION,),

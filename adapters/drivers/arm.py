@@ -26,7 +26,7 @@ from station import registry, rotations
 from station.errors import ConfigError
 from station.operator import deltas
 from station.operator.deadman import Snapshot
-from station.operator.driver import Look
+from station.operator.driver import DriverInput
 from station.operator.sample import OperatorSample, Pose
 from station.parts import PartedCommand
 from station.protocols import CommandFormat, Floats
@@ -79,8 +79,8 @@ class ArmDriver:
 
     def __init__(self, name: str, options: ArmOptions, begins: Literal["joints", "tool"]) -> None:
         self.name, self._options = name, options
-        self._form, self._limits = _form(options)
-        self._joints = [element.name.removesuffix("_pos") for element in self._form.elements]
+        self._command_format, self._limits = _command_format(options)
+        self._joints = [element.name.removesuffix("_pos") for element in self._command_format.elements]
         if options.command and begins == "tool":
             raise ConfigError(f"the kinematics behind {options.command!r} are not known; take the driver arm-joints")
         is_known = not options.command and options.model in kinematics.MODELS
@@ -90,13 +90,13 @@ class ArmDriver:
         self._mode = TOOL if begins == "tool" else self._modes[0]
         self._choice = Choice(len(self._joints))
         self._anchor: _Anchor | None = None
-        self._q: Floats = np.array(self._form.default)
-        self._lower, self._upper = self._form.lower, self._form.upper
+        self._q: Floats = np.array(self._command_format.default)
+        self._lower, self._upper = self._command_format.lower, self._command_format.upper
 
     @property
-    def form(self) -> CommandFormat:
+    def command_format(self) -> CommandFormat:
         """Positions of the joints."""
-        return self._form
+        return self._command_format
 
     @property
     def mode(self) -> str:
@@ -109,28 +109,30 @@ class ArmDriver:
         return self._q.copy()
 
     @property
-    def companions(self) -> Mapping[str, Floats]:
+    def auxiliary(self) -> Mapping[str, Floats]:
         """Nothing stands beside the command."""
-        return self._form.companions
+        return self._command_format.auxiliary
 
     @property
     def is_still(self) -> bool:
         """The target stays where it is while the operator moves nothing."""
         return True
 
-    def look(self, reading: OperatorSample) -> Look:
+    def look(self, reading: OperatorSample) -> DriverInput:
         """Require a leader, a tracked hand, a twist or controls; to begin, a leader must be near the arm."""
         found = self._input(reading)
         if isinstance(found, str):
-            return Look(None, found)
+            return DriverInput(None, found)
         if found.joints is None:
-            return Look(found)
+            return DriverInput(found)
         far = [
             f"{name} by {way:+.2f}"
             for name, way in zip(self._joints, (self._q - found.joints).tolist(), strict=True)
             if abs(way) > APART_RAD
         ]
-        return Look(found, objection=f"leader is too far from the arm; move it (rad): {', '.join(far)}" if far else "")
+        return DriverInput(
+            found, why_not_engage=f"leader is too far from the arm; move it (rad): {', '.join(far)}" if far else ""
+        )
 
     def jump(self, before: ArmInput, now: ArmInput) -> str:
         """Return what jumped, or ""; a device that drives by another part of its samples has lost the one before."""
@@ -160,8 +162,8 @@ class ArmDriver:
     def take_up(self, command: Floats) -> None:
         """Go on from where the arm stands; one that stands outside its soft limits may only come in."""
         self._q = np.array(command)
-        self._lower = np.minimum(self._form.lower, self._q)
-        self._upper = np.maximum(self._form.upper, self._q)
+        self._lower = np.minimum(self._command_format.lower, self._q)
+        self._upper = np.maximum(self._command_format.upper, self._q)
 
     def facts(self) -> dict[str, Any]:
         """Name, options, modes and limits."""
@@ -225,24 +227,29 @@ def _parts(joints: int) -> dict[str, range]:
     return {f"joints {part[0] + 1}-{part[-1] + 1}" if len(part) > 1 else f"joint {part[0] + 1}": part for part in parts}
 
 
-def _form(options: ArmOptions) -> tuple[CommandFormat, dict[str, Any]]:
+def _command_format(options: ArmOptions) -> tuple[CommandFormat, dict[str, Any]]:
     """Return the format of the commands, and what a manifest says of the limits."""
     if options.command:
-        form: CommandFormat = registry.find("command", options.command)
-        if isinstance(form, PartedCommand):
-            parts = ", ".join(part.name for part in form.parts)
+        command_format: CommandFormat = registry.find("command", options.command)
+        if isinstance(command_format, PartedCommand):
+            parts = ", ".join(part.name for part in command_format.parts)
             raise ConfigError(f"command {options.command!r} is made of parts, which are driven apart: {parts}")
-        if not form.stays or any(not element.name.endswith("_pos") for element in form.elements):
+        if not command_format.holds_position or any(
+            not element.name.endswith("_pos") for element in command_format.elements
+        ):
             raise ConfigError(f"command {options.command!r} has other elements than positions of an arm's joints")
-        slowest, facts = float(form.rate.min()), {name: getattr(form, name).tolist() for name in _LIMITS}
+        slowest, facts = (
+            float(command_format.rate.min()),
+            {name: getattr(command_format, name).tolist() for name in _LIMITS},
+        )
     else:
         limits = arm_limits.load(MAKER, options.model, options.limits)
         slowest, facts = float(limits.qd_max.min()), limits.facts()
         robot = suffix(options.model, options.name)
-        form = arm_command(MAKER, limits, speed_rad_s=options.speed_rad_s, robot=robot)
+        command_format = arm_command(MAKER, limits, speed_rad_s=options.speed_rad_s, robot=robot)
     if options.speed_rad_s > slowest:
         raise ConfigError(f"speed_rad_s is {options.speed_rad_s:g}; the slowest joint does {slowest:.3g} rad/s")
-    return form, facts
+    return command_format, facts
 
 
 def _about_z(radians: float) -> Floats:

@@ -133,7 +133,7 @@ def _hand(reading: OperatorSample, hand: Side, *, needs_head: bool) -> ArmInput 
     found: dict[str, Pose | None] = {hand: reading.left if hand == "left" else reading.right}
     if needs_head:
         found["head"] = reading.head
-    flaws = [f"{name} {flaw}" for name, pose in found.items() if (flaw := deltas.flaw(pose))]
+    flaws = [f"{name} {why_not}" for name, pose in found.items() if (why_not := deltas.why_not(pose))]
     return (
         "; ".join(flaws) if flaws else ArmInput("hand", True, poses={n: p for n, p in found.items() if p is not None})
     )

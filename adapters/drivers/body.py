@@ -19,7 +19,7 @@ from station.bus.joints import SMPL_24
 from station.errors import StationError
 from station.operator import deltas
 from station.operator.deadman import Snapshot
-from station.operator.driver import Look
+from station.operator.driver import DriverInput
 from station.operator.sample import Body, OperatorSample, Pose
 from station.protocols import CommandFormat, Floats, Reference
 
@@ -68,11 +68,11 @@ class BodyDriver:
         self._held: Snapshot[Any, Any] | None = None
         self._rest = np.array(FORMAT.default)
         self._live: Floats | None = None
-        self._flaw = ""
+        self._why_not = ""
         self._left_s = 0.0
 
     @property
-    def form(self) -> CommandFormat:
+    def command_format(self) -> CommandFormat:
         """TWIST2's."""
         return FORMAT
 
@@ -82,22 +82,22 @@ class BodyDriver:
         return self._shaper.sent.copy()
 
     @property
-    def companions(self) -> Mapping[str, Floats]:
+    def auxiliary(self) -> Mapping[str, Floats]:
         """Both Dex3 hands, and the neck."""
-        return {**FORMAT.companions, **self._fingers.commands, **self._neck.command}
+        return {**FORMAT.auxiliary, **self._fingers.commands, **self._neck.command}
 
     @property
     def is_still(self) -> bool:
         """Whether the robot has come to a stand."""
         return self._held is None and self._left_s <= 0.0
 
-    def look(self, reading: OperatorSample) -> Look:
+    def look(self, reading: OperatorSample) -> DriverInput:
         """A body is needed, at a time of the device."""
         if reading.body is None:
-            return Look(None, "the body is not tracked")
+            return DriverInput(None, "the body is not tracked")
         if reading.capture_ns is None:
-            return Look(None, "the device does not say when it saw the body")
-        return Look(None, self._flaw) if self._flaw else Look(reading.body)
+            return DriverInput(None, "the device does not say when it saw the body")
+        return DriverInput(None, self._why_not) if self._why_not else DriverInput(reading.body)
 
     def jump(self, before: Body, now: Body) -> str:
         """Return what jumped, or ""."""
@@ -138,14 +138,14 @@ class BodyDriver:
     def _see(self, reading: OperatorSample | None) -> None:
         """Retarget while the operator is not engaged as well: what is blended into must be under way already."""
         if reading is None or reading.body is None or reading.capture_ns is None:
-            self._flaw = ""
+            self._why_not = ""
             return
         try:
             reference = self._retarget.step(reading.body, reading.capture_ns)
         except StationError as error:  # told by the dead-man, which lets go
-            self._flaw = str(error)
+            self._why_not = str(error)
             return
-        self._flaw = ""
+        self._why_not = ""
         self._live = FORMAT.encode(reference, self._retarget.joint_names)
 
     def _let_go(self) -> None:

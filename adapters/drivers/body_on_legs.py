@@ -32,9 +32,9 @@ class BodyOnLegs:
         self._has_begun = False
 
     @property
-    def companions(self) -> Mapping[str, Floats]:
+    def auxiliary(self) -> Mapping[str, Floats]:
         """Values of the keys beside the command."""
-        return {**FORMAT.companions, **self.fingers.commands}
+        return {**FORMAT.auxiliary, **self.fingers.commands}
 
     @property
     def is_standing(self) -> bool:

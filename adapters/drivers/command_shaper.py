@@ -15,21 +15,21 @@ class CommandShaper:
     """Commands that go on where the last one was, whatever is wanted.
 
     Args:
-        form: Of the commands; begins at its default.
+        command_format: Of the commands; begins at its default.
 
     Attributes:
         sent: The command that stands, shape (m,).
     """
 
-    def __init__(self, form: CommandFormat) -> None:
-        self.form = form
-        self.sent: Floats = np.array(form.default)
+    def __init__(self, command_format: CommandFormat) -> None:
+        self.command_format = command_format
+        self.sent: Floats = np.array(command_format.default)
         self._offset: Floats | None = None  # what was sent more than was wanted, when a way began; None before it does
         self._begun_s, self._lasts_s = 0.0, np.ones(len(self.sent))
 
     def take_up(self, command: Floats) -> None:
         """Let a command of somebody else stand, shape (m,)."""
-        self.sent = np.clip(command, self.form.lower, self.form.upper)
+        self.sent = np.clip(command, self.command_format.lower, self.command_format.upper)
         self.begin()
 
     def begin(self, seconds: Floats | float = ENTER_S) -> None:
@@ -47,7 +47,7 @@ class CommandShaper:
             return self.sent.copy()
         self._begun_s += dt_s
         left = 1.0 - rise(self._begun_s / self._lasts_s, 0.0, 1.0)
-        command = np.clip(wanted + left * self._offset, self.form.lower, self.form.upper)
-        change = self.form.rate * dt_s
+        command = np.clip(wanted + left * self._offset, self.command_format.lower, self.command_format.upper)
+        change = self.command_format.rate * dt_s
         self.sent = np.clip(command, self.sent - change, self.sent + change)
         return self.sent.copy()

@@ -19,7 +19,7 @@ from adapters.retarget.arm_ik import SIDES, ArmIk
 from station import rotations
 from station.operator import deltas
 from station.operator.deadman import Snapshot
-from station.operator.driver import Look
+from station.operator.driver import DriverInput
 from station.operator.sample import OperatorSample, Pose, Side
 from station.protocols import CommandFormat, Floats
 
@@ -69,7 +69,7 @@ class HandsDriver:
         self.take_up(FORMAT.default)
 
     @property
-    def form(self) -> CommandFormat:
+    def command_format(self) -> CommandFormat:
         """TWIST2's."""
         return FORMAT
 
@@ -84,22 +84,22 @@ class HandsDriver:
         return self._ik.palms
 
     @property
-    def companions(self) -> Mapping[str, Floats]:
+    def auxiliary(self) -> Mapping[str, Floats]:
         """Both Dex3 hands, and the neck."""
-        return {**self._body.companions, **self._neck.command}
+        return {**self._body.auxiliary, **self._neck.command}
 
     @property
     def is_still(self) -> bool:
         """Whether the legs stand."""
         return self._body.is_standing
 
-    def look(self, reading: OperatorSample) -> Look:
+    def look(self, reading: OperatorSample) -> DriverInput:
         """Both hands are needed, and the head where it tells what is forward."""
         found: dict[str, Pose | None] = {side: getattr(reading, side) for side in self._options.sides}
         if self._options.heading == "head":
             found["head"] = reading.head
-        flaws = [f"{name} {flaw}" for name, pose in found.items() if (flaw := deltas.flaw(pose))]
-        return Look(None, "; ".join(flaws)) if flaws else Look(found)
+        flaws = [f"{name} {why_not}" for name, pose in found.items() if (why_not := deltas.why_not(pose))]
+        return DriverInput(None, "; ".join(flaws)) if flaws else DriverInput(found)
 
     def jump(self, before: Poses, now: Poses) -> str:
         """Return which hand jumped, or ""."""
@@ -137,7 +137,7 @@ class HandsDriver:
 
     def _turn_neck(self, snapshot: Snapshot[Poses, Palms], reading: OperatorSample, dt_s: float) -> None:
         """Turn the neck as far as the headset is turned away from forward; without a headset the neck stays."""
-        if reading.head is None or deltas.flaw(reading.head):
+        if reading.head is None or deltas.why_not(reading.head):
             return
         forward = rotations.from_rotation_vector(np.array([0.0, 0.0, self._heading_rad(snapshot)]))
         self._neck.follow(forward, reading.head.quat_wxyz, dt_s)

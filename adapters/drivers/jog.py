@@ -13,7 +13,7 @@ from adapters.retarget.arm_ik import SIDES, ArmIk
 from station import rotations
 from station.operator import deltas
 from station.operator.deadman import Snapshot
-from station.operator.driver import Look
+from station.operator.driver import DriverInput
 from station.operator.sample import OperatorSample, Pose, Side
 from station.protocols import CommandFormat, Floats
 
@@ -38,7 +38,7 @@ class JogDriver:
         self.take_up(FORMAT.default)
 
     @property
-    def form(self) -> CommandFormat:
+    def command_format(self) -> CommandFormat:
         """TWIST2's."""
         return FORMAT
 
@@ -53,20 +53,20 @@ class JogDriver:
         return self._ik.palms
 
     @property
-    def companions(self) -> Mapping[str, Floats]:
+    def auxiliary(self) -> Mapping[str, Floats]:
         """Both Dex3 hands, and the neck at rest."""
-        return self._body.companions
+        return self._body.auxiliary
 
     @property
     def is_still(self) -> bool:
         """Whether the legs stand."""
         return self._body.is_standing
 
-    def look(self, reading: OperatorSample) -> Look:
+    def look(self, reading: OperatorSample) -> DriverInput:
         """A twist is needed."""
         if reading.twist is None or not np.isfinite(reading.twist).all():
-            return Look(None, "the device sends no twist")
-        return Look(reading.twist)
+            return DriverInput(None, "the device sends no twist")
+        return DriverInput(reading.twist)
 
     def jump(self, before: Any, now: Any) -> str:
         """A twist may change as it likes."""

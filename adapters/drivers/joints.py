@@ -14,7 +14,7 @@ from adapters.retarget.arm_ik import ARMS, FASTEST_RAD_S
 from adapters.robots.g1 import joints as g1
 from station.errors import did_you_mean
 from station.operator.deadman import Snapshot
-from station.operator.driver import Look
+from station.operator.driver import DriverInput
 from station.operator.sample import OperatorSample, Side
 from station.protocols import CommandFormat, Floats
 
@@ -77,7 +77,7 @@ class JointsDriver:
         self.take_up(FORMAT.default)
 
     @property
-    def form(self) -> CommandFormat:
+    def command_format(self) -> CommandFormat:
         """TWIST2's."""
         return FORMAT
 
@@ -87,26 +87,28 @@ class JointsDriver:
         return self._q.copy()
 
     @property
-    def companions(self) -> Mapping[str, Floats]:
+    def auxiliary(self) -> Mapping[str, Floats]:
         """Both Dex3 hands, and the neck at rest."""
-        return self._body.companions
+        return self._body.auxiliary
 
     @property
     def is_still(self) -> bool:
         """The legs always stand."""
         return self._body.is_standing
 
-    def look(self, reading: OperatorSample) -> Look:
+    def look(self, reading: OperatorSample) -> DriverInput:
         """As many joints as configured are needed, each near the robot's for a beginning."""
         count = len(self._options.joints) + len(self._options.grippers)
         joints = reading.joints
         if joints is None:
-            return Look(None, "the leader sends no joints")
+            return DriverInput(None, "the leader sends no joints")
         if len(joints) != count or not np.isfinite(joints).all():
-            return Look(None, f"the leader sends {len(joints)} values, expected {count} numbers")
+            return DriverInput(None, f"the leader sends {len(joints)} values, expected {count} numbers")
         far = [found for found in self.differences(joints) if abs(found.move) > APART_RAD]
         told = ", ".join(f"{found.joint} by {found.move:+.2f}" for found in far)
-        return Look(joints, objection=f"leader is too far from the robot; move it (rad): {told}" if far else "")
+        return DriverInput(
+            joints, why_not_engage=f"leader is too far from the robot; move it (rad): {told}" if far else ""
+        )
 
     def differences(self, leader: Floats) -> list[Difference]:
         """Return a table of where each joint of leader and robot is, for the operator who brings them together."""

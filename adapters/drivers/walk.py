@@ -8,7 +8,7 @@ from typing import Any
 from adapters.commands.twist2 import FORMAT
 from adapters.drivers.body_on_legs import BodyOnLegs
 from station.operator.deadman import Snapshot
-from station.operator.driver import Look
+from station.operator.driver import DriverInput
 from station.operator.sample import OperatorSample
 from station.protocols import CommandFormat, Floats
 
@@ -24,7 +24,7 @@ class WalkDriver:
         self._held: Snapshot[Any, Any] | None = None
 
     @property
-    def form(self) -> CommandFormat:
+    def command_format(self) -> CommandFormat:
         """TWIST2's."""
         return FORMAT
 
@@ -34,18 +34,18 @@ class WalkDriver:
         return
 
     @property
-    def companions(self) -> Mapping[str, Floats]:
+    def auxiliary(self) -> Mapping[str, Floats]:
         """Both Dex3 hands, and the neck at rest."""
-        return self._body.companions
+        return self._body.auxiliary
 
     @property
     def is_still(self) -> bool:
         """Whether the legs stand."""
         return self._body.is_standing
 
-    def look(self, reading: OperatorSample) -> Look:
+    def look(self, reading: OperatorSample) -> DriverInput:
         """Any controls will do."""
-        return Look(reading.controls) if reading.controls else Look(None, "the device sends no controls")
+        return DriverInput(reading.controls) if reading.controls else DriverInput(None, "the device sends no controls")
 
     def jump(self, before: Any, now: Any) -> str:
         """Sticks do not jump."""

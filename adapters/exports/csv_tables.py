@@ -17,7 +17,7 @@ import msgspec
 
 from adapters.exports.named_rows import Plan, Rows, in_seconds
 from station.errors import EpisodeError
-from station.export.kind import Made, Source
+from station.export.kind import ShardResult, Source
 
 FIRST_COLUMNS = ("log_time_s", "publish_time_s", "sequence")
 CONTENTS = "contents.json"
@@ -26,7 +26,7 @@ _LONGEST_NAME = 150  # characters; file systems take 255 bytes
 _MOST_FILES = 512  # of 1024 that a process may have open
 
 
-def convert(source: Source, plan: Plan, folder: Path) -> Made:
+def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
     """Write the tables of one episode, row by row.
 
     Raises:

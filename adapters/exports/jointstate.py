@@ -16,7 +16,7 @@ from mcap.writer import Writer
 from adapters.exports.named_rows import Plan, Row, Rows
 from station.errors import EpisodeError
 from station.export.columns import KeyColumns
-from station.export.kind import Made, Source
+from station.export.kind import ShardResult, Source
 
 SCHEMA_NAME = "sensor_msgs/msg/JointState"
 _LINE = "=" * 80
@@ -41,7 +41,7 @@ _STAMP = struct.Struct("<iI")
 _NANOSECONDS = 1_000_000_000
 
 
-def convert(source: Source, plan: Plan, folder: Path) -> Made:
+def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
     """Write the joints of one episode, message by message.
 
     Raises:

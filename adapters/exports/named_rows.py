@@ -19,7 +19,7 @@ from station.episode.reading.reader import EpisodeReader, open_episode
 from station.episode.reading.vectors import decoder
 from station.errors import EpisodeError, UsageError
 from station.export.columns import KeyColumns, key_columns
-from station.export.kind import ExportOptions, Made, MinQuality, Source
+from station.export.kind import ExportOptions, MinQuality, ShardResult, Source
 
 _NANOSECONDS = 1_000_000_000
 
@@ -128,9 +128,9 @@ class Rows:
         self.columns = {key: columns for key, columns in self.columns.items() if key in keys}
         self.left_out = sorted({*self.recorded} - {*keys})
 
-    def made(self) -> Made:
+    def made(self) -> ShardResult:
         """Return what was made, once all rows were read."""
-        return Made(
+        return ShardResult(
             seconds=(self.last_ns - self.first_ns) / _NANOSECONDS,
             rows=self.counts.total(),
             facts={"keys": dict(self.counts), "unfit": dict(self.unfit), "left_out": self.left_out},

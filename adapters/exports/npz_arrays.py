@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from adapters.exports.named_rows import Plan, Rows
 from station.export.columns import KeyColumns
-from station.export.kind import Made, Source
+from station.export.kind import ShardResult, Source
 
 
 class _Held:
@@ -29,7 +29,7 @@ class _Held:
         self.values = array("d")
 
 
-def convert(source: Source, plan: Plan, folder: Path) -> Made:
+def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
     """Write the arrays of one episode.
 
     Raises:

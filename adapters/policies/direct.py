@@ -67,8 +67,8 @@ class DirectFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         if not 0.0 < self.lead_rad < math.inf:
             raise ValueError(f"lead_rad is {self.lead_rad:g}; expected more than 0")
         registry.expect("command", self.command)
-        form: CommandFormat = registry.find("command", self.command)
-        wanted, named = names_of(form.elements), tuple(f"{joint.name}_pos" for joint in self.joints)
+        command_format: CommandFormat = registry.find("command", self.command)
+        wanted, named = names_of(command_format.elements), tuple(f"{joint.name}_pos" for joint in self.joints)
         if named != tuple(wanted):
             raise ValueError(f"joints: a command {self.command!r} has {', '.join(wanted)}; expected those, in order")
 

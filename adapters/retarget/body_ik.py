@@ -13,7 +13,7 @@ import numpy as np
 
 from adapters.motions.builtin.body import STANDING_HEIGHT_M, STANDING_Q
 from adapters.retarget.bone_frames import to_quats
-from adapters.retarget.scaling import Aim
+from adapters.retarget.scaling import LinkTargets
 from adapters.retarget.weights import Weights
 from adapters.robots.g1 import joints as g1
 from adapters.robots.g1.joints import G1_29
@@ -103,7 +103,7 @@ class BodyIK:
         """Return what a manifest says of the search: weights and limits."""
         return {"weights": asdict(self._weights), "limits": asdict(self._limits), "rounds": self._rounds}
 
-    def step(self, aim: Aim, dt_s: float) -> Floats:
+    def step(self, aim: LinkTargets, dt_s: float) -> Floats:
         """Return root position [m], root quaternion wxyz and the 29 joints [rad], shape (36,).
 
         Args:
@@ -123,7 +123,7 @@ class BodyIK:
             self._search(self._rounds)
         return np.array(self._configuration.q)
 
-    def _lead_arms(self, aim: Aim, time_s: float) -> Floats:
+    def _lead_arms(self, aim: LinkTargets, time_s: float) -> Floats:
         """Lead back an arm that is caught; return the greatest speeds of this frame, shape (35,)."""
         speeds, q = self._speeds, self._configuration.q[7:]
         for side, rescue in enumerate(self.rescues):
@@ -138,7 +138,7 @@ class BodyIK:
                 speeds[6 + joints] = np.minimum(speeds[6 + joints], rescue.rules.speed_rad_s)
         return speeds
 
-    def _place(self, aim: Aim) -> None:
+    def _place(self, aim: LinkTargets) -> None:
         """Put the root where it is asked to be; from a far one the search would take a long way round."""
         q = self._configuration.q.copy()
         q[:3], q[3:7] = aim.pelvis, to_quats(aim.pelvis_turn)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.retarget.scaling import Aim, level
+from adapters.retarget.scaling import LinkTargets, level
 from adapters.robots.g1 import kinematics
 from station.protocols import Floats
 
@@ -60,7 +60,7 @@ class FootHold:
         self._before: Floats | None = None
         self._floor_m = 0.0
 
-    def step(self, aim: Aim, dt_s: float) -> Aim:
+    def step(self, aim: LinkTargets, dt_s: float) -> LinkTargets:
         """Return the aim with its feet held; `carries` says which, shape (2,).
 
         Args:
@@ -83,7 +83,7 @@ class FootHold:
             feet_turn=level(aim.feet_turn, self._share),
         )
 
-    def _measure(self, aim: Aim, dt_s: float) -> None:
+    def _measure(self, aim: LinkTargets, dt_s: float) -> None:
         """Estimate the speeds of the feet, and let the floor follow one that stands still: tracking drifts."""
         if self._before is not None:
             speed = np.linalg.norm(aim.steps - self._before, axis=1) / dt_s

@@ -9,7 +9,7 @@ import numpy as np
 from adapters.motions.builtin.body import STANDING_HEIGHT_M, STANDING_Q
 from adapters.retarget.bone_frames import directed, to_quats
 from adapters.retarget.human import G1_SIZED, SIDES
-from adapters.retarget.scaling import Aim
+from adapters.retarget.scaling import LinkTargets
 from adapters.retarget.weights import Weights
 from station.protocols import Floats
 
@@ -142,7 +142,7 @@ def _touching(model: mujoco.MjModel, *links: str) -> list[int]:
 
 
 class Tasks:
-    """All tasks of a body, and how an `Aim` sets them; made by `tasks_for`."""
+    """All tasks of a body, and how an `LinkTargets` sets them; made by `tasks_for`."""
 
     def __init__(self, model: mujoco.MjModel, weights: Weights) -> None:
         def place(link: str, position: float, orientation: float) -> mink.FrameTask:
@@ -177,7 +177,7 @@ class Tasks:
         self.hands[side].set_orientation_cost(0.0 if is_freed else weights.hand_turn)
         self.posture.cost[6 + ARMS[side]] = weights.freeing if is_freed else weights.posture
 
-    def aim_at(self, aim: Aim) -> None:
+    def aim_at(self, aim: LinkTargets) -> None:
         """Set every target."""
         frames = (self.pelvis, self.chest, *self.feet, *self.hands)
         turns = to_quats(np.concatenate([aim.pelvis_turn[None], aim.chest_turn[None], aim.feet_turn, aim.hands_turn]))

@@ -12,7 +12,7 @@ from adapters.retarget import calibration
 from adapters.retarget.calibration import MEASURE, Calibration, Pose
 from adapters.retarget.scaling import segments
 from station.errors import BadFile, UsageError, did_you_mean
-from station.operator.measure import Measured
+from station.operator.measure import MeasurementResult
 from station.operator.sample import OperatorSample
 
 _POSES: dict[str, Pose] = {"t": "t-pose", "standing": "standing"}
@@ -77,7 +77,7 @@ class BodyMeasure:
         "standing": _UPRIGHT + "hanging, palms to the thighs",
     }
 
-    def flaw(self, reading: OperatorSample) -> str:
+    def why_not(self, reading: OperatorSample) -> str:
         """A body is needed, and when it was seen."""
         if reading.body is None:
             return "the body is not tracked; are the trackers on, and is body tracking started in the headset?"
@@ -89,7 +89,7 @@ class BodyMeasure:
 
     def measure(
         self, readings: Sequence[OperatorSample], operator: str, pose: str, *, device: str, source: str
-    ) -> Measured:
+    ) -> MeasurementResult:
         """Measure an operator; raises `adapters.retarget.calibration.NotCalibrated`."""
         bodies = [reading.body for reading in readings if reading.body is not None]
         found = calibration.calibrate(bodies, operator, _pose(pose), device=device, source=source)
@@ -98,9 +98,9 @@ class BodyMeasure:
             for part in segments(found.lengths_m)
         ]
         about = f"{operator} is {found.height_m:.2f} m tall, measured in {len(bodies)} samples"
-        return Measured(about, ("part", operator, "robot", "scale"), rows, _NOTE, found)
+        return MeasurementResult(about, ("part", operator, "robot", "scale"), rows, _NOTE, found)
 
-    def keep(self, measured: Measured) -> Path:
+    def keep(self, measured: MeasurementResult) -> Path:
         """Write the calibration under the operator's name."""
         file = file_of(measured.kept.operator)
         calibration.save(measured.kept, file)

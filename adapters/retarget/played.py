@@ -22,7 +22,7 @@ RATE_HZ = 90.0
 SHORTEST_M, TALLEST_M = 1.2, 2.2
 
 
-class Played:
+class RetargetedMotion:
     """What retargeting made of a person's motion (`station.protocols.Motion`); nothing in it looks ahead.
 
     Args:
@@ -103,7 +103,7 @@ def person_of(motion: Motion, height_m: float | None = None, *, rate_hz: float =
     return Skeletons(positions, quats, times, lengths.height)
 
 
-def imitated(motion: Motion, height_m: float, *, rate_hz: float = RATE_HZ) -> Played:
+def imitated(motion: Motion, height_m: float, *, rate_hz: float = RATE_HZ) -> RetargetedMotion:
     """Return what a person of a height makes of a motion of the G1, by way of tracking and retargeting.
 
     Raises:
@@ -112,7 +112,7 @@ def imitated(motion: Motion, height_m: float, *, rate_hz: float = RATE_HZ) -> Pl
     """
     person = person_of(motion, height_m, rate_hz=rate_hz)
     name = f"{motion.name}#retarget={height_m:g}"
-    return Played(person, calibration=of_person(of_height(height_m)), name=name, facts=motion.facts())
+    return RetargetedMotion(person, calibration=of_person(of_height(height_m)), name=name, facts=motion.facts())
 
 
 def noisy(person: Skeletons, *, metres: float, radians: float, seed: int = 0) -> Skeletons:

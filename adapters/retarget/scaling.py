@@ -60,7 +60,7 @@ _TURN_ROWS = [INDEX[name] for name in _TURNS]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Aim:
+class LinkTargets:
     """What is asked of the robot's links, in the operator's world with the floor at z = 0.
 
     Attributes:
@@ -126,7 +126,7 @@ class Scaler:
         self._ankle_rest_z = np.array(calibration.ankle_rest_z_m)
         self._ball_rest_z = np.array(calibration.ball_rest_z_m)
 
-    def step(self, body: Body) -> Aim:
+    def step(self, body: Body) -> LinkTargets:
         """Return what is asked of the robot when the operator stands so."""
         at = body.positions
         turns = matrices(body.quats_wxyz[_TURN_ROWS]) @ self._offsets
@@ -138,7 +138,7 @@ class Scaler:
         pelvis[:2] = self._pelvis_xy(at, pelvis_turn)
         pelvis[2] = max(-(ankles[:, 2] + _depth(feet_turn)).min(), LOWEST_M)
         soles = np.minimum(at[_ANKLE, 2] - self._ankle_rest_z, at[_BALL, 2] - self._ball_rest_z)
-        return Aim(
+        return LinkTargets(
             pelvis=pelvis,
             pelvis_turn=pelvis_turn,
             chest_turn=turns[1],

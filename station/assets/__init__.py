@@ -9,7 +9,7 @@ Which collections there are, what is built in and what can be fetched, say the o
 from station.assets.collection import Bundle, Collection, PinnedFile, Upstream, read_collection, sha256
 from station.assets.places import (
     ENVIRONMENT_VARIABLE,
-    Found,
+    FoundFile,
     cache,
     expand,
     find,
@@ -20,6 +20,6 @@ from station.assets.places import (
 )
 
 __all__ = [
-    "ENVIRONMENT_VARIABLE", "Bundle", "Collection", "Found", "PinnedFile", "Upstream",
+    "ENVIRONMENT_VARIABLE", "Bundle", "Collection", "FoundFile", "PinnedFile", "Upstream",
     "cache", "expand", "find", "is_reference", "read_collection", "references", "resolve", "root", "sha256",
 ]  # fmt: skip

@@ -26,7 +26,7 @@ OnBytes = Callable[[int], None]
 """Called with the number of bytes that just came."""
 
 
-class Wanted(msgspec.Struct, frozen=True, kw_only=True):
+class WantedFile(msgspec.Struct, frozen=True, kw_only=True):
     """A pinned file that somebody asked for.
 
     Attributes:
@@ -46,28 +46,28 @@ class Wanted(msgspec.Struct, frozen=True, kw_only=True):
     shadow: Path | None = None
 
 
-class Order(msgspec.Struct, frozen=True, kw_only=True):
+class FetchRequest(msgspec.Struct, frozen=True, kw_only=True):
     """A bundle that somebody asked for, and its files.
 
     Attributes:
         bundle: What is asked for.
         upstream: Where it comes from.
         folder: Where it goes, below which `Bundle.files` have their paths.
-        wants: A `Wanted` per file of the bundle.
+        wants: A `WantedFile` per file of the bundle.
     """
 
     bundle: Bundle
     upstream: Upstream
     folder: Path
-    wants: list[Wanted]
+    wants: list[WantedFile]
 
     @property
-    def missing(self) -> list[Wanted]:
+    def missing(self) -> list[WantedFile]:
         """What has to come."""
         return [want for want in self.wants if want.here is None]
 
 
-def orders(names: Sequence[str]) -> list[Order]:
+def orders(names: Sequence[str]) -> list[FetchRequest]:
     """Return the bundles that some names ask for, each once.
 
     Args:
@@ -88,7 +88,7 @@ def orders(names: Sequence[str]) -> list[Order]:
     return [order(key, known, bundle) for (key, _), (known, bundle) in chosen.items()]
 
 
-def order(name: str, known: Collection, bundle: Bundle) -> Order:
+def order(name: str, known: Collection, bundle: Bundle) -> FetchRequest:
     """Look which files of a bundle are here, whole and unchanged.
 
     Args:
@@ -102,19 +102,19 @@ def order(name: str, known: Collection, bundle: Bundle) -> Order:
         copies = [folder / file.path for _, folder in places.folders(name)]
         here = next((path for path in copies if not file.problem(path)), None)
         shadow = next((path for path in copies[:-1] if path.exists() and path != here), None)
-        want = Wanted(
+        want = WantedFile(
             reference=f"{name}:{file.path}", file=file, url=known.upstream.url_of(file), target=copies[-1], here=here,
             shadow=shadow,
         )  # fmt: skip
         wants.append(want)
-    return Order(bundle=bundle, upstream=known.upstream, folder=places.cache() / name, wants=wants)
+    return FetchRequest(bundle=bundle, upstream=known.upstream, folder=places.cache() / name, wants=wants)
 
 
 def _asks_for(name: str, collection: str, bundle: Bundle) -> bool:
     return name in (bundle.name, collection) or any(name == f"{collection}:{file.path}" for file in bundle.files)
 
 
-def download(wants: Iterable[Wanted], *, on_bytes: OnBytes = lambda _: None) -> None:
+def download(wants: Iterable[WantedFile], *, on_bytes: OnBytes = lambda _: None) -> None:
     """Fetch files one after the other; each gets its name when it is whole and its hash is right.
 
     Raises:
@@ -153,7 +153,7 @@ def _partial() -> Iterator[Path]:
         yield folder
 
 
-def _get(want: Wanted, folder: Path, on_bytes: OnBytes) -> Path:
+def _get(want: WantedFile, folder: Path, on_bytes: OnBytes) -> Path:
     """Download a file below another name, and return it when it is the pinned one."""
     import pooch
 
@@ -167,7 +167,7 @@ def _get(want: Wanted, folder: Path, on_bytes: OnBytes) -> Path:
     return Path(pooch.retrieve(want.url, f"sha256:{name}", fname=name, path=folder, downloader=through))
 
 
-def _transfer(want: Wanted, stream: BinaryIO, on_bytes: OnBytes) -> None:
+def _transfer(want: WantedFile, stream: BinaryIO, on_bytes: OnBytes) -> None:
     """Write what a server sends, and refuse what is not the pinned file."""
     import requests
 
@@ -193,7 +193,7 @@ def _transfer(want: Wanted, stream: BinaryIO, on_bytes: OnBytes) -> None:
 class _Came:
     """What has come of a file so far."""
 
-    def __init__(self, want: Wanted) -> None:
+    def __init__(self, want: WantedFile) -> None:
         self.count = 0
         self._file, self._url = want.file, want.url
         self._hash = hashlib.sha256()

@@ -19,7 +19,7 @@ _LIST = "`station assets list` shows what there is"
 Place = Literal["path", "environment", "cache", "built in"]
 
 
-class Found(NamedTuple):
+class FoundFile(NamedTuple):
     """A file that a reference names, and the place where it was found."""
 
     path: Path
@@ -48,7 +48,7 @@ def resolve(reference: str | os.PathLike[str]) -> Path:
     return find(reference).path
 
 
-def find(reference: str | os.PathLike[str]) -> Found:
+def find(reference: str | os.PathLike[str]) -> FoundFile:
     """Return the file that a reference names, and where it was found.
 
     Raises:
@@ -62,22 +62,22 @@ def find(reference: str | os.PathLike[str]) -> Found:
         raise BadFile(f"{text[:100]}{'…' * (len(text) > 100)}: {why}") from None
 
 
-def _find(text: str) -> Found:
+def _find(text: str) -> FoundFile:
     parts = split(text)
     if parts is None:
         path = Path(text).expanduser().absolute()  # it ends in manifests, which are read from other folders
         if not path.exists():
             raise BadFile(f"{text}: no such file{_near(path)}")
-        return Found(path, "path")
+        return FoundFile(path, "path")
     name, relative = parts
     for place, folder in folders(name):
         if (path := folder / relative).exists():
             if place == "cache":
                 _refuse_damaged(name, relative)
-            return Found(path, place)
+            return FoundFile(path, place)
     known = collections.registered(name)
     if known and (built_in := known.built_in.get(relative)):
-        return Found(built_in, "built in")
+        return FoundFile(built_in, "built in")
     raise AssetMissing(_missing(name, relative, known))
 
 

@@ -140,7 +140,11 @@ def _commands() -> tuple[tuple[str, Contract], ...]:
 
     Where several are for one robot, the first one names its `keys.command_used`.
     """
-    made = _sound("command", "its key has no contract", lambda form: (form.robot, command_stream(form)))
+    made = _sound(
+        "command",
+        "its key has no contract",
+        lambda command_format: (command_format.robot, command_stream(command_format)),
+    )
     return tuple(found for _, found in made)
 
 

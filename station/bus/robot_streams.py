@@ -33,19 +33,24 @@ controller still owes, NaN where it does not tell."""
 _TIMING = elements((("tick", "command_seq"), ""), (TIMING_STAGES, "ns"))
 
 
-def command_stream(form: CommandFormat) -> Contract:
+def command_stream(command_format: CommandFormat) -> Contract:
     """Return what the key of a command holds."""
     return Contract(
-        key=form.key, family=form.name, role="command", codec="json-vector", elements=form.elements, rate_hz=50.0,
-        note=form.note,
-    )  # fmt: skip
+        key=command_format.key,
+        family=command_format.name,
+        role="command",
+        codec="json-vector",
+        elements=command_format.elements,
+        rate_hz=50.0,
+        note=command_format.note,
+    )
 
 
-def part_streams(form: CommandFormat, rate_hz: float = 50.0) -> tuple[Contract, ...]:
+def part_streams(command_format: CommandFormat, rate_hz: float = 50.0) -> tuple[Contract, ...]:
     """Return the streams of a part that is commanded apart (`station.parts`), beside those of all of the robot.
 
     Args:
-        form: Of the part's command.
+        command_format: Of the part's command.
         rate_hz: Of the robot's steps [Hz].
     """
 
@@ -53,10 +58,21 @@ def part_streams(form: CommandFormat, rate_hz: float = 50.0) -> tuple[Contract, 
         return Contract(key=key, family="station", role=role, codec=codec, elements=items, rate_hz=rate_hz, note=note)
 
     return (
-        command_stream(form),
-        make(keys.command_gate(form.robot), "policy", "json", note="state, reason and age of this part's command"),
-        make(keys.command_used(form.robot), "policy", "f64", form.elements, "this part's command after its gate"),
-        make(keys.command_source(form.robot), "command", "json", note="where this part's command comes from"),
+        command_stream(command_format),
+        make(
+            keys.command_gate(command_format.robot),
+            "policy",
+            "json",
+            note="state, reason and age of this part's command",
+        ),
+        make(
+            keys.command_used(command_format.robot),
+            "policy",
+            "f64",
+            command_format.elements,
+            "this part's command after its gate",
+        ),
+        make(keys.command_source(command_format.robot), "command", "json", note="where this part's command comes from"),
     )
 
 

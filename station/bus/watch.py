@@ -17,7 +17,7 @@ from typing import Any, Self
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
 from station.bus.connection import Connection, ConnectionLost, pack
-from station.bus.heard import Heard, Hearing, Told
+from station.bus.hearing import HeardSpan, HearingProof, MissedWrites
 from station.bus.notifications import (
     ASK_FLAGS,
     enable_notifications,
@@ -71,8 +71,8 @@ class Watch:
         self._address, self.clock = address, address.clock
         self._outages = outages
         self._probe_s = probe_s
-        self._hearing = Hearing(probe_s + _SLACK_S)
-        self._told = Told[Read]()
+        self._hearing = HearingProof(probe_s + _SLACK_S)
+        self._told = MissedWrites[Read]()
         self._asked_ns = self._answered_ns = self._newest_ns = self._began_ns = 0
         self._cut_ns: int | None = None  # since when we hear nothing
         self._last_error, self._logged_s = "", -math.inf
@@ -91,7 +91,7 @@ class Watch:
         self.clock.wait(self._armed, _TIMEOUT_S * 4)  # so that a value written after this returns counts as new
 
     @property
-    def heard(self) -> Heard:
+    def heard(self) -> HeardSpan:
         """From when to when no write has escaped it: all that was written until then is in the slots by now.
 
         Where the server is polled, a foreign write of the very bytes that were there before leaves no trace.

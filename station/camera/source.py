@@ -53,7 +53,7 @@ class Drops(msgspec.Struct):
         return Drops(self.lost + other.lost, self.skipped + other.skipped, self.torn + other.torn)
 
 
-class Wishes(msgspec.Struct, frozen=True, kw_only=True):
+class PictureSettings(msgspec.Struct, frozen=True, kw_only=True):
     """What a lab wants of pictures; None leaves it to the source.
 
     Attributes:
@@ -133,6 +133,6 @@ class CameraKind:
     library: str
     extra: str
     options: type[msgspec.Struct]
-    open: Callable[[Any, Wishes, Newest], Camera]
+    open: Callable[[Any, PictureSettings, Newest], Camera]
     keys: Callable[[Any], Sequence[str]] = _no_keys
     plugged_in: Callable[[], Sequence[str]] | None = None

@@ -17,7 +17,7 @@ from station.cli.tables import Column, print_table
 from station.errors import AssetMissing, UsageError
 
 if TYPE_CHECKING:
-    from station.assets.fetch import Order, Wanted
+    from station.assets.fetch import FetchRequest, WantedFile
     from station.assets.inventory import Item
 
 _COLOURS = {"not here": "dim", "built in": "cyan"}
@@ -93,7 +93,7 @@ def fetch(names: Sequence[str], yes: bool, dry_run: bool) -> None:
         _tell_shadows(order)
 
 
-def _show(order: Order, *, err: bool) -> None:
+def _show(order: FetchRequest, *, err: bool) -> None:
     size = _size(sum(want.file.size_bytes for want in order.missing))
     lines = [
         f"{order.bundle.name}: {order.bundle.about}",
@@ -115,7 +115,7 @@ def _ask() -> None:
         raise AssetMissing("nothing was downloaded")
 
 
-def _download(wants: Sequence[Wanted]) -> None:
+def _download(wants: Sequence[WantedFile]) -> None:
     from rich.console import Console
     from rich.progress import BarColumn, DownloadColumn, Progress, TransferSpeedColumn
 
@@ -129,7 +129,7 @@ def _download(wants: Sequence[Wanted]) -> None:
         fetching.download(wants, on_bytes=lambda count: progress.advance(task, count))
 
 
-def _tell_shadows(order: Order) -> None:
+def _tell_shadows(order: FetchRequest) -> None:
     shadows = [want for want in order.wants if want.shadow is not None]
     if shadows:
         first, more = shadows[0], f" and {len(shadows) - 1} more" if shadows[1:] else ""
@@ -140,7 +140,7 @@ def _tell_shadows(order: Order) -> None:
         )
 
 
-def _count(wants: Sequence[Wanted]) -> str:
+def _count(wants: Sequence[WantedFile]) -> str:
     return f"{len(wants)} file{'s' if len(wants) != 1 else ''}"
 
 

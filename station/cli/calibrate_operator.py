@@ -14,7 +14,7 @@ import click
 from station.cli.options import bus_option, set_option
 from station.cli.tables import Column, plain, print_table
 from station.errors import StationError, UsageError
-from station.operator.measure import Measured, OperatorMeasure
+from station.operator.measure import MeasurementResult, OperatorMeasure
 from station.printable import printable
 
 if TYPE_CHECKING:
@@ -67,13 +67,13 @@ def _run(
     if not (yes or sys.stdin.isatty()):
         raise UsageError(f"devices calibrate {device}: there is no terminal to ask in; --yes measures without asking")
     with _device(device, server, sets, bus) as (line, look), Gatherer(line, server) as gatherer:
-        gatherer.wait_for(measure.flaw, within_s, lambda why: click.echo(f"waiting: {printable(why)}"), look)
+        gatherer.wait_for(measure.why_not, within_s, lambda why: click.echo(f"waiting: {printable(why)}"), look)
         click.echo(f"{operator}: {measure.poses[pose]}")
         source = _source(line, server)
 
-        def once() -> Measured:
+        def once() -> MeasurementResult:
             _count_down(count, waits=not yes)
-            readings = gatherer.gather(measure.flaw, MEASURE_S)
+            readings = gatherer.gather(measure.why_not, MEASURE_S)
             return measure.measure(readings, operator, pose, device=device, source=source)
 
         measured = _until_it_works(once, 1 if yes else _ATTEMPTS)
@@ -141,7 +141,7 @@ def _count_down(seconds: int, *, waits: bool) -> None:
     click.echo(f"{bell}stand still")
 
 
-def _until_it_works(once: Callable[[], Measured], attempts: int) -> Measured:
+def _until_it_works(once: Callable[[], MeasurementResult], attempts: int) -> MeasurementResult:
     """Measure, again after what an operator can do better."""
     for _ in range(attempts - 1):
         try:
@@ -153,7 +153,7 @@ def _until_it_works(once: Callable[[], Measured], attempts: int) -> Measured:
     return once()
 
 
-def _show(measured: Measured) -> None:
+def _show(measured: MeasurementResult) -> None:
     click.echo(f"\n{measured.about}")
     columns = [Column(title, "left" if index == 0 else "right") for index, title in enumerate(measured.titles)]
     print_table(columns, [tuple(map(plain, row)) for row in measured.rows])

@@ -46,11 +46,11 @@ def listing(
     success: Literal["yes", "no", "unknown"] | None, since_: str | None, data: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     """List the episodes of a data folder, oldest first; every option leaves out what does not fit it."""
-    from station.episode.reading.listing import Wanted, list_episodes, since
+    from station.episode.reading.listing import EpisodeFilter, list_episodes, since
     from station.episode.storage.folder import data_folder
     from station.episode.storage.left_open import offer
 
-    wanted = Wanted(
+    wanted = EpisodeFilter(
         task=task, operator=operator, verdicts=verdicts, least=least, success=success,
         since=None if since_ is None else since(since_),
     )  # fmt: skip
@@ -62,7 +62,7 @@ def listing(
         return
     if not rows:
         where = data_folder(data).absolute()
-        is_all = wanted == Wanted()
+        is_all = wanted == EpisodeFilter()
         click.echo(
             f"no episodes in {where}; record one, or name another folder with --data"
             if is_all else f"no episode in {where} fits; leave out an option, or name another folder with --data"

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
     from station.export.columns import KeyColumns
-    from station.export.kind import ExportKind, LeftOut
-    from station.export.run import Exported, Preview, Where
+    from station.export.kind import ExportKind, SkippedEpisode
+    from station.export.run import Exported, Preview, Workers
     from station.export.shards import Outcome
 
 _TOLD = 20  # episodes that are not in the result and are told; the rest are counted
@@ -104,13 +104,13 @@ def _verb(kind: ExportKind) -> click.Command:
         dry_run: bool, as_json: bool, **given: Any,
     ) -> None:  # fmt: skip
         from station.config import build
-        from station.export.run import Where
+        from station.export.run import Workers
         from station.export.select import sources
 
         options = build(kind.options, fields.values(given), where=f"export {kind.name}")
         if out is None and not dry_run:
             raise UsageError(f"export {kind.name}: say which folder to make with --out")
-        chosen, where = sources(episodes, data, tasks=task), Where(jobs=jobs, ray_address=ray)
+        chosen, where = sources(episodes, data, tasks=task), Workers(jobs=jobs, ray_address=ray)
         if out is None or dry_run:
             _preview(kind, chosen, options, where, as_json)
         else:
@@ -145,8 +145,8 @@ EPISODES are paths, ids, beginnings of ids, `latest`, or patterns ('2026-11-21-*
 the data folder."""
 
 
-def _export(kind: ExportKind, chosen: Sequence[Any], options: Any, out: Path, where: Where, as_json: bool) -> None:
-    from station.export.kind import LeftOut
+def _export(kind: ExportKind, chosen: Sequence[Any], options: Any, out: Path, where: Workers, as_json: bool) -> None:
+    from station.export.kind import SkippedEpisode
     from station.export.progress import progress
     from station.export.run import export
 
@@ -164,7 +164,9 @@ def _export(kind: ExportKind, chosen: Sequence[Any], options: Any, out: Path, wh
         again = "; the same command goes on from there" if safe else ""
         raise _Interrupted(f"interrupted; {safe} of {len(chosen)} episodes are converted and kept{again}") from None
     except StationError:
-        lost = [LeftOut(source=outcome.source, reason=outcome.reason) for outcome in seen if outcome.made is None]
+        lost = [
+            SkippedEpisode(source=outcome.source, reason=outcome.reason) for outcome in seen if outcome.made is None
+        ]
         _tell_lost("failed", lost if len(lost) > 1 else [])  # of one alone the error tells
         raise
     _tell_lost("failed", done.failed)
@@ -184,7 +186,7 @@ class _Interrupted(StationError):
     exit_code = 130
 
 
-def _tell_lost(what: str, lost: Sequence[LeftOut]) -> None:
+def _tell_lost(what: str, lost: Sequence[SkippedEpisode]) -> None:
     for each in lost[:_TOLD]:
         click.echo(f"{what}: {printable(each.reason)}", err=True)
     if more := lost[_TOLD:]:
@@ -208,7 +210,7 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
-def _preview(kind: ExportKind, chosen: Sequence[Any], options: Any, where: Where, as_json: bool) -> None:
+def _preview(kind: ExportKind, chosen: Sequence[Any], options: Any, where: Workers, as_json: bool) -> None:
     from station.export.columns import KeyColumns
     from station.export.progress import progress
     from station.export.run import preview

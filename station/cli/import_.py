@@ -18,7 +18,7 @@ from station.printable import printable
 if TYPE_CHECKING:
     from station.export.jobs import Attempt
     from station.foreign.kind import ForeignKind
-    from station.foreign.take_in import Order, TakenIn
+    from station.foreign.take_in import ImportJob, ImportResult
 
 _TOLD = 20
 
@@ -70,9 +70,9 @@ def command(
 
 def _orders(
     kind: ForeignKind, folders: Sequence[Path], data: Path | None, task: str, instruction: str
-) -> list[Order]:  # fmt: skip
+) -> list[ImportJob]:  # fmt: skip
     from station.episode.storage.folder import data_folder
-    from station.foreign.take_in import Order
+    from station.foreign.take_in import ImportJob
 
     base = data_folder(data).absolute()
     found: dict[Path, None] = {}
@@ -84,11 +84,12 @@ def _orders(
             raise BadFile(f"{folder}: no recording of {kind.name} in it; expected {kind.summary}")
         found.update(dict.fromkeys(path.absolute() for path in recordings))
     return [
-        Order(format=kind.name, path=str(path), data=str(base), task=task, instruction=instruction) for path in found
+        ImportJob(format=kind.name, path=str(path), data=str(base), task=task, instruction=instruction)
+        for path in found
     ]
 
 
-def _import(orders: Sequence[Order], jobs: int, *, is_quiet: bool) -> list[Attempt[Order, TakenIn]]:
+def _import(orders: Sequence[ImportJob], jobs: int, *, is_quiet: bool) -> list[Attempt[ImportJob, ImportResult]]:
     from station.export.jobs import map_episodes
     from station.export.progress import progress
     from station.foreign.take_in import take_in
@@ -97,12 +98,12 @@ def _import(orders: Sequence[Order], jobs: int, *, is_quiet: bool) -> list[Attem
         return map_episodes(take_in, orders, jobs=jobs, on_done=lambda each: tell(is_lost=each.result is None))
 
 
-def _plain(attempt: Attempt[Order, TakenIn]) -> dict[str, Any]:
+def _plain(attempt: Attempt[ImportJob, ImportResult]) -> dict[str, Any]:
     result = None if attempt.result is None else msgspec.to_builtins(attempt.result)
     return {"recording": attempt.item.path, "episode": result, "error": attempt.error}
 
 
-def _show(taken: Sequence[TakenIn], failed: int) -> None:
+def _show(taken: Sequence[ImportResult], failed: int) -> None:
     for each in taken:
         times = "" if each.are_times_measured else ", times not measured"
         what = f"{each.messages} values in {each.seconds:.1f} s{times}, {each.size_bytes / 1e6:.1f} MB"

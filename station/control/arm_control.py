@@ -19,7 +19,7 @@ from station.arms import ArmSession, ArmState
 from station.bus import codec, keys
 from station.clock import SYSTEM, Clock
 from station.control.arming import Arming
-from station.control.command_path import CommandPath, Happening
+from station.control.command_path import CommandPath, StepEvent
 from station.control.command_validator import Samples
 from station.control.gate import Decision, GateConfig
 from station.control.gate_state import FOLLOWING, MOVING
@@ -51,7 +51,7 @@ class ArmRecord:
         command_seq: Sequence number of the command that was used; 0 when foreign or none.
         timing_ns: The six instants of `station.contract.TIMING_STAGES`; 0 where unknown. Without a policy the
             third and fourth are the instant that the gate was given.
-        happenings: What happened, in order.
+        step_events: What happened, in order.
     """
 
     tick: int
@@ -62,7 +62,7 @@ class ArmRecord:
     refusal: str
     command_seq: int
     timing_ns: tuple[int, int, int, int, int, int]
-    happenings: tuple[Happening, ...]
+    step_events: tuple[StepEvent, ...]
 
 
 class ArmControl:
@@ -70,7 +70,7 @@ class ArmControl:
 
     Args:
         session: With the arm's controller.
-        form: Format of the command.
+        command_format: Format of the command.
         gate: Times of the gate.
         is_armed: Whether targets are handed over from the start; False for real arms.
         clock: Says when a target was handed over.
@@ -80,10 +80,16 @@ class ArmControl:
     """
 
     def __init__(
-        self, session: ArmSession, form: CommandFormat, *, gate: GateConfig, is_armed: bool, clock: Clock = SYSTEM
+        self,
+        session: ArmSession,
+        command_format: CommandFormat,
+        *,
+        gate: GateConfig,
+        is_armed: bool,
+        clock: Clock = SYSTEM,
     ) -> None:
         self.session, self._clock = session, clock
-        self.commanded = CommandPath(form, gate, Arming(is_armed=is_armed, ramp_s=0.0))
+        self.commanded = CommandPath(command_format, gate, Arming(is_armed=is_armed, ramp_s=0.0))
         self._target: Floats | None = None  # newest target that was taken; None: not engaged
         self._refusal = ""  # of this tick
         self._was_refused = False  # whether it took none when it was last handed one
@@ -109,7 +115,7 @@ class ArmControl:
         self._see_to_fault(state)
         self._see_to_engagement(state)
         self._see_to_readiness(state, now_s)
-        decision = self.commanded.decide(sample, now_ns * 1e-9, obstacle=self._obstacle(state))
+        decision = self.commanded.decide(sample, now_ns * 1e-9, why_blocked=self._why_blocked(state))
         sent_ns, self._refusal = 0, ""
         if decision.state not in FOLLOWING:
             self._release()
@@ -126,7 +132,7 @@ class ArmControl:
             refusal=self._refusal,
             command_seq=good.seq if good else 0,
             timing_ns=(*stages, now_ns, now_ns, sent_ns),
-            happenings=self.commanded.taken(),
+            step_events=self.commanded.taken(),
         )
 
     def stop(self, reason: str) -> None:
@@ -195,8 +201,8 @@ class ArmControl:
             self.commanded.note("armed", "warning")
         if arming.state == "disarmed":
             self.commanded.gate.insist_on_silence(_DISARMED)
-        elif state.obstacle:
-            self.commanded.gate.insist_on_silence(state.obstacle)
+        elif state.why_blocked:
+            self.commanded.gate.insist_on_silence(state.why_blocked)
 
     def _see_to_engagement(self, state: ArmState) -> None:
         """Where the session takes no more targets by itself, nobody commands: who did has to engage anew."""
@@ -206,12 +212,12 @@ class ArmControl:
         self._end(reason)
         self.commanded.note("engagement-lost", "error", reason=reason)
 
-    def _obstacle(self, state: ArmState) -> str:
+    def _why_blocked(self, state: ArmState) -> str:
         if self.commanded.arming.state == "disarmed":
             return "the arm is disarmed"
         if self._target is None and state.is_moving:
-            return self.commanded.gate.demand or "the arm still moves"
-        return state.obstacle
+            return self.commanded.gate.why_not_follow or "the arm still moves"
+        return state.why_blocked
 
     def _send(self, wanted: Floats, state: ArmState) -> bool:
         """Hand over a target if it moved; return whether the session took it."""

@@ -16,7 +16,7 @@ from station.control.command_arbiter import spoken
 from station.control.command_validator import CommandValidator, Samples
 from station.control.gate import Decision, Gate, GateConfig
 from station.control.gate_state import State
-from station.control.reengage_interlock import Quiet
+from station.control.reengage_interlock import QuietTime
 from station.control.slew import Bounds
 from station.life.events import Severity
 from station.protocols import CommandFormat
@@ -27,7 +27,7 @@ _CALM_S = 0.5  # a command on the edge of what is allowed is slewed now and then
 
 
 @dataclass(frozen=True, slots=True)
-class Happening:
+class StepEvent:
     """Something that happened within a step, for an event on the bus."""
 
     name: str
@@ -39,35 +39,41 @@ class CommandPath:
     """The command's way to the robot, up to what the gate lets through.
 
     Args:
-        form: Format of the command.
+        command_format: Format of the command.
         config: Times of the gate.
         arming: Of the robot.
         part: Name of the part that it is about, for its events; "" for all of the robot.
-        happenings: Where to put what happened; a list of its own without it.
+        step_events: Where to put what happened; a list of its own without it.
 
     Attributes:
-        form, gate, validator, arming: What it is made of.
+        command_format, gate, validator, arming: What it is made of.
     """
 
     def __init__(
         self,
-        form: CommandFormat,
+        command_format: CommandFormat,
         config: GateConfig,
         arming: Arming,
         *,
         part: str = "",
-        happenings: list[Happening] | None = None,
+        step_events: list[StepEvent] | None = None,
     ) -> None:
-        bounds = Bounds.of(form, config.rate_factor)
-        self.form, self.part = form, part
-        self.gate = Gate(form.default, config, bounds, stays=form.stays, velocities=form.velocities)
-        self.validator = CommandValidator(form, config.longest_delay_s)
+        bounds = Bounds.of(command_format, config.rate_factor)
+        self.command_format, self.part = command_format, part
+        self.gate = Gate(
+            command_format.default,
+            config,
+            bounds,
+            holds_position=command_format.holds_position,
+            velocities=command_format.velocities,
+        )
+        self.validator = CommandValidator(command_format, config.longest_delay_s)
         self.arming = arming
         self._refusing: str | None = None
         self._rival = ""  # why somebody else's command was refused in this step
         self._heard_s = (-math.inf, math.inf)  # offline everything is known
-        self._slewing = RateLimiting(form)
-        self._happenings: list[Happening] = [] if happenings is None else happenings
+        self._slewing = RateLimiting(command_format)
+        self._step_events: list[StepEvent] = [] if step_events is None else step_events
 
     @property
     def paths(self) -> tuple[CommandPath, ...]:
@@ -84,13 +90,13 @@ class CommandPath:
         """Why the gate is in its state."""
         return self.gate.reason
 
-    def decide(self, sample: Samples, now_s: float, *, obstacle: str = "") -> Decision:
+    def decide(self, sample: Samples, now_s: float, *, why_blocked: str = "") -> Decision:
         """Take up the newest command and return what the gate lets through.
 
         Args:
             sample: The newest write of the command key, good or bad; the same object as long as nothing new came.
             now_s: The instant, on the clock of `CommandSample.arrived_s` [s].
-            obstacle: Why no command may be followed now, or "".
+            why_blocked: Why no command may be followed now, or "".
         """
         sample = sample[0] if isinstance(sample, tuple) else sample
         validator, before = self.validator, self.validator.good
@@ -102,8 +108,8 @@ class CommandPath:
         quiet = self._quiet(now_s)
         self._rival = ""
         vector, age_s = validator.vector, validator.age_s(now_s)
-        if obstacle:
-            vector, refusal = None, obstacle
+        if why_blocked:
+            vector, refusal = None, why_blocked
         decision = self.gate.step(now_s, vector, age_s, delay_s=validator.delay_s, refusal=refusal, quiet=quiet)
         for change in decision.transitions:
             severity: Severity = "warning" if change.after in _ALARMING else "info"
@@ -156,7 +162,7 @@ class CommandPath:
             "refused": self.validator.refused.total(),
             "arming": self.arming.state,
             "limited": len(decision.limited),
-            "needs_silence": self.gate.demand,
+            "needs_silence": self.gate.why_not_follow,
         }
 
     def refuse_rivals(self, count: int, reason: str) -> None:
@@ -171,18 +177,18 @@ class CommandPath:
     def note(self, name: str, severity: Severity, **detail: Any) -> None:
         """Have something told with this step."""
         of_part = {"part": self.part} if self.part else {}
-        self._happenings.append(Happening(name, severity, of_part | detail))
+        self._step_events.append(StepEvent(name, severity, of_part | detail))
 
-    def taken(self) -> tuple[Happening, ...]:
+    def taken(self) -> tuple[StepEvent, ...]:
         """Return what happened since the last call, in order."""
-        happenings = tuple(self._happenings)
-        self._happenings.clear()
-        return happenings
+        step_events = tuple(self._step_events)
+        self._step_events.clear()
+        return step_events
 
-    def _quiet(self, now_s: float) -> Quiet:
+    def _quiet(self, now_s: float) -> QuietTime:
         since_s, until_s = self._heard_s
         came_s = 0.0 if self._rival else self.validator.quiet_s(now_s)
-        return Quiet(min(now_s - since_s, came_s), max(now_s - until_s, 0.0))
+        return QuietTime(min(now_s - since_s, came_s), max(now_s - until_s, 0.0))
 
     def _note_refusal(self) -> None:
         """Say once that commands are refused, again when the reason changes, and once that they are good again."""
@@ -202,7 +208,7 @@ class Record(Protocol):
     """What every control step tells of itself."""
 
     @property
-    def happenings(self) -> tuple[Happening, ...]:
+    def step_events(self) -> tuple[StepEvent, ...]:
         """What happened, in order."""
         ...
 
@@ -252,11 +258,11 @@ class RateLimiting:
     """Follows which elements a gate limits.
 
     Args:
-        form: Names the elements.
+        command_format: Names the elements.
     """
 
-    def __init__(self, form: CommandFormat) -> None:
-        self._form = form
+    def __init__(self, command_format: CommandFormat) -> None:
+        self._command_format = command_format
         self._ticks = 0
         self._elements: set[int] = set()
         self._last_s = 0.0
@@ -273,4 +279,4 @@ class RateLimiting:
             self._ticks, self._elements = 0, set()
 
     def _names(self, indices: tuple[int, ...] | set[int]) -> list[str]:
-        return [self._form.elements[index].name for index in sorted(indices)]
+        return [self._command_format.elements[index].name for index in sorted(indices)]

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from station.bus import keys, stamp
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
-from station.bus.heard import Heard
+from station.bus.hearing import HeardSpan
 from station.bus.outage import Outages
 from station.bus.sample import Sample
 from station.bus.watch import Read, Watch
@@ -41,7 +41,7 @@ class Arrival(NamedTuple):
     is_clear: bool
 
 
-class Taken(NamedTuple):
+class NewWrites(NamedTuple):
     """What came since the last look.
 
     Attributes:
@@ -50,7 +50,7 @@ class Taken(NamedTuple):
         newest: The newest value of each whose values are known.
     """
 
-    heard: Heard
+    heard: HeardSpan
     arrivals: list[Arrival]
     newest: dict[str, Sample]
 
@@ -87,13 +87,13 @@ class CommandWatch(Watch):
         self.doubtful = 0
         super().__init__(address, wanted, outages=outages, probe_s=_PROBE_S)
 
-    def take(self) -> Taken:
+    def take(self) -> NewWrites:
         """Return the writes since the last call: a loop that stood still finds in them who wrote meanwhile.
 
         Where they were too many, nothing is known of the time before: what is `heard` begins anew.
         """
         with self._changed:
-            taken = Taken(self._hearing.span, self._arrivals, self._by_writer)
+            taken = NewWrites(self._hearing.span, self._arrivals, self._by_writer)
             self._arrivals, self._by_writer = [], {}
         return taken
 
@@ -276,7 +276,7 @@ class CommandReceiver:
         refused, self._refused = self._refused, 0
         return refused
 
-    def _seconds(self, heard: Heard, now_s: float | None) -> tuple[float, float]:
+    def _seconds(self, heard: HeardSpan, now_s: float | None) -> tuple[float, float]:
         """Return a span on the gate's clock [s]."""
         ahead_s = 0.0 if now_s is None else now_s - self._watch.clock.monotonic_s()
         return heard.since_ns * 1e-9 + ahead_s, heard.until_ns * 1e-9 + ahead_s

@@ -43,9 +43,9 @@ class Checked:
     clamped: int
 
 
-def check_command(data: bytes, form: CommandFormat) -> Checked | Refusal:
+def check_command(data: bytes, command_format: CommandFormat) -> Checked | Refusal:
     """Read a command as it stands on the bus and judge it."""
-    size = len(form.default)
+    size = len(command_format.default)
     if len(data) > _LONGEST_BYTES:
         return Refusal("wrong-length", f"{len(data)} bytes, expected a JSON list of {size} numbers")
     try:
@@ -55,11 +55,14 @@ def check_command(data: bytes, form: CommandFormat) -> Checked | Refusal:
     if len(vector) != size:
         return Refusal("wrong-length", f"{len(vector)} values, expected {size}")
     if not np.isfinite(vector).all():
-        return Refusal("not-finite", f"{form.elements[int(np.argmin(np.isfinite(vector)))].name} is not finite")
-    beyond = (vector < form.lower - form.margin) | (vector > form.upper + form.margin)
+        return Refusal(
+            "not-finite", f"{command_format.elements[int(np.argmin(np.isfinite(vector)))].name} is not finite"
+        )
+    lowest, highest = command_format.lower - command_format.margin, command_format.upper + command_format.margin
+    beyond = (vector < lowest) | (vector > highest)
     if beyond.any():
-        return Refusal("out-of-range", _describe(vector, int(np.argmax(beyond)), form))
-    clamped = np.clip(vector, form.lower, form.upper)
+        return Refusal("out-of-range", _describe(vector, int(np.argmax(beyond)), command_format))
+    clamped = np.clip(vector, command_format.lower, command_format.upper)
     return Checked(clamped, int((clamped != vector).sum()))
 
 
@@ -96,7 +99,7 @@ class CommandValidator:
     """Remembers the newest good command and counts what was refused.
 
     Attributes:
-        form: The command's format.
+        command_format: The command's format.
         longest_delay_s: A command that took longer to come is refused [s].
         sample: The newest sample, good or bad.
         good: The sample that `vector` was read from.
@@ -107,7 +110,7 @@ class CommandValidator:
         clamped_samples: Samples with a clamped element since the start.
     """
 
-    form: CommandFormat
+    command_format: CommandFormat
     longest_delay_s: float = math.inf
     sample: CommandSample | None = None
     good: CommandSample | None = None
@@ -125,7 +128,7 @@ class CommandValidator:
         if sample is None or sample is self.sample:
             return False
         self.sample, self._found_s = sample, None
-        checked = self._why_not_in_time(sample) or check_command(sample.value, self.form)
+        checked = self._why_not_in_time(sample) or check_command(sample.value, self.command_format)
         if isinstance(checked, Refusal):
             self.refusal = checked
             self.refused[checked.kind] += 1
@@ -186,6 +189,9 @@ class CommandValidator:
         return Refusal("wrong-clock", f"stamped {-delay_s:.3g} s after it came: not by this machine's monotonic clock")
 
 
-def _describe(vector: Floats, index: int, form: CommandFormat) -> str:
-    low, high = form.lower[index] - form.margin[index], form.upper[index] + form.margin[index]
-    return f"{form.elements[index].name} is {vector[index]:.4g}, allowed {low:.4g} to {high:.4g}"
+def _describe(vector: Floats, index: int, command_format: CommandFormat) -> str:
+    low, high = (
+        command_format.lower[index] - command_format.margin[index],
+        command_format.upper[index] + command_format.margin[index],
+    )
+    return f"{command_format.elements[index].name} is {vector[index]:.4g}, allowed {low:.4g} to {high:.4g}"

@@ -15,7 +15,7 @@ import numpy as np
 from station.clock import SYSTEM, Clock
 from station.contract import names_of
 from station.control.arming import Arming
-from station.control.command_path import CommandPath, Happening
+from station.control.command_path import CommandPath, StepEvent
 from station.control.command_validator import Samples
 from station.control.gate import Decision, Gate, GateConfig
 from station.control.parted_path import PartedPath
@@ -48,7 +48,7 @@ class StepRecord:
         fall: Why the robot counts as fallen after this step, or None.
         command_seq: Sequence number of the command that was used; 0 when foreign or none.
         timing_ns: The six instants of `station.contract.TIMING_STAGES`; 0 where unknown.
-        happenings: What happened, in order.
+        step_events: What happened, in order.
     """
 
     tick: int
@@ -60,7 +60,7 @@ class StepRecord:
     fall: Fall | None
     command_seq: int
     timing_ns: tuple[int, int, int, int, int, int]
-    happenings: tuple[Happening, ...]
+    step_events: tuple[StepEvent, ...]
 
 
 class ControlStep:
@@ -69,7 +69,7 @@ class ControlStep:
     Args:
         robot: With the joints of the policy.
         policy: Follows commands of the format.
-        form: Format of the command.
+        command_format: Format of the command.
         gate: Times of the gate.
         is_armed: Whether targets are sent from the start; False for real robots.
         reset_after_s: A simulated robot is put back on its feet this long after a fall [s]; None: never.
@@ -86,21 +86,21 @@ class ControlStep:
         self,
         robot: Robot,
         policy: Policy,
-        form: CommandFormat,
+        command_format: CommandFormat,
         *,
         gate: GateConfig | None = None,
         is_armed: bool = True,
         reset_after_s: float | None = None,
         clock: Clock = SYSTEM,
     ) -> None:
-        _check_fit(robot, policy, form)
+        _check_fit(robot, policy, command_format)
         self.robot, self.policy, self._clock = robot, policy, clock
         self.arming = Arming(is_armed=is_armed)
         config = gate or GateConfig()
         self.commanded = (
-            PartedPath(form, config, self.arming)
-            if isinstance(form, PartedCommand)
-            else CommandPath(form, config, self.arming)
+            PartedPath(command_format, config, self.arming)
+            if isinstance(command_format, PartedCommand)
+            else CommandPath(command_format, config, self.arming)
         )
         self._note = self.commanded.note
         self._reset_after_s, self._fell_at_s = reset_after_s, math.inf
@@ -157,7 +157,7 @@ class ControlStep:
             fall=self._note_fall(now_s),
             command_seq=good.seq if good else 0,
             timing_ns=(*stages, state.mono_ns, observed_ns, inferred_ns, sent_ns),
-            happenings=self.commanded.taken(),
+            step_events=self.commanded.taken(),
         )
         if self._reset_after_s is not None and now_s - self._fell_at_s >= self._reset_after_s:
             self._fell_at_s = math.inf
@@ -273,10 +273,10 @@ def _nothing(targets: JointTargets) -> JointTargets:
     return JointTargets(targets.q, zeros, zeros)
 
 
-def _check_fit(robot: Robot, policy: Policy, form: CommandFormat) -> None:
+def _check_fit(robot: Robot, policy: Policy, command_format: CommandFormat) -> None:
     spec = policy.spec
-    if spec.command != form.name:
-        raise ConfigError(f"policy {spec.name!r} follows {spec.command!r} commands, not {form.name!r}")
+    if spec.command != command_format.name:
+        raise ConfigError(f"policy {spec.name!r} follows {spec.command!r} commands, not {command_format.name!r}")
     if spec.joint_names != robot.joint_names:
         odd = sorted(set(spec.joint_names) ^ set(robot.joint_names))
         raise ConfigError(
@@ -289,11 +289,12 @@ def _resting(robot: Robot, paths: Sequence[CommandPath]) -> Iterator[tuple[Gate,
     """Yield, of what stays without a command, its gate and the joints that its elements are."""
     places = {f"{name}_pos": index for index, name in enumerate(robot.joint_names)}
     for path in paths:
-        names = names_of(path.form.elements)
-        if path.form.stays:
+        command = path.command_format
+        names = names_of(command.elements)
+        if command.holds_position:
             odd = [name for name in names if name not in places]
             if odd:
                 raise ConfigError(
-                    f"what stays takes positions of joints; command {path.form.name!r} has {', '.join(odd[:4])}"
+                    f"what stays takes positions of joints; command {command.name!r} has {', '.join(odd[:4])}"
                 )
             yield path.gate, [places[name] for name in names]

@@ -38,7 +38,7 @@ import numpy as np
 from station.blends import VELOCITY_FADE_S
 from station.control.command_arbiter import Rule
 from station.control.gate_state import FOLLOWING, LATCHED, MOVING, State
-from station.control.reengage_interlock import Quiet, ReengageInterlock
+from station.control.reengage_interlock import QuietTime, ReengageInterlock
 from station.control.slew import Bounds
 from station.protocols import Floats
 
@@ -181,7 +181,7 @@ class Gate:
         default: The command that asks the robot to stand, shape (m,).
         config: Its times.
         bounds: Range and rate of each element; None bounds nothing.
-        stays: Whether the robot stays where it is without a command, instead of going back to `default`.
+        holds_position: Whether the robot stays where it is without a command, instead of going back to `default`.
         velocities: Indices of the elements that are velocities, 0 in `default`.
 
     Raises:
@@ -194,13 +194,13 @@ class Gate:
         config: GateConfig | None = None,
         bounds: Bounds | None = None,
         *,
-        stays: bool = False,
+        holds_position: bool = False,
         velocities: Sequence[int] = (),
     ) -> None:
         self.config = config or GateConfig()
         self._default = np.array(default, dtype=np.float64)
-        self._bounds, self._stays = bounds, stays
-        if bounds is not None and not stays:
+        self._bounds, self._holds_position = bounds, holds_position
+        if bounds is not None and not holds_position:
             bounds.expect_back_within(self._default, self.config.blend_out_s)
         self._state: State = "waiting"
         self._reason = "no command yet"
@@ -227,7 +227,7 @@ class Gate:
         return self._reason
 
     @property
-    def demand(self) -> str:
+    def why_not_follow(self) -> str:
         """What whoever commands has to do before he is followed, and why, or ""."""
         return self._silence.missing
 
@@ -239,7 +239,7 @@ class Gate:
         *,
         delay_s: float = 0.0,
         refusal: str = "",
-        quiet: Quiet | None = None,
+        quiet: QuietTime | None = None,
     ) -> Decision:
         """Advance to an instant and return what the policy gets.
 
@@ -254,9 +254,9 @@ class Gate:
         """
         now_s = self._pass_time(now_s)
         self._limited = ()
-        self._silence.hear(quiet or Quiet(age_s), self._passed_s)
-        if self.demand:
-            command, refusal = None, refusal or self.demand
+        self._silence.hear(quiet or QuietTime(age_s), self._passed_s)
+        if self.why_not_follow:
+            command, refusal = None, refusal or self.why_not_follow
         if command is None or command.shape != self._default.shape or not np.isfinite(command).all():
             command, age_s = None, math.inf
         elif not (age_s >= -_SLACK_S and delay_s >= -_SLACK_S):
@@ -318,13 +318,13 @@ class Gate:
         elif self._state == "holding":
             self._move("tracking", now_s, "a good command came")
         self._new_hands = ""
-        is_blending = self._state == "entering" and not self._stays
+        is_blending = self._state == "entering" and not self._holds_position
         fraction = self._fraction(now_s, self.config.blend_in_s) if is_blending else 1.0
         wanted = self._start + fraction * (command - self._start) if fraction < 1.0 else command
         self._approach(self._fade.apply(wanted, command, self._passed_s))
-        if fraction >= 1.0 and self._state == "entering" and not (self._stays and self._limited):
+        if fraction >= 1.0 and self._state == "entering" and not (self._holds_position and self._limited):
             self._is_entered = True
-            self._move("tracking", now_s, "caught up" if self._stays else "blend done")
+            self._move("tracking", now_s, "caught up" if self._holds_position else "blend done")
 
     def _is_in_time(self, age_s: float, delay_s: float) -> bool:
         config = self.config
@@ -340,7 +340,7 @@ class Gate:
             self._approach(self._fade.apply(self._vector, self._default, self._passed_s))
 
     def _go_home(self, now_s: float, why: str) -> None:
-        if self._stays:
+        if self._holds_position:
             self._move("waiting", now_s, why)
             self._reason = why
         if self._state == "waiting":

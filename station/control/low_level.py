@@ -18,7 +18,7 @@ import numpy as np
 
 from station.bus import codec, keys
 from station.control.command_arbiter import CommandArbiter, News, spoken
-from station.control.command_path import CommandPath, Control, Happening, Record
+from station.control.command_path import CommandPath, Control, Record, StepEvent
 from station.control.command_receiver import CommandReceiver, CommandWatch
 from station.control.command_validator import CommandSample, Samples
 from station.control.control import StepRecord
@@ -68,12 +68,12 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         self._paths = control.commanded.paths
         self._watches, self._receivers = list[CommandWatch](), list[CommandReceiver]()
         for path in self._paths:
-            key, config, is_first = path.form.key, path.gate.config, not self._watches
+            key, config, is_first = path.command_format.key, path.gate.config, not self._watches
             asked = (keys.ESTOP, keys.ARM, *self._requests) if is_first else ()
             self._watches.append(CommandWatch(life.bus.address, [key, *asked], key=key, outages=life.bus.outages))
             arbiter = CommandArbiter(config.rivals, config.return_after_s)
             self._receivers.append(CommandReceiver(self._watches[-1], key, arbiter))
-        self._watch, self._receiver, self._key = self._watches[0], self._receivers[0], self._paths[0].form.key
+        self._watch, self._receiver, self._key = self._watches[0], self._receivers[0], self._paths[0].command_format.key
         self._is_stopped_past_bus = False  # asked to, and not obeyed yet
         self._keeper = StopKeeper(life.bus.address)
         self._arm_seen = self._watch.latest(keys.ARM)  # a request from before our time is none
@@ -241,11 +241,11 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             path.heard_all(*receiver.heard_s)
         record = self._control.step(state, command, now_s)
         self._publish(self._result_values(record, self._arm_answer))
-        for happening in record.happenings:
-            self._say(happening)
+        for step_event in record.step_events:
+            self._say(step_event)
         for path, receiver in zip(self._paths, self._receivers, strict=True):
             for news in receiver.writers.take_news(now_s):
-                self._tell_of_writers(path.form.key, news)
+                self._tell_of_writers(path.command_format.key, news)
 
     def _tell_of_writers(self, key: str, news: News) -> None:
         detail: dict[str, Any] = {"key": key, "writers": list(news.writers), "obeyed": spoken(news.obeyed)}
@@ -266,8 +266,8 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             log.warning("bus lost: the loop goes on, commands are held and then left")
         self._bus_is_lost = is_lost
 
-    def _say(self, happening: Happening) -> None:
-        self._life.event(happening.name, severity=happening.severity, **happening.detail)
+    def _say(self, step_event: StepEvent) -> None:
+        self._life.event(step_event.name, severity=step_event.severity, **step_event.detail)
 
     def _is_time_to_report(self) -> bool:
         now_s = self._clock.monotonic_s()
@@ -326,6 +326,6 @@ def _values_of_parts(decision: Decision, commanded: CommandPath) -> dict[str, by
     """Return gate and used command of each part of a robot whose parts are commanded apart, by key; else nothing."""
     values: dict[str, bytes] = {}
     for path, part in zip(commanded.paths, decision.parts, strict=False):
-        values[keys.command_gate(path.form.robot)] = codec.json_object(path.status(part))
-        values[keys.command_used(path.form.robot)] = codec.f64(part.vector)
+        values[keys.command_gate(path.command_format.robot)] = codec.json_object(path.status(part))
+        values[keys.command_used(path.command_format.robot)] = codec.f64(part.vector)
     return values

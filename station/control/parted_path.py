@@ -12,7 +12,7 @@ import numpy as np
 
 from station.bus import codec
 from station.control.arming import Arming
-from station.control.command_path import CommandPath, Happening
+from station.control.command_path import CommandPath, StepEvent
 from station.control.command_validator import CommandSample, Samples
 from station.control.gate import Decision, GateConfig
 from station.control.gate_state import State
@@ -24,9 +24,11 @@ _MOST_OF_ALL: tuple[State, ...] = (
 )  # fmt: skip
 
 
-def samples_of(form: CommandFormat, vector: Floats, at_s: float) -> Samples:
+def samples_of(command_format: CommandFormat, vector: Floats, at_s: float) -> Samples:
     """Return a command, shape (m,), as if it had just been read from the bus, in each of its parts [s]."""
-    samples = [CommandSample(codec.json_vector(each), arrived_s=at_s) for each in by_key(form, vector).values()]
+    samples = [
+        CommandSample(codec.json_vector(each), arrived_s=at_s) for each in by_key(command_format, vector).values()
+    ]
     return tuple(samples) if len(samples) > 1 else samples[0]
 
 
@@ -34,17 +36,18 @@ class PartedPath(CommandPath):
     """As `CommandPath`, of several parts; `gate` and `validator` are those of the first.
 
     Args:
-        form: Of the parts.
+        command_format: Of the parts.
         config: Times of each gate.
         arming: Of the robot.
     """
 
-    def __init__(self, form: PartedCommand, config: GateConfig, arming: Arming) -> None:
-        happenings: list[Happening] = []
+    def __init__(self, command_format: PartedCommand, config: GateConfig, arming: Arming) -> None:
+        step_events: list[StepEvent] = []
         self._paths = tuple(
-            CommandPath(part, config, arming, part=part_name(form, part), happenings=happenings) for part in form.parts
+            CommandPath(part, config, arming, part=part_name(command_format, part), step_events=step_events)
+            for part in command_format.parts
         )
-        self.form, self.part, self.arming, self._happenings = form, "", arming, happenings
+        self.command_format, self.part, self.arming, self._step_events = command_format, "", arming, step_events
         self.gate, self.validator = self._paths[0].gate, self._paths[0].validator
 
     @property
@@ -62,11 +65,11 @@ class PartedPath(CommandPath):
         """Why each part is in its state."""
         return "; ".join(f"{path.part} {path.gate.state}: {path.gate.reason}" for path in self._paths)
 
-    def decide(self, sample: Samples, now_s: float, *, obstacle: str = "") -> Decision:
+    def decide(self, sample: Samples, now_s: float, *, why_blocked: str = "") -> Decision:
         """Take up the newest command of each part and return what the gates let through."""
         samples = sample if isinstance(sample, tuple) else (sample,) + (None,) * (len(self._paths) - 1)
         parts = tuple(
-            path.decide(each, now_s, obstacle=obstacle) for path, each in zip(self._paths, samples, strict=True)
+            path.decide(each, now_s, why_blocked=why_blocked) for path, each in zip(self._paths, samples, strict=True)
         )
         starts = np.cumsum([0, *(len(part.vector) for part in parts)]).tolist()
         return Decision(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 _ROUNDING = 1e-9  # 75 ticks of 4 ms are 0.3 s
 
 
-class Quiet(NamedTuple):
+class QuietTime(NamedTuple):
     """How quiet it is where commands come from.
 
     Attributes:
@@ -47,7 +47,7 @@ class ReengageInterlock:
         """Let nobody be followed before there was a silence from now on, for a reason."""
         self._why, self._heard_s = why, None
 
-    def hear(self, quiet: Quiet, passed_s: float) -> None:
+    def hear(self, quiet: QuietTime, passed_s: float) -> None:
         """Record a tick.
 
         Args:

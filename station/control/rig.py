@@ -14,7 +14,7 @@ from station.clock import SYSTEM, Clock
 from station.control.control import ControlStep
 from station.control.gate import GateConfig
 from station.errors import ConfigError, did_you_mean
-from station.protocols import CommandFormat, KnowsTruth, Policy, Robot, RobotState
+from station.protocols import CommandFormat, HasGroundTruth, Policy, Robot, RobotState
 from station.robot_kind import RobotKind
 
 
@@ -59,7 +59,7 @@ class Rig(msgspec.Struct, frozen=True):
     kind: RobotKind
     robot: Robot
     policy: Policy
-    form: CommandFormat
+    command_format: CommandFormat
     period_s: float
 
     def control(
@@ -72,16 +72,22 @@ class Rig(msgspec.Struct, frozen=True):
     ) -> ControlStep:
         """Return the control step over this rig; its arguments are those of `ControlStep`."""
         return ControlStep(
-            self.robot, self.policy, self.form, gate=gate, is_armed=is_armed, reset_after_s=reset_after_s, clock=clock
+            self.robot,
+            self.policy,
+            self.command_format,
+            gate=gate,
+            is_armed=is_armed,
+            reset_after_s=reset_after_s,
+            clock=clock,
         )
 
     def state_values(self, state: RobotState) -> dict[str, bytes]:
         """Return what is published at the start of a tick, by key: the state, what stock programs read, the truth."""
-        name = self.form.robot
+        name = self.command_format.robot
         values = {keys.robot_state(name): codec.f64(np.concatenate([state.q, state.dq, state.quat_wxyz, state.gyro]))}
         if self.kind.values is not None:
             values |= self.kind.values(state, self.policy, name)
-        if isinstance(self.robot, KnowsTruth):
+        if isinstance(self.robot, HasGroundTruth):
             values[keys.sim_qpos(name)] = codec.f64(self.robot.qpos)
         return values
 
@@ -133,8 +139,8 @@ def build(config: RigConfig, *, may_be_real: bool = False) -> Rig:
     rate_hz = config.rate_hz or policy.spec.rate_hz
     if not 1.0 <= rate_hz <= 1000.0:
         raise ConfigError(f"rate_hz {config.rate_hz}: expected 1 to 1000 Hz, or 0 for the policy's own")
-    form = registry.find("command", policy.spec.command)
-    return Rig(kind, kind.make(options, 1.0 / rate_hz), policy, form, 1.0 / rate_hz)
+    command_format = registry.find("command", policy.spec.command)
+    return Rig(kind, kind.make(options, 1.0 / rate_hz), policy, command_format, 1.0 / rate_hz)
 
 
 def _policy(name: str, config: RigConfig) -> Policy:

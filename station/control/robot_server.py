@@ -103,9 +103,9 @@ def serve(config: PolicyServerConfig, life: Life) -> int:
         life: The server's.
     """
     rig = build(config.rig, may_be_real=True)
-    suffix = rig.form.robot
+    suffix = rig.command_format.robot
     try:
-        if config.pace == "command" and isinstance(rig.form, PartedCommand):
+        if config.pace == "command" and isinstance(rig.command_format, PartedCommand):
             raise ConfigError(
                 f"pace: command waits for one command; the parts of {suffix} are commanded apart, so run it by wall"
             )
@@ -150,9 +150,13 @@ def _facts(config: PolicyServerConfig, name: str, rig: Rig) -> dict[str, Any]:
     return {
         "server": name,
         "role": "low-level",
-        "robot": rig.form.robot,
-        **({"parts": [part.robot for part in rig.form.parts]} if isinstance(rig.form, PartedCommand) else {}),
-        "description": to_plain(rig.kind.describe(rig.form)),
+        "robot": rig.command_format.robot,
+        **(
+            {"parts": [part.robot for part in rig.command_format.parts]}
+            if isinstance(rig.command_format, PartedCommand)
+            else {}
+        ),
+        "description": to_plain(rig.kind.describe(rig.command_format)),
         "robot_facts": robot_facts,
         "policy": {
             "name": spec.name,

@@ -29,9 +29,9 @@ class Bounds:
     rate: Floats
 
     @classmethod
-    def of(cls, form: CommandFormat, factor: float = 1.0) -> Bounds:
+    def of(cls, command_format: CommandFormat, factor: float = 1.0) -> Bounds:
         """Return the bounds of a format, its rates times a factor."""
-        return cls(form.lower, form.upper, np.minimum(form.rate * factor, _UNLIMITED))
+        return cls(command_format.lower, command_format.upper, np.minimum(command_format.rate * factor, _UNLIMITED))
 
     def step(self, before: Floats, wanted: Floats, passed_s: float) -> Floats:
         """Return what comes nearest to a vector after some time; the very vector where range and rate allow it.

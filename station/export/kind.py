@@ -5,8 +5,9 @@ An export goes through four steps, whatever the format. Only the second is heavy
 1. ``prepare(sources, options)`` looks at as few episodes as it can and returns a *plan*: everything that must be the
    same in all of them (columns, rate, size of pictures). Here a request that fits no episode is refused.
 2. ``convert(source, plan, folder)`` writes what one episode gives, its *shard*, into an empty folder, and returns
-   `Made`. It runs in a process of its own, possibly on another machine, one episode at a time. An episode that cannot
-   be converted raises `StationError` with one line that names the key; it is left out and told of, nothing else stops.
+   `ShardResult`. It runs in a process of its own, possibly on another machine, one episode at a time. An episode that
+   cannot be converted raises `StationError` with one line that names the key; it is left out and told of, nothing else
+   stops.
 3. `station.export.shards` gives a whole shard its name by one rename. A shard is known by its episode, the plan and the
    version of the format, so an export that was killed goes on with what is missing. The verdict that a check wrote of
    an episode stands, so other rules change nothing; where the export itself judged, a shard is kept for those rules.
@@ -54,7 +55,7 @@ class Source(msgspec.Struct, frozen=True, kw_only=True):
     folder: str
 
 
-class Made(msgspec.Struct, frozen=True, kw_only=True):
+class ShardResult(msgspec.Struct, frozen=True, kw_only=True):
     """What `convert` says of the shard that it wrote; it is kept as JSON beside the shard.
 
     Attributes:
@@ -74,10 +75,10 @@ class Shard:
 
     source: Source
     folder: Path
-    made: Made
+    made: ShardResult
 
 
-class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
+class SkippedEpisode(msgspec.Struct, frozen=True, kw_only=True):
     """An episode that is not in the result, and why in one line that names the episode."""
 
     source: Source
@@ -85,9 +86,9 @@ class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
 
 
 Prepare = Callable[[Sequence[Source], Any], msgspec.Struct]
-Convert = Callable[[Source, Any, Path], Made]
+Convert = Callable[[Source, Any, Path], ShardResult]
 Look = Callable[[Source, Any], Sequence[str]]
-Join = Callable[[Sequence[Shard], Sequence[LeftOut], Any, Path], dict[str, Any]]
+Join = Callable[[Sequence[Shard], Sequence[SkippedEpisode], Any, Path], dict[str, Any]]
 
 
 @dataclass(frozen=True, slots=True)

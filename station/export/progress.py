@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 
-class Tell(Protocol):
+class ProgressListener(Protocol):
     """Hears of the episodes that are over."""
 
     def __call__(self, *, is_lost: bool = False) -> None:
@@ -22,7 +22,7 @@ class _Bar:
 
 
 @contextmanager
-def progress(total: int, what: str, *, is_quiet: bool = False) -> Iterator[Tell]:
+def progress(total: int, what: str, *, is_quiet: bool = False) -> Iterator[ProgressListener]:
     """Show a line that moves, on stderr, where that is a terminal; a log or a pipe is told nothing.
 
     Args:

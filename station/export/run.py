@@ -13,13 +13,13 @@ from station.episode.quality.rule_file import RuleBook
 from station.errors import StationError
 from station.export import shards, verdict
 from station.export.jobs import Attempt, DiskRefuses, map_episodes
-from station.export.kind import ExportKind, ExportOptions, LeftOut, MinQuality, Source
+from station.export.kind import ExportKind, ExportOptions, MinQuality, SkippedEpisode, Source
 
 Told = Callable[[shards.Outcome], None]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Where:
+class Workers:
     """Where the work is done: `jobs` processes here (0: one per core), or a Ray cluster as of `jobs.map_episodes`."""
 
     jobs: int = 0
@@ -46,8 +46,8 @@ class Exported:
     out: Path
     episodes: int
     kept: int
-    left_out: tuple[LeftOut, ...]
-    failed: tuple[LeftOut, ...]
+    left_out: tuple[SkippedEpisode, ...]
+    failed: tuple[SkippedEpisode, ...]
     seconds: float
     rows: int
     size_bytes: int
@@ -68,13 +68,13 @@ class Preview:
     """
 
     sources: tuple[Source, ...]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[SkippedEpisode, ...]
     plan: Any
     notes: tuple[str, ...] = ()
 
 
 def export(
-    kind: ExportKind, sources: Sequence[Source], options: ExportOptions, out: Path, *, where: Where,
+    kind: ExportKind, sources: Sequence[Source], options: ExportOptions, out: Path, *, where: Workers,
     on_done: Told | None = None,
 ) -> Exported:  # fmt: skip
     """Export episodes into a folder.
@@ -127,7 +127,7 @@ def _full(error: DiskRefuses | OSError, out: Path, safe: int, tasks: int) -> Sta
 
 
 def preview(
-    kind: ExportKind, sources: Sequence[Source], options: ExportOptions, *, where: Where,
+    kind: ExportKind, sources: Sequence[Source], options: ExportOptions, *, where: Workers,
     on_done: Callable[[], None] | None = None,
 ) -> Preview:  # fmt: skip
     """Say what an export would be, and write nothing.
@@ -140,13 +140,13 @@ def preview(
         look, sources, jobs=where.jobs, ray_address=where.ray_address,
         on_done=None if on_done is None else lambda _: on_done(),
     )  # fmt: skip
-    left_out = [LeftOut(source=each.item, reason=each.error) for each in attempts if each.error]
+    left_out = [SkippedEpisode(source=each.item, reason=each.error) for each in attempts if each.error]
     good = [each.item for each in attempts if not each.error]
     if not good:
         return Preview(sources=(), left_out=tuple(left_out), plan=None)
     plan = kind.prepare(good, options)
     looks = map_episodes(_Fits(kind.name, plan), good, jobs=where.jobs, ray_address=where.ray_address)
-    left_out += [LeftOut(source=each.item, reason=each.error) for each in looks if each.error]
+    left_out += [SkippedEpisode(source=each.item, reason=each.error) for each in looks if each.error]
     return Preview(
         sources=tuple(each.item for each in looks if not each.error),
         left_out=tuple(left_out),
@@ -185,8 +185,8 @@ def _outcome(attempt: Attempt[shards.Task, shards.Outcome]) -> shards.Outcome:
 
 
 def _exported(out: Path, outcomes: Sequence[shards.Outcome], facts: dict[str, Any], took_s: float) -> Exported:
-    def those(status: str) -> tuple[LeftOut, ...]:
-        found = [LeftOut(source=each.source, reason=each.reason) for each in outcomes if each.status == status]
+    def those(status: str) -> tuple[SkippedEpisode, ...]:
+        found = [SkippedEpisode(source=each.source, reason=each.reason) for each in outcomes if each.status == status]
         return tuple(sorted(found, key=lambda each: each.source.episode_id))
 
     made = [each.made for each in outcomes if each.made is not None]

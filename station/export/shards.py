@@ -25,7 +25,7 @@ from station.episode.quality.rule_file import RuleBook, of_user
 from station.episode.storage import layout
 from station.errors import BadFile, EpisodeError, StationError
 from station.export import verdict
-from station.export.kind import ExportKind, LeftOut, Made, MinQuality, Shard, Source
+from station.export.kind import ExportKind, MinQuality, Shard, ShardResult, SkippedEpisode, Source
 
 _RECORD = "made.json"
 _FILES = "files"
@@ -66,7 +66,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     source: Source
     status: Literal["made", "kept", "left-out", "failed"]
     reason: str = ""
-    made: Made | None = None
+    made: ShardResult | None = None
 
 
 class _Record(msgspec.Struct, frozen=True, kw_only=True):
@@ -74,7 +74,7 @@ class _Record(msgspec.Struct, frozen=True, kw_only=True):
 
     fingerprint: str
     rules: tuple[RulesFile, ...]
-    made: Made
+    made: ShardResult
 
 
 @contextmanager
@@ -144,7 +144,7 @@ def finish(kind: ExportKind, plan: Any, outcomes: Sequence[Outcome], work: Path,
         EpisodeError: not one episode could be converted; names the first reason.
         OSError: the disk refuses; the shards stay for a later run.
     """
-    left_out = [LeftOut(source=o.source, reason=o.reason) for o in outcomes if o.made is None]
+    left_out = [SkippedEpisode(source=o.source, reason=o.reason) for o in outcomes if o.made is None]
     shards = [
         Shard(outcome.source, work / _SHARDS / outcome.source.episode_id / _FILES, outcome.made)
         for outcome in outcomes
@@ -184,7 +184,7 @@ def _are_those(task: Task, rules: tuple[RulesFile, ...]) -> bool:
     return not rules or rules == (task.book or of_user()).files
 
 
-def _make(kind: ExportKind, task: Task, place: Path, before: str, judged: verdict.Judged) -> Made:
+def _make(kind: ExportKind, task: Task, place: Path, before: str, judged: verdict.VerdictCheck) -> ShardResult:
     making = Path(task.work) / _MAKING / f"{task.source.episode_id}.{os.getpid()}"
     shutil.rmtree(making, ignore_errors=True)
     (making / _FILES).mkdir(parents=True)

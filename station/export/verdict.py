@@ -22,7 +22,7 @@ class NotGoodEnough(EpisodeError):
     """An episode whose verdict is less than an export asks for."""
 
 
-class Judged(NamedTuple):
+class VerdictCheck(NamedTuple):
     """How an episode was found good enough.
 
     Attributes:
@@ -43,7 +43,7 @@ def rule_book(least: MinQuality) -> RuleBook | None:
     return None if least == "any" else of_user()
 
 
-def expect(source: Source, least: MinQuality, book: RuleBook | None = None) -> Judged:
+def expect(source: Source, least: MinQuality, book: RuleBook | None = None) -> VerdictCheck:
     """Refuse an episode whose verdict is less than asked for.
 
     The verdict that a check wrote stands, by whatever rules; these rules are for what has none.
@@ -66,7 +66,7 @@ def expect(source: Source, least: MinQuality, book: RuleBook | None = None) -> J
     if not any(stream.count for stream in reader.streams()):
         raise EpisodeError(f"{source.episode_id}: holds no message; there is nothing to export")
     if least == "any":
-        return Judged(None)
+        return VerdictCheck(None)
     book, written = book or of_user(), stands(reader.manifest)
     quality = written or standing(reader, book)
     found = quality.verdict
@@ -74,7 +74,7 @@ def expect(source: Source, least: MinQuality, book: RuleBook | None = None) -> J
         reason = next((item.text for item in quality.reasons if item.verdict == found), "see `station check`")
         cure = "" if _are_same(quality.rules, book.files) else "; by other rules than today's, `station check` it anew"
         raise NotGoodEnough(f"{source.episode_id}: {found}, and --min-quality asks for {least}: {reason}{cure}")
-    return Judged(found, () if written else tuple(quality.rules))
+    return VerdictCheck(found, () if written else tuple(quality.rules))
 
 
 def _are_same(some: Iterable[RulesFile], others: Iterable[RulesFile]) -> bool:

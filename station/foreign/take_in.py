@@ -36,7 +36,7 @@ _FINISH_S = 600.0  # a disk that takes so long to close a file is a broken one
 _SHORT = 8  # hex digits of the hash in an id: two recordings of one task and number are told apart by them
 
 
-class Order(msgspec.Struct, frozen=True, kw_only=True):
+class ImportJob(msgspec.Struct, frozen=True, kw_only=True):
     """One recording to be taken in.
 
     Attributes:
@@ -54,7 +54,7 @@ class Order(msgspec.Struct, frozen=True, kw_only=True):
     instruction: str = ""
 
 
-class TakenIn(msgspec.Struct, frozen=True, kw_only=True):
+class ImportResult(msgspec.Struct, frozen=True, kw_only=True):
     """What became of one recording.
 
     Attributes:
@@ -74,7 +74,7 @@ class TakenIn(msgspec.Struct, frozen=True, kw_only=True):
     odd: list[str] = []
 
 
-def take_in(order: Order) -> TakenIn:
+def take_in(order: ImportJob) -> ImportResult:
     """Make an episode of a recording; one that is there already stays as it is.
 
     Killed at any moment, it leaves nothing that could be taken for an episode; the next call does it anew. Several
@@ -121,7 +121,7 @@ def _there(data: Path, kind: ForeignKind, recording: Recording) -> Path | None:
     return None
 
 
-def _manifest(kind: ForeignKind, recording: Recording, order: Order, name: str, task: str) -> Manifest:
+def _manifest(kind: ForeignKind, recording: Recording, order: ImportJob, name: str, task: str) -> Manifest:
     times = recording.times
     anchor = Anchor(wall_ns=times.started_ns or _NO_TIME_NS, mono_ns=0, boot="")
     how = "" if times.source == "measured" else f", times not measured: {times.rate_hz:g} Hz is nominal"
@@ -194,9 +194,9 @@ def _feed(writer: EpisodeWriter, writes: Iterator[ForeignWrite]) -> None:
             raise StationError(f"{writer.folder}: the queue before the disk has no room for {len(batch)} writes")
 
 
-def _told(folder: Path, recording: Recording, *, is_new: bool) -> TakenIn:
+def _told(folder: Path, recording: Recording, *, is_new: bool) -> ImportResult:
     manifest = load_manifest(folder)
-    return TakenIn(
+    return ImportResult(
         path=str(folder),
         is_new=is_new,
         messages=manifest.recorder.messages,

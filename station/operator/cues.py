@@ -95,7 +95,7 @@ class Speaker:
 
     def __init__(self, voice: Voice, queue: CueQueue | None = None, clock: Clock = SYSTEM) -> None:
         self.said = self.broken_off = 0
-        self._flaw = self._untold = ""
+        self._why_not = self._untold = ""
         self._voice, self._queue, self._clock = voice, queue or CueQueue(), clock
         self._changed = threading.Condition()
         self._present: Cue | None = None
@@ -127,8 +127,8 @@ class Speaker:
     def take_flaw(self) -> str:
         """Return why a cue could not be said since the last call, "" where all were; what lasts is told once."""
         with self._changed:
-            flaw, self._untold = self._untold, ""
-            return flaw
+            why_not, self._untold = self._untold, ""
+            return why_not
 
     def close(self, within_s: float = 2.0) -> None:
         """Break off, and release the voice."""
@@ -141,13 +141,13 @@ class Speaker:
 
     def _run(self) -> None:
         while (cue := self._next()) is not None:
-            flaw = self._flaw_of(cue)
+            why_not = self._why_not_of(cue)
             with self._changed:
-                if flaw and flaw != self._flaw:
-                    self._untold = flaw
-                self._flaw, self._present = flaw, None
+                if why_not and why_not != self._why_not:
+                    self._untold = why_not
+                self._why_not, self._present = why_not, None
 
-    def _flaw_of(self, cue: Cue) -> str:
+    def _why_not_of(self, cue: Cue) -> str:
         """Say a cue; return why it could not be said, or ""."""
         try:
             self._voice.say(cue, self._hush)

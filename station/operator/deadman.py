@@ -84,8 +84,8 @@ class DeadMan(Generic[Input, Target]):
         target: Target,
         *,
         toggled: bool = False,
-        obstacle: str = "",
-        objection: str = "",
+        why_blocked: str = "",
+        why_not_engage: str = "",
     ) -> Change | None:
         """Look at both sides.
 
@@ -94,22 +94,22 @@ class DeadMan(Generic[Input, Target]):
             now: The operator's side; None when it is not usable.
             target: What the robot is asked for at present: the robot's side, should this tick engage.
             toggled: Whether the button that turns driving on and off was pressed since the last tick.
-            obstacle: Why nobody may drive now (a stop, a lost bus, stale data), or "".
-            objection: Why driving may not begin now, though it may go on (a leader far from its follower), or "".
+            why_blocked: Why nobody may drive now (a stop, a lost bus, stale data), or "".
+            why_not_engage: Why driving may not begin now, though it may go on (a leader far from its follower), or "".
 
         Returns:
             What changed, if anything did.
         """
-        obstacle = obstacle or ("no valid data from the device" if now is None or held is None else "")
+        why_blocked = why_blocked or ("no valid data from the device" if now is None or held is None else "")
         pressed = toggled or (held is True and not self._was_held)
         self._was_held = held is not False  # nobody knows: it has to be seen released first
         jumped = self._jump(self._before, now) if now is not None and self._before is not None else ""
         self._before = now
         if self.state == "engaged":
             let_go = toggled if self._is_kept else held is False
-            return self._disengage(obstacle or jumped or ("released" if let_go else ""), held)
+            return self._disengage(why_blocked or jumped or ("released" if let_go else ""), held)
         if pressed:
-            return self._engage(now, target, obstacle or objection, is_kept=toggled)
+            return self._engage(now, target, why_blocked or why_not_engage, is_kept=toggled)
         if held is False:
             self.state = "released"
         return None

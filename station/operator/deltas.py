@@ -46,7 +46,7 @@ def followed(target: Pose, start: Pose, now: Pose, *, scale: float = 1.0, headin
     return Pose(target.position + moved, quat)
 
 
-def flaw(pose: Pose | None) -> str:
+def why_not(pose: Pose | None) -> str:
     """Return why a pose is none, or "": not tracked, not finite, or a quaternion without length, as before data."""
     if pose is None:
         return "is not tracked"

@@ -31,12 +31,12 @@ class DeviceSample:
 
     Attributes:
         reading: The newest sample; None when there is none that may be used.
-        flaw: Why there is none, or why it holds buttons only and nobody may drive by it; else "".
+        why_not: Why there is none, or why it holds buttons only and nobody may drive by it; else "".
         sample: Count of samples by the device server's own counting, for the source of a command.
     """
 
     reading: OperatorSample | None
-    flaw: str = ""
+    why_not: str = ""
     sample: int = 0
 
 
@@ -50,8 +50,8 @@ class DeviceSubscriber:
     """
 
     def __init__(self, watch: Watch, device: str, controls_from: str = "") -> None:
-        self._one = _One(watch, device)
-        self._other = _One(watch, controls_from) if controls_from else None
+        self._one = _DeviceListener(watch, device)
+        self._other = _DeviceListener(watch, controls_from) if controls_from else None
 
     @staticmethod
     def watched(device: str, controls_from: str = "") -> Sequence[str]:
@@ -65,12 +65,12 @@ class DeviceSubscriber:
             return heard
         other = self._other.hear()
         if other.reading is None:
-            return DeviceSample(None, other.flaw, heard.sample)
+            return DeviceSample(None, other.why_not, heard.sample)
         reading = replace(heard.reading or OperatorSample(), controls=other.reading.controls)
-        return DeviceSample(reading, heard.flaw or other.flaw, heard.sample)
+        return DeviceSample(reading, heard.why_not or other.why_not, heard.sample)
 
 
-class _One:
+class _DeviceListener:
     """Listens to one device server."""
 
     def __init__(self, watch: Watch, device: str) -> None:

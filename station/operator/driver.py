@@ -18,18 +18,18 @@ from station.protocols import CommandFormat, Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Look:
+class DriverInput:
     """What a driver makes of a sample before it may act on it.
 
     Attributes:
         input: The operator's side for the dead-man; None when the sample lacks what the driver needs.
-        flaw: What it lacks, or "".
-        objection: Why driving may not begin from here, though it may go on, or "".
+        why_not: What it lacks, or "".
+        why_not_engage: Why driving may not begin from here, though it may go on, or "".
     """
 
     input: Any | None
-    flaw: str = ""
-    objection: str = ""
+    why_not: str = ""
+    why_not_engage: str = ""
 
 
 class Driver(Protocol):
@@ -41,7 +41,7 @@ class Driver(Protocol):
         ...
 
     @property
-    def form(self) -> CommandFormat:
+    def command_format(self) -> CommandFormat:
         """Format of its commands."""
         ...
 
@@ -56,7 +56,7 @@ class Driver(Protocol):
         ...
 
     @property
-    def companions(self) -> Mapping[str, Floats]:
+    def auxiliary(self) -> Mapping[str, Floats]:
         """Values of the keys beside the command (hands, neck) after the newest `step`."""
         ...
 
@@ -65,7 +65,7 @@ class Driver(Protocol):
         """Whether nothing moves by itself any more: a walk that was let go has come to a stand."""
         ...
 
-    def look(self, reading: OperatorSample) -> Look:
+    def look(self, reading: OperatorSample) -> DriverInput:
         """Return what the sample holds for this driver; changes nothing."""
         ...
 

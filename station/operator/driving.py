@@ -1,6 +1,7 @@
 """Buttons, dead-man and driver as one: from a sample to a command. Pure: no bus, no clock.
 
-What records, ends the session or stops the robot is not done here: `Driven.pressed` says what the operator asked for.
+What records, ends the session or stops the robot is not done here: `DrivingStep.pressed` says what the operator asked
+for.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ from station.operator import buttons as button_maps
 from station.operator.buttons import ButtonMap, Buttons, Pressed
 from station.operator.deadman import Change, DeadMan
 from station.operator.device_subscriber import DeviceSample
-from station.operator.driver import Driver, Look
+from station.operator.driver import Driver, DriverInput
 from station.operator.sample import OperatorSample
 from station.protocols import CommandFormat, Floats
 
-_NOTHING = Look(None, "no valid data from the device")
+_NOTHING = DriverInput(None, "no valid data from the device")
 
 COMES_TO_REST_S = 5.0
 """Longest wait for what was let go to come to rest [s]; a walk stands within two."""
@@ -47,19 +48,19 @@ def buttons_to_drive(device: str, file: Path | None) -> ButtonMap:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Driven:
+class DrivingStep:
     """What a tick brought.
 
     Attributes:
         command: For the robot, shape (m,).
-        companions: Values of the keys beside it.
+        auxiliary: Values of the keys beside it.
         pressed: What the operator asked for beside moving.
         change: Of the dead-man, for an event.
         mode: The driver's new mode, when it changed in this tick.
     """
 
     command: Floats
-    companions: Mapping[str, Floats]
+    auxiliary: Mapping[str, Floats]
     pressed: Pressed
     change: Change | None = None
     mode: str = ""
@@ -81,13 +82,13 @@ class Driving:
         self.deadman: DeadMan[Any, Any] = DeadMan(driver.jump)
         self._buttons = buttons
 
-    def step(self, reading: OperatorSample | None, dt_s: float, *, obstacle: str = "") -> Driven:
+    def step(self, reading: OperatorSample | None, dt_s: float, *, why_blocked: str = "") -> DrivingStep:
         """Go on for a period.
 
         Args:
             reading: The newest sample; None when it is stale, lost, or cannot be read.
             dt_s: The period [s].
-            obstacle: Why nobody may drive now (an emergency stop, a lost bus, the reason why data are stale), or "".
+            why_blocked: Why nobody may drive now (an emergency stop, a lost bus, the reason why data are stale), or "".
         """
         pressed = self._buttons.step(None if reading is None else reading.controls, dt_s)
         before = self.driver.mode
@@ -95,48 +96,50 @@ class Driving:
             self.driver.next_mode()
         look = _NOTHING if reading is None else self.driver.look(reading)
         if "disarm" in pressed.started:
-            obstacle = "disarmed"
+            why_blocked = "disarmed"
         if "estop" in pressed.started:
-            obstacle = "emergency stop"
+            why_blocked = "emergency stop"
         change = self.deadman.step(
             None if reading is None else "engage" in pressed.held,
             look.input,
             self.driver.target,
             toggled="start_pause" in pressed.started,
-            obstacle=obstacle or look.flaw,
-            objection=look.objection,
+            why_blocked=why_blocked or look.why_not,
+            why_not_engage=look.why_not_engage,
         )
         command = self.driver.step(reading, self.deadman.snapshot, dt_s)
         mode = self.driver.mode  # a driver may change it by other controls as well
-        return Driven(command, self.driver.companions, pressed, change, mode if mode != before else "")
+        return DrivingStep(command, self.driver.auxiliary, pressed, change, mode if mode != before else "")
 
 
 class ExitBlend:
     """From whatever is driven to the default command.
 
     Args:
-        form: Of the commands.
+        command_format: Of the commands.
         blend_s: Time of the blend [s].
     """
 
-    def __init__(self, form: CommandFormat, blend_s: float) -> None:
-        self._form, self._default, self._blend_s = form, np.array(form.default), blend_s
-        self._times_s = times_to_standing(form, blend_s)
+    def __init__(self, command_format: CommandFormat, blend_s: float) -> None:
+        self._command_format, self._default, self._blend_s = command_format, np.array(command_format.default), blend_s
+        self._times_s = times_to_standing(command_format, blend_s)
         self._rested_s, self._blended_s = 0.0, 0.0
         self._start: Floats | None = None
 
     @property
     def is_done(self) -> bool:
         """Whether the default has been reached, or there is none to go to."""
-        return self._start is not None and (self._form.stays or self._blended_s >= self._blend_s)
+        return self._start is not None and (self._command_format.holds_position or self._blended_s >= self._blend_s)
 
     def _part(self, time_s: Floats | float) -> Floats:
         """How much of a way to the default is done that takes so long [s], 0 to 1."""
         return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.minimum(self._blended_s / time_s, 1.0)))
 
-    def companions(self, values: Mapping[str, Floats]) -> Mapping[str, Floats]:
+    def auxiliary(self, values: Mapping[str, Floats]) -> Mapping[str, Floats]:
         """Return the values beside the command: a neck goes along to its default, hands keep what they hold."""
-        going = {key: self._form.companions[key] for key in self._form.stock.returning if key in values}
+        going = {
+            key: self._command_format.auxiliary[key] for key in self._command_format.stock.returning if key in values
+        }
         part = self._part(self._blend_s)
         return {**values, **{key: values[key] + part * (np.asarray(rest) - values[key]) for key, rest in going.items()}}
 
@@ -153,7 +156,7 @@ class ExitBlend:
             if not is_still and self._rested_s < COMES_TO_REST_S:
                 return command
             self._start = command
-        if self._form.stays:
+        if self._command_format.holds_position:
             return self._start
         self._blended_s += dt_s
         return self._start + self._part(self._times_s) * (self._default - self._start)
@@ -164,33 +167,33 @@ class CommandWriter:
 
     Args:
         life: Its bus is written to.
-        form: Of the commands.
+        command_format: Of the commands.
         device, driver: Whose they are, for their source.
 
     Attributes:
         newest: The newest command, shape (m,); None before the first.
-        flaw: Why the newest command did not get away, or "".
+        why_not: Why the newest command did not get away, or "".
     """
 
-    def __init__(self, life: Life, form: CommandFormat, *, device: str, driver: str) -> None:
-        self._life, self._form = life, form
+    def __init__(self, life: Life, command_format: CommandFormat, *, device: str, driver: str) -> None:
+        self._life, self._command_format = life, command_format
         self._whose = {"kind": "operator", "device": device, "driver": driver}
         self.newest: Floats | None = None
-        self.flaw = ""
+        self.why_not = ""
 
-    def write(self, command: Floats, companions: Mapping[str, Floats], heard: DeviceSample, **state: Any) -> None:
+    def write(self, command: Floats, auxiliary: Mapping[str, Floats], heard: DeviceSample, **state: Any) -> None:
         """Write a command.
 
         Args:
             command: Shape (m,).
-            companions: Values of the keys beside it.
+            auxiliary: Values of the keys beside it.
             heard: The sample that it was made of.
             state: What else its source tells.
         """
         capture_ns = heard.reading.capture_ns if heard.reading is not None else None
         source = {**self._whose, **state, "sample": heard.sample, "capture_ns": capture_ns}
-        beside = {key: codec.json_vector(value) for key, value in companions.items()}
-        self._publish(command, beside | {keys.command_source(self._form.robot): codec.json_object(source)})
+        beside = {key: codec.json_vector(value) for key, value in auxiliary.items()}
+        self._publish(command, beside | {keys.command_source(self._command_format.robot): codec.json_object(source)})
 
     def write_alone(self, command: Floats) -> None:
         """Write a command and nothing else, shape (m,)."""
@@ -198,6 +201,6 @@ class CommandWriter:
 
     def _publish(self, command: Floats, others: dict[str, bytes]) -> None:
         self.newest = command
-        clocks = dict.fromkeys(self._form.stock.clocks, b"%d" % (self._life.clock.wall_ns() // 1_000_000))
-        taken = self._life.bus.publish({self._form.key: codec.json_vector(command), **others, **clocks})
-        self.flaw = "" if taken else "the bus is lost"
+        clocks = dict.fromkeys(self._command_format.stock.clocks, b"%d" % (self._life.clock.wall_ns() // 1_000_000))
+        taken = self._life.bus.publish({self._command_format.key: codec.json_vector(command), **others, **clocks})
+        self.why_not = "" if taken else "the bus is lost"

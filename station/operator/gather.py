@@ -28,7 +28,7 @@ class Gatherer:
 
     def wait_for(
         self,
-        flaw: Callable[[OperatorSample], str],
+        why_not: Callable[[OperatorSample], str],
         within_s: float,
         tell: Callable[[str], None],
         look: Callable[[], None],
@@ -36,7 +36,7 @@ class Gatherer:
         """Wait for a sample without a flaw.
 
         Args:
-            flaw: Says what a sample lacks, or "".
+            why_not: Says what a sample lacks, or "".
             within_s: How long to wait [s].
             tell: Is told why there is none yet, where a reason lasts.
             look: Called again and again; may raise what makes waiting useless.
@@ -46,7 +46,7 @@ class Gatherer:
         """
         began_s = since_s = self._clock.monotonic_s()
         told = why = ""
-        while reason := self._lack(flaw):
+        while reason := self._lack(why_not):
             look()
             now_s = self._clock.monotonic_s()
             if now_s - began_s > within_s:
@@ -58,7 +58,7 @@ class Gatherer:
                 tell(reason)
             self._clock.sleep(_LOOK_S)
 
-    def gather(self, flaw: Callable[[OperatorSample], str], for_s: float) -> list[OperatorSample]:
+    def gather(self, why_not: Callable[[OperatorSample], str], for_s: float) -> list[OperatorSample]:
         """Return the samples without a flaw that come within a time [s], each once.
 
         Raises:
@@ -69,10 +69,10 @@ class Gatherer:
         while self._clock.monotonic_s() < ends_s:
             heard = self._ear.hear()
             if heard.reading is None:
-                why = heard.flaw
+                why = heard.why_not
             elif heard.sample != seen:
                 seen = heard.sample
-                if not (lack := flaw(heard.reading)):
+                if not (lack := why_not(heard.reading)):
                     found.append(heard.reading)
                 why = lack or why
             self._clock.sleep(_LOOK_S)
@@ -90,6 +90,6 @@ class Gatherer:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _lack(self, flaw: Callable[[OperatorSample], str]) -> str:
+    def _lack(self, why_not: Callable[[OperatorSample], str]) -> str:
         heard = self._ear.hear()
-        return heard.flaw if heard.reading is None else flaw(heard.reading)
+        return heard.why_not if heard.reading is None else why_not(heard.reading)

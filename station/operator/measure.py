@@ -11,7 +11,7 @@ from station.operator.sample import OperatorSample
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasurementResult:
     """What came of it.
 
     Attributes:
@@ -36,7 +36,7 @@ class OperatorMeasure(Protocol):
         """What the operator may be asked to do, by the name of the pose; the first one is the usual."""
         ...
 
-    def flaw(self, reading: OperatorSample) -> str:
+    def why_not(self, reading: OperatorSample) -> str:
         """Return why nobody can be measured of such a sample, or ""."""
         ...
 
@@ -50,7 +50,7 @@ class OperatorMeasure(Protocol):
 
     def measure(
         self, readings: Sequence[OperatorSample], operator: str, pose: str, *, device: str, source: str
-    ) -> Measured:
+    ) -> MeasurementResult:
         """Measure an operator who stands still.
 
         Args:
@@ -64,7 +64,7 @@ class OperatorMeasure(Protocol):
         """
         ...
 
-    def keep(self, measured: Measured) -> Path:
+    def keep(self, measured: MeasurementResult) -> Path:
         """Write what was measured; return the file.
 
         Raises:

@@ -35,21 +35,22 @@ class RobotSide:
         watch: Watches the keys of `watched`.
         robot: Suffix of the robot's keys.
         size: Length of its command.
-        stays: Whether it stays where it is without a command: then nobody may drive before it has said where that is.
+        holds_position: Whether it stays where it is without a command: then nobody may drive before it has said where
+            that is.
 
     Attributes:
-        obstacle: Why nobody may drive now, or "".
+        why_blocked: Why nobody may drive now, or "".
         left: While we command: why the robot has ceased to follow us, or "".
         arming: Whether targets go to it: ``disarmed``, ``arming`` or ``armed``; the last one where nobody says.
         used: The command that the robot follows, shape (m,); None when unknown.
     """
 
-    def __init__(self, watch: Watch, robot: str, size: int, *, stays: bool = False) -> None:
-        self._watch, self._size, self._stays = watch, size, stays
+    def __init__(self, watch: Watch, robot: str, size: int, *, holds_position: bool = False) -> None:
+        self._watch, self._size, self._holds_position = watch, size, holds_position
         self._gate_key, self._used_key = keys.command_gate(robot), keys.command_used(robot)
         self._begun_ns: int | None = None  # since when we command
         self._has_followed = False
-        self.obstacle, self.left, self.arming = "", "", "armed"
+        self.why_blocked, self.left, self.arming = "", "", "armed"
         self.used: Floats | None = None
 
     @staticmethod
@@ -72,7 +73,7 @@ class RobotSide:
         self.arming = gate.arming
         self.left = self._left(sample, gate, now_ns)
         self.used = self._used()
-        self.obstacle = self._stopped(gate) or self.left or self._not_ready(sample, gate, now_ns)
+        self.why_blocked = self._stopped(gate) or self.left or self._not_ready(sample, gate, now_ns)
 
     def _stopped(self, gate: _Gate) -> str:
         if not self._watch.is_connected:
@@ -91,7 +92,7 @@ class RobotSide:
             return "the robot is on its way to standing; wait for it"
         if self._begun_ns is None and gate.needs_silence:
             return gate.needs_silence
-        if self._stays and self.used is None:
+        if self._holds_position and self.used is None:
             return "the robot has not said where it is; is its server started?"
         return ""
 

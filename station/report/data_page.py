@@ -12,13 +12,13 @@ from station.episode.quality.findings import Spread
 from station.report import figures
 from station.report.episode_page import anchor, badge
 from station.report.episode_tables import words
-from station.report.gather import Episode, Unread
+from station.report.gather import Episode, UnreadableEpisode
 from station.report.html import Child, Html, details, join, table, tag
 
 _MOST_KEYS = 200
 
 
-def summary(episodes: Sequence[Episode], unread: Sequence[Unread], *, title: str, pictured: int) -> Html:
+def summary(episodes: Sequence[Episode], unread: Sequence[UnreadableEpisode], *, title: str, pictured: int) -> Html:
     """Return what is to be said of all episodes.
 
     Args:
@@ -183,7 +183,7 @@ def _latency(episodes: Sequence[Episode]) -> Html | None:
     )
 
 
-def _unread(unread: Sequence[Unread]) -> Html | None:
+def _unread(unread: Sequence[UnreadableEpisode]) -> Html | None:
     if not unread:
         return None
     rows = [(one.name, tag("span", one.problem, class_="bad")) for one in unread]

@@ -10,8 +10,8 @@ from station.episode.storage.manifest import Manifest
 from station.report import episode_tables
 from station.report.gather import Episode
 from station.report.html import Html, details, join, picture, table, tag
-from station.report.story import Happened, Story, lasting
-from station.report.strip import Small
+from station.report.story import EventRow, Story, lasting
+from station.report.strip import Thumbnail
 from station.view.phases import Span
 
 _MOST_REASONS = 12
@@ -40,7 +40,7 @@ def section(
     episode: Episode,
     story: Story | None,
     plot: bytes | None,
-    strips: Mapping[str, Sequence[Small]],
+    strips: Mapping[str, Sequence[Thumbnail]],
     *,
     problem: str = "",
 ) -> Html:
@@ -125,7 +125,7 @@ def _facts(episode: Episode) -> Html:
     return tag("div", cells, class_="facts")
 
 
-def _strip(name: str, pictures: Sequence[Small]) -> Html:
+def _strip(name: str, pictures: Sequence[Thumbnail]) -> Html:
     figures = [
         tag(
             "figure",
@@ -155,7 +155,7 @@ def _events(story: Story | None) -> Html | None:
 def time_line(story: Story, quality: Quality, manifest: Manifest) -> Html:
     """Return the lanes of an episode, all on one scale."""
     scale = _Scale(min(story.first_s, 0.0), max(story.last_s, story.first_s + 0.1))
-    marks = [Happened(mark.at_s, f"mark: {mark.label}", "mark", "", "") for mark in manifest.marks]
+    marks = [EventRow(mark.at_s, f"mark: {mark.label}", "mark", "", "") for mark in manifest.marks]
     bus = [
         Span(item.at_s, item.at_s + (item.seconds or 0.0), f"{item.kind} {item.reason}")
         for item in quality.interruptions
@@ -215,7 +215,7 @@ def _span(scale: _Scale, span: Span, class_: str) -> Html:
     return tag("i", span.name if fits else "", class_=class_ or None, style=style, title=title)
 
 
-def _dot(scale: _Scale, event: Happened) -> Html:
+def _dot(scale: _Scale, event: EventRow) -> Html:
     title = f"{event.at_s:.2f} s  {event.source} {event.name} {event.text}".strip()
     known = event.severity if event.severity in _SEVERITIES or event.severity == "mark" else None
     return tag("b", class_=known, style=f"left:{scale.at(event.at_s):.3f}%", title=title)

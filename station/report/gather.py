@@ -56,7 +56,7 @@ class Episode:
 
 
 @dataclass(frozen=True)
-class Unread:
+class UnreadableEpisode:
     """An episode that cannot be reported on, and why."""
 
     name: str
@@ -66,7 +66,7 @@ class Unread:
 def gather(
     folders: Iterable[Path], book: RuleBook, *, named: bool, is_judged_anew: bool = False,
     tell: Callable[[], None] = lambda: None,
-) -> tuple[list[Episode], list[Unread]]:  # fmt: skip
+) -> tuple[list[Episode], list[UnreadableEpisode]]:  # fmt: skip
     """Read episodes, measuring those that nobody has checked since anything about them changed.
 
     Args:
@@ -77,12 +77,12 @@ def gather(
         tell: Called after each.
     """
     found: list[Episode] = []
-    unread: list[Unread] = []
+    unread: list[UnreadableEpisode] = []
     for folder in folders:
         try:
             found.append(_read(folder, book, named=named, is_judged_anew=is_judged_anew))
         except EpisodeError as error:
-            unread.append(Unread(folder.name, str(error)))
+            unread.append(UnreadableEpisode(folder.name, str(error)))
         tell()
     return found, unread
 

@@ -14,7 +14,7 @@ from station.episode.storage.folder import signals_file
 from station.episode.storage.whole_file import named_file
 from station.errors import EpisodeError
 from station.report import data_page, episode_page, story, strip, tracking_plot
-from station.report.gather import Episode, Unread
+from station.report.gather import Episode, UnreadableEpisode
 from station.report.html import Html, join, tag
 from station.software import software
 
@@ -28,9 +28,14 @@ _URGENCY = {"reject": 0, "usable": 1, "good": 2}
 
 
 def write(
-    path: Path, episodes: Sequence[Episode], unread: Sequence[Unread], *, title: str, pictured: int = PICTURED,
+    path: Path,
+    episodes: Sequence[Episode],
+    unread: Sequence[UnreadableEpisode],
+    *,
+    title: str,
+    pictured: int = PICTURED,
     tell: Callable[[], None] = lambda: None,
-) -> int:  # fmt: skip
+) -> int:
     """Write a report, replacing the file as a whole or not at all; return how many episodes have pictures.
 
     Args:
@@ -61,7 +66,7 @@ def _chosen(episodes: Sequence[Episode], most: int) -> set[int]:
 
 
 def _write(
-    file: TextIO, episodes: Sequence[Episode], unread: Sequence[Unread], title: str, drawn: set[int],
+    file: TextIO, episodes: Sequence[Episode], unread: Sequence[UnreadableEpisode], title: str, drawn: set[int],
     tell: Callable[[], None],
 ) -> None:  # fmt: skip
     file.write('<!DOCTYPE html>\n<html lang="en">\n' + _head(title) + "\n<body><main>\n")

@@ -28,7 +28,7 @@ _LONGEST_TEXT, _LONGEST_STATE = 300, 40
 _LARGEST_RAD = 1e6  # of a joint's error: what is beyond it, or not finite, was never measured and cannot be drawn
 
 
-class Happened(NamedTuple):
+class EventRow(NamedTuple):
     """An event: when [s], its name, severity and source, and its numbers as a text."""
 
     at_s: float
@@ -78,7 +78,7 @@ class Story:
     last_s: float = 0.0
     gate: list[Span] = field(default_factory=list)
     phases: list[Span] = field(default_factory=list)
-    events: list[Happened] = field(default_factory=list)
+    events: list[EventRow] = field(default_factory=list)
     events_in_all: int = 0
     tracks: Tracks | None = None
     contracts: dict[str, Contract] = field(default_factory=dict)
@@ -96,14 +96,14 @@ def read(reader: EpisodeReader) -> Story:
     story.first_s = (min((stream.first_ns for stream in streams), default=begin_ns) - begin_ns) * 1e-9
     story.last_s = (max((stream.last_ns for stream in streams), default=begin_ns) - begin_ns) * 1e-9
     story.contracts = {s.channel.topic: s.channel.contract for s in streams if s.channel.contract is not None}
-    publisher = _Teller(reader, story, begin_ns)
+    publisher = _StoryBuilder(reader, story, begin_ns)
     for message in reader.messages(publisher.topics):
         publisher.feed(message)
     publisher.finish()
     return story
 
 
-class _Teller:
+class _StoryBuilder:
     """Takes the messages of an episode, and puts what they tell into a story."""
 
     def __init__(self, reader: EpisodeReader, story: Story, begin_ns: int) -> None:
@@ -146,7 +146,7 @@ class _Teller:
         )
         name, severity, source = (str(event.get(part, ""))[:_LONGEST_TEXT] for part in ("name", "severity", "source"))
         when_s = at_s - interruptions.late_s(event)
-        self._story.events.append(Happened(when_s, name, severity, source, shown[:_LONGEST_TEXT]))
+        self._story.events.append(EventRow(when_s, name, severity, source, shown[:_LONGEST_TEXT]))
 
 
 class _Tracker:

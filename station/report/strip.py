@@ -15,14 +15,14 @@ _MOST_CAMERAS = 8
 _MOST_PIXELS = 40_000_000  # of a picture that is opened; a camera has 2 to 12 million
 
 
-class Small(NamedTuple):
+class Thumbnail(NamedTuple):
     """A small picture: when it was taken, from the start of the episode [s], and its JPEG; None for what is none."""
 
     at_s: float
     jpeg: bytes | None
 
 
-def strips(reader: EpisodeReader) -> dict[str, list[Small]]:
+def strips(reader: EpisodeReader) -> dict[str, list[Thumbnail]]:
     """Return small pictures of each camera by its name; one picture of the episode is in memory at a time."""
     begin_ns = reader.start_ns
     counts: dict[str, int] = {}
@@ -37,7 +37,7 @@ def strips(reader: EpisodeReader) -> dict[str, list[Small]]:
             else set()
         )
         found[name] = [
-            Small((frame.captured_ns - begin_ns) * 1e-9, _small(frame))
+            Thumbnail((frame.captured_ns - begin_ns) * 1e-9, _small(frame))
             for number, frame in enumerate(frames.frames(reader, topic))
             if number in wanted
         ]

@@ -26,13 +26,15 @@ def silence(_: float) -> Floats | None:
     return None
 
 
-def playing_on(motion: Motion, form: CommandFormat, *, period_s: float) -> Commands:
+def playing_on(motion: Motion, command_format: CommandFormat, *, period_s: float) -> Commands:
     """Play a motion again and again, as the motion server does with `loop`."""
-    playback = Playback(motion, form, lead_s=period_s, loop=True)
+    playback = Playback(motion, command_format, lead_s=period_s, loop=True)
     return lambda now_s: playback.step(period_s if now_s else 0.0).command
 
 
-def cut(motion: Motion, form: CommandFormat, quiet: Silence, *, enter_s: float, at_s: float, lead_s: float) -> Commands:
+def cut(
+    motion: Motion, command_format: CommandFormat, quiet: Silence, *, enter_s: float, at_s: float, lead_s: float
+) -> Commands:
     """Enter a motion at once at `at_s - enter_s`, fall silent at `at_s` of it, and come back; nothing after its end.
 
     No blend but the gate's: so it is when a network drops, or when a command server starts in the middle of things.
@@ -44,7 +46,11 @@ def cut(motion: Motion, form: CommandFormat, quiet: Silence, *, enter_s: float, 
             if now_s < enter_s + quiet.seconds:
                 return None
             time_s -= 0.0 if quiet.goes_on else quiet.seconds
-        return form.encode(motion.at(time_s + lead_s), motion.joint_names) if time_s <= motion.duration_s else None
+        return (
+            command_format.encode(motion.at(time_s + lead_s), motion.joint_names)
+            if time_s <= motion.duration_s
+            else None
+        )
 
     return command
 
@@ -56,7 +62,7 @@ class RandomArms:
     would exceed 80 % of its greatest speed.
 
     Args:
-        form: Its contract names the elements.
+        command_format: Its contract names the elements.
         joint_speeds: Greatest speed of joints by name [rad/s].
         seed: Of the poses and times.
 
@@ -64,23 +70,29 @@ class RandomArms:
         ConfigError: the format has no arms, or nobody knows how fast they are.
     """
 
-    def __init__(self, form: CommandFormat, joint_speeds: dict[str, float], seed: int) -> None:
-        self._form = form
+    def __init__(self, command_format: CommandFormat, joint_speeds: dict[str, float], seed: int) -> None:
+        self._command_format = command_format
         self._random = np.random.default_rng(seed)
-        arms = [arm for arm in _arms(form) if arm]
+        arms = [arm for arm in _arms(command_format) if arm]
         if not arms:
-            raise ConfigError(f"command format {form.name!r}: no element is named after a shoulder, elbow or wrist")
+            raise ConfigError(
+                f"command format {command_format.name!r}: no element is named after a shoulder, elbow or wrist"
+            )
         unknown = [name for arm in arms for name in arm if name not in joint_speeds]
         if unknown:
             raise ConfigError(f"the robot does not say how fast {unknown[0]} can be; the arms need it")
         self._arms = [
-            _Arm(np.array(list(arm.values())), _SPEED_PART * np.array([joint_speeds[name] for name in arm]), form)
+            _Arm(
+                np.array(list(arm.values())),
+                _SPEED_PART * np.array([joint_speeds[name] for name in arm]),
+                command_format,
+            )
             for arm in arms
         ]
 
     def __call__(self, now_s: float) -> Floats:
         """Return the vector of an instant."""
-        command = np.array(self._form.default)
+        command = np.array(self._command_format.default)
         for arm in self._arms:
             command[arm.elements] = arm.at(now_s, self._random)
         return command
@@ -89,11 +101,11 @@ class RandomArms:
 class _Arm:
     """The moves of one arm: its elements of the command, their greatest speeds [rad/s], and where it is going."""
 
-    def __init__(self, elements: Floats, speeds: Floats, form: CommandFormat) -> None:
+    def __init__(self, elements: Floats, speeds: Floats, command_format: CommandFormat) -> None:
         self.elements = elements
-        self._speeds, self._lower, self._upper = speeds, form.lower[elements], form.upper[elements]
+        self._speeds, self._lower, self._upper = speeds, command_format.lower[elements], command_format.upper[elements]
         self._begun_s, self._ends_s = 0.0, 0.0
-        self._start = self._end = np.array(form.default[elements])
+        self._start = self._end = np.array(command_format.default[elements])
 
     def at(self, now_s: float, random: np.random.Generator) -> Floats:
         if now_s >= self._ends_s:
@@ -107,9 +119,9 @@ class _Arm:
         return np.asarray(self._start + smooth * (self._end - self._start))
 
 
-def _arms(form: CommandFormat) -> list[dict[str, int]]:
+def _arms(command_format: CommandFormat) -> list[dict[str, int]]:
     """Elements of the command that are joints of the left and of the right arm, by the name of the joint."""
-    names = names_of(form.elements)
+    names = names_of(command_format.elements)
     joints = {name.removesuffix("_pos"): index for index, name in enumerate(names) if name.endswith("_pos")}
     return [
         {name: i for name, i in joints.items() if name.startswith(side) and any(word in name for word in _ARM_WORDS)}

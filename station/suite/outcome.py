@@ -9,7 +9,7 @@ import msgspec
 from station.suite.cases import Group
 
 
-class Fell(msgspec.Struct, frozen=True, kw_only=True):
+class FallOutcome(msgspec.Struct, frozen=True, kw_only=True):
     """A fall.
 
     Attributes:
@@ -58,7 +58,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
     case: str
     group: Group
-    falls: tuple[Fell, ...]
+    falls: tuple[FallOutcome, ...]
     joint_error_rad: float | None
     lean_rad: float
     drift: Drift | None

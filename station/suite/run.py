@@ -18,7 +18,7 @@ from station.suite.promise import Extent
 from station.suite.trial import run_case
 
 
-class Evaluated(msgspec.Struct, frozen=True, kw_only=True):
+class PolicyEvaluation(msgspec.Struct, frozen=True, kw_only=True):
     """One policy: how it is called in the table, what was run, and how it went by group and by case."""
 
     label: str
@@ -41,7 +41,7 @@ class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
     extent: Extent
     limits: dict[Group, str]
     missing: list[str]
-    policies: list[Evaluated]
+    policies: list[PolicyEvaluation]
     wall_s: float
     processes: int
 
@@ -122,7 +122,7 @@ def run(planned: Plan, on_done: Callable[[str, Outcome], None] | None = None) ->
     found = {task: outcome for task, (_, outcome) in zip(order, done, strict=True)}
     outcomes = [[found[rig, number] for number in range(len(cases))] for rig in range(len(rigs))]
     policies = [
-        Evaluated(
+        PolicyEvaluation(
             label=planned.label(rig), rig=rigs[rig], cases=mine,
             groups=judge(mine, against=outcomes[1] if len(rigs) > 1 and rig == 0 else ()),
         )

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from station.suite.judge import Summary
 from station.suite.promise import LIMITS
-from station.suite.run import Evaluated
+from station.suite.run import PolicyEvaluation
 
 TITLES = (
     "group", "policy", "runs", "falls", "error [rad]", "worst", "lean [°]", "drift [m]", "most", "yaw [rad]",
@@ -19,7 +19,7 @@ LEFT = {"group", "policy", "verdict", "worst case"}
 _NOTHING = "–"
 
 
-def rows(policies: Sequence[Evaluated]) -> list[tuple[str, ...]]:
+def rows(policies: Sequence[PolicyEvaluation]) -> list[tuple[str, ...]]:
     """Return a row per group and policy, the policies of a group below each other; only the first one is judged."""
     found = []
     for group in LIMITS:
@@ -28,7 +28,7 @@ def rows(policies: Sequence[Evaluated]) -> list[tuple[str, ...]]:
     return found
 
 
-def markdown(policies: Sequence[Evaluated]) -> str:
+def markdown(policies: Sequence[PolicyEvaluation]) -> str:
     """Return the table for a model card, and what is asked in each group; how long it took is left out."""
     kept = [column for column, title in enumerate(TITLES) if title != "time [s]"]
     table = [TITLES, ["---" if title in LEFT else "---:" for title in TITLES], *rows(policies)]

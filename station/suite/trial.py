@@ -24,7 +24,7 @@ from station.rotations import roll_pitch_yaw, tilt
 from station.suite import commands
 from station.suite.cases import Arms, Case, Cut, Push, Stand, Track
 from station.suite.commands import Commands
-from station.suite.outcome import Drift, Fell, Outcome
+from station.suite.outcome import Drift, FallOutcome, Outcome
 from station.suite.promise import ENTER_S, SETTLED_S
 
 _ROUNDING = 1e-9
@@ -57,9 +57,9 @@ class _Watch:
 
     def __init__(self, rig: Rig) -> None:
         self.ticks = 0
-        self.falls: list[Fell] = []
+        self.falls: list[FallOutcome] = []
         self.lean_rad = 0.0
-        self.error = TrackingError(names_of(rig.form.elements), rig.robot.joint_names)
+        self.error = TrackingError(names_of(rig.command_format.elements), rig.robot.joint_names)
         self._period_s = rig.period_s
         self._places: list[Floats] = []  # x, y [m] and yaw [rad] of the root
 
@@ -74,7 +74,7 @@ class _Watch:
         if fall is not None:
             self.lean_rad = max(self.lean_rad, fall.tilt_rad)
             at_s = self.ticks * self._period_s
-            self.falls.append(Fell(at_s=at_s, lean_rad=fall.tilt_rad, contacts=fall.contacts, gate=gate))
+            self.falls.append(FallOutcome(at_s=at_s, lean_rad=fall.tilt_rad, contacts=fall.contacts, gate=gate))
 
     def drift(self) -> Drift:
         settled = min(round(SETTLED_S / self._period_s), len(self._places) // 2)
@@ -98,7 +98,7 @@ def _(case: Stand, rig: Rig) -> _Watch:
 def _(case: Track, rig: Rig) -> _Watch:
     watch = _Watch(rig)
     rehearse(
-        _clip(case.clip), rig.policy, _late(rig, case.late_s).robot, rig.form, period_s=rig.period_s,
+        _clip(case.clip), rig.policy, _late(rig, case.late_s).robot, rig.command_format, period_s=rig.period_s,
         on_step=lambda frame, record: watch.see(record, counts=frame.phase == "playing"),
     )  # fmt: skip
     return watch
@@ -106,7 +106,11 @@ def _(case: Track, rig: Rig) -> _Watch:
 
 @_run.register
 def _(case: Push, rig: Rig) -> _Watch:
-    source = commands.playing_on(_clip(case.clip), rig.form, period_s=rig.period_s) if case.clip else commands.silence
+    source = (
+        commands.playing_on(_clip(case.clip), rig.command_format, period_s=rig.period_s)
+        if case.clip
+        else commands.silence
+    )
     towards = np.array([math.cos(case.towards_rad), math.sin(case.towards_rad), 0.0])
     return _drive(rig, source, case.seconds, push=case.speed_mps * towards, push_at_s=case.at_s)
 
@@ -115,13 +119,13 @@ def _(case: Push, rig: Rig) -> _Watch:
 def _(case: Arms, rig: Rig) -> _Watch:
     robot = _simulated(rig)
     speeds = dict(zip(robot.joint_names, robot.joint_speeds.tolist(), strict=True))
-    return _drive(rig, commands.RandomArms(rig.form, speeds, case.seed), case.seconds, goes_on=True)
+    return _drive(rig, commands.RandomArms(rig.command_format, speeds, case.seed), case.seconds, goes_on=True)
 
 
 @_run.register
 def _(case: Cut, rig: Rig) -> _Watch:
     source = commands.cut(
-        _clip(case.clip), rig.form, case.silence,
+        _clip(case.clip), rig.command_format, case.silence,
         enter_s=min(case.at_s, ENTER_S), at_s=case.at_s, lead_s=rig.period_s,
     )  # fmt: skip
     return _drive(rig, source, case.seconds)
@@ -163,7 +167,7 @@ def _fresh(rig: Rig, robot: SimulatedRobot) -> ControlStep:
 
 def _step(control: ControlStep, command: Floats | None, now_s: float) -> StepRecord:
     """Do a step; without a command, the last one grows old. As in a rehearsal, it goes through its JSON text."""
-    sample = None if command is None else samples_of(control.commanded.form, command, now_s)
+    sample = None if command is None else samples_of(control.commanded.command_format, command, now_s)
     return control.step(control.sense(), sample, now_s)
 
 

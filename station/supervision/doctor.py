@@ -49,7 +49,7 @@ class _StatedPolicy(msgspec.Struct):
 
 class _StatedCommand(msgspec.Struct):
     key: str
-    companions: list[str] = []
+    auxiliary: list[str] = []
 
 
 class _Stated(msgspec.Struct):
@@ -69,8 +69,8 @@ class _Stated(msgspec.Struct):
             return [self.command or _StatedCommand("")]
         from station.parts import parts_of  # it loads NumPy, as the format has
 
-        form: CommandFormat = registry.find("command", self.policy.command)
-        return [_StatedCommand(part.key, list(part.companions)) for part in parts_of(form)]
+        command_format: CommandFormat = registry.find("command", self.policy.command)
+        return [_StatedCommand(part.key, list(part.auxiliary)) for part in parts_of(command_format)]
 
 
 class _Gate(msgspec.Struct):
@@ -160,11 +160,11 @@ def _low_level(bus: Bus, health: Health) -> Iterator[Finding]:
         yield Finding("broken", subject, f"has not stated what it runs ({error})", "restart it; recording refuses it")
         return
     gate = keys.command_gate(facts.robot)
-    companions = [key for command in commands for key in command.companions]
-    with bus.watch([*(command.key for command in commands), *companions, gate]) as watch:
+    auxiliary = [key for command in commands for key in command.auxiliary]
+    with bus.watch([*(command.key for command in commands), *auxiliary, gate]) as watch:
         for command in commands:
             yield _command(watch, command.key, _sources(watch, command.key))
-        for key in companions:
+        for key in auxiliary:
             if watch.latest(key) is None:
                 yield Finding("warning", key, "absent; stock low-level servers crash without it, ours does not",
                               "nothing, unless you swap in a stock server")  # fmt: skip

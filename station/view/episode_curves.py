@@ -76,7 +76,7 @@ class Source:
 
 
 @dataclass
-class Drawn:
+class DrawnCurves:
     """What was drawn: entities, contracts of their keys, limbs whose joints can be compared, and what was left out."""
 
     entities: list[str] = field(default_factory=list)
@@ -85,9 +85,9 @@ class Drawn:
     warnings: list[str] = field(default_factory=list)
 
 
-def draw_curves(recording: rr.RecordingStream, source: Source, robot: str) -> Drawn:
+def draw_curves(recording: rr.RecordingStream, source: Source, robot: str) -> DrawnCurves:
     """Send every vector whose elements have names, and what can be told from several of them."""
-    drawn = Drawn()
+    drawn = DrawnCurves()
     for contract in curves.drawable(source.contracts.values()):
         numbers = source.vectors(contract.key)
         if numbers is None:

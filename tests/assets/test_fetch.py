@@ -10,18 +10,18 @@ from pathlib import Path
 
 import pytest
 
-from station.assets.fetch import Order, download, order, orders
+from station.assets.fetch import FetchRequest, download, order, orders
 from station.errors import AssetMissing, BadFile, UnknownName
 from tests.assets.upstream import MESHES, MODEL, POLICY, REVISION, Fault, Server, install_lab
 from tests.waiting import wait_until
 
 
-def policy(server: Server) -> Order:
+def policy(server: Server) -> FetchRequest:
     known = server.collection()
     return order("lab", known, known.bundles[0])
 
 
-def model(server: Server) -> Order:
+def model(server: Server) -> FetchRequest:
     known = server.collection()
     return order("lab", known, known.bundles[1])
 

@@ -5,31 +5,31 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from station.bus.heard import Heard, Hearing, Told
+from station.bus.hearing import HeardSpan, HearingProof, MissedWrites
 
 GAP_S, PROBE_S = 0.2, 0.05
 
 
 def test_nothing_is_known_before_it_begins() -> None:
-    assert Hearing(GAP_S).span == Heard(0, 0)
+    assert HearingProof(GAP_S).span == HeardSpan(0, 0)
 
 
 def test_an_answer_proves_what_was_written_before_its_question_and_no_more() -> None:
-    hearing = Hearing(1e-6)
+    hearing = HearingProof(1e-6)
     hearing.begin(1000)
     hearing.prove(1600, 1900)
-    assert hearing.span == Heard(1000, 1600)
+    assert hearing.span == HeardSpan(1000, 1600)
 
 
 def test_where_it_stood_still_for_too_long_between_two_answers_the_span_begins_anew() -> None:
-    hearing = Hearing(1e-6)
+    hearing = HearingProof(1e-6)
     hearing.begin(1000)
     hearing.prove(1600, 2000)
-    assert hearing.span == Heard(1000, 1600), "1000 ns from the last proof to this answer"
+    assert hearing.span == HeardSpan(1000, 1600), "1000 ns from the last proof to this answer"
     hearing.prove(2500, 2601)
-    assert hearing.span == Heard(2601, 2500), "empty: the server may have come to itself only just now"
+    assert hearing.span == HeardSpan(2601, 2500), "empty: the server may have come to itself only just now"
     hearing.prove(2650, 2660)
-    assert hearing.span == Heard(2601, 2650)
+    assert hearing.span == HeardSpan(2601, 2650)
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0)), min_size=1, max_size=30))
@@ -37,7 +37,7 @@ def test_no_span_reaches_over_a_server_that_was_frozen_for_longer_than_the_gap(
     pauses: list[tuple[float, float]],
 ) -> None:
     """One question at a time, a pause after each answer; the server is frozen from any time on until it answers."""
-    hearing, now_s, answered_s = Hearing(GAP_S), 1.0, 1.0
+    hearing, now_s, answered_s = HearingProof(GAP_S), 1.0, 1.0
     hearing.begin(round(now_s * 1e9))
     for well_s, frozen_s in pauses:
         asked_s = now_s = answered_s + PROBE_S + well_s
@@ -49,7 +49,7 @@ def test_no_span_reaches_over_a_server_that_was_frozen_for_longer_than_the_gap(
 
 
 def test_a_key_that_is_read_unasked_and_differs_was_not_told_of_unless_it_is_read_again_before_the_answer() -> None:
-    told = Told[int]()
+    told = MissedWrites[int]()
     told.note({"a": 1, "b": 1})
     told.look({"a": 1, "b": 1})
     assert not told.untold()
@@ -62,7 +62,7 @@ def test_a_key_that_is_read_unasked_and_differs_was_not_told_of_unless_it_is_rea
 
 def write_or_hear(steps: list[str]) -> str:
     """Play a server that tells of every write, as late as it likes but before an answer; return what is untold."""
-    told, value, pending, asked = Told[int](), 0, False, False
+    told, value, pending, asked = MissedWrites[int](), 0, False, False
     told.note({"k": value})
     for step in steps:
         if step == "write":

@@ -11,7 +11,7 @@ import pytest
 
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
-from station.bus.heard import Heard
+from station.bus.hearing import HeardSpan
 from station.bus.outage import Outages
 from station.bus.watch import Watch
 from tests.bus.answering import answering
@@ -62,7 +62,7 @@ def test_while_nothing_is_told_of_nothing_is_known(bus_server: BusAddress, line:
         for count in range(2, 5):
             line.pipeline([[*SWITCH, "Ex"], ["SET", "k", b"same"]])
             off_ns = time.monotonic_ns()
-            spans: list[Heard] = []
+            spans: list[HeardSpan] = []
             wait_until(lambda count=count, spans=spans: spans.append(watch.heard) or watch.connections == count)  # type: ignore[misc]
             assert all(span.until_ns < off_ns or span.since_ns > off_ns for span in spans)
 

@@ -8,13 +8,13 @@ from adapters.commands.arm import arm_command
 from adapters.robots import arm_limits
 from station.bus import codec
 from station.control.arm_control import ArmControl, ArmRecord
-from station.control.command_path import Happening
+from station.control.command_path import StepEvent
 from station.control.command_validator import CommandSample
 from station.control.gate import GateConfig
 from station.protocols import Floats
 from tests.control.ideal_arm import TICK_S, IdealArm
 
-FORM = arm_command("kassow", arm_limits.load("kassow", "kr810"), speed_rad_s=1.0)
+FORMAT = arm_command("kassow", arm_limits.load("kassow", "kr810"), speed_rad_s=1.0)
 STEP = np.array([0.0012, 0, 0, 0, 0, 0, 0])
 """What 0.3 rad/s is in a tick."""
 
@@ -24,10 +24,10 @@ class Bench:
 
     def __init__(self, *, is_armed: bool = True) -> None:
         self.arm = IdealArm()
-        self.control = ArmControl(self.arm, FORM, gate=GateConfig(), is_armed=is_armed)
+        self.control = ArmControl(self.arm, FORMAT, gate=GateConfig(), is_armed=is_armed)
         self.now_s = 100.0
         self.sample: CommandSample | None = None
-        self.told: list[Happening] = []
+        self.told: list[StepEvent] = []
         self.seq = 0
         self.step()  # the gate's first instant, from which time passes
 
@@ -43,7 +43,7 @@ class Bench:
             value = command if isinstance(command, bytes) else codec.json_vector(command)
             self.sample = CommandSample(value, arrived_s=self.now_s, seq=self.seq, source="teleop.1.b.n")
         record = self.control.step(self.control.sense(), self.sample, self.now_s)
-        self.told += record.happenings
+        self.told += record.step_events
         return record
 
     def steps(self, seconds: float, command: Floats | None = None) -> ArmRecord:
@@ -60,4 +60,4 @@ class Bench:
         return command
 
     def names(self) -> list[str]:
-        return [happening.name for happening in self.told]
+        return [step_event.name for step_event in self.told]

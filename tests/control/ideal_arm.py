@@ -21,7 +21,7 @@ class IdealArm:
         self.speed_rad_s, self.lead_rad = speed_rad_s, lead_rad
         self.q = np.array([0.0, 0.35, 0.0, 1.6, 0.0, 1.19, 0.0])
         self.goal: Floats = self.q.copy()
-        self.fault = self.obstacle = self.refusal = self.target_refusal = ""  # `refusal` refuses to be engaged, too
+        self.fault = self.why_blocked = self.refusal = self.target_refusal = ""  # `refusal` refuses to be engaged, too
         self.is_engaged = False
         self.sent: list[Floats] = []
         self.engaged_at: list[Floats] = []
@@ -35,7 +35,7 @@ class IdealArm:
         self.q = self.q + np.clip(self.goal - self.q, -self.speed_rad_s * TICK_S, self.speed_rad_s * TICK_S)
 
     def read(self) -> ArmState:
-        return ArmState(1, self.q.copy(), self.is_moving, self.is_engaged, self.fault, self.obstacle, None)
+        return ArmState(1, self.q.copy(), self.is_moving, self.is_engaged, self.fault, self.why_blocked, None)
 
     def engage(self) -> str:
         if self.refusal:

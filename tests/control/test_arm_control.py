@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.control.arm_bench import FORM, Bench
+from tests.control.arm_bench import FORMAT, Bench
 from tests.control.ideal_arm import TICK_S
 
 
@@ -93,16 +93,16 @@ def test_what_is_no_command_is_refused_and_moves_nothing(value: bytes, kind: str
 
 def test_a_target_beyond_the_soft_limit_is_clipped_to_it() -> None:
     bench = Bench()
-    bench.arm.q = bench.arm.goal = FORM.upper - 0.01
-    bench.steps(1.0, FORM.upper + 0.1)
-    np.testing.assert_allclose(bench.arm.q, FORM.upper, atol=1e-12)
+    bench.arm.q = bench.arm.goal = FORMAT.upper - 0.01
+    bench.steps(1.0, FORMAT.upper + 0.1)
+    np.testing.assert_allclose(bench.arm.q, FORMAT.upper, atol=1e-12)
 
 
 def test_an_arm_beyond_its_soft_limit_comes_back_without_a_jump() -> None:
     bench = Bench()
-    bench.arm.q = bench.arm.goal = FORM.upper + 0.02
-    record = bench.step(FORM.upper)
-    assert np.abs(record.decision.vector - (FORM.upper + 0.02)).max() <= FORM.rate[0] * TICK_S + 1e-12
+    bench.arm.q = bench.arm.goal = FORMAT.upper + 0.02
+    record = bench.step(FORMAT.upper)
+    assert np.abs(record.decision.vector - (FORMAT.upper + 0.02)).max() <= FORMAT.rate[0] * TICK_S + 1e-12
 
 
 def test_an_emergency_stop_releases_at_once_and_is_latched() -> None:
@@ -175,9 +175,9 @@ def test_what_the_controller_says_of_its_fault_now_is_the_reason_and_each_text_i
             assert text in bench.control.arm(bench.now_s, "somebody")
     bench.arm.fault = ""
     assert bench.step().decision.reason == waits
-    told = [happening.detail["reason"] for happening in bench.told if happening.name == "controller-fault"]
+    told = [step_event.detail["reason"] for step_event in bench.told if step_event.name == "controller-fault"]
     assert told == [halted, waits]
-    assert [happening.detail["to"] for happening in bench.told if happening.name == "gate"].count("faulted") == 1
+    assert [step_event.detail["to"] for step_event in bench.told if step_event.name == "gate"].count("faulted") == 1
     bench.control.cleared("somebody")
     bench.arm.fault = halted
     bench.steps(0.1)

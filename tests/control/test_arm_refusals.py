@@ -70,11 +70,11 @@ def test_a_session_that_takes_no_more_targets_by_itself_is_released_and_who_drov
 
 def test_where_the_session_could_take_no_target_nobody_is_followed_and_the_reason_is_told() -> None:
     bench = Bench()
-    bench.arm.obstacle = "joint_1 is 0.1 rad outside its range"
+    bench.arm.why_blocked = "joint_1 is 0.1 rad outside its range"
     record = bench.step(bench.arm.q.copy())
-    assert (record.decision.state, record.decision.reason) == ("waiting", bench.arm.obstacle)
+    assert (record.decision.state, record.decision.reason) == ("waiting", bench.arm.why_blocked)
     assert bench.arm.engaged_at == []
-    bench.arm.obstacle = ""
+    bench.arm.why_blocked = ""
     bench.drive(100)  # by who never let go
     assert (bench.state, bench.arm.engaged_at) == ("waiting", [])
     bench.steps(0.4)

@@ -66,8 +66,8 @@ def test_disarming_works_at_once_and_restart_returns_to_the_state_of_the_start()
 
 
 def test_under_a_latched_stop_a_robot_is_not_armed_though_no_command_comes() -> None:
-    form = registry.find("command", "twist2")
-    gate, validator = Gate(form.default), CommandValidator(form)
+    command_format = registry.find("command", "twist2")
+    gate, validator = Gate(command_format.default), CommandValidator(command_format)
     assert why_not_arm(gate, validator, 0.0) == ""
     gate.stop("by hand")
     assert why_not_arm(gate, validator, 0.0).startswith("the emergency stop is latched (by hand); release it first")

@@ -13,34 +13,34 @@ from hypothesis import strategies as st
 from station import registry
 from station.control.command_validator import Checked, CommandSample, CommandValidator, Refusal, check_command
 
-FORM = registry.find("command", "twist2")
+FORMAT = registry.find("command", "twist2")
 
 
 def _text(**changes: object) -> bytes:
-    values = FORM.default.tolist()
+    values = FORMAT.default.tolist()
     for index, value in changes.items():
         values[int(index[1:])] = value
     return json.dumps(values).encode()
 
 
 def test_the_default_is_a_good_command() -> None:
-    checked = check_command(_text(), FORM)
+    checked = check_command(_text(), FORMAT)
     assert isinstance(checked, Checked)
-    np.testing.assert_array_equal(checked.vector, FORM.default)
+    np.testing.assert_array_equal(checked.vector, FORMAT.default)
     assert checked.clamped == 0
 
 
 def test_integers_are_numbers_as_stock_writers_send_them() -> None:
-    assert isinstance(check_command(_text(_0=1, _1=0), FORM), Checked)
+    assert isinstance(check_command(_text(_0=1, _1=0), FORMAT), Checked)
 
 
 def test_an_element_a_little_outside_its_range_is_clamped_and_counted() -> None:
-    beyond = FORM.upper[9] + FORM.margin[9] / 2
-    checked = check_command(_text(_9=beyond, _2=FORM.lower[2] - FORM.margin[2] / 2), FORM)
+    beyond = FORMAT.upper[9] + FORMAT.margin[9] / 2
+    checked = check_command(_text(_9=beyond, _2=FORMAT.lower[2] - FORMAT.margin[2] / 2), FORMAT)
     assert isinstance(checked, Checked)
     assert checked.clamped == 2
-    assert checked.vector[9] == FORM.upper[9]
-    assert checked.vector[2] == FORM.lower[2]
+    assert checked.vector[9] == FORMAT.upper[9]
+    assert checked.vector[2] == FORMAT.lower[2]
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_an_element_a_little_outside_its_range_is_clamped_and_counted() -> None:
     ],
 )
 def test_other_values_are_refused_with_kind_and_reason(data: bytes, kind: str, text: str) -> None:
-    refusal = check_command(data, FORM)
+    refusal = check_command(data, FORMAT)
     assert isinstance(refusal, Refusal)
     assert refusal.kind == kind
     assert text in refusal.text
@@ -77,19 +77,19 @@ def test_other_values_are_refused_with_kind_and_reason(data: bytes, kind: str, t
 
 @given(st.one_of(st.binary(), st.text().map(str.encode), st.lists(st.floats()).map(lambda x: json.dumps(x).encode())))
 def test_no_bytes_make_the_check_fail(data: bytes) -> None:
-    assert isinstance(check_command(data, FORM), (Checked, Refusal))
+    assert isinstance(check_command(data, FORMAT), (Checked, Refusal))
 
 
 @given(st.lists(st.floats(-20, 20), min_size=35, max_size=35))
 def test_whatever_is_let_through_is_within_its_range(values: list[float]) -> None:
-    checked = check_command(json.dumps(values).encode(), FORM)
+    checked = check_command(json.dumps(values).encode(), FORMAT)
     if isinstance(checked, Checked):
-        assert (checked.vector >= FORM.lower).all()
-        assert (checked.vector <= FORM.upper).all()
+        assert (checked.vector >= FORMAT.lower).all()
+        assert (checked.vector <= FORMAT.upper).all()
 
 
 def test_the_validator_keeps_the_newest_good_command_and_counts_each_refused_sample_once() -> None:
-    validator = CommandValidator(FORM)
+    validator = CommandValidator(FORMAT)
     good = CommandSample(_text(), arrived_s=1.0)
     bad = CommandSample(b"[1]", arrived_s=1.1)
     assert validator.take(good)
@@ -104,14 +104,14 @@ def test_the_validator_keeps_the_newest_good_command_and_counts_each_refused_sam
 
 
 def test_a_command_of_unknown_arrival_is_infinitely_old() -> None:
-    validator = CommandValidator(FORM)
+    validator = CommandValidator(FORMAT)
     assert validator.age_s(5.0) == math.inf
     validator.take(CommandSample(_text(), arrived_s=None))
     assert validator.age_s(5.0) == math.inf
 
 
 def test_a_clock_that_jumps_back_makes_no_command_young_again() -> None:
-    validator = CommandValidator(FORM)
+    validator = CommandValidator(FORMAT)
     validator.take(CommandSample(_text(), arrived_s=10.0))
     assert validator.age_s(10.0) == 0.0
     assert validator.age_s(10.25) == pytest.approx(0.25)
@@ -122,20 +122,20 @@ def test_a_clock_that_jumps_back_makes_no_command_young_again() -> None:
 
 
 def test_a_command_that_comes_a_moment_after_the_clock_was_read_is_fresh() -> None:
-    validator = CommandValidator(FORM)
+    validator = CommandValidator(FORMAT)
     validator.take(CommandSample(_text(), arrived_s=10.0005))
     assert validator.age_s(10.0) == pytest.approx(-0.0005)
 
 
 @pytest.mark.parametrize("arrived_s", [math.nan, math.inf, -math.inf])
 def test_a_command_whose_arrival_is_no_number_is_infinitely_old(arrived_s: float) -> None:
-    validator = CommandValidator(FORM)
+    validator = CommandValidator(FORMAT)
     validator.take(CommandSample(_text(), arrived_s=arrived_s))
     assert validator.age_s(5.0) == math.inf
 
 
 def test_refusing_is_what_it_does_now_and_not_what_it_did_once() -> None:
-    validator = CommandValidator(FORM)
+    validator = CommandValidator(FORMAT)
     assert not validator.is_refusing(1.0, within_s=0.3)
     validator.take(CommandSample(b"[1]", arrived_s=1.0))
     assert validator.is_refusing(1.2, within_s=0.3)
@@ -145,7 +145,7 @@ def test_refusing_is_what_it_does_now_and_not_what_it_did_once() -> None:
 
 
 def test_it_is_quiet_for_as_long_as_nothing_came_good_or_bad() -> None:
-    validator = CommandValidator(FORM)
+    validator = CommandValidator(FORMAT)
     assert validator.quiet_s(1.0) == math.inf
     validator.take(CommandSample(_text(), arrived_s=1.0))
     validator.take(CommandSample(b"[1]", arrived_s=1.5))
@@ -153,7 +153,7 @@ def test_it_is_quiet_for_as_long_as_nothing_came_good_or_bad() -> None:
 
 
 def test_a_command_of_unknown_arrival_that_is_found_later_may_have_come_just_now() -> None:
-    validator = CommandValidator(FORM)
+    validator = CommandValidator(FORMAT)
     validator.take(CommandSample(_text(), arrived_s=1.0))
     validator.take(CommandSample(_text(), arrived_s=None))
     assert validator.quiet_s(math.nan) == 0.0

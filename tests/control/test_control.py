@@ -16,14 +16,14 @@ import pytest
 from adapters.robots.g1.joints import G1_29
 from station import registry
 from station.bus import codec
-from station.control.command_path import Happening
+from station.control.command_path import StepEvent
 from station.control.command_validator import CommandSample
 from station.control.control import ControlStep, StepRecord
 from station.errors import ConfigError
 from station.protocols import Fall
 from tests.control.ideal_robot import IdealRobot, IdealSimulation, Obedient
 
-FORM = registry.find("command", "twist2")
+FORMAT = registry.find("command", "twist2")
 DT = 0.02
 
 
@@ -33,17 +33,17 @@ class Bench:
     def __init__(self, robot: IdealRobot | None = None, *, is_armed: bool = True) -> None:
         self.robot = robot or IdealRobot()
         self.policy = Obedient()
-        self.control = ControlStep(self.robot, self.policy, FORM, is_armed=is_armed)
+        self.control = ControlStep(self.robot, self.policy, FORMAT, is_armed=is_armed)
         self.tick = 0
         self.sample: CommandSample | None = None
-        self.told: list[Happening] = []
+        self.told: list[StepEvent] = []
 
     def step(self, value: bytes | None = None, **known: Any) -> StepRecord:
         self.tick += 1
         if value is not None:
             self.sample = CommandSample(value, arrived_s=self.tick * DT, **known)
         record = self.control.step(self.control.sense(), self.sample, self.tick * DT)
-        self.told += record.happenings
+        self.told += record.step_events
         return record
 
     def track(self, value: bytes | None = None) -> StepRecord:
@@ -53,11 +53,11 @@ class Bench:
         return record
 
     def names(self) -> list[str]:
-        return [happening.name for happening in self.told]
+        return [step_event.name for step_event in self.told]
 
 
 def _command(knee: float = 0.7) -> bytes:
-    vector = FORM.default.copy()
+    vector = FORMAT.default.copy()
     vector[6 + 3] = knee
     return codec.json_vector(vector)
 
@@ -83,12 +83,12 @@ def test_a_record_holds_the_instants_in_order_and_the_sequence_of_the_command_us
 
 def test_without_a_command_the_robot_is_asked_to_stand() -> None:
     record = Bench().step()
-    np.testing.assert_array_equal(record.decision.vector, FORM.default)
+    np.testing.assert_array_equal(record.decision.vector, FORMAT.default)
     assert record.command_seq == 0
 
 
 def test_a_policy_that_loses_its_commander_is_asked_to_stop_walking_300_ms_after_the_last_command() -> None:
-    bench, walking = Bench(), FORM.default.copy()
+    bench, walking = Bench(), FORMAT.default.copy()
     walking[[0, 1, 5]] = 0.9, 0.1, 0.4
     bench.track(codec.json_vector(walking))
     asked = [bench.step().decision.vector[[0, 1, 5]] for _ in range(15)]
@@ -335,9 +335,9 @@ def test_a_policy_for_other_joints_or_commands_is_refused() -> None:
     policy = Obedient()
     policy.spec = replace(policy.spec, joint_names=G1_29[:28])
     with pytest.raises(ConfigError, match="drives 28 joints, the robot has 29; not in both: right_wrist_yaw"):
-        ControlStep(IdealRobot(), policy, FORM)
+        ControlStep(IdealRobot(), policy, FORMAT)
     policy.spec = replace(policy.spec, joint_names=G1_29[::-1])
     with pytest.raises(ConfigError, match="order differs"):
-        ControlStep(IdealRobot(), policy, FORM)
+        ControlStep(IdealRobot(), policy, FORMAT)
     with pytest.raises(ConfigError, match="follows 'twist2' commands, not 'twist'"):
         ControlStep(IdealRobot(), Obedient(), registry.find("command", "twist"))

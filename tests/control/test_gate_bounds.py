@@ -25,25 +25,30 @@ from station.protocols import CommandFormat, Floats, Motion
 from tests.examples import examples, some
 
 DT = 0.02
-FORMS: dict[str, CommandFormat] = {name: registry.find("command", name) for name in ("twist2", "twist")}
-FORM = FORMS["twist2"]
+FORMATS: dict[str, CommandFormat] = {name: registry.find("command", name) for name in ("twist2", "twist")}
+FORMAT = FORMATS["twist2"]
 ROUNDING = 1e-9
 LONGEST_S = 0.1  # what a tick counts for at most, where a clock leaps
 LATE_S = LONGEST_S + 0.06  # the tick of a leap in which the return begins, two others, and the slack of an age
 
 
-def bounded(form: CommandFormat = FORM, config: GateConfig | None = None) -> Gate:
+def bounded(command_format: CommandFormat = FORMAT, config: GateConfig | None = None) -> Gate:
     config = config or GateConfig()
-    return Gate(form.default, config, Bounds.of(form, config.rate_factor), velocities=form.velocities)
+    return Gate(
+        command_format.default,
+        config,
+        Bounds.of(command_format, config.rate_factor),
+        velocities=command_format.velocities,
+    )
 
 
 def end_to_end(seed: int, spread: float = 0.0) -> Floats:
     """A command anywhere within its ranges, or beyond them by a share of its margins."""
     random = np.random.default_rng(seed)
-    ends = np.where(random.random(len(FORM.default)) < 0.5, FORM.lower, FORM.upper)
-    anywhere = random.uniform(FORM.lower, FORM.upper)
-    vector = np.where(random.random(len(FORM.default)) < 0.3, ends, anywhere)
-    return np.asarray(vector + random.uniform(-spread, spread, len(vector)) * FORM.margin)
+    ends = np.where(random.random(len(FORMAT.default)) < 0.5, FORMAT.lower, FORMAT.upper)
+    anywhere = random.uniform(FORMAT.lower, FORMAT.upper)
+    vector = np.where(random.random(len(FORMAT.default)) < 0.3, ends, anywhere)
+    return np.asarray(vector + random.uniform(-spread, spread, len(vector)) * FORMAT.margin)
 
 
 GARBAGE = (
@@ -63,12 +68,12 @@ class WritersAndClocks(RuleBasedStateMachine):
     )
     def begin(self, factor: float, rivals: str, start_s: float) -> None:
         config = GateConfig(rate_factor=factor, rivals=rivals)  # type: ignore[arg-type]
-        self.gate, self.validator = bounded(FORM, config), CommandValidator(FORM)
+        self.gate, self.validator = bounded(FORMAT, config), CommandValidator(FORMAT)
         self.writers = CommandArbiter(config.rivals, config.return_after_s)
-        self.rate = np.minimum(FORM.rate * factor, 1e12)
+        self.rate = np.minimum(FORMAT.rate * factor, 1e12)
         self.now_s = self.clock_s = start_s  # `clock_s` is the newest instant that was one
         self.sample: CommandSample | None = None
-        self.before = FORM.default.copy()
+        self.before = FORMAT.default.copy()
         self.quiet_s = math.inf  # time that counts since the last good command was taken up
         self.is_stopped = self.is_reset = False
 
@@ -174,8 +179,8 @@ class WritersAndClocks(RuleBasedStateMachine):
     def check(self, decision: Decision, passed_s: float) -> None:
         vector = decision.vector
         assert np.isfinite(vector).all()
-        assert (vector >= FORM.lower).all()
-        assert (vector <= FORM.upper).all()
+        assert (vector >= FORMAT.lower).all()
+        assert (vector <= FORMAT.upper).all()
         if not self.is_reset:
             most = self.rate * min(passed_s, LONGEST_TICK_S)
             assert (np.abs(vector - self.before) <= most + ROUNDING).all()
@@ -183,7 +188,7 @@ class WritersAndClocks(RuleBasedStateMachine):
         self.quiet_s += passed_s
         if self.quiet_s >= 0.3 + 2.0 + LATE_S and not self.is_stopped:
             assert decision.state == "waiting"
-            np.testing.assert_array_equal(vector, FORM.default)
+            np.testing.assert_array_equal(vector, FORMAT.default)
         self.before, self.is_reset = vector, False
 
 
@@ -198,15 +203,15 @@ TestWritersAndClocks.settings = settings(max_examples=examples(60), stateful_ste
     )
 )
 def test_the_gate_alone_is_bounded_for_any_clock_age_and_vector(ticks: list[tuple[float, float, str, int]]) -> None:
-    gate, before = bounded(), FORM.default
+    gate, before = bounded(), FORMAT.default
     for now_s, age_s, kind, seed in ticks:
         command = {
             "far": end_to_end(seed, 50.0), "nan": np.full(35, math.nan), "inf": np.full(35, math.inf),
             "short": np.zeros(3), "none": None,
         }[kind]  # fmt: skip
         vector = gate.step(now_s, command, age_s).vector
-        assert ((vector >= FORM.lower) & (vector <= FORM.upper)).all()
-        assert (np.abs(vector - before) <= FORM.rate * LONGEST_TICK_S + ROUNDING).all()
+        assert ((vector >= FORMAT.lower) & (vector <= FORMAT.upper)).all()
+        assert (np.abs(vector - before) <= FORMAT.rate * LONGEST_TICK_S + ROUNDING).all()
         before = vector
 
 
@@ -216,28 +221,28 @@ def test_the_gate_alone_is_bounded_for_any_clock_age_and_vector(ticks: list[tupl
 def test_within_300_ms_and_2_s_of_the_last_good_command_the_robot_is_asked_to_stand_exactly(
     seed: int, ticks: int, factor: float, rate_hz: float
 ) -> None:
-    gate, period_s = bounded(FORM, GateConfig(rate_factor=factor)), 1.0 / rate_hz
+    gate, period_s = bounded(FORMAT, GateConfig(rate_factor=factor)), 1.0 / rate_hz
     for tick in range(ticks):
         gate.step(tick * period_s, end_to_end(seed + tick // 10), 0.0)
     last_s = (ticks - 1) * period_s
     for tick in range(ticks, ticks + math.floor((2.3 + 2 * period_s) * rate_hz + ROUNDING)):
         decision = gate.step(tick * period_s, end_to_end(seed), tick * period_s - last_s)
     assert decision.state == "waiting"
-    np.testing.assert_array_equal(decision.vector, FORM.default)
+    np.testing.assert_array_equal(decision.vector, FORMAT.default)
 
 
 def test_a_command_that_jumps_is_caught_up_with_at_the_speed_of_its_joints() -> None:
-    gate, far = bounded(), FORM.default.copy()
+    gate, far = bounded(), FORMAT.default.copy()
     for tick in range(51):
-        gate.step(tick * DT, FORM.default, 0.0)
+        gate.step(tick * DT, FORMAT.default, 0.0)
     knee = 6 + 3
-    far[knee] = FORM.upper[knee]
-    vectors, limited = [FORM.default], []
+    far[knee] = FORMAT.upper[knee]
+    vectors, limited = [FORMAT.default], []
     for tick in range(51, 60):
         decision = gate.step(tick * DT, far, 0.0)
         vectors.append(decision.vector)
         limited.append(decision.limited)
-    needed = math.ceil((far[knee] - FORM.default[knee]) / (20.0 * DT))
+    needed = math.ceil((far[knee] - FORMAT.default[knee]) / (20.0 * DT))
     assert needed > 5
     assert limited == [(knee,)] * (needed - 1) + [()] * (len(limited) - needed + 1)
     np.testing.assert_array_equal(vectors[needed], far)
@@ -245,8 +250,8 @@ def test_a_command_that_jumps_is_caught_up_with_at_the_speed_of_its_joints() -> 
 
 
 def test_after_a_stall_nothing_moves_further_than_in_40_ms() -> None:
-    moved = Bounds.of(FORM).step(FORM.default, FORM.upper, 1.0) - FORM.default
-    np.testing.assert_allclose(moved, np.minimum(FORM.upper - FORM.default, FORM.rate * LONGEST_TICK_S))
+    moved = Bounds.of(FORMAT).step(FORMAT.default, FORMAT.upper, 1.0) - FORMAT.default
+    np.testing.assert_allclose(moved, np.minimum(FORMAT.upper - FORMAT.default, FORMAT.rate * LONGEST_TICK_S))
     assert LONGEST_TICK_S <= 2 * DT
 
 
@@ -275,14 +280,19 @@ def test_another_writer_in_the_middle_of_a_blend_is_given_a_whole_one() -> None:
 
 def test_rates_so_low_that_the_robot_could_not_return_in_time_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"element \d+ needs more than blend_out_s .2 s. to return to standing"):
-        bounded(FORM, GateConfig(rate_factor=0.05))
+        bounded(FORMAT, GateConfig(rate_factor=0.05))
     with pytest.raises(ValueError, match="rate_factor must be a positive number"):
         GateConfig(rate_factor=0.0)
 
 
-def passed_through(motion: Motion, form: CommandFormat, gate: Gate) -> list[Decision]:
+def passed_through(motion: Motion, command_format: CommandFormat, gate: Gate) -> list[Decision]:
     """What the gate makes of a motion, from the first blend to the last, as in lock-step."""
-    playback, validator, made, tick = Playback(motion, form, lead_s=DT), CommandValidator(form), [], 0
+    playback, validator, made, tick = (
+        Playback(motion, command_format, lead_s=DT),
+        CommandValidator(command_format),
+        [],
+        0,
+    )
     while not playback.is_done:
         frame = playback.step(DT if tick else 0.0)
         validator.take(CommandSample(codec.json_vector(frame.command), arrived_s=tick * DT))
@@ -291,22 +301,22 @@ def passed_through(motion: Motion, form: CommandFormat, gate: Gate) -> list[Deci
     return made
 
 
-def expect_unchanged(name: str, form: CommandFormat) -> None:
+def expect_unchanged(name: str, command_format: CommandFormat) -> None:
     motion = registry.find("loader", "motion")(name)
-    free = passed_through(motion, form, Gate(form.default))
-    made = passed_through(motion, form, bounded(form))
+    free = passed_through(motion, command_format, Gate(command_format.default))
+    made = passed_through(motion, command_format, bounded(command_format))
     assert not any(decision.limited for decision in made)
     np.testing.assert_array_equal([d.vector for d in made], [d.vector for d in free])
 
 
-@pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
+@pytest.mark.parametrize("command_format", FORMATS.values(), ids=FORMATS)
 @pytest.mark.parametrize("name", some(builtin.names()))
-def test_every_built_in_motion_passes_unchanged_to_the_last_bit(name: str, form: CommandFormat) -> None:
-    expect_unchanged(f"builtin:{name}", form)
+def test_every_built_in_motion_passes_unchanged_to_the_last_bit(name: str, command_format: CommandFormat) -> None:
+    expect_unchanged(f"builtin:{name}", command_format)
 
 
 @pytest.mark.assets
-@pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
+@pytest.mark.parametrize("command_format", FORMATS.values(), ids=FORMATS)
 @pytest.mark.parametrize("number", some(range(1, 7)))
-def test_people_who_walk_pass_unchanged_to_the_last_bit(number: int, form: CommandFormat) -> None:
-    expect_unchanged(f"twist2:motions/0807_yanjie_walk_00{number}.pkl", form)
+def test_people_who_walk_pass_unchanged_to_the_last_bit(number: int, command_format: CommandFormat) -> None:
+    expect_unchanged(f"twist2:motions/0807_yanjie_walk_00{number}.pkl", command_format)

@@ -16,18 +16,18 @@ from tests.examples import examples
 
 DT = 0.02
 ROUNDING = 1e-9
-FORMS: dict[str, CommandFormat] = {name: registry.find("command", name) for name in ("twist2", "twist")}
-FORM = FORMS["twist2"]
-VELOCITIES = list(FORM.velocities)
-POSES = [index for index in range(len(FORM.default)) if index not in VELOCITIES]
-WALKING = FORM.default + 0.1
+FORMATS: dict[str, CommandFormat] = {name: registry.find("command", name) for name in ("twist2", "twist")}
+FORMAT = FORMATS["twist2"]
+VELOCITIES = list(FORMAT.velocities)
+POSES = [index for index in range(len(FORMAT.default)) if index not in VELOCITIES]
+WALKING = FORMAT.default + 0.1
 WALKING[VELOCITIES] = 0.9, -0.2, 0.5
 
 
 def gate(config: GateConfig | None = None, *, fades: bool = True) -> Gate:
     config = config or GateConfig()
-    bounds = Bounds.of(FORM, config.rate_factor)
-    return Gate(FORM.default, config, bounds, velocities=FORM.velocities if fades else ())
+    bounds = Bounds.of(FORMAT, config.rate_factor)
+    return Gate(FORMAT.default, config, bounds, velocities=FORMAT.velocities if fades else ())
 
 
 class Walk:
@@ -48,14 +48,14 @@ class Walk:
         return [self.step(command) for _ in range(count)]
 
 
-@pytest.mark.parametrize("form", FORMS.values(), ids=FORMS)
-def test_every_element_in_metres_or_radians_per_second_is_declared_a_velocity(form: CommandFormat) -> None:
-    contract = contracts.contract(form.key)
+@pytest.mark.parametrize("command_format", FORMATS.values(), ids=FORMATS)
+def test_every_element_in_metres_or_radians_per_second_is_declared_a_velocity(command_format: CommandFormat) -> None:
+    contract = contracts.contract(command_format.key)
     assert contract is not None
     per_second = tuple(index for index, element in enumerate(contract.elements) if element.unit in ("m/s", "rad/s"))
-    assert form.velocities == per_second
-    assert len(per_second) == {"twist2": 3, "twist": 4}[form.name]
-    assert not form.default[list(per_second)].any()
+    assert command_format.velocities == per_second
+    assert len(per_second) == {"twist2": 3, "twist": 4}[command_format.name]
+    assert not command_format.default[list(per_second)].any()
 
 
 def test_velocities_are_zero_300_ms_after_the_last_command_and_fade_linearly_from_100_ms_on() -> None:
@@ -115,7 +115,7 @@ def test_a_return_that_is_shorter_than_the_fade_ends_at_standing_too() -> None:
     walk = Walk(GateConfig(return_after_s=0.1, blend_out_s=0.1, rate_factor=100.0))
     decision = walk.steps(30)[-1]
     assert decision.state == "waiting"
-    np.testing.assert_array_equal(decision.vector, FORM.default)
+    np.testing.assert_array_equal(decision.vector, FORMAT.default)
 
 
 _histories = st.lists(
@@ -131,13 +131,13 @@ def test_in_no_history_do_velocities_grow_unfollowed_outlive_200_ms_of_it_or_bre
     history: list[tuple[str, int, int]], factor: float
 ) -> None:
     faded, as_ever = gate(GateConfig(rate_factor=factor)), gate(GateConfig(rate_factor=factor), fades=False)
-    command, written_s, before, tick, unfollowed_s = FORM.default, -1.0, FORM.default, 0, 1.0
+    command, written_s, before, tick, unfollowed_s = FORMAT.default, -1.0, FORMAT.default, 0, 1.0
     for what, seed, ticks in history:
         for _ in range(ticks):
             tick += 1
             now_s = tick * DT
             if what in ("write", "other"):
-                command = np.random.default_rng(seed).uniform(FORM.lower, FORM.upper)
+                command = np.random.default_rng(seed).uniform(FORMAT.lower, FORMAT.upper)
                 written_s = now_s
             for one in (faded, as_ever):
                 if what == "stop":
@@ -154,11 +154,11 @@ def test_in_no_history_do_velocities_grow_unfollowed_outlive_200_ms_of_it_or_bre
             unfollowed_s = 0.0 if is_followed else unfollowed_s + DT
             np.testing.assert_array_equal(decision.vector[POSES], expected.vector[POSES])
             if what != "reset":
-                assert (moved <= FORM.rate * factor * DT + ROUNDING).all()
+                assert (moved <= FORMAT.rate * factor * DT + ROUNDING).all()
             if not is_followed:
                 assert (speeds <= np.abs(before[VELOCITIES])).all()
             if decision.state in ("holding", "returning") and unfollowed_s >= 0.2 - ROUNDING:
                 assert not speeds.any()
             if decision.state == "waiting":
-                np.testing.assert_array_equal(decision.vector, FORM.default)
+                np.testing.assert_array_equal(decision.vector, FORMAT.default)
             before = decision.vector

@@ -41,9 +41,9 @@ class Walk:
     key: str = "action_velocity_cart_legs"
     elements: tuple[Element, ...] = elements((("vx",), "m/s"), (("wz",), "rad/s"))
     note: str = ""
-    companions: dict[str, Floats] = field(default_factory=dict)
+    auxiliary: dict[str, Floats] = field(default_factory=dict)
     stock: StockKeys = field(default_factory=StockKeys)
-    stays: bool = False
+    holds_position: bool = False
     velocities: tuple[int, ...] = (0, 1)
     default: Floats = field(default_factory=lambda: np.zeros(2))
     lower: Floats = field(default_factory=lambda: np.array([-0.5, -1.0]))
@@ -61,7 +61,7 @@ def joints(part: str, names: tuple[str, ...]) -> JointCommand:
 
 
 PARTS = (Walk(), joints("arms", ARMS), joints("hands", HANDS))
-FORM = PartedCommand("cart", "cart", PARTS)
+FORMAT = PartedCommand("cart", "cart", PARTS)
 SIZES = (2, 2, 1)
 
 
@@ -97,7 +97,7 @@ def same(one: Decision, other: Decision) -> bool:
 def test_what_a_part_is_let_through_is_what_its_own_gate_alone_would_have_given(
     history: Sequence[tuple[CommandSample | None, ...]], stopped_at: int
 ) -> None:
-    together = PartedPath(FORM, GateConfig(), Arming(is_armed=True))
+    together = PartedPath(FORMAT, GateConfig(), Arming(is_armed=True))
     alone = [CommandPath(part, GateConfig(), Arming(is_armed=True)) for part in PARTS]
     for tick, samples in enumerate(history):
         now_s = DT * (tick + 1)
@@ -154,7 +154,7 @@ class Roll:
 class Bench:
     def __init__(self, *, is_armed: bool = True) -> None:
         self.cart = Cart()
-        self.control = ControlStep(self.cart, Roll(), FORM, is_armed=is_armed)
+        self.control = ControlStep(self.cart, Roll(), FORMAT, is_armed=is_armed)
         self.tick = 0
         self.held: list[CommandSample | None] = [None, None, None]
 
@@ -252,11 +252,11 @@ def test_a_part_that_does_not_say_where_it_is_leaves_the_robot_limp_and_comes_ba
 
 def test_what_happens_to_a_part_is_told_with_its_name_and_the_stop_once() -> None:
     bench = Bench()
-    told = [happening for _ in range(100) for happening in bench.step([0.4, 0.2], None, None).happenings]
-    assert {happening.detail["part"] for happening in told if happening.name == "gate"} == {"legs"}
+    told = [step_event for _ in range(100) for step_event in bench.step([0.4, 0.2], None, None).step_events]
+    assert {step_event.detail["part"] for step_event in told if step_event.name == "gate"} == {"legs"}
     bench.control.stop("by hand")
-    stops = [happening for happening in bench.step().happenings if happening.name == "estop"]
-    assert [happening.detail for happening in stops] == [{"reason": "by hand"}]
+    stops = [step_event for step_event in bench.step().step_events if step_event.name == "estop"]
+    assert [step_event.detail for step_event in stops] == [{"reason": "by hand"}]
 
 
 def test_the_gate_tells_of_the_robot_and_of_each_part() -> None:
@@ -289,8 +289,8 @@ def test_parts_that_do_not_fit_together_are_refused_in_a_line(parts: tuple[Joint
 
 
 def test_the_whole_has_the_numbers_of_its_parts_in_their_order() -> None:
-    assert [element.name for element in FORM.elements] == [
+    assert [element.name for element in FORMAT.elements] == [
         "vx", "wz", *(f"{joint}_pos" for joint in itertools.chain(ARMS, HANDS)),
     ]  # fmt: skip
-    assert (FORM.velocities, len(FORM.default), FORM.upper.tolist()) == ((0, 1), 5, [0.5, 1.0, 2.0, 2.0, 2.0])
-    assert [part.tolist() for part in FORM.split(np.arange(5.0))] == [[0.0, 1.0], [2.0, 3.0], [4.0]]
+    assert (FORMAT.velocities, len(FORMAT.default), FORMAT.upper.tolist()) == ((0, 1), 5, [0.5, 1.0, 2.0, 2.0, 2.0])
+    assert [part.tolist() for part in FORMAT.split(np.arange(5.0))] == [[0.0, 1.0], [2.0, 3.0], [4.0]]

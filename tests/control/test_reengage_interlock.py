@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 from station.bus import codec
-from station.bus.heard import Hearing
+from station.bus.hearing import HearingProof
 from station.control.arm_control import ArmControl
 from station.control.command_validator import CommandSample
 from station.control.gate import GateConfig
-from station.control.reengage_interlock import Quiet, ReengageInterlock
-from tests.control.arm_bench import FORM, STEP
+from station.control.reengage_interlock import QuietTime, ReengageInterlock
+from tests.control.arm_bench import FORMAT, STEP
 from tests.control.ideal_arm import TICK_S, IdealArm
 from tests.examples import examples
 
@@ -36,7 +36,7 @@ def insisted() -> ReengageInterlock:
 def ticks_until_kept(silence: ReengageInterlock, age_s: float, passed_s: float = TICK_S) -> int:
     """How many ticks of nothing new it takes; the age of what came last is `age_s` in the first of them."""
     for tick in range(1000):
-        silence.hear(Quiet(age_s + tick * passed_s), passed_s)
+        silence.hear(QuietTime(age_s + tick * passed_s), passed_s)
         if not silence.missing:
             return tick
     raise AssertionError("silence was never kept")
@@ -58,37 +58,37 @@ def test_silence_from_before_it_was_insisted_on_does_not_count() -> None:
 
 def test_a_stalled_process_has_heard_no_silence() -> None:
     silence = insisted()
-    silence.hear(Quiet(0.0), TICK_S)
-    silence.hear(Quiet(5.0), 0.1)  # five seconds later, of which a tick counts for a tenth
+    silence.hear(QuietTime(0.0), TICK_S)
+    silence.hear(QuietTime(5.0), 0.1)  # five seconds later, of which a tick counts for a tenth
     assert silence.missing
-    silence.hear(Quiet(0.0), TICK_S)  # what came meanwhile
+    silence.hear(QuietTime(0.0), TICK_S)  # what came meanwhile
     assert ticks_until_kept(silence, TICK_S) == 75
 
 
 def test_what_nobody_knows_of_is_no_silence() -> None:
     silence = insisted()
     for tick in range(1000):  # the bus is frozen
-        silence.hear(Quiet(math.inf, unheard_s=tick * TICK_S), TICK_S)
-    silence.hear(Quiet(math.inf, math.nan), TICK_S)
+        silence.hear(QuietTime(math.inf, unheard_s=tick * TICK_S), TICK_S)
+    silence.hear(QuietTime(math.inf, math.nan), TICK_S)
     assert silence.missing
-    silence.hear(Quiet(0.0), TICK_S)  # it is back, and hears from now on
+    silence.hear(QuietTime(0.0), TICK_S)  # it is back, and hears from now on
     assert ticks_until_kept(silence, TICK_S) == 75
 
 
 def test_a_silence_is_kept_once_it_is_known_that_it_was_one() -> None:
     silence = insisted()
     for tick in range(77):
-        silence.hear(Quiet(math.inf, unheard_s=0.01), TICK_S)
+        silence.hear(QuietTime(math.inf, unheard_s=0.01), TICK_S)
         assert silence.missing, tick
     for _ in range(2):
-        silence.hear(Quiet(math.inf, unheard_s=0.01), TICK_S)
+        silence.hear(QuietTime(math.inf, unheard_s=0.01), TICK_S)
     assert not silence.missing
 
 
 def test_what_comes_ends_a_silence_and_one_from_the_future_is_something_that_came() -> None:
     silence = insisted()
     for age_s in (0.2, 0.29, -0.5, math.nan):
-        silence.hear(Quiet(age_s), 0.1)
+        silence.hear(QuietTime(age_s), 0.1)
     assert silence.missing
 
 
@@ -100,9 +100,9 @@ class OneWhoDoesNotLetGo(RuleBasedStateMachine):
     def begin(self, is_simulated: bool) -> None:
         self.arm = IdealArm()
         self.arm.is_simulated = is_simulated
-        self.control = ArmControl(self.arm, FORM, gate=GateConfig(), is_armed=True)
+        self.control = ArmControl(self.arm, FORMAT, gate=GateConfig(), is_armed=True)
         self.now_s, self.seq, self.attempts = 100.0, 0, 0
-        self.hearing, self.asked_s, self.is_well = Hearing(GAP_S), self.now_s, True
+        self.hearing, self.asked_s, self.is_well = HearingProof(GAP_S), self.now_s, True
         self.hearing.begin(round(self.now_s * 1e9))
         self.command = self.arm.q.copy()
         self.sample: CommandSample | None = None
@@ -249,7 +249,7 @@ class OneWhoDoesNotLetGo(RuleBasedStateMachine):
         self.control.commanded.heard_all(*(at_ns * 1e-9 for at_ns in self.hearing.span))
         before = len(self.arm.engaged_at)
         record = self.control.step(self.control.sense(), self.sample, self.now_s)
-        is_refused = "engage-refused" in [happening.name for happening in record.happenings]
+        is_refused = "engage-refused" in [step_event.name for step_event in record.step_events]
         if len(self.arm.engaged_at) > before or is_refused:
             self.expect_silence()
         if is_refused or self.control.commanded.arming.state == "disarmed":

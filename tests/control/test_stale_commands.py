@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 
 from adapters.commands.body import BodyCommand
 from station.bus import codec, stamp
-from station.bus.heard import Heard
+from station.bus.hearing import HeardSpan
 from station.bus.sample import Sample
 from station.clock import SYSTEM
 from station.contract import elements
 from station.control.arming import Arming
 from station.control.command_arbiter import CommandArbiter
 from station.control.command_path import CommandPath
-from station.control.command_receiver import Arrival, CommandReceiver, CommandWatch, Taken, writer_of
+from station.control.command_receiver import Arrival, CommandReceiver, CommandWatch, NewWrites, writer_of
 from station.control.gate import Decision, GateConfig
 from station.protocols import Floats, StockKeys
 from tests.examples import examples
@@ -31,8 +31,8 @@ ROUNDING = 1e-9
 HERE = stamp.boot_id()
 KEY = "action_tiny"
 ENDS = np.array([2.0, 1.0, 3.0])
-FORM = BodyCommand(
-    name="tiny", robot="tiny", key=KEY, note="", companions={}, stock=StockKeys(), default=np.zeros(3),
+FORMAT = BodyCommand(
+    name="tiny", robot="tiny", key=KEY, note="", auxiliary={}, stock=StockKeys(), default=np.zeros(3),
     lower=-ENDS, upper=ENDS, margin=np.ones(3), rate=np.array([30.0, 3.0, 20.0]), velocities=(0,),
     joint_names=("joint",), head=lambda _: [],
     elements=elements((("root_vel_x",), "m/s"), (("root_height",), "m"), (("joint_pos",), "rad")),
@@ -60,8 +60,8 @@ class VirtualWatch:
     def latest(self, key: str) -> Sample | None:
         return self._slot
 
-    def take(self) -> Taken:
-        taken = Taken(Heard(START_NS, self.now_ns), self._arrivals, self._newest)
+    def take(self) -> NewWrites:
+        taken = NewWrites(HeardSpan(START_NS, self.now_ns), self._arrivals, self._newest)
         self._arrivals, self._newest = [], {}
         return taken
 
@@ -75,7 +75,7 @@ class Robot:
         self.receiver = CommandReceiver(
             cast(CommandWatch, self.watch), KEY, CommandArbiter(config.rivals, config.return_after_s)
         )
-        self.commanded = CommandPath(FORM, config, Arming(is_armed=True))
+        self.commanded = CommandPath(FORMAT, config, Arming(is_armed=True))
         self.seq = 0
 
     @property
@@ -99,7 +99,7 @@ class Robot:
         return decision
 
     def told(self, *names: str) -> list[str]:
-        return [happening.name for happening in self.commanded.taken() if happening.name in names]
+        return [step_event.name for step_event in self.commanded.taken() if step_event.name in names]
 
 
 def test_a_burst_of_old_commands_moves_nothing_is_counted_and_is_told_when_it_begins_and_ends() -> None:
@@ -113,7 +113,7 @@ def test_a_burst_of_old_commands_moves_nothing_is_counted_and_is_told_when_it_be
         robot.write(ENDS, ago_s=ago_s)
         decision = robot.tick()
         assert decision.state == "waiting"
-        np.testing.assert_array_equal(decision.vector, FORM.default)
+        np.testing.assert_array_equal(decision.vector, FORMAT.default)
     assert decision.reason.startswith("stale: written 0.")
     assert robot.commanded.validator.refused == {"stale": 14}
     assert robot.told("refused-command", "command-good-again") == ["refused-command"]
@@ -202,7 +202,7 @@ def expect_nothing_stale_moves(
     by_tick: dict[int, list[tuple[str, float | int, float]]] = {}
     for tick, *message in deliveries(steady, messages):
         by_tick.setdefault(tick, []).append(tuple(message))  # type: ignore[arg-type]
-    before = start = FORM.default
+    before = start = FORMAT.default
     for tick in range(100):
         for who, ago, sign in by_tick.get(tick, ()):
             number = len(came) + 1
@@ -223,7 +223,7 @@ def expect_nothing_stale_moves(
             start = before
         if usable:
             event("some command in time")
-            assert within(decision.vector, [before, start, FORM.default, *usable])
+            assert within(decision.vector, [before, start, FORMAT.default, *usable])
         else:
             assert decision.state not in ("entering", "tracking")
             assert (np.abs(decision.vector) <= np.abs(before) + ROUNDING).all()

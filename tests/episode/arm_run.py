@@ -21,7 +21,7 @@ from tests.control.ideal_arm import TICK_S, IdealArm
 from tests.episode.synthetic import MONO_START_NS, EpisodeBuilder
 
 ROBOT = KR810_ROBOT
-FORM = arm_command("kassow", arm_limits.load("kassow", "kr810"), speed_rad_s=1.0)
+FORMAT = arm_command("kassow", arm_limits.load("kassow", "kr810"), speed_rad_s=1.0)
 
 
 @dataclass
@@ -50,7 +50,7 @@ class ArmRun:
     latency_s: float = 3e-6
 
     def __post_init__(self) -> None:
-        self.control = ArmControl(self.arm, FORM, gate=GateConfig(), is_armed=True)
+        self.control = ArmControl(self.arm, FORMAT, gate=GateConfig(), is_armed=True)
         self._sample: CommandSample | None = None
         self._is_due = False
 
@@ -96,7 +96,7 @@ class ArmRun:
     def finish(self, **gate: Any) -> Path:
         """Close the episode, with what the arm's server states; return its folder."""
         facts = {
-            "server": "kassow", "role": "low-level", "robot": ROBOT, "command": FORM.facts(),
+            "server": "kassow", "role": "low-level", "robot": ROBOT, "command": FORMAT.facts(),
             "gate": to_plain(GateConfig()) | gate,
         }  # fmt: skip
         return self.builder.finish({"servers": {"kassow": facts}})

@@ -35,7 +35,8 @@ def record(builder: EpisodeBuilder, *, seconds: float, skip: int = 0, config: G1
     rig = build(config.rig)
     control = rig.control(gate=config.gate)
     motion = registry.find("loader", "motion")(MOTION)
-    playback = Playback(motion, rig.form, enter_s=0.2)
+    playback = Playback(motion, rig.command_format, enter_s=0.2)
+    key = rig.command_format.key
     for tick in range(round(seconds / rig.period_s)):
         frame = playback.step(rig.period_s)
         values = _tick(control, rig, codec.json_vector(frame.command), tick)
@@ -47,8 +48,8 @@ def record(builder: EpisodeBuilder, *, seconds: float, skip: int = 0, config: G1
                     builder.skip(key, writer=writer)
             continue
         builder.write(values[0][1], at_s=at_s)
-        builder.write({rig.form.key: values[1][1][rig.form.key], keys.command_source(rig.form.robot): source},
-                      at_s=at_s + 0.001, writer="motion")  # fmt: skip
+        sent = {key: values[1][1][key], keys.command_source(rig.command_format.robot): source}
+        builder.write(sent, at_s=at_s + 0.001, writer="motion")
         builder.write(values[2][1], at_s=at_s + 0.004)
     rig.robot.close()
     return builder.finish(manifest(config, rig))
@@ -60,7 +61,7 @@ def manifest(config: G1Config, rig: Rig) -> dict[str, Any]:
     facts = {
         "server": "g1",
         "role": "low-level",
-        "robot": rig.form.robot,
+        "robot": rig.command_format.robot,
         "robot_facts": rig.robot.facts(),
         "policy": {
             "name": spec.name,
@@ -77,9 +78,9 @@ def manifest(config: G1Config, rig: Rig) -> dict[str, Any]:
 def _tick(control: ControlStep, rig: Rig, command: bytes, tick: int) -> list[tuple[str, dict[str, bytes]]]:
     now_s = tick * rig.period_s
     state = control.sense()
-    suffix = rig.form.robot
+    suffix = rig.command_format.robot
     before = rig.state_values(state)
     arrived_ns = time.monotonic_ns()
     sample = CommandSample(command, now_s, written_ns=arrived_ns - 1000, arrived_ns=arrived_ns, seq=tick + 1)
     done = result_values(suffix, control.step(state, sample, now_s), control.commanded)
-    return [("g1", before), ("motion", {rig.form.key: command}), ("g1", done)]
+    return [("g1", before), ("motion", {rig.command_format.key: command}), ("g1", done)]

@@ -69,10 +69,10 @@ def walked(
     """Record a walk: step k has joint 0 at k/1000, and asks for 0.5 + k/1000; picture k carries k."""
     builder = EpisodeBuilder(data, task=task, number=number)
     rng = np.random.default_rng(number)
-    happenings: list[tuple[float, int, int]] = [(0.1 + k / 50, 0, k) for k in range(round(seconds * 50))]
+    step_events: list[tuple[float, int, int]] = [(0.1 + k / 50, 0, k) for k in range(round(seconds * 50))]
     if camera_hz:
-        happenings += [(0.083 + k / camera_hz, 1, k) for k in range(round(seconds * camera_hz))]
-    for at_s, is_picture, k in sorted(happenings):
+        step_events += [(0.083 + k / camera_hz, 1, k) for k in range(round(seconds * camera_hz))]
+    for at_s, is_picture, k in sorted(step_events):
         if is_picture:
             shoot(builder, k, at_s=at_s, data=b"no picture" if k in bad_pictures else None)
         else:

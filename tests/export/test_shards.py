@@ -14,7 +14,7 @@ from station.episode.reading.reader import open_episode
 from station.episode.storage.manifest import load_manifest, save_manifest
 from station.export import shards, verdict
 from station.export.kind import ExportKind, Source
-from station.export.run import Where, export, preview
+from station.export.run import Workers, export, preview
 from tests.export.pictured import walked
 
 STRICT, LAX = "gap: {usable_above_s: 0.001, reject_above_s: 0.001}", "gap: off"
@@ -90,7 +90,7 @@ def test_what_somebody_says_of_an_episode_after_its_check_is_judged(lab: Path, s
 def test_all_episodes_of_an_export_are_judged_by_the_rules_at_its_beginning(lab: Path, tmp_path: Path) -> None:
     sources = [walked(tmp_path / "data", number, seconds=0.3, camera_hz=0) for number in (1, 2, 3)]
     kind: ExportKind = registry.find("export", "npz")
-    options, where = kind.options(min_quality="usable"), Where(jobs=1)
+    options, where = kind.options(min_quality="usable"), Workers(jobs=1)
 
     def change(_: object = None) -> None:
         lab.write_text(STRICT)
@@ -106,4 +106,4 @@ def test_all_episodes_of_an_export_are_judged_by_the_rules_at_its_beginning(lab:
 def test_where_any_episode_will_do_no_rules_are_read(lab: Path, source: Source) -> None:
     lab.write_text("no such rule: 1")
     assert verdict.rule_book("any") is None
-    assert verdict.expect(source, "any") == verdict.Judged(None, ())
+    assert verdict.expect(source, "any") == verdict.VerdictCheck(None, ())

@@ -21,7 +21,7 @@ from station.protocols import Floats
 from station.rotations import tilt
 
 ROBOT = twist_keys.TWIST2_ROBOT
-FORM = registry.find("command", "twist2")
+FORMAT = registry.find("command", "twist2")
 _RETRY_S = 0.05
 _TICK_S = 0.1  # the gate lets no tick count for more
 _SENSED, _OBSERVED = (2 + TIMING_STAGES.index(stage) for stage in ("state_read", "observed"))
@@ -134,7 +134,7 @@ class Onlooker:
         rate = self._rate(mark.source, timing, command)
         self.steps.append(
             Step(mark.mono_ns, mark.source, said["state"], age_s, float(tilt(self._pose[3:7])), float(self._pose[2]),
-                 rate, bool(np.array_equal(command, FORM.default)), not stiffness.any())
+                 rate, bool(np.array_equal(command, FORMAT.default)), not stiffness.any())
         )  # fmt: skip
 
     def _rate(self, writer: str, timing: Floats, command: Floats) -> float:
@@ -146,4 +146,4 @@ class Onlooker:
         if between_s > _UNSEEN_S:
             return 0.0
         passed_s = min(max(between_s, 0.02), _TICK_S)
-        return float(np.max(np.abs(command - before[2]) / (FORM.rate * passed_s)))
+        return float(np.max(np.abs(command - before[2]) / (FORMAT.rate * passed_s)))

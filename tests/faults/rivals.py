@@ -18,10 +18,10 @@ from station.bus.tap import Write
 from station.control.slew import LONGEST_TICK_S
 from station.life.events import Event, decode
 from station.protocols import Floats
-from tests.servers.g1_station import FORM, ROBOT, G1Process, Log, StockCommander, logged
+from tests.servers.g1_station import FORMAT, ROBOT, G1Process, Log, StockCommander, logged
 from tests.waiting import wait_until
 
-COMMAND = FORM.key
+COMMAND = FORMAT.key
 HOST = socket.gethostname()
 
 
@@ -60,7 +60,7 @@ def used(log: Log) -> Floats:
 
 def expect_no_kick(log: Log) -> None:
     """No tick moved an element by more than its rate allows for the longest tick there is."""
-    assert (np.abs(np.diff(used(log), axis=0)) <= FORM.rate * LONGEST_TICK_S + 1e-9).all()
+    assert (np.abs(np.diff(used(log), axis=0)) <= FORMAT.rate * LONGEST_TICK_S + 1e-9).all()
 
 
 def heard_before_told(log: Log, name: str) -> int:
@@ -142,7 +142,7 @@ def expect_handover(log: Log, first: subprocess.Popen[bytes], second: subprocess
 
 def refuse_a_stranger(address: BusAddress, *robot: str) -> list[tuple[str, str]]:
     """A stock script begins to write beside a motion server of ours; return how the gate changed meanwhile."""
-    far = FORM.default.copy()
+    far = FORMAT.default.copy()
     far[6 + 15] = 1.5
     with (
         logged(address) as log,

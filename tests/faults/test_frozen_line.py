@@ -10,14 +10,14 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.protocols import Floats
 from tests.faults.cuttable_line import CuttableLine
-from tests.servers.g1_station import FORM, LIGHT, ROBOT, G1Process, Log, logged, publish
+from tests.servers.g1_station import FORMAT, LIGHT, ROBOT, G1Process, Log, logged, publish
 from tests.waiting import wait_until
 
 WAIST_YAW = 6 + G1_29.index("waist_yaw")
 
 
 def turned(yaw_rad: float) -> Floats:
-    vector = FORM.default.copy()
+    vector = FORMAT.default.copy()
     vector[WAIST_YAW] = yaw_rad
     return vector
 
@@ -47,7 +47,7 @@ def test_commands_that_a_frozen_line_kept_move_nothing_when_it_goes_on(bus_serve
         before, already_told = len(log.states()), len(log.events("refused-command"))
         line.thaw()
         kept = codec.json_vector(turned(0.529))
-        wait_until(lambda: kept in log.values(FORM.key))
+        wait_until(lambda: kept in log.values(FORMAT.key))
         wait_until(lambda: len(log.events("refused-command")) > already_told or "entering" in log.states()[before:])
         assert set(log.states()[before:]) == {"waiting"}
         assert max(used_yaw_rad(log)) == 0.0

@@ -45,7 +45,7 @@ from station.episode.storage import pictures
 from station.episode.storage.channels import encoding_of, source_of
 from station.episode.storage.manifest import Manifest, Timing, dump_manifest
 from station.episode.storage.request import parse_answer, parse_request, request_id
-from station.episode.writing import heard, retell
+from station.episode.writing import servers_seen, summary
 from station.errors import NotReady, Refused, UnknownName, UsageError
 from station.life import arm_request, controller_request, estop, events, stop_button, stop_file
 from station.life.server import Health, decode_health
@@ -54,12 +54,12 @@ from station.motion.playback import Playback
 from station.motion.playback_requests import Requests
 from station.operator import sample as readings
 from station.operator.device_subscriber import DeviceSubscriber
-from station.operator.onlooker import Onlooker, Vigil
 from station.operator.phrases import Phrases
 from station.operator.requests import RecordButtons
 from station.operator.robot_side import RobotSide
 from station.operator.sample import Body, OperatorSample, Pose, Status
 from station.operator.script_time import now_s
+from station.operator.station_monitor import SilenceMonitor, StationMonitor
 from station.protobuf import foxglove
 from station.supervision import doctor
 from station.supervision.doctor import Finding
@@ -150,14 +150,14 @@ def health(name: str = "g1", role: str = "low-level") -> bytes:
 # ---- commands and requests ----
 
 
-def _command(form: Any, data: bytes) -> None:
-    validator = CommandValidator(form)
+def _command(command_format: Any, data: bytes) -> None:
+    validator = CommandValidator(command_format)
     validator.take(CommandSample(data, 1.0))
     validator.is_refusing(1.0, 1.0)
     if validator.vector is not None:
         assert np.isfinite(validator.vector).all()
-        assert ((validator.vector >= form.lower) & (validator.vector <= form.upper)).all()
-    check_command(data, form)
+        assert ((validator.vector >= command_format.lower) & (validator.vector <= command_format.upper)).all()
+    check_command(data, command_format)
 
 
 @cache
@@ -210,7 +210,7 @@ def _event(data: bytes) -> None:
     late = events.late(event, NOW_NS)
     codec.json_object([event, late])
     Phrases().cue(event)
-    Vigil().hear(event)
+    SilenceMonitor().hear(event)
     foxglove.log(event, NOW_NS)
     str(event)
 
@@ -224,9 +224,9 @@ def _heartbeat(data: bytes) -> None:
     _shown(status.render(found))
     list(doctor._servers([said], Path("logs")))
     list(doctor._troubles(said, "key"))
-    vigil = Vigil()
+    silence_monitor = SilenceMonitor()
     for now in (1.0, 2.0):
-        for event in vigil.step([said], now):
+        for event in silence_monitor.step([said], now):
             codec.json_object(event)
     codec.json_object(said)
 
@@ -318,10 +318,10 @@ def _drawn(data: bytes) -> None:
 
 def _look_on(data: bytes) -> None:
     shelf: Any = Shelf({})
-    onlooker = Onlooker.__new__(Onlooker)
-    onlooker._watch, onlooker._stop_seen = shelf, None
+    monitor = StationMonitor.__new__(StationMonitor)
+    monitor._watch, monitor._stop_seen = shelf, None
     shelf.values[keys.ESTOP] = data
-    onlooker._stop()
+    monitor._stop()
 
 
 # ---- the recorder ----
@@ -332,20 +332,20 @@ def _manifest() -> Manifest:
 
 
 def _heard(key: str, data: bytes) -> None:
-    listens = heard.Heard()
+    listens = servers_seen.ServersSeen()
     manifest = _manifest()
     listens.hear(keys.server("g1"), health(), STAMP, 1)
     listens.hear(keys.server_config("g1"), dumped(CONFIG), STAMP, 1)
     listens.hear(key, data, STAMP, 2)
     listens.missing_configuration(3)
     listens.fill(manifest)
-    heard.note_motion(manifest, keys.command_source(ROBOT), data)
+    servers_seen.note_motion(manifest, keys.command_source(ROBOT), data)
     dump_manifest(manifest)
 
 
 def _noted(data: bytes) -> None:
     manifest = _manifest()
-    retell.note_event(manifest, data, 1.0)
+    summary.note_event(manifest, data, 1.0)
     dump_manifest(manifest)
 
 
@@ -355,7 +355,7 @@ def _record_request(data: bytes) -> None:
     request = parse_request(data)
     manifest = _manifest()
     manifest.operator, manifest.runbook = request.who(), request.runbook
-    retell.note_mark(manifest, request.label, 1.0, request.success)
+    summary.note_mark(manifest, request.label, 1.0, request.success)
     dump_manifest(manifest)
 
 
@@ -384,7 +384,7 @@ def _device(key: str, data: bytes) -> None:
     """What teleoperation makes of a device's sample with one of its parts replaced; for every device alike."""
     ear = DeviceSubscriber(Shelf(_SAMPLE | {key: data}), "pico")  # type: ignore[arg-type]
     heard_of = ear.hear()
-    codec.json_object({"why_not": heard_of.flaw, "sample": heard_of.sample})
+    codec.json_object({"why_not": heard_of.why_not, "sample": heard_of.sample})
     if heard_of.reading is not None:
         for array in readings._arrays(heard_of.reading).values():
             assert np.isfinite(array @ array.T).all(), "too large to calculate with"
@@ -399,7 +399,7 @@ def _robot_side(key: str, data: bytes) -> None:
     for _ in range(2):
         side.look(time.monotonic_ns())
         side.begin(time.monotonic_ns())
-    codec.json_object({"why_not": side.obstacle, "left": side.left, "arming": side.arming})
+    codec.json_object({"why_not": side.why_blocked, "left": side.left, "arming": side.arming})
     if side.used is not None:
         assert np.isfinite(side.used).all(), "no command begins where the robot cannot be"
 
@@ -456,7 +456,7 @@ def _calibrated(data: bytes) -> None:
 
 # ---- all of them ----
 
-FORMS = (twist.FORMAT, twist2.FORMAT, arm_command("kassow", arm_limits.load("kassow", "kr810")))
+FORMATS = (twist.FORMAT, twist2.FORMAT, arm_command("kassow", arm_limits.load("kassow", "kr810")))
 _BODY, _LIFE, _OPERATOR, _EPISODE = "station.bus.", "station.life.", "station.operator.", "station.episode."
 
 
@@ -520,7 +520,7 @@ def _by_itself() -> list[Parser]:
         Parser("record answer", lambda data: parse_answer(data, "a-1"), (dumped(ANSWER),), (
             _EPISODE + "storage.request", _EPISODE + "recorder.remote")),
         Parser("recorder's state", _record_state, (dumped(RECORDER),), (_OPERATOR + "requests",)),
-        Parser("recorded event", _noted, (EVENT.encode(),), (_EPISODE + "writing.retell",)),
+        Parser("recorded event", _noted, (EVENT.encode(),), (_EPISODE + "writing.summary",)),
         Parser("recorded value", encoding_of, (dumped(GATE), b"x"), (_EPISODE + "storage.channels",)),
         Parser("timing", _row, (TIMING,), (_EPISODE + "reading.steps",)),
         Parser("typed fields", _typed, (dumped(GATE), dumped(CONFIG)),
@@ -541,9 +541,11 @@ def _by_itself() -> list[Parser]:
 def _by_key() -> list[Parser]:
     told = {keys.server_config("g1"): dumped(CONFIG), keys.command_gate(ROBOT): dumped(GATE)}
     commands = [
-        Parser(f"command {form.key}", partial(_command, form), (codec.json_vector(form.default),),
-               ("station.control.command_validator", _BODY + "codec"))
-        for form in FORMS
+        Parser(
+            f"command {found.key}", partial(_command, found), (codec.json_vector(found.default),),
+            ("station.control.command_validator", _BODY + "codec"),
+        )
+        for found in FORMATS
     ]  # fmt: skip
     return [
         *commands,
@@ -551,7 +553,7 @@ def _by_key() -> list[Parser]:
             "json-vector": TIMING, "integer": b"1795000000000", "f64": codec.f64(np.ones(7)),
             "f32": codec.f32(np.ones(7)),
         }),
-        *_each("recorder hears", _heard, _EPISODE + "writing.heard", {
+        *_each("recorder hears", _heard, _EPISODE + "writing.servers_seen", {
             keys.server("g1"): health(), keys.server_config("g1"): dumped(CONFIG),
             keys.command_source(ROBOT): dumped(SOURCE),
         }),

@@ -30,7 +30,7 @@ from station.report import story, tracking_plot
 from station.view.run import read_run
 from tests.episode.synthetic import EpisodeBuilder
 from tests.fuzz.mutants import mutant
-from tests.fuzz.parsers import ARM, CONFIG, EVENT, FORMS, GATE, ROBOT, SOURCE, dumped
+from tests.fuzz.parsers import ARM, CONFIG, EVENT, FORMATS, GATE, ROBOT, SOURCE, dumped
 from tests.fuzz.shelf import Shelf
 
 Values = dict[str, bytes]
@@ -144,7 +144,7 @@ def episode_of_mutants(data: Path, steps: int, seed: str) -> Path:
             builder.write({key: mutant(value, rng)}, at_s=at_s + 0.01)
         builder.foreign(twist_keys.action_body(ROBOT), mutant(b"[0.0, 1.0]", rng), at_s=at_s + 0.011)
     arm = {"robot": ARM, "gate": to_plain(GateConfig()), "command": {
-        name: getattr(FORMS[-1], name).tolist() for name in ("lower", "upper", "margin", "rate")}}  # fmt: skip
+        name: getattr(FORMATS[-1], name).tolist() for name in ("lower", "upper", "margin", "rate")}}  # fmt: skip
     return builder.finish({"robot": {"suffix": ROBOT}, "servers": {"g1": CONFIG, "arm": arm}})
 
 

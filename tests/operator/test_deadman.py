@@ -61,10 +61,10 @@ def test_letting_go_ends_it_in_the_same_tick() -> None:
     ],
 )
 def test_what_comes_in_the_way_ends_it_and_holding_on_through_it_does_nothing_afterwards(
-    held: bool | None, now: str | None, obstacle: str, reason: str
+    held: bool | None, now: str | None, why_blocked: str, reason: str
 ) -> None:
     deadman = engaged()
-    change = deadman.step(held, now, "robot", obstacle=obstacle)
+    change = deadman.step(held, now, "robot", why_blocked=why_blocked)
     assert change is not None
     assert (change.name, change.reason) == ("operator-disengaged", reason)
     for _ in range(3):
@@ -85,11 +85,11 @@ def test_what_comes_in_the_way_ends_it_and_holding_on_through_it_does_nothing_af
     ],
 )
 def test_pressing_without_what_it_takes_is_refused_with_the_reason(
-    now: str | None, obstacle: str, objection: str, reason: str
+    now: str | None, why_blocked: str, why_not_engage: str, reason: str
 ) -> None:
     deadman: DeadMan[str, str] = DeadMan()
     deadman.step(False, now, "robot")
-    change = deadman.step(True, now, "robot", obstacle=obstacle, objection=objection)
+    change = deadman.step(True, now, "robot", why_blocked=why_blocked, why_not_engage=why_not_engage)
     assert change is not None
     assert (change.name, change.reason) == ("operator-refused", reason)
     assert deadman.step(True, "operator", "robot") is None
@@ -98,7 +98,7 @@ def test_pressing_without_what_it_takes_is_refused_with_the_reason(
 
 def test_an_objection_ends_nothing_that_is_under_way() -> None:
     deadman = engaged()
-    assert deadman.step(True, "operator", "robot", objection="elbow is 1.2 rad away") is None
+    assert deadman.step(True, "operator", "robot", why_not_engage="elbow is 1.2 rad away") is None
     assert deadman.is_engaged
 
 
@@ -112,7 +112,7 @@ def test_the_other_button_turns_driving_on_and_off() -> None:
 def test_driving_that_was_turned_on_does_not_come_back_by_itself_after_a_gap() -> None:
     deadman: DeadMan[str, str] = DeadMan()
     deadman.step(False, "operator", "robot", toggled=True)
-    deadman.step(None, None, "robot", obstacle="pico is lost")
+    deadman.step(None, None, "robot", why_blocked="pico is lost")
     for _ in range(3):
         assert deadman.step(False, "operator", "robot") is None
     assert not deadman.is_engaged
@@ -147,16 +147,16 @@ class Session(RuleBasedStateMachine):
         self.has_released = False  # since the last end, or the beginning
         self.was_engaged = False
 
-    def tick(self, held: bool | None, *, obstacle: str = "") -> None:
+    def tick(self, held: bool | None, *, why_blocked: str = "") -> None:
         now = None if self.hand is None else {"hand": self.hand}
         before = self.target
-        change = self.deadman.step(held, now, self.target, obstacle=obstacle)
+        change = self.deadman.step(held, now, self.target, why_blocked=why_blocked)
         is_engaged = self.deadman.is_engaged
         if is_engaged and not self.was_engaged:
             assert self.has_released, "it engaged without an edge"
             assert change is not None
             assert change.name == "operator-engaged"
-        assert not (is_engaged and (obstacle or held is not True or now is None)), "it drives against the rules"
+        assert not (is_engaged and (why_blocked or held is not True or now is None)), "it drives against the rules"
         if self.deadman.snapshot is not None and self.hand is not None:
             start = self.deadman.snapshot.start["hand"]
             self.target = deltas.followed(self.deadman.snapshot.target, start, self.hand)
@@ -200,9 +200,9 @@ class Session(RuleBasedStateMachine):
         self.hand = self.hand or poses(seed)
         self.tick(held)
 
-    @rule(held=st.booleans(), obstacle=st.sampled_from(["emergency stop", "bus lost"]))
-    def stop(self, held: bool, obstacle: str) -> None:
-        self.tick(held, obstacle=obstacle)
+    @rule(held=st.booleans(), why_blocked=st.sampled_from(["emergency stop", "bus lost"]))
+    def stop(self, held: bool, why_blocked: str) -> None:
+        self.tick(held, why_blocked=why_blocked)
 
     @invariant()
     def there_is_a_picture_exactly_while_engaged(self) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from station import rotations
-from station.operator.deltas import angle_between, flaw, followed, jump
+from station.operator.deltas import angle_between, followed, jump, why_not
 from station.operator.sample import Pose
 
 EVEN = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
@@ -93,7 +93,7 @@ def test_an_operator_who_faces_elsewhere_moves_the_target_as_one_who_does_not(
     ],
 )
 def test_a_pose_without_data_is_none(pose: Pose | None, expected: str) -> None:
-    assert flaw(pose) == expected
+    assert why_not(pose) == expected
 
 
 def raised_by(metres: float) -> Pose:

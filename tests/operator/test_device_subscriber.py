@@ -74,12 +74,12 @@ JOINTS = OperatorSample(joints=np.arange(3.0))
 
 
 def test_device_that_never_spoke_is_asked_for(one: Devices) -> None:
-    assert one.ear.hear().flaw == "nothing was ever heard of pico; is its server started?"
+    assert one.ear.hear().why_not == "nothing was ever heard of pico; is its server started?"
 
 
 def test_live_sample_is_heard_until_its_server_falls_silent(one: Devices) -> None:
     heard = one.hear_of({"pico": (PRESSED, "live")})
-    assert heard.flaw == ""
+    assert heard.why_not == ""
     assert heard.reading is not None
     assert heard.reading.controls == {"left_bumper": 1.0}
     assert heard.sample >= 1
@@ -87,13 +87,13 @@ def test_live_sample_is_heard_until_its_server_falls_silent(one: Devices) -> Non
     assert one.ear.hear().reading is not None
     one.bus.clock.sleep(2 * HEARD_S)
     assert one.ear.hear().reading is None
-    assert "pico is silent" in one.ear.hear().flaw
+    assert "pico is silent" in one.ear.hear().why_not
 
 
 def test_device_that_is_not_live_by_its_own_word_gives_nothing(one: Devices) -> None:
     one.say("pico", PRESSED, "stale")
     assert one.ear.hear().reading is None
-    assert one.ear.hear().flaw.startswith("pico is s")
+    assert one.ear.hear().why_not.startswith("pico is s")
 
 
 @pytest.mark.parametrize(("late_s", "boot", "is_of_use"), [(2.0, "", False), (0.1, "", True), (2.0, "0badb007", True)])
@@ -115,15 +115,15 @@ def test_samples_that_a_frozen_line_kept_drive_nobody_but_their_buttons_count(
     assert reading is not None
     assert reading.controls == {"left_bumper": 1.0}
     assert (reading.joints is not None) == is_of_use
-    assert (not heard.flaw) == is_of_use
-    assert is_of_use or heard.flaw.startswith("samples of pico come 2.")
+    assert (not heard.why_not) == is_of_use
+    assert is_of_use or heard.why_not.startswith("samples of pico come 2.")
 
 
 def test_value_that_is_none_is_a_flaw_and_no_crash(one: Devices) -> None:
     one.bus.publish({readings.watched_keys("pico")[0]: b"{}"})
     one.bus.clock.sleep(HEARD_S)
     assert one.ear.hear().reading is None
-    assert one.ear.hear().flaw
+    assert one.ear.hear().why_not
 
 
 def test_buttons_of_another_device_count_also_while_poses_are_lost(two: Devices) -> None:
@@ -131,10 +131,10 @@ def test_buttons_of_another_device_count_also_while_poses_are_lost(two: Devices)
     assert heard.reading is not None
     assert heard.reading.controls == {"left_bumper": 1.0}
     assert heard.reading.joints is None
-    assert heard.flaw.startswith("gello is ")
+    assert heard.why_not.startswith("gello is ")
 
 
 def test_poses_without_the_device_that_has_the_buttons_are_of_no_use(two: Devices) -> None:
     two.say("gello", JOINTS)
     assert two.ear.hear().reading is None
-    assert "gamepad" in two.ear.hear().flaw
+    assert "gamepad" in two.ear.hear().why_not

@@ -12,8 +12,8 @@ import pytest
 from station.errors import ConfigError
 from station.operator.buttons import Buttons, button_map
 from station.operator.deadman import Snapshot
-from station.operator.driver import Look
-from station.operator.driving import Driven, Driving, buttons_to_drive
+from station.operator.driver import DriverInput
+from station.operator.driving import Driving, DrivingStep, buttons_to_drive
 from station.operator.sample import OperatorSample
 from station.protocols import CommandFormat, Floats
 
@@ -24,19 +24,19 @@ class Slider:
     """A robot of one joint that goes as far as the operator's x."""
 
     name = "slider"
-    form: CommandFormat
+    command_format: CommandFormat
     is_still = True
 
     def __init__(self) -> None:
         self.target = 0.5
         self.mode = "slow"
-        self.companions: Mapping[str, Floats] = {}
+        self.auxiliary: Mapping[str, Floats] = {}
 
-    def look(self, reading: OperatorSample) -> Look:
+    def look(self, reading: OperatorSample) -> DriverInput:
         if reading.twist is None:
-            return Look(None, "nothing to slide")
+            return DriverInput(None, "nothing to slide")
         x = float(reading.twist[0])
-        return Look(x, objection="too far" if abs(x) > 3.0 else "")
+        return DriverInput(x, why_not_engage="too far" if abs(x) > 3.0 else "")
 
     def jump(self, before: float, now: float) -> str:
         return "it jumped" if abs(now - before) > 1.0 else ""
@@ -66,20 +66,20 @@ class Seat:
         self.driving = Driving(Slider(), Buttons(button_map("pico", changes)))
         self.tick(0.0)
 
-    def tick(self, x: float | None, *down: str, obstacle: str = "") -> Driven:
+    def tick(self, x: float | None, *down: str, why_blocked: str = "") -> DrivingStep:
         twist = None if x is None else np.array([x, 0.0, 0.0, 0.0, 0.0, 0.0])
         return self.driving.step(
-            OperatorSample(controls=dict.fromkeys(down, 1.0), twist=twist), TICK_S, obstacle=obstacle
+            OperatorSample(controls=dict.fromkeys(down, 1.0), twist=twist), TICK_S, why_blocked=why_blocked
         )
 
-    def release(self, x: float = 0.0) -> Driven:
+    def release(self, x: float = 0.0) -> DrivingStep:
         return [self.tick(x) for _ in range(5)][-1]
 
-    def silence(self) -> Driven:
-        return self.driving.step(None, TICK_S, obstacle="pico is stale")
+    def silence(self) -> DrivingStep:
+        return self.driving.step(None, TICK_S, why_blocked="pico is stale")
 
 
-def change(driven: Driven) -> tuple[str, str] | None:
+def change(driven: DrivingStep) -> tuple[str, str] | None:
     return None if driven.change is None else (driven.change.name, driven.change.reason)
 
 

@@ -55,14 +55,14 @@ def side(bus_server: BusAddress) -> Iterator[Side]:
 
 
 def test_robot_without_a_gate_allows_everything(side: Side) -> None:
-    assert (side.look().obstacle, side.robot.left, side.robot.used) == ("", "", None)
+    assert (side.look().why_blocked, side.robot.left, side.robot.used) == ("", "", None)
 
 
 def test_latched_stop_is_an_obstacle_until_it_is_released(side: Side) -> None:
     side.stop(True)
-    assert side.look().obstacle == "the emergency stop is latched"
+    assert side.look().why_blocked == "the emergency stop is latched"
     side.stop(False)
-    assert side.look().obstacle == ""
+    assert side.look().why_blocked == ""
 
 
 @pytest.mark.parametrize(
@@ -75,14 +75,14 @@ def test_latched_stop_is_an_obstacle_until_it_is_released(side: Side) -> None:
         ("waiting", {"arming": "armed"}, ""),
     ],
 )
-def test_state_of_the_gate_may_be_an_obstacle(side: Side, state: str, more: dict[str, Any], obstacle: str) -> None:
+def test_state_of_the_gate_may_be_an_obstacle(side: Side, state: str, more: dict[str, Any], why_blocked: str) -> None:
     side.say(state, **more)
-    assert side.look().obstacle == obstacle
+    assert side.look().why_blocked == why_blocked
 
 
 def test_server_that_fell_silent_is_an_obstacle(side: Side) -> None:
     side.say("waiting")
-    assert side.look(later_s=SILENT_S + 0.1).obstacle == "the robot's server is silent"
+    assert side.look(later_s=SILENT_S + 0.1).why_blocked == "the robot's server is silent"
 
 
 def test_robot_that_followed_and_does_so_no_more_has_left(side: Side) -> None:
@@ -95,7 +95,7 @@ def test_robot_that_followed_and_does_so_no_more_has_left(side: Side) -> None:
     assert side.look().left == ""
     side.say("returning")
     assert side.look().left == "the robot follows no more (returning: so)"
-    assert side.robot.obstacle == side.robot.left
+    assert side.robot.why_blocked == side.robot.left
     side.robot.end()
     assert side.look().left == ""
 
@@ -127,12 +127,12 @@ def test_a_fault_of_the_robot_s_controller_is_an_obstacle_and_ends_following(sid
     side.say("faulted")
     assert side.look().left == "the robot follows no more (faulted: so)"
     side.robot.end()
-    assert side.look().obstacle == "the robot's controller has a fault: so"
+    assert side.look().why_blocked == "the robot's controller has a fault: so"
 
 
 def test_a_robot_that_stays_where_it_is_has_to_say_first_where_that_is(side: Side) -> None:
-    side.robot = RobotSide(side.watch, ROBOT, SIZE, stays=True)
-    assert side.look().obstacle == "the robot has not said where it is; is its server started?"
+    side.robot = RobotSide(side.watch, ROBOT, SIZE, holds_position=True)
+    assert side.look().why_blocked == "the robot has not said where it is; is its server started?"
     side.bus.publish({keys.command_used(ROBOT): codec.f64(np.ones(SIZE))})
     wait_until(lambda: side.look().used is not None)
-    assert side.look().obstacle == ""
+    assert side.look().why_blocked == ""

@@ -20,7 +20,7 @@ from station.episode.quality.check import check
 from station.episode.reading.reader import open_episode
 from station.episode.recorder import remote
 from station.life.server import read_health
-from tests.servers.g1_station import FORM, PATIENT, G1Process, logged, publish, ticks
+from tests.servers.g1_station import FORMAT, PATIENT, G1Process, logged, publish, ticks
 from tests.waiting import wait_until
 
 HUGE = b"1" + b"0" * 400
@@ -71,11 +71,11 @@ def test_a_g1_refuses_a_command_of_huge_integers_and_follows_the_next_good_one(
         wait_until(lambda: ticks(log) > 10)
 
         def follows() -> bool:
-            publish(bus, FORM.default)
+            publish(bus, FORMAT.default)
             return log.states()[-1] == "tracking"
 
         wait_until(follows)
-        bus.publish({twist_keys.action_body(): b"[" + b", ".join([HUGE] * len(FORM.default)) + b"]"})
+        bus.publish({twist_keys.action_body(): b"[" + b", ".join([HUGE] * len(FORMAT.default)) + b"]"})
         refused = log.wait_for("refused-command")
         assert "an integer of 401 digits" in str(refused.detail)
         for number in NUMBERS:

@@ -28,7 +28,7 @@ from station.protocols import Floats
 from tests.waiting import DEADLINE_S, wait_until
 
 ROBOT = twist_keys.TWIST2_ROBOT
-FORM = registry.find("command", "twist2")
+FORMAT = registry.find("command", "twist2")
 LIGHT = ("physics_dt_s=0.002", "real_time_priority=0")
 """Half the physics, and no more of the processor than anybody else: for tests that are about neither."""
 PATIENT = (*LIGHT, "gate.hold_after_s=20.0", "gate.return_after_s=60.0", "gate.blend_in_s=0.3")
@@ -132,7 +132,7 @@ def logged(address: BusAddress) -> Iterator[Log]:
 class StockCommander:
     """What a stock TWIST2 script does, fifty times a second: plain SETs of JSON lists, nothing else."""
 
-    def __init__(self, address: BusAddress, vector: Callable[[float], Floats] = lambda time_s: FORM.default) -> None:
+    def __init__(self, address: BusAddress, vector: Callable[[float], Floats] = lambda time_s: FORMAT.default) -> None:
         self._line, self._vector = Connection(address, timeout_s=5.0), vector
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -165,7 +165,7 @@ def ticks(log: Log) -> int:
 
 def leaning(_time_s: float) -> Floats:
     """A command that no robot survives: lean back as far as is let through, and walk forward."""
-    vector = FORM.default.copy()
+    vector = FORMAT.default.copy()
     vector[[0, 4]] = 3.0, -1.3
     return np.asarray(vector)
 

@@ -42,8 +42,8 @@ class ArmAtWork:
 
     def __init__(self, address: Any) -> None:
         self.session = IdealArm()
-        form = arm_command("kassow", arm_limits.load("kassow", "kr810"))
-        self.control = ArmControl(self.session, form, gate=GateConfig(), is_armed=True)
+        command_format = arm_command("kassow", arm_limits.load("kassow", "kr810"))
+        self.control = ArmControl(self.session, command_format, gate=GateConfig(), is_armed=True)
         self._bus = Bus(address, name="arm", timeout_s=5.0)
         self._watch = self._bus.watch([keys.action_joints(ROBOT)])
         self._stop = threading.Event()

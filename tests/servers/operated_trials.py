@@ -17,7 +17,7 @@ from station.protocols import Floats
 from tests.servers.operated_station import PATIENT, TIMEOUT_S, OperatedStation
 from tests.waiting import wait_until
 
-FORM = registry.find("command", "twist2")
+FORMAT = registry.find("command", "twist2")
 X, Y, B = "left_primary", "left_secondary", "right_secondary"
 SAME = 1e-6
 _OF_DRIVING = [f"operator-{what}" for what in ("engaged", "disengaged", "mode", "exit", "refused")]
@@ -84,8 +84,10 @@ def wave_walk_and_leave(folder: Path, gate: GateConfig = PATIENT) -> Driven:
         jumps = station.restarts_at_engaging()
         assert len(jumps) == len(station.told("operator-engaged"))
         assert max(jumps) <= SAME
-        wait_until(lambda: np.abs(vectors(station)[-1] - FORM.default).max() <= SAME)  # the log may be a moment behind
-        change = np.abs(np.diff(vectors(station), axis=0)) / (FORM.rate * 0.02)
+        wait_until(
+            lambda: np.abs(vectors(station)[-1] - FORMAT.default).max() <= SAME
+        )  # the log may be a moment behind
+        change = np.abs(np.diff(vectors(station), axis=0)) / (FORMAT.rate * 0.02)
         assert change.max() <= 1.0 + SAME
         assert station.is_upright()
         states = station.log.states()

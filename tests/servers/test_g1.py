@@ -14,7 +14,7 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.redis_server import ServerOptions
 from tests.servers.g1_station import (
-    FORM,
+    FORMAT,
     LEAVING,
     LIGHT,
     PATIENT,
@@ -44,7 +44,7 @@ def test_a_stock_commander_is_followed_and_when_it_falls_silent_the_robot_stands
     assert changes[:2] == [("waiting", "entering"), ("entering", "tracking")]
     assert changes[-3:] == [("tracking", "holding"), ("holding", "returning"), ("returning", "waiting")]
     used = codec.parse_f64(log.last(keys.command_used(ROBOT)))
-    np.testing.assert_array_equal(used, FORM.default)
+    np.testing.assert_array_equal(used, FORMAT.default)
     timing = codec.parse_json_vector(log.last(keys.policy_timing(ROBOT)))
     assert timing[1] == timing[2] == 0, "a foreign writer has no sequence and no time of writing"
     assert timing[3] > 0
@@ -79,7 +79,7 @@ def test_malformed_commands_of_every_kind_are_refused_told_once_per_kind_and_sur
         wait_until(lambda: ticks(log) > before + 20)
 
         def is_good_again() -> bool:
-            publish(bus, FORM.default)  # again and again: a write within the same look as a stranger's is nobody's
+            publish(bus, FORMAT.default)  # again and again: a write within the same look as a stranger's is nobody's
             return bool(log.events("command-good-again"))
 
         wait_until(is_good_again)
@@ -101,7 +101,7 @@ def test_two_writers_of_the_command_are_an_event_that_names_both(bus_server: Bus
         with StockCommander(bus_server):
 
             def alternates() -> bool:
-                publish(bus, FORM.default)
+                publish(bus, FORMAT.default)
                 return bool(log.events("second-writer"))
 
             wait_until(alternates)

@@ -12,7 +12,7 @@ from station.contract import names_of
 from station.control.rig import RigConfig
 from station.control.tracking import TrackingError
 from station.rehearse import rehearse_all
-from tests.servers.g1_station import FORM, LIGHT, ROBOT, G1Process, Log, logged, motion_process, publish, ticks
+from tests.servers.g1_station import FORMAT, LIGHT, ROBOT, G1Process, Log, logged, motion_process, publish, ticks
 from tests.waiting import wait_until
 
 WALK = "builtin:walk-forward"
@@ -28,7 +28,7 @@ def test_in_lock_step_nothing_moves_before_the_first_command_and_then_once_per_c
         assert ticks(log) == 0
         assert len(set(log.values(keys.sim_qpos(ROBOT)))) == 1
         for number in range(1, 60):
-            publish(bus, FORM.default)
+            publish(bus, FORMAT.default)
             wait_until(lambda number=number: ticks(log) >= number)  # type: ignore[misc]
         assert log.states()[50] == "tracking", "one second is fifty ticks, however long they take"
         wait_until(lambda: log.gate()["state"] == "waiting")  # and without commands time goes on by itself
@@ -41,7 +41,7 @@ def test_the_emergency_stop_is_heard_in_lock_step_while_no_command_comes(bus_ser
         Bus(bus_server, name="anna", timeout_s=5.0) as bus,
     ):
         wait_until(lambda: log.of(keys.robot_state(ROBOT)))
-        publish(bus, FORM.default)
+        publish(bus, FORMAT.default)
         wait_until(lambda: ticks(log) == 1)
         bus.publish({keys.ESTOP: b"1"})
         wait_until(lambda: log.gate()["state"] == "stopped")
@@ -54,7 +54,7 @@ def test_a_motion_through_the_lock_step_station_gives_the_figures_of_its_rehears
         with motion_process(bus_server, f"motion={WALK}", "pace=state") as motion:
             _, err = motion.communicate(timeout=100)
             assert motion.returncode == 0, err
-    error = TrackingError(names_of(FORM.elements), registry.find("command", "twist2").joint_names)
+    error = TrackingError(names_of(FORMAT.elements), registry.find("command", "twist2").joint_names)
     for state, used, qpos, source in _steps(log):
         if codec.parse_json(source)["phase"] == "playing":
             error.add(codec.parse_f64(state)[:29], codec.parse_f64(used), codec.parse_f64(qpos)[2])

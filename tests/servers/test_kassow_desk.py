@@ -61,7 +61,7 @@ def test_a_clear_that_fails_in_a_way_that_nobody_foresaw_is_told_and_another_may
         refused = answer_to(desk, "a").refused
     assert refused.startswith(f"clearing failed: {kind.__name__}: ")
     assert "\n" not in refused
-    assert "clear-refused" in [happening.name for happening in arm.step(None).happenings]
+    assert "clear-refused" in [step_event.name for step_event in arm.step(None).step_events]
     desk.hear(request("clear", "b"))
     assert answer_to(desk, "b").refused == ""
 
@@ -127,7 +127,7 @@ def test_of_more_requests_than_can_be_answered_in_time_each_is_done_and_answered
     assert not any(refused for _, refused in told)
     record = arm.step(None)
     assert arm.bridge.get_state().throttle == int(done[-1])
-    assert [happening.name for happening in record.happenings].count("request-refused") == 1
+    assert [step_event.name for step_event in record.step_events].count("request-refused") == 1
     desk.hear(request("throttle", "later", throttle=2))
     assert answer_to(desk, "later").refused == ""
 
@@ -140,7 +140,7 @@ def test_a_clear_ends_driving_and_who_drove_has_to_let_go(arm: DrivenArm, desk: 
     assert record.decision.reason == "the controller's faults are being cleared; let go, then engage anew"
     assert answer_to(desk, "a").refused == ""
     sends = arm.bridge.get_state().stream_j_sends
-    events = [happening.name for _ in range(100) for happening in arm.drive(1).happenings]
+    events = [step_event.name for _ in range(100) for step_event in arm.drive(1).step_events]
     assert events == ["controller-cleared"]
     assert arm.bridge.get_state().stream_j_sends == sends
 

@@ -32,9 +32,9 @@ from tests import six_joints
 from tests.adapters.motions.made import smooth
 from tests.waiting import DEADLINE_S, wait_until
 
-FORM = twist2.FORMAT
-SOURCE = keys.command_source(FORM.robot)
-STATE = keys.robot_state(FORM.robot)
+FORMAT = twist2.FORMAT
+SOURCE = keys.command_source(FORMAT.robot)
+STATE = keys.robot_state(FORMAT.robot)
 RUN = """
 import json, sys
 from servers.motion import KIND, MotionConfig
@@ -84,7 +84,7 @@ class Tick:
 
     def __init__(self, values: dict[str, bytes]) -> None:
         self.values = values
-        self.command = codec.parse_json_vector(values[FORM.key], 35)
+        self.command = codec.parse_json_vector(values[FORMAT.key], 35)
         self.source = json.loads(values[SOURCE])
         self.phase: str = self.source["phase"]
 
@@ -94,13 +94,13 @@ class StandInRobot:
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
-        self._watch = bus.watch([FORM.key])
-        self._newest = self._watch.latest(FORM.key)
+        self._watch = bus.watch([FORMAT.key])
+        self._newest = self._watch.latest(FORMAT.key)
 
     def command(self, timeout_s: float = DEADLINE_S) -> Tick:
-        self._newest = self._watch.wait(FORM.key, after=self._newest, timeout_s=timeout_s)
+        self._newest = self._watch.wait(FORMAT.key, after=self._newest, timeout_s=timeout_s)
         assert self._newest is not None, "no command came"
-        samples = self._bus.read([FORM.key, SOURCE])
+        samples = self._bus.read([FORMAT.key, SOURCE])
         return Tick({key: sample.value for key, sample in samples.items()})
 
     def tick(self) -> Tick:
@@ -160,7 +160,7 @@ def finish(process: subprocess.Popen[bytes]) -> int:
 
 
 def commands(writes: Writes) -> Floats:
-    return np.array([codec.parse_json_vector(value, 35) for value, _ in writes.read().by_key[FORM.key]])
+    return np.array([codec.parse_json_vector(value, 35) for value, _ in writes.read().by_key[FORMAT.key]])
 
 
 def test_by_the_clock_a_motion_is_played_from_default_to_default(start: Start, motion: Path, writes: Writes) -> None:
@@ -168,8 +168,8 @@ def test_by_the_clock_a_motion_is_played_from_default_to_default(start: Start, m
     wait_until(lambda: writes.events("motion-end"))
     assert finish(process) == 0
     vectors = commands(writes)
-    np.testing.assert_array_equal(vectors[0], FORM.default)
-    np.testing.assert_array_equal(vectors[-1], FORM.default)
+    np.testing.assert_array_equal(vectors[0], FORMAT.default)
+    np.testing.assert_array_equal(vectors[-1], FORMAT.default)
     assert writes.events("motion-end")[0]["is_complete"] is True
     assert len(writes.events("motion-start")) == 1
     clip = load(motion)
@@ -177,7 +177,7 @@ def test_by_the_clock_a_motion_is_played_from_default_to_default(start: Start, m
     playing = [index for index, source in enumerate(sources) if source["phase"] == "playing"]
     assert len(playing) == 30  # 0.02 s to 0.6 s
     for index in playing:
-        expected = FORM.encode(clip.at(sources[index]["time_s"]), clip.joint_names)
+        expected = FORMAT.encode(clip.at(sources[index]["time_s"]), clip.joint_names)
         np.testing.assert_array_equal(vectors[index], expected)
     assert sources[playing[-1]]["time_s"] == clip.duration_s
     assert sources[playing[-1]]["frame"] == 18
@@ -187,7 +187,7 @@ def test_by_the_clock_a_motion_is_played_from_default_to_default(start: Start, m
 def test_each_tick_is_one_write_of_all_that_stock_readers_need(start: Start, writes: Writes) -> None:
     assert finish(start()) == 0
     writes.read()
-    together = [FORM.key, *FORM.companions, twist_keys.T_ACTION, SOURCE]
+    together = [FORMAT.key, *FORMAT.auxiliary, twist_keys.T_ACTION, SOURCE]
     marks = [[stamp.decode(mark) for _, mark in writes.by_key[key]] for key in together]
     for of_one_tick in zip(*marks, strict=True):
         instants = {(mark.seq, mark.mono_ns, mark.source) for mark in of_one_tick if mark is not None}
@@ -228,7 +228,7 @@ def test_in_lock_step_each_state_gets_one_frame_and_two_runs_are_equal(start: St
     assert [tick.phase for tick in first].count("playing") == 30
     assert len(first) == 1 + 10 + 29 + 15
     for one, other in zip(first, second, strict=True):
-        assert one.values[FORM.key] == other.values[FORM.key]
+        assert one.values[FORMAT.key] == other.values[FORMAT.key]
     answered = [tick.source["state_seq"] for tick in second[1:]]
     assert answered == list(range(answered[0], answered[0] + len(answered)))
 
@@ -245,7 +245,7 @@ def test_a_silent_robot_is_an_event_and_leaving_does_not_wait_for_it(
     wait_until(lambda: writes.events("robot-back"))
     process.send_signal(signal.SIGTERM)
     assert finish(process) == 0
-    np.testing.assert_array_equal(commands(writes)[-1], FORM.default)
+    np.testing.assert_array_equal(commands(writes)[-1], FORMAT.default)
 
 
 def test_ctrl_c_in_the_middle_blends_back_to_the_default(start: Start, writes: Writes) -> None:
@@ -254,7 +254,7 @@ def test_ctrl_c_in_the_middle_blends_back_to_the_default(start: Start, writes: W
     process.send_signal(signal.SIGINT)
     assert finish(process) == 0
     vectors = commands(writes)
-    np.testing.assert_array_equal(vectors[-1], FORM.default)
+    np.testing.assert_array_equal(vectors[-1], FORMAT.default)
     leaving = [json.loads(value)["phase"] for value, _ in writes.by_key[SOURCE]].count("leaving")
     assert leaving == 14  # of 15 steps: the last one is done
     assert writes.events("motion-end")[0]["is_complete"] in (True, False)
@@ -287,7 +287,7 @@ def test_an_operator_pauses_seeks_resumes_and_ends(start: Start, robot: StandInR
 
 def test_a_request_that_makes_no_sense_is_an_event(start: Start, bus: Bus, writes: Writes) -> None:
     process = start(wait_for_start=True)
-    wait_until(lambda: FORM.key in writes.read().by_key)
+    wait_until(lambda: FORMAT.key in writes.read().by_key)
     for request in (
         b"nonsense",
         b'{"action": "jump"}',
@@ -307,29 +307,29 @@ def test_a_request_that_makes_no_sense_is_an_event(start: Start, bus: Bus, write
 def test_the_stock_remote_starts_and_ends_and_an_old_signal_does_not(start: Start, bus: Bus, writes: Writes) -> None:
     bus.call("SET", twist_keys.MOTION_START_SIGNAL, "1")
     process = start(wait_for_start=True, loop=True)
-    wait_until(lambda: len(writes.read().by_key.get(FORM.key, [])) > 10)
+    wait_until(lambda: len(writes.read().by_key.get(FORMAT.key, [])) > 10)
     assert bus.get(twist_keys.MOTION_START_SIGNAL) == b"0"
     assert not writes.events("motion-start")
-    np.testing.assert_array_equal(commands(writes)[-1], FORM.default)
+    np.testing.assert_array_equal(commands(writes)[-1], FORMAT.default)
     bus.call("SET", twist_keys.MOTION_START_SIGNAL, "1")
     wait_until(lambda: writes.events("motion-start"))
     bus.call("SET", twist_keys.MOTION_EXIT_SIGNAL, "1")
     assert finish(process) == 0
-    np.testing.assert_array_equal(commands(writes)[-1], FORM.default)
+    np.testing.assert_array_equal(commands(writes)[-1], FORMAT.default)
 
 
 def test_a_second_writer_is_an_event_when_it_comes_and_when_it_is_gone(start: Start, bus: Bus, writes: Writes) -> None:
     process = start(wait_for_start=True)
-    wait_until(lambda: FORM.key in writes.read().by_key)
+    wait_until(lambda: FORMAT.key in writes.read().by_key)
 
     def rival_is_seen() -> bool:
-        bus.call("SET", FORM.key, b"[0.0]")
+        bus.call("SET", FORMAT.key, b"[0.0]")
         return bool(writes.events("second-writer"))
 
     wait_until(rival_is_seen)
     wait_until(lambda: len(writes.events("second-writer")) > 1)
     came, gone = writes.events("second-writer")
-    assert (came["key"], came["writers"]) == (FORM.key, ["foreign"])
+    assert (came["key"], came["writers"]) == (FORMAT.key, ["foreign"])
     assert gone["ended"] is True
     process.send_signal(signal.SIGTERM)
     assert finish(process) == 0
@@ -340,7 +340,7 @@ def test_a_motion_that_cannot_be_read_ends_the_server_before_it_commands_anythin
 ) -> None:
     assert finish(start(motion=str(tmp_path / "absent.pkl"))) != 0
     assert b"absent.pkl: no such file" in (tmp_path / "stderr").read_bytes()
-    assert bus.get(FORM.key) is None
+    assert bus.get(FORMAT.key) is None
 
 
 def test_without_a_display_a_preview_is_a_rerun_file(
@@ -377,15 +377,17 @@ def test_an_error_in_the_middle_still_ends_in_the_default(bus: Bus, writes: Writ
     config = MotionConfig(motion="torn.npz", enter_s=0.1, leave_s=0.2)
     life = Life(KIND, "motion", bus, "")
     try:
-        with bus.watch([FORM.key]) as watch, pytest.raises(RuntimeError, match="torn"):
-            Player(config, life, BrokenWalk(smooth(frames=19)), FORM, watch).run()
+        with bus.watch([FORMAT.key]) as watch, pytest.raises(RuntimeError, match="torn"):
+            Player(config, life, BrokenWalk(smooth(frames=19)), FORMAT, watch).run()
     finally:
         life.end("test")
     assert writes.events("motion-error")[0]["reason"] == "RuntimeError: the clip is torn"
     vectors = commands(writes)
-    np.testing.assert_array_equal(vectors[-1], FORM.default)
+    np.testing.assert_array_equal(vectors[-1], FORMAT.default)
     leaving = vectors[-11:]  # 0.2 s: ten equal steps from the last good vector
-    np.testing.assert_allclose(np.diff(leaving, axis=0), np.tile((FORM.default - leaving[0]) / 10, (10, 1)), atol=1e-9)
+    np.testing.assert_allclose(
+        np.diff(leaving, axis=0), np.tile((FORMAT.default - leaving[0]) / 10, (10, 1)), atol=1e-9
+    )
 
 
 def test_what_rests_where_it_is_has_no_pose_to_begin_a_motion_from(monkeypatch: pytest.MonkeyPatch) -> None:

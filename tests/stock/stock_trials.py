@@ -44,10 +44,10 @@ def gate(bus: Bus) -> str:
 
 def clip(name: str, seconds: float) -> list[list[float]]:
     """The commands of a motion as lists, one period ahead as stock samples it; no blend at either end."""
-    form: CommandFormat = registry.find("command", "twist2")
+    command_format: CommandFormat = registry.find("command", "twist2")
     motion: Motion = registry.find("loader", "motion")(name)
     times = 0.02 * (1 + np.arange(int(seconds / 0.02)))
-    return [form.encode(motion.at(float(time_s)), motion.joint_names).tolist() for time_s in times]
+    return [command_format.encode(motion.at(float(time_s)), motion.joint_names).tolist() for time_s in times]
 
 
 class Follower:

@@ -32,7 +32,7 @@ class Lost:
 def lose(rig: Rig, motion: Motion, at_s: float) -> Lost:
     """Enter a motion two seconds before an instant of it [s]; nothing is sent after that instant."""
     assert isinstance(rig.robot, SimulatedRobot)
-    form, period_s = rig.form, rig.period_s
+    command_format, period_s = rig.command_format, rig.period_s
     rig.policy.reset()
     rig.robot.reset()
     control, sample, places, speed = rig.control(), None, [], 0.0
@@ -40,7 +40,7 @@ def lose(rig: Rig, motion: Motion, at_s: float) -> Lost:
     for tick in range(round((enter_s + AFTER_S) / period_s)):
         now_s = tick * period_s
         if now_s <= enter_s:
-            command = form.encode(motion.at(at_s - enter_s + now_s + period_s), motion.joint_names)
+            command = command_format.encode(motion.at(at_s - enter_s + now_s + period_s), motion.joint_names)
             sample, speed = CommandSample(codec.json_vector(command), arrived_s=now_s), float(np.hypot(*command[:2]))
             places.clear()
         record = control.step(control.sense(), sample, now_s)

@@ -9,8 +9,8 @@ import pytest
 from station.control.rig import RigConfig
 from station.suite import table
 from station.suite.judge import failure, judge
-from station.suite.outcome import Drift, Fell, Outcome
-from station.suite.run import Evaluated
+from station.suite.outcome import Drift, FallOutcome, Outcome
+from station.suite.run import PolicyEvaluation
 
 
 def outcome(**changes: Any) -> Outcome:
@@ -21,11 +21,11 @@ def outcome(**changes: Any) -> Outcome:
     return Outcome(**{**plain, **changes})
 
 
-def fell(at_s: float, *contacts: str) -> Fell:
-    return Fell(at_s=at_s, lean_rad=1.1, contacts=contacts, gate="returning")
+def fell(at_s: float, *contacts: str) -> FallOutcome:
+    return FallOutcome(at_s=at_s, lean_rad=1.1, contacts=contacts, gate="returning")
 
 
-def stood(end_m: float, greatest_m: float, *falls: Fell, turned: float = 0.0) -> Outcome:
+def stood(end_m: float, greatest_m: float, *falls: FallOutcome, turned: float = 0.0) -> Outcome:
     drift = None if falls else Drift(end_m=end_m, greatest_m=greatest_m, yaw_rad=turned)
     return outcome(group="stand", joint_error_rad=None, drift=drift, falls=falls)
 
@@ -74,8 +74,8 @@ def test_a_group_is_summed_up_with_its_worst_case() -> None:
     assert [found.case for found in gate.failures] == ["late", "early"]
 
 
-def evaluated(label: str, *outcomes: Outcome) -> Evaluated:
-    return Evaluated(label=label, rig=RigConfig(), cases=list(outcomes), groups=judge(outcomes))
+def evaluated(label: str, *outcomes: Outcome) -> PolicyEvaluation:
+    return PolicyEvaluation(label=label, rig=RigConfig(), cases=list(outcomes), groups=judge(outcomes))
 
 
 def test_policies_stand_below_each_other_by_group_and_only_the_first_is_judged() -> None:

@@ -40,7 +40,7 @@ def test_a_clip_goes_as_it_does_in_a_rehearsal_bit_for_bit() -> None:
     outcome = run_case(Track(group="track", seconds=8.0, clip="builtin:reach-left"), TRACKER)
     rig = build(TRACKER)
     clip = registry.find("loader", "motion")("builtin:reach-left")
-    alone = rehearse(clip, rig.policy, rig.robot, rig.form, period_s=rig.period_s)
+    alone = rehearse(clip, rig.policy, rig.robot, rig.command_format, period_s=rig.period_s)
     assert outcome.falls == ()
     assert outcome.joint_error_rad == alone.mean_joint_error_rad
     assert outcome.simulated_s == alone.seconds

@@ -17,7 +17,7 @@ from station.bus import codec, keys, stamp
 from station.life.writer_conflict import FOREIGN
 from station.protocols import Floats
 from tests.control.ideal_robot import Obedient
-from tests.virtual.station import FORM, Tick
+from tests.virtual.station import FORMAT, Tick
 
 EPSILON = 1e-9
 HOLD_AFTER_S, STALE_AFTER_S, FADE_S, SILENT_S = 0.1, 0.25, 0.2, 0.3
@@ -63,7 +63,7 @@ class Bus:
     """
 
     def __init__(self, journal: list[tuple[int, bytes, bytes | None]]) -> None:
-        key, mark_key = FORM.key.encode(), keys.stamp(FORM.key).encode()
+        key, mark_key = FORMAT.key.encode(), keys.stamp(FORMAT.key).encode()
         self.commands: list[Write] = []
         self.stops: list[float] = []
         self.releases: list[float] = []
@@ -104,7 +104,7 @@ def _stops(value: bytes) -> bool:
 
 def _command(done_s: float, value: bytes, mark: bytes | None) -> Write:
     try:
-        vector = codec.parse_json_vector(value, len(FORM.default))
+        vector = codec.parse_json_vector(value, len(FORMAT.default))
     except codec.BadValue:
         vector = None
     found = stamp.decode(mark) if mark else None
@@ -160,13 +160,13 @@ class Judge:
     def _rates(self) -> Iterator[Complaint]:
         """No element of the command moves faster than its rate, but where a released robot starts anew."""
         for before, tick in pairwise(self._ticks):
-            most = FORM.rate * min(tick.now_s - before.now_s, LONGEST_TICK_S) + EPSILON
+            most = FORMAT.rate * min(tick.now_s - before.now_s, LONGEST_TICK_S) + EPSILON
             if not _is_released(before, tick) and (np.abs(tick.vector - before.vector) > most).any():
                 yield before, tick, "an element moves faster than its rate"
 
     def _freshness(self) -> Iterator[Complaint]:
         """Only what is in time moves the robot, and velocities end soon after the last of it."""
-        blend = [FORM.default]  # where the present blend began, and what came of it until now
+        blend = [FORMAT.default]  # where the present blend began, and what came of it until now
         idle_s = 0.0
         for before, tick in pairwise(self._ticks):
             usable = self._usable(tick.now_s)
@@ -176,15 +176,15 @@ class Judge:
                 continue
             if usable:
                 idle_s = 0.0
-                if not _within(tick.vector, [*blend, FORM.default, *(write.vector for write in usable)]):
+                if not _within(tick.vector, [*blend, FORMAT.default, *(write.vector for write in usable)]):
                     yield before, tick, f"none of the {len(usable)} commands in time asks for this"
                 continue
             idle_s += min(tick.now_s - before.now_s, COUNTED_S)
             if tick.state in FOLLOWS:
                 yield before, tick, "follows, and no command is in time"
-            if (np.abs(tick.vector - FORM.default) > np.abs(before.vector - FORM.default) + EPSILON).any():
+            if (np.abs(tick.vector - FORMAT.default) > np.abs(before.vector - FORMAT.default) + EPSILON).any():
                 yield before, tick, "a joint moves away from standing, and no command is in time"
-            if idle_s > FADE_S + LATE_TICK_S and tick.vector[list(FORM.velocities)].any():
+            if idle_s > FADE_S + LATE_TICK_S and tick.vector[list(FORMAT.velocities)].any():
                 yield before, tick, f"velocities, {idle_s:.3f} s after the last command in time"
 
     def _hands(self) -> Iterator[Complaint]:

@@ -43,7 +43,7 @@ from tests.control.ideal_robot import IdealRobot, IdealSimulation, Obedient
 from tests.virtual.clock import Process, VirtualClock
 from tests.virtual.network import Network
 
-FORM: CommandFormat = registry.find("command", "twist2")
+FORMAT: CommandFormat = registry.find("command", "twist2")
 RATE_HZ = 50.0
 PERIOD_S = 1.0 / RATE_HZ
 ELSEWHERE = "ffffffff"  # boot of another machine
@@ -131,17 +131,17 @@ class ControlledRobot:
         robot = (IdealSimulation if self._is_simulated else IdealRobot)(clock.monotonic_ns)
         policy = Thinking(clock, self._thinks_s)
         control = self.control = LoggedControl(
-            robot, policy, FORM, gate=self.gate, is_armed=self._is_simulated, clock=clock, ticks=self.ticks
+            robot, policy, FORMAT, gate=self.gate, is_armed=self._is_simulated, clock=clock, ticks=self.ticks
         )
         life._supervisor_pipe = _NoSupervisor()
         with LowLevelLoop(
             life,
             control,
-            state_values=lambda state: {keys.robot_state(FORM.robot): codec.f64(state.q)},
-            result_values=lambda record, answer: result_values(FORM.robot, record, control.commanded, answer),
+            state_values=lambda state: {keys.robot_state(FORMAT.robot): codec.f64(state.q)},
+            result_values=lambda record, answer: result_values(FORMAT.robot, record, control.commanded, answer),
             period_s=PERIOD_S,
         ) as loop:
-            life.configured({"server": life.name, "robot": FORM.robot})
+            life.configured({"server": life.name, "robot": FORMAT.robot})
             if life.ready():
                 self.life = life
                 loop.run_at(Rate(RATE_HZ, life.clock))
@@ -209,7 +209,7 @@ class Walk:
     fps: float = 50.0
 
     def at(self, time_s: float) -> Reference:
-        q = FORM.default[6:].copy()
+        q = FORMAT.default[6:].copy()
         q[3], q[9] = (0.4 + self.swing_rad * math.sin(3.0 * time_s + phase) for phase in (0.0, math.pi))
         return Reference(
             root_pos=np.array([0.0, 0.0, 0.78]), root_quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]),
@@ -221,7 +221,7 @@ class Walk:
 
     def vector(self, time_s: float) -> Floats:
         """Return the command at a time."""
-        return FORM.encode(self.at(time_s), self.joint_names)
+        return FORMAT.encode(self.at(time_s), self.joint_names)
 
 
 @dataclass
@@ -265,11 +265,11 @@ def _motion(network: Network, commander: Commander, name: str) -> None:
 
     def main(config: NoConfig, life: Life) -> int:
         commander.life.append(life)
-        watched = [FORM.key, keys.MOTION_CONTROL, twist_keys.MOTION_START_SIGNAL, twist_keys.MOTION_EXIT_SIGNAL,
-                   *StopWatch.watched(FORM.robot)]  # fmt: skip
+        watched = [FORMAT.key, keys.MOTION_CONTROL, twist_keys.MOTION_START_SIGNAL, twist_keys.MOTION_EXIT_SIGNAL,
+                   *StopWatch.watched(FORMAT.robot)]  # fmt: skip
         with life.bus.watch(watched) as watch:
             if life.ready():
-                Player(MotionConfig(motion="walk", enter_s=0.2, leave_s=0.3), life, commander.walk, FORM, watch).run()
+                Player(MotionConfig(motion="walk", enter_s=0.2, leave_s=0.3), life, commander.walk, FORMAT, watch).run()
         return 0
 
     _serve(kind("motion", "command", main), network.address(), name)
@@ -280,12 +280,12 @@ def _teleop(network: Network, commander: Commander, name: str) -> None:
 
     def main(config: NoConfig, life: Life) -> int:
         commander.life.append(life)
-        writer = CommandWriter(life, FORM, device="pad", driver="walk")
+        writer = CommandWriter(life, FORMAT, device="pad", driver="walk")
         if not life.ready():
             return 0
         pace, time_s = WallPace(RATE_HZ, life.clock), 0.0
         while not life.stopping:
-            writer.write(commander.walk.vector(time_s), FORM.companions, DeviceSample(None), engaged=True)
+            writer.write(commander.walk.vector(time_s), FORMAT.auxiliary, DeviceSample(None), engaged=True)
             life.report(**pace.health())
             time_s += pace.wait(is_leaving=False)
         return 0
@@ -302,7 +302,7 @@ def _plain(network: Network, commander: Commander, mark: Callable[[int], list[by
         value = codec.json_vector(commander.walk.vector(clock.monotonic_s() - began_s))
         try:
             line = line or Connection(network.address(), timeout_s=5.0)
-            line.call("MSET", FORM.key, value, *mark(count))
+            line.call("MSET", FORMAT.key, value, *mark(count))
         except BusError:
             line = None
         clock.sleep(PERIOD_S)
@@ -321,7 +321,7 @@ def _elsewhere(network: Network, commander: Commander, name: str) -> None:
 
     def mark(count: int) -> list[bytes]:
         made = stamp.Stamp(count, clock.monotonic_ns() // 7, clock.wall_ns(), f"{name}.1.{ELSEWHERE}.n")
-        return [keys.stamp(FORM.key).encode(), made.encode()]
+        return [keys.stamp(FORMAT.key).encode(), made.encode()]
 
     _plain(network, commander, mark)
 

@@ -17,7 +17,7 @@ from station.errors import NotReady, Refused
 from station.life import arm_request
 from tests.virtual.clock import VirtualClock
 from tests.virtual.network import Network
-from tests.virtual.station import FORM, Commander, ControlledRobot, Walk, commander, events
+from tests.virtual.station import FORMAT, Commander, ControlledRobot, Walk, commander, events
 
 STOP = b'{"stop": true, "who": "ada", "reason": "smoke"}'
 
@@ -34,7 +34,7 @@ def writes(clock: VirtualClock, network: Network, value: bytes) -> Callable[[], 
     def run() -> None:
         with Bus(network.address(), name="script") as bus:
             while not ended:
-                bus.publish({FORM.key: value})
+                bus.publish({FORMAT.key: value})
                 clock.sleep(0.02)
 
     clock.spawn(run, "script")
@@ -75,7 +75,7 @@ def test_arming_ramps_the_stiffness_up_over_two_seconds_and_is_told(
 def test_arming_is_refused_while_commands_come_that_are_not_valid(
     clock: VirtualClock, network: Network, bus: Bus, disarmed: ControlledRobot
 ) -> None:
-    bad = FORM.default.copy()
+    bad = FORMAT.default.copy()
     bad[7] = 9.0
     writes(clock, network, codec.json_vector(bad))
     clock.until(lambda: is_refused(disarmed, 5))

@@ -17,7 +17,7 @@ from station.life.events import Event
 from tests.examples import some
 from tests.virtual.clock import VirtualClock
 from tests.virtual.network import Network
-from tests.virtual.station import FORM, ControlledRobot, Walk, commander, events, states
+from tests.virtual.station import FORMAT, ControlledRobot, Walk, commander, events, states
 from tests.virtual.trial import alone
 
 FIRST, SECOND = Walk(0.5, 0.1), Walk(-0.4, 0.3)
@@ -35,7 +35,7 @@ def follows(robot: ControlledRobot, walk: Walk) -> bool:
 def begin_between(clock: VirtualClock, network: Network, what: str) -> None:
     """Start a second commander that writes half a period after the first: who is overwritten at once is held."""
     written = len(network.server.journal)
-    clock.until(lambda: any(key == FORM.key.encode() for _, key, _ in network.server.journal[written:]))
+    clock.until(lambda: any(key == FORMAT.key.encode() for _, key, _ in network.server.journal[written:]))
     clock.sleep(0.007)
     commander(network, "second", what, SECOND)
 
@@ -157,7 +157,7 @@ def test_commands_that_a_frozen_line_kept_move_nothing_when_it_goes_on(
     clock.until(lambda: events(network, "refused-command"))
     clock.sleep(0.5)
     assert set(states(robot, seen)) == {"waiting"}
-    assert all(np.array_equal(tick.vector, FORM.default) for tick in robot.ticks[seen:])
+    assert all(np.array_equal(tick.vector, FORMAT.default) for tick in robot.ticks[seen:])
     assert events(network, "refused-command")[0].detail["reason"].startswith("stale: written ")
     commander(network, "second", "teleop", SECOND)
     clock.until(lambda: follows(robot, SECOND))
@@ -165,7 +165,7 @@ def test_commands_that_a_frozen_line_kept_move_nothing_when_it_goes_on(
 
 
 def test_a_command_left_over_from_another_time_moves_nothing(clock: VirtualClock, network: Network, bus: Bus) -> None:
-    bus.publish({FORM.key: codec.json_vector(FIRST.vector(0.0))})
+    bus.publish({FORMAT.key: codec.json_vector(FIRST.vector(0.0))})
     robot = ControlledRobot(network)
     clock.sleep(1.0)
     assert set(states(robot)) == {"waiting"}

@@ -20,7 +20,7 @@ from station.life.stop_button import StopButton
 from tests.virtual.clock import VirtualClock
 from tests.virtual.judge import Bus, Judge
 from tests.virtual.network import Network
-from tests.virtual.station import COMMANDERS, FORM, Commander, ControlledRobot, Walk, ask, commander, request_to
+from tests.virtual.station import COMMANDERS, FORMAT, Commander, ControlledRobot, Walk, ask, commander, request_to
 
 SETTLED_S = 0.6
 """After a disturbance is over: so long until the robot's server hears everything again [s]."""
@@ -150,7 +150,7 @@ class Trial:
 
     def _garbage(self) -> None:
         value = self._rng.choice([b"", b"nonsense", b"[1e400]", b"[" + b"9" * 400 + b"]", codec.json_vector([0.0] * 3)])
-        self._raw("garbage", ["SET", FORM.key, value])
+        self._raw("garbage", ["SET", FORMAT.key, value])
 
     # -- what happens to bus and robot -------------------------------------------------------------------------------
     def _freeze_robots_line(self) -> None:

@@ -10,14 +10,14 @@ import msgspec
 
 from adapters.exports.lerobot.plan import ACTION, AGE, STATE, TIME, Plan
 from station.export.columns import KeyColumns, unique_names
-from station.export.kind import LeftOut, Shard
+from station.export.kind import Shard, SkippedEpisode
 from station.export.resample import RULES, rule_of
 from station.software import software
 
 _MOST_ROWS = 200  # of a table; a card of thousands of episodes is read by nobody, and all stand in station.json
 
 
-def provenance(shards: Sequence[Shard], left_out: Sequence[LeftOut], plan: Plan) -> dict[str, Any]:
+def provenance(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan) -> dict[str, Any]:
     """Return where every episode comes from, what was left out and why, and the plan."""
     return {
         "software": msgspec.to_builtins(software()),
@@ -36,7 +36,7 @@ def provenance(shards: Sequence[Shard], left_out: Sequence[LeftOut], plan: Plan)
     }
 
 
-def text(shards: Sequence[Shard], left_out: Sequence[LeftOut], plan: Plan, info: dict[str, Any]) -> str:
+def text(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan, info: dict[str, Any]) -> str:
     """Return the card."""
     length = f"{_counted(info['total_episodes'], 'episode')}, {info['total_frames'] / plan.fps / 60:.1f} minutes"
     parts = [
@@ -134,7 +134,7 @@ def _episode_row(number: int, shard: Shard, plan: Plan) -> tuple[str, ...]:
     return str(number), shard.source.episode_id, seconds, ends, hashes, policy, _safe("; ".join(remarks))
 
 
-def _left_out_text(left_out: Sequence[LeftOut]) -> str:
+def _left_out_text(left_out: Sequence[SkippedEpisode]) -> str:
     if not left_out:
         return "## Left out\n\nNothing.\n"
     rows = [(each.source.episode_id, _safe(each.reason)) for each in left_out[:_MOST_ROWS]]

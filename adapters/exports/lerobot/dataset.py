@@ -14,13 +14,13 @@ import msgspec
 import numpy as np
 
 from adapters.exports.lerobot import card, parquet, stats
-from adapters.exports.lerobot.episode import ROWS, STATS, Measured
+from adapters.exports.lerobot.episode import ROWS, STATS, EpisodeStats
 from adapters.exports.lerobot.features import INDEX, info
 from adapters.exports.lerobot.layouts import Episode, Layout, layout_of, write_json
 from adapters.exports.lerobot.parquet import Columns
 from adapters.exports.lerobot.plan import IMAGES, Common, Plan
 from station.errors import EpisodeError
-from station.export.kind import LeftOut, Shard
+from station.export.kind import Shard, SkippedEpisode
 
 _TOLD = 3  # episodes of a note that are named
 _CUT_S = 1.0  # without rows at the ends of an episode, that whoever exports is told of [s] ...
@@ -40,7 +40,7 @@ _SCALED = "scaled_"
 _LANGUAGE = "human.task_description"
 
 
-def join(shards: Sequence[Shard], left_out: Sequence[LeftOut], plan: Plan, folder: Path) -> dict[str, Any]:
+def join(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan, folder: Path) -> dict[str, Any]:
     """Make the data set of shards, one of them in memory at a time.
 
     Raises:
@@ -123,7 +123,7 @@ class _Totals:
         self.columns: dict[str, stats.Totals] = {}
         self.pictures: dict[str, stats.PixelCounts] = {}
 
-    def know(self, measured: Measured, index: Mapping[str, stats.Stats]) -> None:
+    def know(self, measured: EpisodeStats, index: Mapping[str, stats.Stats]) -> None:
         for column, found in {**measured.columns, **index}.items():
             self.columns.setdefault(column, stats.Totals()).know(found)
         for column, counted in measured.pictures.items():
@@ -181,8 +181,8 @@ def _with_stats(episode: Episode, shard: Shard, fps: int) -> Episode:
     return dataclasses.replace(episode, stats=found)
 
 
-def _measured(shard: Shard) -> Measured:
-    return msgspec.json.decode((shard.folder / STATS).read_bytes(), type=Measured)
+def _measured(shard: Shard) -> EpisodeStats:
+    return msgspec.json.decode((shard.folder / STATS).read_bytes(), type=EpisodeStats)
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.manifest import Manifest
 from station.export import tracks
 from station.export.columns import KeyColumns
-from station.export.kind import Made, Source
+from station.export.kind import ShardResult, Source
 from station.export.resample import Column, Table, ages_s, resample
 from station.protocols import Floats, Floats32
 
@@ -28,14 +28,14 @@ ROWS = "rows.parquet"
 STATS = "stats.json"
 
 
-class Measured(msgspec.Struct, frozen=True):
+class EpisodeStats(msgspec.Struct, frozen=True):
     """What stands in `STATS`: statistics by column, and by picture column what `stats.PixelCounts` takes."""
 
     columns: dict[str, stats.Stats]
     pictures: dict[str, dict[str, Any]]
 
 
-def convert(source: Source, plan: Plan, folder: Path) -> Made:
+def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
     """Write the shard of an episode.
 
     Raises:
@@ -55,7 +55,7 @@ def convert(source: Source, plan: Plan, folder: Path) -> Made:
         TIME: table.ticks_ns,
     }
     parquet.write(folder / ROWS, parquet.table(columns))
-    measured = Measured(
+    measured = EpisodeStats(
         columns={name: stats.of_rows(values) for name, values in columns.items()},
         pictures={camera.column: encoded[camera.key].pixels.plain() for camera in common.cameras},
     )
@@ -70,7 +70,7 @@ def convert(source: Source, plan: Plan, folder: Path) -> Made:
         "skipped": dict(tracks.skipped(recorded)),
         **provenance(reader),
     }
-    return Made(seconds=len(table.ticks_ns) / plan.fps, rows=len(table.ticks_ns), facts=facts)
+    return ShardResult(seconds=len(table.ticks_ns) / plan.fps, rows=len(table.ticks_ns), facts=facts)
 
 
 def task_of(manifest: Manifest) -> str:

@@ -11,7 +11,7 @@ from msgspec import Meta
 from adapters.exports.lerobot import plan as plans
 from adapters.exports.lerobot.codec import Codec
 from adapters.exports.lerobot.plan import Layout, Plan
-from station.export.kind import ExportOptions, LeftOut, Made, Shard, Source
+from station.export.kind import ExportOptions, Shard, ShardResult, SkippedEpisode, Source
 
 NO_CAMERA = "none"
 
@@ -52,7 +52,7 @@ class LeRobotOptions(ExportOptions, frozen=True, kw_only=True, forbid_unknown_fi
 
 def prepare(sources: Sequence[Source], options: LeRobotOptions) -> Plan:
     """Return what all episodes of the data set have in common; see `ExportKind.prepare`."""
-    wish = plans.Wish(
+    wish = plans.PlanRequest(
         state=options.state,
         action=options.action,
         cameras=() if options.camera == (NO_CAMERA,) else options.camera or None,
@@ -84,14 +84,14 @@ def look(source: Source, plan: Plan) -> list[str]:
     return episode.look(source, plan)
 
 
-def convert(source: Source, plan: Plan, folder: Path) -> Made:
+def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
     """Write rows and video of one episode; see `ExportKind.convert`."""
     from adapters.exports.lerobot import episode
 
     return episode.convert(source, plan, folder)
 
 
-def join(shards: Sequence[Shard], left_out: Sequence[LeftOut], plan: Plan, folder: Path) -> dict[str, Any]:
+def join(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan, folder: Path) -> dict[str, Any]:
     """Make the data set; see `ExportKind.join`."""
     from adapters.exports.lerobot import dataset
 

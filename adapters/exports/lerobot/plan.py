@@ -99,7 +99,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     common: Common
 
 
-class Wish(msgspec.Struct, frozen=True, kw_only=True):
+class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
     """What was asked for: keys, empty for the defaults; cameras, None for all there are; least verdict."""
 
     state: tuple[str, ...] = ()
@@ -108,7 +108,7 @@ class Wish(msgspec.Struct, frozen=True, kw_only=True):
     min_quality: MinQuality = "any"
 
 
-def common(sources: Sequence[Source], wish: Wish) -> Common:
+def common(sources: Sequence[Source], wish: PlanRequest) -> Common:
     """Return what the data set is made of, by the first episode that is good enough and has all that is asked for.
 
     Raises:
@@ -185,7 +185,7 @@ def cameras_of(reader: EpisodeReader, names: Sequence[str]) -> dict[str, str]:
     return {name: found[name] for name in names}
 
 
-def _of(reader: EpisodeReader, wish: Wish) -> Common:
+def _of(reader: EpisodeReader, wish: PlanRequest) -> Common:
     robot = "" if wish.state and wish.action else robot_of(reader)
     _expect_defaults(reader, wish, robot)
     parts = moving_parts(reader, robot) if robot else []
@@ -209,7 +209,7 @@ def _of(reader: EpisodeReader, wish: Wish) -> Common:
     )
 
 
-def _expect_defaults(reader: EpisodeReader, wish: Wish, robot: str) -> None:
+def _expect_defaults(reader: EpisodeReader, wish: PlanRequest, robot: str) -> None:
     """Refuse an episode without the default keys, such as one of stock scripts, and name the keys that it has."""
     topics = reader.topics()
     sides = (("--state", wish.state, state_key(robot, topics), "state"),

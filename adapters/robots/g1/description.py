@@ -24,9 +24,11 @@ def describe(robot: str) -> RobotDescription | None:
     return _described(robot, driven_by_policy()) if robot in _STOCK else None
 
 
-def of_server(form: CommandFormat) -> RobotDescription:
+def of_server(command_format: CommandFormat) -> RobotDescription:
     """Return the description of a G1 whose policy takes a command."""
-    return _described(form.robot, (command_stream(form), *driven_by_policy(form.elements)))
+    return _described(
+        command_format.robot, (command_stream(command_format), *driven_by_policy(command_format.elements))
+    )
 
 
 def _described(robot: str, driven: tuple[Contract, ...]) -> RobotDescription:

@@ -85,9 +85,9 @@ class KordSession:
         state = self._newest = self._bridge.get_state()
         if state.profile != self._profile.name:  # the bridge takes up what was chosen when the arm stands
             self._profile = self._kord.PROFILES.get(state.profile, self._profile)
-        obstacle = beyond_reach(state.q, self._limits, self.lead_rad)
+        why_blocked = beyond_reach(state.q, self._limits, self.lead_rad)
         return ArmState(
-            time.monotonic_ns(), state.q, state.is_moving, state.is_engaged, fault_of(state), obstacle, state
+            time.monotonic_ns(), state.q, state.is_moving, state.is_engaged, fault_of(state), why_blocked, state
         )
 
     def engage(self) -> str:

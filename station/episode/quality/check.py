@@ -49,7 +49,7 @@ def check(reader: EpisodeReader, book: RuleBook | None = None) -> Quality:
     A torn or unfinished file is measured as far as it goes.
     """
     rules = book or rule_file.shipped()
-    quality = _assemble(reader, Measuring(reader))
+    quality = _assemble(reader, Measurements(reader))
     quality.not_judged = timing.not_judged(quality)
     quality.verdict, quality.reasons = judge(quality, rules.limits)
     quality.rules = list(rules.files)
@@ -91,7 +91,7 @@ def _paces_by_state(facts: Mapping[str, Any]) -> bool:
     )
 
 
-def _assemble(reader: EpisodeReader, measured: Measuring) -> Quality:
+def _assemble(reader: EpisodeReader, measured: Measurements) -> Quality:
     manifest, flags, drops = reader.manifest, reader.manifest.quality_flags, reader.drops()
     counter, start_ns = measured.counter, measured.start_ns
     streams, commands = counter.streams(start_ns, drops, measured.ends), list(counter.commands())
@@ -127,7 +127,7 @@ def _assemble(reader: EpisodeReader, measured: Measuring) -> Quality:
     )
 
 
-def _told(measured: Measuring, manifest: Manifest) -> dict[str, Any]:
+def _told(measured: Measurements, manifest: Manifest) -> dict[str, Any]:
     """Return what follows from events: falls, stops, interruptions."""
     names = Counter(str(event.get("name", "")) for _, event in measured.events)
     reported = [_fall(at_s, event) for at_s, event in measured.events if event.get("name") == "fall"]
@@ -170,7 +170,7 @@ def _fall(at_s: float, event: Mapping[str, Any]) -> FallSeen:
     )
 
 
-class Measuring:
+class Measurements:
     """The meters of an episode after they were fed with all of it.
 
     Attributes:

@@ -40,7 +40,7 @@ class End(NamedTuple):
     reason: str
 
 
-class Spoken(NamedTuple):
+class WriteTimes(NamedTuple):
     """When one source wrote one command key [ns since the epoch], sorted."""
 
     key: str
@@ -88,12 +88,12 @@ def spans(times: Ints, paused: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(begin), int(finish)) for begin, finish in zip(begins, finishes, strict=True)]
 
 
-def find(spoken: Iterable[Spoken], ends: Sequence[End]) -> list[Span]:
+def find(spoken: Iterable[WriteTimes], ends: Sequence[End]) -> list[Span]:
     """Return when a robot had no commands because their writer had ended them, until anybody commanded again.
 
     What ended for good is no pause. Keys that fell silent with one end are one pause, of the longest of them.
     """
-    by_key: dict[str, list[Spoken]] = defaultdict(list)
+    by_key: dict[str, list[WriteTimes]] = defaultdict(list)
     for one in spoken:
         by_key[one.key].append(one)
     found: dict[End, Span] = {}
@@ -120,7 +120,7 @@ def described(spans: Iterable[Span], start_ns: int) -> list[CommandPause]:
     ]
 
 
-def _of_key(group: Sequence[Spoken], ends: Iterable[End]) -> dict[End, tuple[int, int]]:
+def _of_key(group: Sequence[WriteTimes], ends: Iterable[End]) -> dict[End, tuple[int, int]]:
     """Return the pause of one key after each end that had one [ns since the epoch]."""
     times = np.concatenate([one.times for one in group])
     writers = np.repeat(np.arange(len(group)), [len(one.times) for one in group])

@@ -42,38 +42,38 @@ class Rule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
                 raise ValueError(f"the limit for usable, {usable:g}, lies above the one for reject, {reject:g}")
 
 
-class Graded(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class GradedRule(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A rule that says usable or reject by itself; `verdict` is the worst that it may say."""
 
 
-class Losses(Graded, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Losses(GradedRule, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Any is usable; more than this share, 0..1, is not."""
 
     reject_above_share: float
 
 
-class Shares(Graded, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Shares(GradedRule, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Limits of a share, 0..1."""
 
     usable_above_share: float
     reject_above_share: float
 
 
-class Seconds(Graded, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Seconds(GradedRule, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Limits of a time [s]."""
 
     usable_above_s: float
     reject_above_s: float
 
 
-class Ends(Graded, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Ends(GradedRule, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Limits of what is missing at an end of the episode: usable above a time [s], not above a share of it, 0..1."""
 
     usable_above_s: float
     reject_above_share: float
 
 
-class Angles(Graded, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Angles(GradedRule, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Limits of an angle [rad]."""
 
     usable_above_rad: float
@@ -149,8 +149,8 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     began_late: Ends
     ended_early: Ends
     writer_gap: Seconds
-    server_died: Graded
-    not_mirrored: Graded
+    server_died: GradedRule
+    not_mirrored: GradedRule
     deleted: Rule
     gap: Seconds
     slow: LeastShare

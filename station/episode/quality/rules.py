@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from station.bus import keys
 from station.episode.quality.finding_parts import KeyChanges, KeyPresence, Loss
 from station.episode.quality.findings import Interruption, Quality, Reason, StepQuality, StreamQuality, Verdict
-from station.episode.quality.rule_file import Ends, Graded, Limits, Rule
+from station.episode.quality.rule_file import Ends, GradedRule, Limits, Rule
 from station.episode.quality.sensed_rules import GAP_PERIODS, SENSED, Finder
 from station.episode.quality.timing import not_judged
 
@@ -41,7 +41,7 @@ def _said(found: Verdict, rule: Rule) -> Verdict | None:
     """Return what a rule is to say, or None for one that is off; a graded one says no worse than it was given."""
     if rule.verdict == "off":
         return None
-    return found if isinstance(rule, Graded) and rule.verdict == "reject" else rule.verdict
+    return found if isinstance(rule, GradedRule) and rule.verdict == "reject" else rule.verdict
 
 
 def _empty(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:

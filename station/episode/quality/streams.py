@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from station.episode.quality import pauses
 from station.episode.quality.findings import RivalWriters, StreamQuality
-from station.episode.quality.pauses import End, Spoken
+from station.episode.quality.pauses import End, WriteTimes
 from station.episode.reading.reader import Channel, Message
 from station.episode.storage import layout
 from station.episode.storage.drops import Drops
@@ -50,11 +50,11 @@ class StreamCounter:
             found.append(_measure(channel, times, _ints(self._numbers[number]), paused, start_ns, drops))
         return sorted(found, key=lambda stream: (stream.key, stream.writer, stream.first_s))
 
-    def commands(self) -> Iterator[Spoken]:
+    def commands(self) -> Iterator[WriteTimes]:
         """Yield when each source wrote each command key."""
         for number, channel in self._channels.items():
             if _is_command(channel):
-                yield Spoken(channel.topic, channel.source, np.sort(_ints(self._times[number])))
+                yield WriteTimes(channel.topic, channel.source, np.sort(_ints(self._times[number])))
 
     @property
     def messages(self) -> int:
@@ -62,7 +62,7 @@ class StreamCounter:
         return sum(len(times) for times in self._times.values())
 
 
-def rivals(spoken: Iterable[Spoken], ends: Sequence[End] = ()) -> list[RivalWriters]:
+def rivals(spoken: Iterable[WriteTimes], ends: Sequence[End] = ()) -> list[RivalWriters]:
     """Return the command keys that several sources wrote during the same time; one after the other is fine."""
     by_key: dict[str, list[tuple[str, list[tuple[int, int]]]]] = {}
     for one in spoken:

@@ -60,7 +60,7 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
     problem: str = ""
 
 
-class Wanted(msgspec.Struct, frozen=True, kw_only=True):
+class EpisodeFilter(msgspec.Struct, frozen=True, kw_only=True):
     """Which episodes are wanted; what is left out asks for nothing.
 
     Attributes:
@@ -107,7 +107,7 @@ def since(text: str, now: datetime | None = None) -> datetime:
 
 
 def list_episodes(
-    data: Path | None = None, *, task: str | None = None, wanted: Wanted | None = None
+    data: Path | None = None, *, task: str | None = None, wanted: EpisodeFilter | None = None
 ) -> list[EpisodeRow]:
     """Return a row for each episode of a data folder that is wanted, oldest first; of one task where one is named.
 

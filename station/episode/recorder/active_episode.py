@@ -12,8 +12,8 @@ from station.episode.storage.manifest import Hole, Manifest, note_hole
 from station.episode.storage.progress import Totals
 from station.episode.storage.request import RecordAnswer, RecorderState
 from station.episode.writing.closing import close_manifest
-from station.episode.writing.heard import is_motion, note_motion
-from station.episode.writing.retell import note_event, note_mark, note_not_mirrored
+from station.episode.writing.servers_seen import is_motion, note_motion
+from station.episode.writing.summary import note_event, note_mark, note_not_mirrored
 
 if TYPE_CHECKING:
     from station.bus.tap import Position, Write

@@ -20,7 +20,7 @@ from station.episode.storage.folder import new_folder
 from station.episode.storage.manifest import Manifest, Recorder, Task, Timing, save_manifest
 from station.episode.storage.manifest_copy import manifest_to_change
 from station.episode.storage.request import RecordAnswer, RecorderState, RecordRequest, parse_request, request_id
-from station.episode.writing.heard import Heard
+from station.episode.writing.servers_seen import ServersSeen
 from station.errors import EpisodeError, Refused
 from station.life.events import Severity
 from station.software import software
@@ -108,7 +108,7 @@ class RecorderController:
         self.tap = tap
         self.room = DiskSpace(options, clock)
         self.claim: Callable[[], None] = lambda: None
-        self._heard = Heard()
+        self._heard = ServersSeen()
         self._ring = Ring(options.preroll_s, options.preroll_bytes)
         self._latched: dict[str, bytes | None] = {}  # stamps of states that stood on the bus when the tap was opened
         self._position: Position | None = None  # of the tap, behind what it returned so far

@@ -46,7 +46,7 @@ _PATIENCE_S = 20.0  # as long as whoever asks a recorder waits for its answer
 _READ_S = 0.02
 
 
-class Unborn(NamedTuple):
+class UnopenedEpisode(NamedTuple):
     """An episode whose start was asked for, and of which there is no more than where that stands in the stream."""
 
     folder: Path
@@ -74,10 +74,10 @@ class CrashRecovery:
         self._clock = life.clock
         self._began_ns = self._clock.monotonic_ns()
         self._closed: list[Repaired] = []
-        self._ended: list[Unfinished | Unborn] = []  # followed by another episode: to be closed, oldest first
+        self._ended: list[Unfinished | UnopenedEpisode] = []  # followed by another episode: to be closed, oldest first
         self._found: Unfinished | None = None  # left open, and the last one
         self._done: ResumePoint | None = None  # of the last one, if we closed it: what was asked behind it comes again
-        self._unborn: Unborn | None = None  # an episode that was asked for, and of which nothing is there
+        self._unborn: UnopenedEpisode | None = None  # an episode that was asked for, and of which nothing is there
         self._was_killed = life.bus.get(keys.RECORDER) is not None  # one that ends by itself takes its word away
         self._look()
 
@@ -172,10 +172,10 @@ class CrashRecovery:
 
     def _look(self) -> None:
         data, restarts = self._options.data, os.environ.get(RESTARTS_VARIABLE)
-        unborn = self._unborn_in(data)
+        unopened = self._unborn_in(data)
         left: list[Unfinished] = []
         closed: list[ResumePoint] = []
-        begun_ns = [_began_ns(one) for one in unborn]  # by the monotonic clock
+        begun_ns = [_began_ns(one) for one in unopened]  # by the monotonic clock
         for folder in data.glob("*/*/"):
             if not is_left_open(folder):
                 continue
@@ -196,20 +196,20 @@ class CrashRecovery:
         left = [found for found in left if restarts is None or found.age_s(self._began_ns) <= self._take_up_s]
         newest_ns = max([*begun_ns, newest_start_ns(data)], default=0)
         self._found = next((found for found in left if _began_ns(found) == newest_ns), None)
-        self._unborn = next((found for found in unborn if _began_ns(found) == newest_ns), None)
+        self._unborn = next((found for found in unopened if _began_ns(found) == newest_ns), None)
         self._done = next((point for point in closed if point.anchor.mono_ns == newest_ns), None)
-        those: list[Unfinished | Unborn] = [*left, *unborn]
+        those: list[Unfinished | UnopenedEpisode] = [*left, *unopened]
         self._ended = sorted((one for one in those if _began_ns(one) != newest_ns), key=_began_ns)
 
-    def _unborn_in(self, data: Path) -> list[Unborn]:
+    def _unborn_in(self, data: Path) -> list[UnopenedEpisode]:
         """Return the episodes that were to begin; folders that tell nothing, or of starts that are old, are removed."""
-        found: list[Unborn] = []
+        found: list[UnopenedEpisode] = []
         for folder in not_begun(data):
             remove_temporary(folder)
             point = load_resume_point(folder)
             if (
                 point is None
-                or not (one := Unborn(folder, point)).is_recent(self._clock.monotonic_ns())
+                or not (one := UnopenedEpisode(folder, point)).is_recent(self._clock.monotonic_ns())
                 or os.environ.get(RESTARTS_VARIABLE) == "0"
             ):
                 remove_not_begun(folder)
@@ -217,10 +217,12 @@ class CrashRecovery:
                 found.append(one)
         return found
 
-    def _finish(self, found: Unfinished | Unborn, recording: Recording, tap: Tap, later: Collection[str]) -> None:
+    def _finish(
+        self, found: Unfinished | UnopenedEpisode, recording: Recording, tap: Tap, later: Collection[str]
+    ) -> None:
         """Take an episode up, or begin it; read its tap up to its end, and have it closed."""
         written_ns = 0
-        if isinstance(found, Unborn):
+        if isinstance(found, UnopenedEpisode):
             recording.placed(tap.position())
             recording.ignore_until(found.point.start_id, found.folder)
         else:
@@ -272,5 +274,5 @@ def _ended_before(recording: Recording, folder: Path, requests: list[str]) -> di
     return summary
 
 
-def _began_ns(found: Unborn | Unfinished) -> int:
+def _began_ns(found: UnopenedEpisode | Unfinished) -> int:
     return found.point.anchor.mono_ns

@@ -167,7 +167,7 @@ class DiskSpace:
             return None
         return round(max(0.0, free - self._options.min_free_mb * 1e6) / rate / 60, 2)
 
-    def _measure(self, look: Look) -> None:
+    def _measure(self, look: DiskReading) -> None:
         self._seen = look.number
         self._bus.note(self._clock.monotonic_s(), self._bus_bytes)
 
@@ -192,7 +192,7 @@ class DiskSpace:
         return Notice(name, "warning" if is_bad else "info", numbers)
 
 
-class Look(NamedTuple):
+class DiskReading(NamedTuple):
     """What one look found.
 
     Attributes:
@@ -225,7 +225,7 @@ class FreeSpace:
         self.look = self._take(1)
         clock.start(self._watch, "free space")
 
-    def fresh(self, timeout_s: float) -> Look:
+    def fresh(self, timeout_s: float) -> DiskReading:
         """Have a look taken now and wait for it, at most so long; return the newest there is."""
         with self._wake:
             seen = self.look.number
@@ -260,7 +260,7 @@ class FreeSpace:
                 self.look = look
                 self._wake.notify_all()
 
-    def _take(self, number: int) -> Look:
+    def _take(self, number: int) -> DiskReading:
         try:
             # Without its disk the folder would be made on the one beneath, and hidden when the disk comes back.
             is_mounted = os.path.ismount(self._mount)
@@ -276,7 +276,7 @@ class FreeSpace:
                 trouble = ""
         except OSError as error:
             free, trouble = None, error.strerror or str(error)
-        return Look(number, self._clock.monotonic_s(), free, trouble)
+        return DiskReading(number, self._clock.monotonic_s(), free, trouble)
 
 
 def nearest_folder(path: Path) -> Path:

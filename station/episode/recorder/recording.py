@@ -14,7 +14,7 @@ from station.episode.recorder.controller import RecorderController
 from station.episode.recorder.options import RecordingOptions
 from station.episode.storage.manifest import Recorder
 from station.episode.storage.request import parse_request, request_id
-from station.episode.writing.heard import is_motion
+from station.episode.writing.servers_seen import is_motion
 from station.errors import Refused
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from station.episode.storage.progress import ResumePoint, Totals, load_resume_po
 from station.episode.storage.records import metadata_at_head, parse_chunk, read_chunk, walk
 from station.episode.storage.request import request_id
 from station.episode.writing.files import EpisodeFiles
-from station.episode.writing.retell import Retelling
+from station.episode.writing.summary import EpisodeSummary
 from station.errors import EpisodeError
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class Unfinished(NamedTuple):
         return (now_ns - self.point.mono_ns) * 1e-9
 
 
-class TakenUp(NamedTuple):
+class ResumedEpisode(NamedTuple):
     """An episode that goes on.
 
     Attributes:
@@ -85,7 +85,7 @@ def unfinished(folder: Path, bus: str) -> Unfinished | None:
 
 def take_up(
     found: Unfinished, options: RecordingOptions, *, place: Position | None, is_exact: bool, clock: Clock = SYSTEM
-) -> TakenUp:
+) -> ResumedEpisode:
     """Open an unfinished episode behind what is safe of it.
 
     Args:
@@ -109,8 +109,10 @@ def take_up(
     else:
         for path in paths:
             path.unlink(missing_ok=True)  # the head of the signals was not written yet, or not whole
-    retelling, totals = (files.signals.retelling, files.totals()) if files else (Retelling(point.anchor), Totals())
-    retelling.apply(manifest, totals.first_ns)
+    episode_summary, totals = (
+        (files.signals.episode_summary, files.totals()) if files else (EpisodeSummary(point.anchor), Totals())
+    )
+    episode_summary.apply(manifest, totals.first_ns)
     _note(found, size, totals, from_ns=files.signals.last_log_ns if files else 0, is_exact=is_exact,
           now=take_anchor(clock))  # fmt: skip
     writer = EpisodeWriter(
@@ -120,7 +122,9 @@ def take_up(
     is_awaited = is_exact and not point.messages
     take = ActiveEpisode(writer, manifest, start_id=point.start_id if not point.messages else None)
     written_ns = point.anchor.mono_ns + totals.last_ns - point.anchor.wall_ns if totals.last_ns else 0
-    return TakenUp(take, [*retelling.told.requests, point.start_id], point.start_id if is_awaited else "", written_ns)
+    return ResumedEpisode(
+        take, [*episode_summary.told.requests, point.start_id], point.start_id if is_awaited else "", written_ns
+    )
 
 
 def _note(found: Unfinished, size: int, kept: Totals, *, from_ns: int, is_exact: bool, now: Anchor) -> None:

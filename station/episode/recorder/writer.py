@@ -16,7 +16,7 @@ from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor
 from station.episode.storage.channels import MAX_CHANNELS
 from station.episode.storage.disk import give_back, why_not
-from station.episode.storage.drops import Spell
+from station.episode.storage.drops import DropPeriods
 from station.episode.storage.manifest import Manifest, dump_manifest, facts_of, save_manifest, snapshot
 from station.episode.storage.progress import ResumePoint, Totals, WriterOptions, save_resume_point
 from station.episode.writing.checkpoint import EVERY_S, save_checkpoints
@@ -80,7 +80,7 @@ class EpisodeWriter:
         self._options = options or WriterOptions()
         self._queue = WriteQueue(self._options.queue_writes, self._options.queue_bytes)
         self._wake = threading.Condition()
-        self._spells = {True: Spell("images-dropped", "warning"), False: Spell("writes-dropped", "error")}
+        self._spells = {True: DropPeriods("images-dropped", "warning"), False: DropPeriods("writes-dropped", "error")}
         self._is_refusal_told = False
         self._saved = snapshot(manifest)
         self._manifest: Manifest | None = self._saved

@@ -83,11 +83,11 @@ def audit_arm(reader: EpisodeReader, robot: str) -> ArmAudit:
     Raises:
         EpisodeError: the episode does not say what the arm's command and gate were.
     """
-    form, config = _stated(reader, robot)
-    run = _Run(ArmAudit(episode_id=reader.episode_id, robot=robot), form, config)
+    command_format, config = _stated(reader, robot)
+    run = _Run(ArmAudit(episode_id=reader.episode_id, robot=robot), command_format, config)
     joiner = StepJoiner(robot, context={keys.state_controller(robot)})
-    for message in reader.messages({*joiner.topics, form.key}):
-        if message.topic == form.key:
+    for message in reader.messages({*joiner.topics, command_format.key}):
+        if message.topic == command_format.key:
             run.hear(message)
         elif (step := joiner.feed(message)) is not None:
             run.take(step)
@@ -122,7 +122,7 @@ class _Run:
     """Follows the ticks of an episode with a gate of our own."""
 
     found: ArmAudit
-    form: JointCommand
+    command_format: JointCommand
     config: GateConfig
     _commands: OrderedDict[int, list[Message]] = field(default_factory=OrderedDict)
     _before: Step | None = None
@@ -130,8 +130,8 @@ class _Run:
     _source: str = ""
 
     def __post_init__(self) -> None:
-        bounds = Bounds.of(self.form, self.config.rate_factor)
-        self._gate = Gate(self.form.default, self.config, bounds, stays=True)
+        bounds = Bounds.of(self.command_format, self.config.rate_factor)
+        self._gate = Gate(self.command_format.default, self.config, bounds, holds_position=True)
 
     def hear(self, message: Message) -> None:
         """Remember a command."""
@@ -189,7 +189,7 @@ class _Run:
     def _command(self, seq: int, arrived_ns: int) -> Floats | None:
         """Return the command of a number: of several writers' the one that a good one of them wrote last."""
         for message in reversed(self._commands.get(seq, [])):
-            checked = check_command(message.data, self.form)
+            checked = check_command(message.data, self.command_format)
             if isinstance(checked, Checked) and arrived_ns:
                 if self._source and message.channel.source != self._source:
                     self._gate.change_hands("another commands")

@@ -173,8 +173,8 @@ class _Run:
     _before: Step | None = None
 
     def __post_init__(self) -> None:
-        form: CommandFormat = registry.find("command", self.policy.spec.command)
-        self._command_size = len(form.default)
+        command_format: CommandFormat = registry.find("command", self.policy.spec.command)
+        self._command_size = len(command_format.default)
 
     def take(self, step: Step) -> None:
         """Compare one step."""

@@ -17,7 +17,7 @@ from station.errors import BadFile, EpisodeError
 from station.protocols import Policy
 
 
-class Suspect(msgspec.Struct, frozen=True, kw_only=True):
+class StatedPolicy(msgspec.Struct, frozen=True, kw_only=True):
     """The policy that an episode says it was recorded with; "" for what it does not say.
 
     `checkpoint` is where the file was on the machine that recorded; `reference` is how its user named it.
@@ -32,7 +32,7 @@ class Suspect(msgspec.Struct, frozen=True, kw_only=True):
     reference: str = ""
 
 
-def recorded_policy(reader: EpisodeReader, robot: str | None = None) -> Suspect:
+def recorded_policy(reader: EpisodeReader, robot: str | None = None) -> StatedPolicy:
     """Return the policy that an episode says it was recorded with.
 
     Raises:
@@ -56,13 +56,13 @@ def recorded_policy(reader: EpisodeReader, robot: str | None = None) -> Suspect:
         name: str(stated.get(name) or getattr(manifest, name)) for name in ("name", "checkpoint", "sha256", "runtime")
     }
     options = stated.get("options")
-    return Suspect(
+    return StatedPolicy(
         robot=chosen, **text, options=options if isinstance(options, dict) else {},
         reference=_reference(facts, text["name"]),
     )  # fmt: skip
 
 
-def load_policy(reader: EpisodeReader, suspect: Suspect, checkpoint: str | Path | None = None) -> Policy:
+def load_policy(reader: EpisodeReader, suspect: StatedPolicy, checkpoint: str | Path | None = None) -> Policy:
     """Load the policy of an episode and see that its checkpoint is the one that ran.
 
     Raises:
@@ -93,7 +93,7 @@ def load_policy(reader: EpisodeReader, suspect: Suspect, checkpoint: str | Path 
     return policy
 
 
-def _find(suspect: Suspect, wanted: str, *, is_given: bool) -> Path:
+def _find(suspect: StatedPolicy, wanted: str, *, is_given: bool) -> Path:
     """Return the checkpoint; on another machine than the one that recorded, where its user's own name for it leads."""
     try:
         return assets.resolve(wanted)

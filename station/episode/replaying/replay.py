@@ -45,7 +45,7 @@ _TOGETHER_NS = 500_000_000
 """What begins so soon after the first command begins with it."""
 
 
-class Moment(NamedTuple):
+class WriteGroup(NamedTuple):
     """Writes that were one: the keys of one native command, or a single foreign write or deletion.
 
     Attributes:
@@ -140,9 +140,9 @@ def to_bus(
     return report
 
 
-def moments(reader: EpisodeReader, roles: Collection[str] | None, report: Replay) -> Iterator[Moment]:
+def moments(reader: EpisodeReader, roles: Collection[str] | None, report: Replay) -> Iterator[WriteGroup]:
     """Iterate over the recorded writes of some roles (None: all) in the order of the bus; counts the rest."""
-    newest: tuple[Message, Moment] | None = None
+    newest: tuple[Message, WriteGroup] | None = None
     for message in reader.messages():
         if roles is not None and role_of(message, reader) not in roles:
             report.skipped += 1
@@ -153,7 +153,7 @@ def moments(reader: EpisodeReader, roles: Collection[str] | None, report: Replay
         if newest is not None:
             yield newest[1]
         value = None if message.channel.is_deletion else message.data
-        newest = (message, Moment(message.log_ns, {message.topic: value}, message.channel.is_native))
+        newest = (message, WriteGroup(message.log_ns, {message.topic: value}, message.channel.is_native))
     if newest is not None:
         yield newest[1]
 
@@ -164,7 +164,7 @@ def role_of(message: Message, reader: EpisodeReader) -> str:
     return contract.role if contract is not None else "unknown"
 
 
-def _is_one_write(first: Message, moment: Moment, message: Message) -> bool:
+def _is_one_write(first: Message, moment: WriteGroup, message: Message) -> bool:
     return (
         moment.is_native
         and not message.channel.is_deletion
@@ -182,7 +182,7 @@ class _Player:
         self._clock = bus.clock
         self._lateness: array[int] = array("q")
 
-    def run(self, recorded: Iterator[Moment]) -> None:
+    def run(self, recorded: Iterator[WriteGroup]) -> None:
         ahead = deque(islice(recorded, 1))
         began_ns = self._clock.monotonic_ns()
         first_ns = ahead[0].at_ns if ahead else 0
@@ -201,7 +201,7 @@ class _Player:
     def _delay_ns(self, recorded_ns: int) -> int:
         return 0 if math.isinf(self._speed) else round(recorded_ns / self._speed)
 
-    def _read_ahead(self, ahead: deque[Moment], recorded: Iterator[Moment], due_ns: int) -> None:
+    def _read_ahead(self, ahead: deque[WriteGroup], recorded: Iterator[WriteGroup], due_ns: int) -> None:
         while not ahead or (len(ahead) < _AHEAD and self._clock.monotonic_ns() < due_ns - _SLACK_NS):
             found = next(recorded, None)
             if found is None:
@@ -216,7 +216,7 @@ class _Player:
         self._clock.sleep_until(due_ns)
         return not self._stop.is_set()
 
-    def _write(self, moment: Moment) -> None:
+    def _write(self, moment: WriteGroup) -> None:
         report = self._report
         report.moments += 1
         report.messages += len(moment.values)
@@ -375,7 +375,11 @@ def ease_in(bus: Bus, reader: EpisodeReader, duration_s: float) -> float:
 def _blends(bus: Bus, reader: EpisodeReader, duration_s: float) -> list[_Blend]:
     """Return a blend for each command that the episode begins with."""
     known: list[CommandFormat] = [registry.find("command", name) for name in registry.names("command")]
-    places = {form.key: form.default for form in known if form.key and not form.stays}
+    places = {
+        command_format.key: command_format.default
+        for command_format in known
+        if command_format.key and not command_format.holds_position
+    }
     arms = {key for key in reader.topics() if key.startswith(keys.action_joints("")) and not keys.is_stamp(key)}
     found: list[_Blend] = []
     until_ns: int | None = None

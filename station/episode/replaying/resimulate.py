@@ -135,7 +135,7 @@ def _compare(reader: EpisodeReader, control: ControlStep, rig: Rig, report: Resi
             f"episode {reader.episode_id}: the parts of {report.robot} were commanded apart, and are not simulated "
             "again; `station audit` derives what its policy did"
         )
-    key = control.commanded.form.key
+    key = control.commanded.command_format.key
     began = time.perf_counter()
     for message in reader.messages(joiner.topics | {key, keys.EVENT}):
         if message.topic == key:

@@ -135,7 +135,7 @@ def streams_of(
     return found
 
 
-class Spell:
+class DropPeriods:
     """Says when writes begin to be dropped and when that is over, not each time that it happens.
 
     Args:

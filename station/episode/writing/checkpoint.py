@@ -24,8 +24,8 @@ EVERY_S = 5.0
 MOST_CHANNELS = 5000  # of a client that invents keys without end, nothing is saved
 
 
-class Told(msgspec.Struct, kw_only=True):
-    """What the messages of a file have told so far, as `station.episode.writing.retell.Retelling` gathers it.
+class SummaryState(msgspec.Struct, kw_only=True):
+    """What the messages of a file have told so far, as `station.episode.writing.summary.EpisodeSummary` gathers it.
 
     Attributes:
         events, events_not_listed, marks, motions, quality_flags, servers: As in the manifest.
@@ -95,7 +95,7 @@ class Checkpoint(msgspec.Struct, frozen=True, kw_only=True):
     last_log_ns: int
     channels: list[Counters]
     gaps: list[Gap]
-    told: Told
+    told: SummaryState
 
 
 def counters(record: mcap.records.Channel, channel: Channel | None) -> Counters:

@@ -22,8 +22,8 @@ from station.episode.storage.records import MAGIC, RawMessage
 from station.episode.storage.tail import closing_bytes
 from station.episode.writing.checkpoint import MOST_CHANNELS, Checkpoint, counters
 from station.episode.writing.chunks import ChunkWriter
-from station.episode.writing.retell import Retelling, is_told
-from station.episode.writing.salvage import Salvaged, salvage
+from station.episode.writing.salvage import SalvageResult, salvage
+from station.episode.writing.summary import EpisodeSummary, is_told
 from station.errors import EpisodeError
 
 _SEQUENCE_MASK = 0xFFFFFFFF
@@ -45,7 +45,7 @@ class EpisodeFile:
         pending_bytes: Size of the values since the last flush.
         last_log_ns: Log time of the last message; of an empty file the start [ns].
         gaps: Where sequence numbers of a writer are missing; the first ones, if there are very many.
-        retelling: What the messages tell.
+        episode_summary: What the messages tell.
         contracts: What is known of keys when their channels are made.
     """
 
@@ -62,7 +62,7 @@ class EpisodeFile:
         self._records: list[mcap.records.Channel] = []
         self.channels: list[Channel] = []
         self.gaps: list[Gap] = []
-        self.retelling = Retelling(anchor)
+        self.episode_summary = EpisodeSummary(anchor)
         self._told: set[int] = set()  # channels that the retelling wants
         self.messages = self.refused = self.pending_bytes = self._synced_messages = 0
         self.last_log_ns = anchor.wall_ns
@@ -145,7 +145,7 @@ class EpisodeFile:
             last_log_ns=self.last_log_ns,
             channels=[counters(record, known.get(record.id)) for record in self._records],
             gaps=self.gaps,
-            told=self.retelling.told,
+            told=self.episode_summary.told,
         )
 
     def add(self, write: Write, log_ns: int) -> None:
@@ -247,7 +247,7 @@ class EpisodeFile:
         else:
             self._writer.add(channel.id, number, log_ns, publish_ns, value)
         if channel.id in self._told:
-            self.retelling.note(channel.key, value, log_ns)
+            self.episode_summary.note(channel.key, value, log_ns)
         self.messages += 1
         self.pending_bytes += len(value) + 64
 
@@ -287,7 +287,7 @@ class EpisodeFile:
         self._schemas.append(schema)
         self._writer.define(schema)
 
-    def _adopt(self, found: Salvaged, recount: Recount) -> None:
+    def _adopt(self, found: SalvageResult, recount: Recount) -> None:
         """Take over channels and counters of the file; a channel keeps its number, its count and what describes it."""
         for schema in found.schemas.values():
             self._describe(schema)
@@ -303,7 +303,7 @@ class EpisodeFile:
                 self._by_stamp[channel.key, channel.source.encode()] = channel
             else:
                 self._foreign[channel.key, channel.encoding == layout.DELETED] = channel
-        self.gaps, self.retelling = recount.gaps, recount.retelling
+        self.gaps, self.episode_summary = recount.gaps, recount.episode_summary
         self.messages = self._synced_messages = recount.messages
         self.last_log_ns = recount.last_log_ns or self._anchor.wall_ns
 
@@ -320,13 +320,13 @@ class Recount:
     """Takes the messages of a file in order; begins with what is known of it, if anything is.
 
     Attributes:
-        channels, gaps, messages, retelling: As in `station.episode.writing.file.EpisodeFile`.
+        channels, gaps, messages, episode_summary: As in `station.episode.writing.file.EpisodeFile`.
         last_log_ns: Log time of the last message [ns].
     """
 
     def __init__(self, anchor: Anchor, known: Checkpoint | None, file: str = layout.SIGNALS) -> None:
         self._file = file
-        self.retelling = Retelling(anchor, known.told if known else None)
+        self.episode_summary = EpisodeSummary(anchor, known.told if known else None)
         self.channels: dict[int, Channel] = {}
         self.gaps: list[Gap] = []
         self.messages = self.last_log_ns = 0
@@ -337,7 +337,7 @@ class Recount:
     def take(self, message: RawMessage, record: mcap.records.Channel) -> None:
         """Count a message."""
         self.last_log_ns = message.log_ns
-        self.retelling.take(message, record)
+        self.episode_summary.take(message, record)
         channel = self.channels.get(message.channel_id)
         if channel is None:
             if record.topic == layout.STAMPS_TOPIC:

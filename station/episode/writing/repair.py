@@ -31,12 +31,12 @@ from station.episode.storage.manifest import (
 from station.episode.storage.manifest_copy import find_manifest, manifest_to_change
 from station.episode.storage.progress import ResumePoint, load_resume_point
 from station.episode.storage.records import MAGIC, RawMessage, metadata_at_head, walk
-from station.episode.writing.checkpoint import Told
+from station.episode.writing.checkpoint import SummaryState
 from station.episode.writing.closing import close_manifest, summary_record
 from station.episode.writing.file import EpisodeFile
 from station.episode.writing.files import EpisodeFiles
-from station.episode.writing.retell import Retelling
-from station.episode.writing.salvage import Salvaged, salvage
+from station.episode.writing.salvage import SalvageResult, salvage
+from station.episode.writing.summary import EpisodeSummary
 from station.errors import EpisodeError
 
 State = Literal["whole", "closed", "repaired"]
@@ -122,7 +122,7 @@ def close_whole(folder: Path) -> Repaired | None:
     anchor = manifest.timing.anchor
     if anchor is None:
         return None
-    requests = Retelling(anchor)
+    requests = EpisodeSummary(anchor)
     if not salvage(file, requests.take).is_finished or not _are_cameras_whole(cameras, manifest):
         return None
     is_open = is_left_open(folder) or not _is_closed(folder, manifest)
@@ -192,7 +192,7 @@ def _repair(folder: Path, target: Path) -> Repaired:
     sources = [(names, source) for names, source in found if source is not None]
     anchor, drops = _clock(sources[0][1], manifest, point), Drops(point.drops if point else ())
     target.mkdir(parents=True, exist_ok=True)
-    mended: list[Mended] = []
+    mended: list[RepairedFile] = []
     try:
         for names, source in sources:
             mended.append(mend(source, target / names.repairing, names, anchor, manifest, drops))
@@ -223,13 +223,13 @@ def _clock(source: Path, manifest: Manifest, point: ResumePoint | None) -> Ancho
         ) from None
 
 
-def _close(mended: Sequence[Mended], anchor: Anchor, manifest: Manifest, point: ResumePoint | None) -> Repaired:
+def _close(mended: Sequence[RepairedFile], anchor: Anchor, manifest: Manifest, point: ResumePoint | None) -> Repaired:
     """Close the files and their manifest, with a note of what was cut."""
     files = EpisodeFiles(mended[0].source.parent, anchor, {}, *(one.file for one in mended if one.file is not None))
-    told, cuts = files.signals.retelling.told, [one.cut() for one in mended if not one.is_whole]
+    told, cuts = files.signals.episode_summary.told, [one.cut() for one in mended if not one.is_whole]
     totals = files.totals(dropped=max(files.drops.total, point.dropped if point else 0, manifest.recorder.dropped))
     verdict = manifest.quality_flags if manifest.state == "finished" else None  # somebody may have discarded it since
-    files.signals.retelling.apply(manifest, totals.first_ns)
+    files.signals.episode_summary.apply(manifest, totals.first_ns)
     manifest.quality_flags = verdict or manifest.quality_flags
     _end(manifest, told, anchor, totals.last_ns)
     before = max(point.messages if point else 0, manifest.recorder.messages)
@@ -252,7 +252,7 @@ def _close(mended: Sequence[Mended], anchor: Anchor, manifest: Manifest, point: 
     return done
 
 
-def _end(manifest: Manifest, told: Told, anchor: Anchor, last_ns: int) -> None:
+def _end(manifest: Manifest, told: SummaryState, anchor: Anchor, last_ns: int) -> None:
     """Say when and why the episode ended: as its file says, else with its last message."""
     if told.ending is not None:
         manifest.recorder.ended_by = told.ending.action
@@ -263,7 +263,7 @@ def _end(manifest: Manifest, told: Told, anchor: Anchor, last_ns: int) -> None:
     manifest.timing.duration_s = round((ended_ns - anchor.wall_ns) * 1e-9, 6)
 
 
-def _swap(mended: Sequence[Mended], folder: Path, manifest: Manifest) -> dict[str, Path]:
+def _swap(mended: Sequence[RepairedFile], folder: Path, manifest: Manifest) -> dict[str, Path]:
     """Put the good files in their places and the torn ones aside, so that one is always there; returns the latter."""
     aside = {}
     for names, source, salvaged, file in mended:
@@ -286,7 +286,7 @@ def _swap(mended: Sequence[Mended], folder: Path, manifest: Manifest) -> dict[st
     return aside
 
 
-def _place(mended: Sequence[Mended], target: Path, manifest: Manifest) -> dict[str, Path]:
+def _place(mended: Sequence[RepairedFile], target: Path, manifest: Manifest) -> dict[str, Path]:
     """Put the good files into a folder of their own; returns the originals."""
     for names, _, _, file in mended:
         if file is not None:
@@ -317,7 +317,7 @@ class Cut(msgspec.Struct, frozen=True, kw_only=True):
     original: str = ""
 
 
-class Mended(NamedTuple):
+class RepairedFile(NamedTuple):
     """A file that was torn, or was not.
 
     Attributes:
@@ -329,7 +329,7 @@ class Mended(NamedTuple):
 
     names: layout.Names
     source: Path
-    salvaged: Salvaged
+    salvaged: SalvageResult
     file: EpisodeFile | None
 
     @property
@@ -348,7 +348,9 @@ class Mended(NamedTuple):
         )
 
 
-def mend(source: Path, copy: Path, names: layout.Names, anchor: Anchor, manifest: Manifest, drops: Drops) -> Mended:
+def mend(
+    source: Path, copy: Path, names: layout.Names, anchor: Anchor, manifest: Manifest, drops: Drops
+) -> RepairedFile:
     """Copy what is whole of a file, and open the copy.
 
     Args:
@@ -371,7 +373,7 @@ def mend(source: Path, copy: Path, names: layout.Names, anchor: Anchor, manifest
         opened = None
     if opened is None:
         copy.unlink(missing_ok=True)
-    return Mended(names, source, salvaged, opened)
+    return RepairedFile(names, source, salvaged, opened)
 
 
 def _opened(copy: Path, names: layout.Names, anchor: Anchor, manifest: Manifest, drops: Drops) -> EpisodeFile | None:
@@ -385,7 +387,7 @@ def _opened(copy: Path, names: layout.Names, anchor: Anchor, manifest: Manifest,
     return EpisodeFile.create(copy, anchor, facts_of(manifest), manifest=dump_manifest(manifest))
 
 
-def look_over(source: Path, names: layout.Names, output: BinaryIO | None = None) -> Salvaged:
+def look_over(source: Path, names: layout.Names, output: BinaryIO | None = None) -> SalvageResult:
     """Go through a file for its wholeness alone; nothing is whole of pictures that are no MCAP file at all.
 
     Raises:
@@ -397,7 +399,7 @@ def look_over(source: Path, names: layout.Names, output: BinaryIO | None = None)
     except EpisodeError:
         if names is not layout.CAMERAS_NAMES:
             raise
-        return Salvaged({}, {}, 0, b"", is_finished=False)  # the signals are worth saving all the same
+        return SalvageResult({}, {}, 0, b"", is_finished=False)  # the signals are worth saving all the same
 
 
 def _take_no_note(_message: RawMessage, _channel: mcap.records.Channel) -> None:

@@ -25,7 +25,7 @@ Take = Callable[[RawMessage, Channel], None]
 """Called for each message, with its channel, in the order of the file."""
 
 
-class Salvaged(NamedTuple):
+class SalvageResult(NamedTuple):
     """How far a file is whole.
 
     Attributes:
@@ -45,7 +45,7 @@ class Salvaged(NamedTuple):
 def salvage(
     path: Path, take: Take, *, size: int | None = None, output: BinaryIO | None = None, start: int = len(MAGIC),
     channels: Iterable[Channel] = (),
-) -> Salvaged:  # fmt: skip
+) -> SalvageResult:  # fmt: skip
     """Go through a file up to the first record that is torn or damaged, or up to `size`.
 
     Args:
@@ -65,7 +65,7 @@ def salvage(
     with path.open("rb") as file:
         if (begin := file.read(len(MAGIC))) != MAGIC:
             if MAGIC.startswith(begin):  # a power cut may leave no more
-                return Salvaged({}, {}, 0, b"", is_finished=False)
+                return SalvageResult({}, {}, 0, b"", is_finished=False)
             raise EpisodeError(f"{path}: not an MCAP file ({length} bytes that do not begin with its magic)")
         return _Walk(file, take, output, start, channels).run(end, length)
 
@@ -85,7 +85,7 @@ class _Walk:
         self._last_chunk: Place | None = None
         self._kept_to = start
 
-    def run(self, end: int, length: int) -> Salvaged:
+    def run(self, end: int, length: int) -> SalvageResult:
         self._copy(MAGIC)
         has_data_end = False
         for place in whole_records(self._file, end, self._kept_to):
@@ -100,7 +100,7 @@ class _Walk:
         if self._owed and self._last_chunk is not None:
             self._kept_to = self._last_chunk.end
             missing = _message_indexes(read_chunk(self._file, _inside(self._last_chunk)))
-        return Salvaged(self._channels, self._schemas, self._kept_to, missing, is_finished)
+        return SalvageResult(self._channels, self._schemas, self._kept_to, missing, is_finished)
 
     def _has_footer(self, length: int) -> bool:
         last = None

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from adapters.cameras.files import FilesCamera
-from station.camera.source import CameraError, Wishes
+from station.camera.source import CameraError, PictureSettings
 
 pytest.importorskip("av")
 
@@ -28,7 +28,7 @@ def play(camera: FilesCamera) -> None:
 @pytest.mark.parametrize("is_looped", [True, False])
 def test_a_video_that_breaks_off_in_the_middle_is_told_when_it_comes_to_that(tmp_path: Path, is_looped: bool) -> None:
     file = raw_video(tmp_path / "clip.y4m", b"FRAME", b"FRAME", b"FRA", b"FRAME")
-    camera = FilesCamera(file, Wishes(), is_looped=is_looped)
+    camera = FilesCamera(file, PictureSettings(), is_looped=is_looped)
     why = "cannot be read to its end: Invalid data found when processing input; is the file whole?"
     with pytest.raises(CameraError, match=f"^{re.escape(f'{file}: {why}')}$"):
         play(camera)
@@ -38,10 +38,10 @@ def test_a_video_that_breaks_off_in_the_middle_is_told_when_it_comes_to_that(tmp
 def test_a_video_that_breaks_off_before_its_first_picture_is_refused(tmp_path: Path) -> None:
     file = raw_video(tmp_path / "clip.y4m", b"FRA", b"FRAME")
     with pytest.raises(CameraError, match=re.escape(f"{file}: cannot be read to its end: Invalid data found")):
-        FilesCamera(file, Wishes())
+        FilesCamera(file, PictureSettings())
 
 
 def test_a_whole_one_of_the_kind_is_played_to_its_end(tmp_path: Path) -> None:
-    camera = FilesCamera(raw_video(tmp_path / "clip.y4m", b"FRAME", b"FRAME"), Wishes(), is_looped=False)
+    camera = FilesCamera(raw_video(tmp_path / "clip.y4m", b"FRAME", b"FRAME"), PictureSettings(), is_looped=False)
     play(camera)
     assert "played to its end" in camera.why_silent()

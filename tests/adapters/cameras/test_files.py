@@ -12,10 +12,10 @@ import pytest
 from PIL import Image
 
 from adapters.cameras.files import FilesCamera
-from station.camera.source import Camera, CameraError, Picture, Wishes
+from station.camera.source import Camera, CameraError, Picture, PictureSettings
 from tests.adapters.cameras import pictures
 
-FAST = Wishes(fps=100.0)
+FAST = PictureSettings(fps=100.0)
 
 
 def folder_of(folder: Path, *numbers: int) -> Path:
@@ -52,7 +52,7 @@ def test_pictures_of_a_folder_come_in_the_order_of_their_numbers_byte_for_byte_a
 
 
 def test_each_is_taken_a_period_after_the_one_before_whenever_it_is_read(tmp_path: Path) -> None:
-    camera = FilesCamera(folder_of(tmp_path, 1, 2, 3), Wishes(fps=50.0))
+    camera = FilesCamera(folder_of(tmp_path, 1, 2, 3), PictureSettings(fps=50.0))
     first = next_of(camera)
     time.sleep(0.07)
     second = next_of(camera)
@@ -64,7 +64,7 @@ def test_each_is_taken_a_period_after_the_one_before_whenever_it_is_read(tmp_pat
 
 
 def test_no_picture_is_given_before_it_is_due(tmp_path: Path) -> None:
-    camera = FilesCamera(folder_of(tmp_path, 1, 2), Wishes(fps=0.2))
+    camera = FilesCamera(folder_of(tmp_path, 1, 2), PictureSettings(fps=0.2))
     assert next_of(camera).jpeg == pictures.jpeg(1)
     assert camera.read(0.01) is None
     assert camera.drops.total == 0
@@ -89,7 +89,7 @@ def test_a_broken_picture_is_left_out_and_counted(tmp_path: Path) -> None:
 
 def test_pictures_of_another_kind_or_size_are_encoded_anew(tmp_path: Path) -> None:
     Image.fromarray(pictures.pixels(77)).save(tmp_path / "a.png")
-    camera = FilesCamera(tmp_path, Wishes(fps=100.0, width=320, height=240, quality=80))
+    camera = FilesCamera(tmp_path, PictureSettings(fps=100.0, width=320, height=240, quality=80))
     shown = next_of(camera).jpeg
     assert pictures.decoded(shown).shape == (240, 320, 3)
     assert pictures.number(shown) == 77
@@ -98,7 +98,7 @@ def test_pictures_of_another_kind_or_size_are_encoded_anew(tmp_path: Path) -> No
 
 
 def test_a_video_is_played_at_its_own_rate_frame_by_frame(tmp_path: Path) -> None:
-    camera = FilesCamera(video_of(tmp_path / "clip.mp4", 12), Wishes())
+    camera = FilesCamera(video_of(tmp_path / "clip.mp4", 12), PictureSettings())
     shown = [next_of(camera) for _ in range(14)]
     start_ns = shown[0].capture_ns
     assert camera.facts()["fps"] == 20.0
@@ -108,7 +108,7 @@ def test_a_video_is_played_at_its_own_rate_frame_by_frame(tmp_path: Path) -> Non
 
 
 def test_a_video_may_be_shown_in_another_size(tmp_path: Path) -> None:
-    camera = FilesCamera(video_of(tmp_path / "clip.mp4", 3), Wishes(width=80, height=60))
+    camera = FilesCamera(video_of(tmp_path / "clip.mp4", 3), PictureSettings(width=80, height=60))
     assert pictures.decoded(next_of(camera).jpeg).shape == (60, 80, 3)
 
 
@@ -127,12 +127,12 @@ def test_what_cannot_be_played_is_refused_by_name(
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(CameraError, match=re.escape(f"{path}: {message}")):
-        FilesCamera(path, Wishes())
+        FilesCamera(path, PictureSettings())
 
 
 def test_a_folder_without_pictures_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CameraError, match=r"no pictures in it; expected files that end in \.jpg, \.jpeg, \.png"):
-        FilesCamera(tmp_path, Wishes())
+        FilesCamera(tmp_path, PictureSettings())
 
 
 def test_numbers_can_be_read_back_from_pixels() -> None:

@@ -15,12 +15,12 @@ from station.bus import codec
 from station.bus import stamp as stamps
 from station.bus.sample import Sample
 from station.bus.stamp import Stamp
-from station.camera.source import Camera, CameraError, Wishes
+from station.camera.source import Camera, CameraError, PictureSettings
 from station.protocols import Floats
 from tests.adapters.cameras import pictures
 
 G1 = Path("adapters/robots/g1/g1.xml")
-SMALL = Wishes(fps=200.0, width=160, height=120)
+SMALL = PictureSettings(fps=200.0, width=160, height=120)
 
 
 def standing(*, yaw_rad: float = 0.0, elbow_rad: float = 1.2) -> Floats:
@@ -45,9 +45,9 @@ class Bus:
         return self.sample
 
 
-def made(bus: Bus, camera: str = "head", model: str = str(G1), wishes: Wishes = SMALL) -> MujocoCamera:
+def made(bus: Bus, camera: str = "head", model: str = str(G1), settings: PictureSettings = SMALL) -> MujocoCamera:
     try:
-        return MujocoCamera(model, camera, "key", wishes, bus.newest)
+        return MujocoCamera(model, camera, "key", settings, bus.newest)
     except CameraError as error:
         if "cannot render" in str(error) or "no picture" in str(error):
             pytest.skip(str(error))
@@ -132,8 +132,8 @@ def test_intrinsics_say_to_the_pixel_where_a_point_is_seen(tmp_path: Path) -> No
     model = spec.compile()
     file = tmp_path / "scene.xml"
     file.write_text(spec.to_xml())
-    bus, wishes = Bus(), Wishes(fps=200.0, width=640, height=480, quality=98)
-    camera = made(bus, model=str(file), wishes=wishes)
+    bus, settings = Bus(), PictureSettings(fps=200.0, width=640, height=480, quality=98)
+    camera = made(bus, model=str(file), settings=settings)
     shown = pictures.decoded(picture_of(camera, bus, standing())).astype(int)
     facts = camera.facts()
     camera.close()

@@ -10,7 +10,7 @@ import pytest
 import zmq
 
 from adapters.cameras.zmq_stream import ZmqCamera
-from station.camera.source import Camera, CameraError, Picture, Wishes
+from station.camera.source import Camera, CameraError, Picture, PictureSettings
 from tests.adapters.cameras import pictures
 from tests.waiting import wait_until
 
@@ -58,7 +58,7 @@ def sender() -> Iterator[Sender]:
 
 @pytest.fixture
 def camera(sender: Sender) -> Iterator[ZmqCamera]:
-    made = ZmqCamera(sender.address, Wishes())
+    made = ZmqCamera(sender.address, PictureSettings())
     sender.wait_for_reader(lambda: made.read(0.01))
     yield made
     made.close()
@@ -109,7 +109,7 @@ def test_a_message_that_is_none_is_left_out_counted_and_explained(
 
 
 def test_a_sender_that_is_not_there_is_waited_for(sender: Sender) -> None:
-    camera = ZmqCamera(sender.address, Wishes())
+    camera = ZmqCamera(sender.address, PictureSettings())
     sender.close()
     assert camera.read(0.05) is None
     assert "nothing comes; does the sender run" in camera.why_silent()
@@ -119,9 +119,9 @@ def test_a_sender_that_is_not_there_is_waited_for(sender: Sender) -> None:
 
 def test_what_the_sender_decides_cannot_be_wished_for() -> None:
     with pytest.raises(CameraError, match="the sender decides on size and rate; leave out width, height and fps"):
-        ZmqCamera("tcp://127.0.0.1:5555", Wishes(fps=30.0))
+        ZmqCamera("tcp://127.0.0.1:5555", PictureSettings(fps=30.0))
 
 
 def test_an_address_that_is_none_is_refused_at_once() -> None:
     with pytest.raises(CameraError, match=r"expected an address such as tcp://192\.168\.123\.164:5555"):
-        ZmqCamera("127.0.0.1:5555", Wishes())
+        ZmqCamera("127.0.0.1:5555", PictureSettings())

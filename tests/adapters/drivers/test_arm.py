@@ -19,7 +19,7 @@ from station.arms import JointCommand
 from station.errors import ConfigError
 from station.operator.buttons import Buttons, button_map
 from station.operator.deadman import Snapshot
-from station.operator.driving import Driven, Driving
+from station.operator.driving import Driving, DrivingStep
 from station.operator.sample import OperatorSample, Pose
 from station.parts import PartedCommand
 from station.protocols import Floats
@@ -260,7 +260,7 @@ def test_a_leader_that_is_near_is_followed_no_faster_than_told() -> None:
 
 def test_a_leader_that_is_far_away_may_not_begin_and_is_told_what_to_move_where() -> None:
     look = joints().look(OperatorSample(joints=np.append(DOWN + 0.9 * np.eye(7)[3] - 1.0 * np.eye(7)[0], 0.5)))
-    assert look.objection == "leader is too far from the arm; move it (rad): joint_1 by +1.00, joint_4 by -0.90"
+    assert look.why_not_engage == "leader is too far from the arm; move it (rad): joint_1 by +1.00, joint_4 by -0.90"
 
 
 @pytest.mark.parametrize(
@@ -279,10 +279,10 @@ def test_a_leader_that_is_far_away_may_not_begin_and_is_told_what_to_move_where(
         (OperatorSample(right=Pose(np.zeros(3), np.zeros(4))), TOOL, "right has no orientation yet"),
     ],
 )
-def test_what_does_not_fit_is_refused(reading: OperatorSample, mode: str, flaw: str) -> None:
+def test_what_does_not_fit_is_refused(reading: OperatorSample, mode: str, why_not: str) -> None:
     look = (tool() if mode == TOOL else joints()).look(reading)
     assert look.input is None
-    assert look.flaw.startswith(flaw)
+    assert look.why_not.startswith(why_not)
 
 
 def test_what_jumps_or_is_lost_is_told() -> None:
@@ -310,11 +310,11 @@ class Seat:
         self.driving = Driving(driver, Buttons(button_map("spacemouse")))
         self.tick()
 
-    def tick(self, reading: OperatorSample | None = None, **controls: float) -> Driven:
+    def tick(self, reading: OperatorSample | None = None, **controls: float) -> DrivingStep:
         reading = replace(reading or twist(), controls={"button_1": 0.0} | controls)
         return self.driving.step(reading, TICK_S)
 
-    def press(self, control: str, seconds: float = 0.1) -> list[Driven]:
+    def press(self, control: str, seconds: float = 0.1) -> list[DrivingStep]:
         ticks = [self.tick(**{control: 1.0}) for _ in range(round(seconds / TICK_S))]
         return ticks + [self.tick() for _ in range(5)]
 
@@ -361,7 +361,7 @@ def test_only_the_joints_of_a_model_without_known_kinematics_are_driven(tmp_path
     options = ArmOptions(model="kr1805", limits=file)
     driver = ArmDriver("arm-joints", options, "joints")
     assert [driver.next_mode(), driver.next_mode()] == [WRIST, BASE]
-    assert driver.form.robot == "kassow_kr1805"
+    assert driver.command_format.robot == "kassow_kr1805"
     with pytest.raises(ConfigError, match="kinematics are not known"):
         ArmDriver("arm-tcp", options, "tool")
     with pytest.raises(ConfigError, match="speed_rad_s is 3; the slowest joint does 2 rad/s"):
@@ -404,7 +404,7 @@ def six(monkeypatch: pytest.MonkeyPatch) -> ArmDriver:
 
 
 def test_an_arm_of_six_joints_is_driven_by_whatever_drives_one_of_seven(six: ArmDriver) -> None:
-    assert (six.form.key, six.form.robot) == ("action_joints_six", "six")
+    assert (six.command_format.key, six.command_format.robot) == ("action_joints_six", "six")
     assert [six.mode, six.next_mode(), six.next_mode()] == ["joints 1-4", "joints 5-6", "joints 1-4"]
     turned = follow(six, held(twist(0.0, 0.0, 0.0, 0.0, 0.0, 1.0), 0.4))[-1]
     assert turned == pytest.approx([0.3 * 0.4, 0, 0, 0, 0, 0], abs=0.003)
@@ -416,11 +416,11 @@ def test_a_leader_of_six_joints_and_a_gripper_leads_it_and_one_of_another_number
     leader = OperatorSample(joints=np.array([0.1, -0.1, 0.1, 0.0, 0.1, 0.0, 0.7]))
     assert follow(six, held(leader, 2.0))[-1] == pytest.approx([0.1, -0.1, 0.1, 0.0, 0.1, 0.0])
     assert (
-        six.look(OperatorSample(joints=np.zeros(8))).flaw
+        six.look(OperatorSample(joints=np.zeros(8))).why_not
         == "the leader sends 8 values, expected 6 joints, and a gripper or none"
     )
     far = six.look(OperatorSample(joints=np.array([0.1, -0.1, 0.1, 0.0, 0.1, 1.5])))
-    assert far.objection == "leader is too far from the arm; move it (rad): flange by -1.50"
+    assert far.why_not_engage == "leader is too far from the arm; move it (rad): flange by -1.50"
     jump = six.jump(
         six.look(leader).input, six.look(OperatorSample(joints=np.array([0.1, 0.9, 0.1, 0.0, 0.1, 0.0]))).input
     )

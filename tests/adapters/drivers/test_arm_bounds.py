@@ -20,7 +20,7 @@ from tests.examples import examples
 
 TICK_S = 0.004
 SPEED = 0.3
-FORM = ArmDriver("arm-joints", ArmOptions(), "joints").form
+FORMAT = ArmDriver("arm-joints", ArmOptions(), "joints").command_format
 
 Wish = Callable[[np.random.Generator, Floats], OperatorSample]
 """From chance, and where the arm is asked to be, to a sample."""
@@ -65,10 +65,10 @@ segment = st.tuples(
 )
 poses = st.one_of(
     st.just(np.array(REACHING_DOWN)),
-    st.just(np.array(FORM.default)),
-    st.integers(0, 2**16).map(lambda seed: np.random.default_rng(seed).uniform(FORM.lower, FORM.upper)),
-    st.just(np.array(FORM.upper)),
-    st.just(np.array(FORM.lower)),
+    st.just(np.array(FORMAT.default)),
+    st.integers(0, 2**16).map(lambda seed: np.random.default_rng(seed).uniform(FORMAT.lower, FORMAT.upper)),
+    st.just(np.array(FORMAT.upper)),
+    st.just(np.array(FORMAT.lower)),
 )
 
 
@@ -91,8 +91,8 @@ class Pilot:
         driven = self.driving.step(reading, TICK_S)
         command = driven.command
         assert np.isfinite(command).all()
-        assert (command >= FORM.lower).all()
-        assert (command <= FORM.upper).all()
+        assert (command >= FORMAT.lower).all()
+        assert (command <= FORMAT.upper).all()
         assert np.abs(command - before).max() <= SPEED * TICK_S + 1e-12
         if not (was_engaged and self.driving.deadman.is_engaged) or driven.mode:
             assert (command == before).all()  # engaging, letting go, the tick of another mode, and while nobody drives
@@ -132,7 +132,7 @@ def test_the_first_command_after_engaging_is_where_the_arm_stands_also_where_it_
     pilot.tick(OperatorSample(twist=np.ones(6)), "left_grip")
     for _ in range(5):
         pilot.tick(OperatorSample(twist=np.ones(6)))
-    elsewhere = np.random.default_rng(seed).uniform(FORM.lower, FORM.upper)
+    elsewhere = np.random.default_rng(seed).uniform(FORMAT.lower, FORMAT.upper)
     driver.take_up(elsewhere)  # by hand, or by another server
     pilot.command = elsewhere
     pilot.tick(OperatorSample(twist=np.ones(6)), "left_grip")

@@ -71,16 +71,16 @@ def test_let_go_on_a_walk_it_stands_after_200_ms_while_its_legs_are_blended() ->
 
 def test_a_body_that_cannot_be_is_told_in_the_next_tick_and_moves_nothing() -> None:
     driver = BodyDriver(Blind())
-    assert driver.look(body(0.0)).flaw == ""
+    assert driver.look(body(0.0)).why_not == ""
     command = driver.step(body(0.0), None, TICK_S)
     assert command == pytest.approx(FORMAT.default, abs=0.0)
-    assert driver.look(body(0.01)).flaw == "left_foot is 3.2 m away from the pelvis"
+    assert driver.look(body(0.01)).why_not == "left_foot is 3.2 m away from the pelvis"
 
 
 def test_a_device_that_does_not_track_or_tell_the_time_is_told() -> None:
     driver = BodyDriver(Shadow())
-    assert driver.look(replace(body(0.0), body=None)).flaw == "the body is not tracked"
-    assert driver.look(replace(body(0.0), capture_ns=None)).flaw == "the device does not say when it saw the body"
+    assert driver.look(replace(body(0.0), body=None)).why_not == "the body is not tracked"
+    assert driver.look(replace(body(0.0), capture_ns=None)).why_not == "the device does not say when it saw the body"
 
 
 def test_a_manifest_is_told_what_the_retargeting_is_set_to() -> None:

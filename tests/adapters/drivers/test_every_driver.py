@@ -108,20 +108,20 @@ def test_silence_is_survived(pair: tuple[Driver, Operator]) -> None:
 
 def test_a_sample_without_what_it_needs_is_none(pair: tuple[Driver, Operator]) -> None:
     driver, operator = pair
-    assert driver.look(operator(0.0)).flaw == ""
+    assert driver.look(operator(0.0)).why_not == ""
     look = driver.look(OperatorSample())
     assert look.input is None
-    assert look.flaw
-    assert "\n" not in look.flaw
+    assert look.why_not
+    assert "\n" not in look.why_not
 
 
 def test_what_stands_beside_the_command_is_as_long_as_stock_readers_expect(pair: tuple[Driver, Operator]) -> None:
     driver, operator = pair
     driver.step(operator(0.0), None, TICK_S)
-    sizes = {key: len(values) for key, values in driver.companions.items()}
-    assert sizes == {key: len(values) for key, values in FORMAT.companions.items()}
+    sizes = {key: len(values) for key, values in driver.auxiliary.items()}
+    assert sizes == {key: len(values) for key, values in FORMAT.auxiliary.items()}
 
 
 def test_its_facts_name_it(pair: tuple[Driver, Operator]) -> None:
     assert pair[0].facts()["driver"] == pair[0].name
-    assert pair[0].form is FORMAT
+    assert pair[0].command_format is FORMAT

@@ -64,7 +64,7 @@ def test_an_operator_who_faces_left_reaches_forward_by_reaching_left() -> None:
 
 def test_one_hand_drives_one_palm_and_the_other_is_not_asked_for() -> None:
     alone = replace(START, left=None)
-    assert HandsDriver().look(alone).flaw == "left is not tracked"
+    assert HandsDriver().look(alone).why_not == "left is not tracked"
     driver, snapshot = engaged(HandsOptions(sides=("right",)), alone)
     for _ in range(100):
         driver.step(replace(alone, right=moved(alone.right, 0.05, 0.0, 0.1)), snapshot, TICK_S)
@@ -74,7 +74,7 @@ def test_one_hand_drives_one_palm_and_the_other_is_not_asked_for() -> None:
 
 def test_poses_of_zeros_before_data_are_refused() -> None:
     nothing = Pose(np.zeros(3), np.zeros(4))
-    assert HandsDriver().look(replace(START, right=nothing)).flaw == "right has no orientation yet"
+    assert HandsDriver().look(replace(START, right=nothing)).why_not == "right has no orientation yet"
 
 
 def test_sticks_walk_only_in_the_mode_for_it() -> None:
@@ -96,11 +96,11 @@ def test_the_trigger_closes_a_hand_within_a_fifth_of_a_second_and_the_grip_opens
     left, right = twist_keys.action_hand("left"), twist_keys.action_hand("right")
     for _ in range(20):
         driver.step(replace(START, controls={"left_trigger": 0.3}), snapshot, TICK_S)
-    assert driver.companions[left] == pytest.approx([0.0, 1.0, 1.74, -1.57, -1.74, -1.57, -1.74])
-    assert driver.companions[right] == pytest.approx(np.zeros(7))
+    assert driver.auxiliary[left] == pytest.approx([0.0, 1.0, 1.74, -1.57, -1.74, -1.57, -1.74])
+    assert driver.auxiliary[right] == pytest.approx(np.zeros(7))
     for _ in range(10):
         driver.step(replace(START, controls={"left_grip": 1.0}), snapshot, TICK_S)
-    assert driver.companions[left] == pytest.approx(0.5 * np.array([0.0, 1.0, 1.74, -1.57, -1.74, -1.57, -1.74]))
+    assert driver.auxiliary[left] == pytest.approx(0.5 * np.array([0.0, 1.0, 1.74, -1.57, -1.74, -1.57, -1.74]))
 
 
 def test_a_gamepad_opens_both_hands_with_its_bumper() -> None:
@@ -111,7 +111,7 @@ def test_a_gamepad_opens_both_hands_with_its_bumper() -> None:
     for _ in range(20):
         driver.step(replace(START, controls={"right_bumper": 1.0}), snapshot, TICK_S)
     for side in SIDES:
-        assert driver.companions[twist_keys.action_hand(side)] == pytest.approx(np.zeros(7))
+        assert driver.auxiliary[twist_keys.action_hand(side)] == pytest.approx(np.zeros(7))
 
 
 def test_hands_that_jump_are_told() -> None:

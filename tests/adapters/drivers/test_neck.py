@@ -77,10 +77,10 @@ def test_a_headset_turns_the_neck_while_hands_drive_and_it_stays_when_they_let_g
     snapshot = Snapshot(driver.look(facing).input, driver.target)
     for _ in range(100):
         driver.step(looking, snapshot, TICK_S)
-    held = driver.companions[twist_keys.action_neck()]
+    held = driver.auxiliary[twist_keys.action_neck()]
     assert held == pytest.approx([0.3 * SCALE, 0.0])
     driver.step(facing, None, TICK_S)
-    assert driver.companions[twist_keys.action_neck()] == pytest.approx(held)
+    assert driver.auxiliary[twist_keys.action_neck()] == pytest.approx(held)
 
 
 def test_a_tracked_head_turns_the_neck_while_the_body_drives() -> None:
@@ -92,7 +92,7 @@ def test_a_tracked_head_turns_the_neck_while_the_body_drives() -> None:
     snapshot = Snapshot(first, driver.target)
     for tick in range(100):
         driver.step(replace(body(tick * TICK_S), body=Body(first.positions, quats)), snapshot, TICK_S)
-    assert driver.companions[twist_keys.action_neck()] == pytest.approx([0.0, -math.radians(30.0)])
+    assert driver.auxiliary[twist_keys.action_neck()] == pytest.approx([0.0, -math.radians(30.0)])
 
 
 def test_a_scale_that_cannot_be_is_refused() -> None:

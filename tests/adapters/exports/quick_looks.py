@@ -6,12 +6,12 @@ from pathlib import Path
 
 from adapters.exports.named_rows import QuickLookOptions
 from station import registry
-from station.export.kind import Made, Source
+from station.export.kind import ShardResult, Source
 
 
-def converted(name: str, episode: Path, out: Path, *keys: str) -> Made:
+def converted(name: str, episode: Path, out: Path, *keys: str) -> ShardResult:
     """Make the shard of an episode in a format of that name."""
     kind, source = registry.find("export", name), Source(episode_id=episode.name, folder=str(episode))
     out.mkdir()
-    made: Made = kind.convert(source, kind.prepare([source], QuickLookOptions(keys=keys)), out)
+    made: ShardResult = kind.convert(source, kind.prepare([source], QuickLookOptions(keys=keys)), out)
     return made

@@ -16,7 +16,7 @@ from adapters.retarget.body_ik import MODEL, START, BodyIK, Limits
 from adapters.retarget.bone_frames import directed
 from adapters.retarget.calibration import of_person
 from adapters.retarget.human import SIDES, standing
-from adapters.retarget.scaling import Aim, Scaler, matrices
+from adapters.retarget.scaling import LinkTargets, Scaler, matrices
 from adapters.robots.g1 import joints as g1
 from adapters.robots.g1 import kinematics
 from adapters.robots.g1.joints import G1_29
@@ -29,7 +29,7 @@ LOWER, UPPER = g1.lower(G1_29), g1.upper(G1_29)
 IK = BodyIK()  # one for all: it is reset where that matters
 
 
-def anything(seed: int) -> Aim:
+def anything(seed: int) -> LinkTargets:
     """Return an aim that no body has: every direction and place is anywhere."""
     random = np.random.default_rng(seed)
 
@@ -39,7 +39,7 @@ def anything(seed: int) -> Aim:
     def directions() -> Floats:
         return directed(random.normal(size=(2, 3)))
 
-    return Aim(
+    return LinkTargets(
         pelvis=random.normal(size=3) * 3.0, pelvis_turn=turns(), chest_turn=turns(), thighs=directions(),
         ankles=random.normal(size=(2, 3)) * 3.0, feet_turn=turns(2), upper_arms=directions(), forearms=directions(),
         hands_turn=turns(2), soles=np.zeros(2), steps=np.zeros((2, 3)),
@@ -101,7 +101,7 @@ def test_a_t_pose_is_one() -> None:
     assert 0.1 < found[7 + G1_29.index("left_knee")] < 0.3, "knees that lock cannot push"
 
 
-def raised(*ways: tuple[float, float, float]) -> list[Aim]:
+def raised(*ways: tuple[float, float, float]) -> list[LinkTargets]:
     """Return the frames of somebody who moves both arms alike, straight, from way to way at 1.5 rad/s; then rests."""
     still = Scaler(of_person(ADULT)).step(standing(ADULT, arms="down"))
     frames, mirror = [], np.array([[1.0, 1.0, 1.0], [1.0, -1.0, 1.0]])

@@ -10,20 +10,22 @@ from adapters.motions.load import load
 from adapters.retarget.calibration import of_person
 from adapters.retarget.contact import SOLE_DEPTH_M, FootHold
 from adapters.retarget.human import standing
-from adapters.retarget.scaling import Aim, Scaler
+from adapters.retarget.scaling import LinkTargets, Scaler
 from tests.adapters.retarget.people import ADULT, doing
 
 DT_S = 1.0 / 90.0
 STILL = Scaler(of_person(ADULT)).step(standing(ADULT))
 
 
-def shifted(aim: Aim, soles: tuple[float, float] = (0.0, 0.0), step: tuple[float, float, float] = (0, 0, 0)) -> Aim:
+def shifted(
+    aim: LinkTargets, soles: tuple[float, float] = (0.0, 0.0), step: tuple[float, float, float] = (0, 0, 0)
+) -> LinkTargets:
     """Return an aim whose soles are higher and whose feet have gone somewhere [m]."""
     by = np.array(step)
     return replace(aim, soles=aim.soles + soles, ankles=aim.ankles + by, steps=aim.steps + by)
 
 
-def settled(hold: FootHold, frames: int = 60) -> Aim:
+def settled(hold: FootHold, frames: int = 60) -> LinkTargets:
     for _ in range(frames):
         held = hold.step(STILL, DT_S)
     return held

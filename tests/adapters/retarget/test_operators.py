@@ -16,7 +16,7 @@ from adapters.retarget.human import G1_SIZED, Proportions, of_height, standing
 from adapters.retarget.operators import BodyMeasure
 from adapters.retarget.scaling import segments
 from station.errors import StationError, UsageError
-from station.operator.measure import Measured, OperatorMeasure
+from station.operator.measure import MeasurementResult, OperatorMeasure
 from station.operator.sample import OperatorSample
 from tests.adapters.retarget.people import ADULT, longer_arms
 
@@ -39,7 +39,7 @@ def seen(lengths: Proportions, metres: float = 0.002) -> list[OperatorSample]:
     ]
 
 
-def measured(lengths: Proportions, operator: str = "ada") -> Measured:
+def measured(lengths: Proportions, operator: str = "ada") -> MeasurementResult:
     measure: OperatorMeasure = BodyMeasure()
     return measure.measure(seen(lengths), operator, "t", device="pico", source="a fake")
 
@@ -91,9 +91,9 @@ def test_a_new_measurement_takes_the_place_of_the_one_before_at_once(settings: P
 
 def test_a_body_is_needed_and_its_time() -> None:
     reading = seen(ADULT)[0]
-    assert BodyMeasure().flaw(reading) == ""
-    assert "the body is not tracked" in BodyMeasure().flaw(replace(reading, body=None))
-    assert "does not say when" in BodyMeasure().flaw(replace(reading, capture_ns=None))
+    assert BodyMeasure().why_not(reading) == ""
+    assert "the body is not tracked" in BodyMeasure().why_not(replace(reading, body=None))
+    assert "does not say when" in BodyMeasure().why_not(replace(reading, capture_ns=None))
 
 
 @pytest.mark.parametrize(("height_m", "told"), [(1.1, "1.10 m tall, expected 1.2 to 2.2 m"), (2.3, "2.30 m tall")])

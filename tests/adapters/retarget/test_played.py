@@ -13,7 +13,7 @@ from adapters.motions.load import load
 from adapters.retarget import evaluate, skeleton_file
 from adapters.retarget.calibration import calibrate, from_height
 from adapters.retarget.human import standing
-from adapters.retarget.played import Played, noisy, person_of
+from adapters.retarget.played import RetargetedMotion, noisy, person_of
 from adapters.retarget.skeleton_file import Skeletons
 from station import rotations
 from station.control.rig import RigConfig, build
@@ -86,7 +86,7 @@ def test_objects_in_a_file_are_not_unpickled(tmp_path: Path) -> None:
 
 def test_a_stream_is_seen_as_it_comes_without_a_frame_that_has_not_come() -> None:
     person = doing("wave")
-    played = Played(person)
+    played = RetargetedMotion(person)
     assert played.duration_s == pytest.approx(person.times_s[-1])
     assert played.fps == pytest.approx(90.0)
     assert played.at(person.times_s[20] - 1e-4) is played.references[19]
@@ -110,8 +110,8 @@ def test_a_reference_may_ask_for_what_a_person_makes_of_a_motion() -> None:
 def test_who_is_how_tall_must_be_known() -> None:
     person = replace(doing("wave"), height_m=None)
     with pytest.raises(UsageError, match="how tall the person is"):
-        Played(person)
-    assert Played(replace(person, times_s=person.times_s), calibration=from_height(1.72)).name == "skeleton"
+        RetargetedMotion(person)
+    assert RetargetedMotion(replace(person, times_s=person.times_s), calibration=from_height(1.72)).name == "skeleton"
     with pytest.raises(UsageError, match="a person of 17 m"):
         person_of(load("builtin:wave"), 17)
 
@@ -121,8 +121,10 @@ def test_the_tracker_follows_what_a_person_does_as_it_follows_the_clip(clip: str
     """Real policy, real physics, a tracker with noise: no fall, and hardly more error than of the clip itself."""
     rig = build(RigConfig(robot_options={"physics_dt_s": 0.002}))
     person = noisy(doing(clip), metres=0.001, radians=0.005)
-    clips = (load(f"builtin:{clip}"), Played(_first_seconds(person, 6.0)))
-    of_clip, of_person = (rehearse(motion, rig.policy, rig.robot, rig.form, period_s=rig.period_s) for motion in clips)
+    clips = (load(f"builtin:{clip}"), RetargetedMotion(_first_seconds(person, 6.0)))
+    of_clip, of_person = (
+        rehearse(motion, rig.policy, rig.robot, rig.command_format, period_s=rig.period_s) for motion in clips
+    )
     assert not of_clip.fell
     assert not of_person.fell
     assert of_person.mean_joint_error_rad is not None
@@ -147,8 +149,8 @@ def test_the_tracker_walks_on_under_a_bad_device_and_a_careless_calibration() ->
         times_s=person.times_s[came],
     )
     rig = build(RigConfig(robot_options={"physics_dt_s": 0.002}))
-    played = Played(tracked, calibration=calibrate([seen] * 30, "Ada"))
-    result = rehearse(played, rig.policy, rig.robot, rig.form, period_s=rig.period_s)
+    played = RetargetedMotion(tracked, calibration=calibrate([seen] * 30, "Ada"))
+    result = rehearse(played, rig.policy, rig.robot, rig.command_format, period_s=rig.period_s)
     assert not result.fell
     assert result.mean_joint_error_rad is not None
     assert result.mean_joint_error_rad < 0.1

@@ -19,7 +19,7 @@ from station.episode.replaying.arm_audit import audit_arm
 from station.episode.replaying.audit import audit
 from station.episode.replaying.resimulate import to_sim
 from station.export.kind import Source
-from station.export.run import Where, export
+from station.export.run import Workers, export
 from tests.adapters.exports.quick_looks import converted
 
 _NOT_OF_THE_EPISODE = (
@@ -71,7 +71,7 @@ def _tables(episode: Path, out: Path) -> dict[str, dict[str, list[float]]]:
 def _data_set(episode: Path, out: Path) -> dict[str, Any]:
     """Frames of the export to LeRobot, and shape and names of each of its features."""
     source = Source(episode_id=episode.name, folder=str(episode))
-    export(LEROBOT, [source], LeRobotOptions(min_quality="any"), out, where=Where(jobs=1))
+    export(LEROBOT, [source], LeRobotOptions(min_quality="any"), out, where=Workers(jobs=1))
     info = json.loads((out / "meta/info.json").read_text(encoding="utf-8"))
     features = {name: {"shape": one["shape"], "names": one["names"]} for name, one in info["features"].items()}
     return {"frames": info["total_frames"], "fps": info["fps"], "features": features}

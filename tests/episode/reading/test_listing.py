@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from station.episode.reading.listing import Wanted, list_episodes, since
+from station.episode.reading.listing import EpisodeFilter, list_episodes, since
 from station.episode.reading.reader import open_episode
 from station.episode.reading.show import show
 from station.episode.storage.manifest import Manifest, Operator, QualityFlags, Task, Timing, save_manifest
@@ -85,19 +85,19 @@ def takes(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("wanted", "expected"),
     [
-        (Wanted(), [0, 1, 2, 3, 4]),
-        (Wanted(least="usable"), [0, 1]),
-        (Wanted(least="good"), [0]),
-        (Wanted(verdicts=("reject", "unchecked")), [2, 3]),
-        (Wanted(operator="bob"), [3, 4]),
-        (Wanted(success="yes"), [0, 4]),
-        (Wanted(success="no"), [2]),
-        (Wanted(success="unknown"), [1, 3]),
-        (Wanted(since=NOON - timedelta(hours=2)), [2, 3, 4]),
-        (Wanted(operator="ada", least="usable", success="yes"), [0]),
+        (EpisodeFilter(), [0, 1, 2, 3, 4]),
+        (EpisodeFilter(least="usable"), [0, 1]),
+        (EpisodeFilter(least="good"), [0]),
+        (EpisodeFilter(verdicts=("reject", "unchecked")), [2, 3]),
+        (EpisodeFilter(operator="bob"), [3, 4]),
+        (EpisodeFilter(success="yes"), [0, 4]),
+        (EpisodeFilter(success="no"), [2]),
+        (EpisodeFilter(success="unknown"), [1, 3]),
+        (EpisodeFilter(since=NOON - timedelta(hours=2)), [2, 3, 4]),
+        (EpisodeFilter(operator="ada", least="usable", success="yes"), [0]),
     ],
 )
-def test_a_list_holds_what_is_wanted_and_nothing_else(takes: Path, wanted: Wanted, expected: list[int]) -> None:
+def test_a_list_holds_what_is_wanted_and_nothing_else(takes: Path, wanted: EpisodeFilter, expected: list[int]) -> None:
     names = sorted(row.episode_id for row in list_episodes(takes, wanted=wanted))
     assert names == [f"take-{number}" for number in expected]
 

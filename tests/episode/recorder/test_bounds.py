@@ -26,7 +26,7 @@ from station.episode.storage.request import RecordAnswer
 from station.episode.storage.tail import Index
 from station.episode.writing import chunks
 from station.episode.writing.closing import close_manifest
-from station.episode.writing.retell import Retelling, note_event
+from station.episode.writing.summary import EpisodeSummary, note_event
 from tests.episode.writes import Native, foreign
 from tests.waiting import wait_until
 
@@ -79,16 +79,16 @@ def test_of_a_flood_of_requests_the_newest_are_answered_and_told(tmp_path: Path)
 
 
 def test_what_a_file_tells_of_requests_and_servers_is_bounded() -> None:
-    retelling = Retelling(take_anchor())
+    episode_summary = EpisodeSummary(take_anchor())
     at_ns = take_anchor().wall_ns + 1
     for n in range(2_000):
-        retelling.note(keys.RECORD, json.dumps({"id": f"m{n}", "action": "mark"}).encode(), at_ns)
-        retelling.note(keys.server_config(f"s{n}"), b'{"role": "low-level"}', at_ns)
-        retelling.note(keys.EVENT, b'{"name": "e"}', at_ns)
-    assert len(retelling.told.requests) < 1_000
-    assert retelling.told.requests[-1] == "m1999"
-    assert len(retelling.told.servers) < 1_000
-    assert len(retelling.told.events) + retelling.told.events_not_listed == 2_000
+        episode_summary.note(keys.RECORD, json.dumps({"id": f"m{n}", "action": "mark"}).encode(), at_ns)
+        episode_summary.note(keys.server_config(f"s{n}"), b'{"role": "low-level"}', at_ns)
+        episode_summary.note(keys.EVENT, b'{"name": "e"}', at_ns)
+    assert len(episode_summary.told.requests) < 1_000
+    assert episode_summary.told.requests[-1] == "m1999"
+    assert len(episode_summary.told.servers) < 1_000
+    assert len(episode_summary.told.events) + episode_summary.told.events_not_listed == 2_000
 
 
 def test_events_that_hold_thousands_of_numbers_leave_a_manifest_that_can_be_read() -> None:

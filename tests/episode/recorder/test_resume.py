@@ -152,10 +152,10 @@ def test_a_checkpoint_tells_the_same_as_the_file(data: Path, seed: int) -> None:
     assert loaded == checkpoint
     assert load_checkpoint(folder, layout.SIGNALS, checkpoint.size - 1) is None
     quick = EpisodeFile.reopen(active, point.anchor, size=point.size, checkpoint=loaded)
-    found = (quick.messages, quick.gaps, quick.retelling.told, quick.checkpoint())
+    found = (quick.messages, quick.gaps, quick.episode_summary.told, quick.checkpoint())
     quick.close()
     whole = EpisodeFile.reopen(active, point.anchor, size=point.size)
-    assert found == (whole.messages, whole.gaps, whole.retelling.told, whole.checkpoint())
+    assert found == (whole.messages, whole.gaps, whole.episode_summary.told, whole.checkpoint())
     whole.close()
 
 

@@ -18,7 +18,7 @@ from station.episode.recorder.resume import take_up, unfinished
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, take_anchor
-from station.episode.storage.drops import Drops, Spell
+from station.episode.storage.drops import DropPeriods, Drops
 from station.episode.storage.manifest import Manifest, Task, Timing
 from station.episode.storage.progress import WriterOptions, load_resume_point
 from station.episode.writing.closing import close_manifest
@@ -162,7 +162,7 @@ def test_a_repair_keeps_the_counts(tmp_path: Path, *, has_resume_point: bool) ->
 
 
 def test_that_writes_are_dropped_is_said_when_it_begins_and_when_it_has_ended() -> None:
-    spell, said, image = Spell("images-dropped", "warning"), [], Write("camera_left", IMAGE, None, 0)
+    spell, said, image = DropPeriods("images-dropped", "warning"), [], Write("camera_left", IMAGE, None, 0)
     for tenth in range(100):
         drops = Drops()
         if 10 <= tenth < 50:

@@ -26,7 +26,7 @@ from station.contract import names_of
 from station.errors import EpisodeError
 from station.export import shards
 from station.export.kind import Source
-from station.export.run import Exported, Where, export, preview
+from station.export.run import Exported, Workers, export, preview
 from tests.episode.arm_run import ArmRun
 from tests.episode.synthetic import ROBOT, EpisodeBuilder, tick
 from tests.export.pictured import HEAD, number_in, shoot, walked
@@ -39,7 +39,7 @@ AGE = "age_s.camera.head"
 
 def exported(sources: list[Source], out: Path, **options: Any) -> Exported:
     wish = LeRobotOptions(**{"min_quality": "any", **options})
-    return export(LEROBOT, sources, wish, out, where=Where(jobs=1))
+    return export(LEROBOT, sources, wish, out, where=Workers(jobs=1))
 
 
 def two(data: Path) -> list[Source]:
@@ -203,7 +203,7 @@ def test_rows_without_an_action_of_their_own_are_told_and_hashes_are_those_of_th
 
 def test_every_column_is_told_of_before_anything_is_written(tmp_path: Path) -> None:
     sources = two(tmp_path / "data")
-    seen = preview(LEROBOT, sources, LeRobotOptions(min_quality="any"), where=Where(jobs=1))
+    seen = preview(LEROBOT, sources, LeRobotOptions(min_quality="any"), where=Workers(jobs=1))
     assert LEROBOT.columns is not None
     told = "\n".join(LEROBOT.columns(seen.plan))
     exported(sources, out := tmp_path / "set")

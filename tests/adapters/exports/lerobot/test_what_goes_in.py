@@ -19,12 +19,12 @@ from adapters.robots.kassow.names import KR810_ROBOT
 from station.bus import codec, contracts, keys
 from station.contract import Contract
 from station.export.kind import ExportKind, Source
-from station.export.run import Exported, Where, export, preview
+from station.export.run import Exported, Workers, export, preview
 from tests.episode.arm_run import ArmRun
 from tests.episode.synthetic import ROBOT, EpisodeBuilder, tick
 from tests.export.pictured import walked
 
-HERE = Where(jobs=1)
+HERE = Workers(jobs=1)
 STATE, ACTION = keys.robot_state(ROBOT), keys.command_used(ROBOT)
 FINGERS = [joint.removeprefix("left_") for joint in hand("left")]
 HANDS = ("left hand", "right hand")

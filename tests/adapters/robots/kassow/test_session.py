@@ -30,7 +30,7 @@ def test_after_the_bridge_disengaged_by_itself_who_never_lets_go_is_not_followed
     driven.drive(20)
     driven.bridge.disengage()
     record = driven.drive(1)
-    assert "engagement-lost" in [happening.name for happening in record.happenings]
+    assert "engagement-lost" in [step_event.name for step_event in record.step_events]
     sends = driven.bridge.get_state().stream_j_sends
     record = driven.drive(300)
     assert record.decision.state == "waiting"
@@ -51,7 +51,7 @@ def test_a_target_is_as_far_ahead_as_the_profile_that_is_at_work_allows(driven: 
 def test_clearing_where_there_is_no_fault_ends_driving_and_says_so(driven: DrivenArm) -> None:
     driven.drive(20)
     assert driven.session.clear() == ""
-    assert "engagement-lost" in [happening.name for happening in driven.drive(1).happenings]
+    assert "engagement-lost" in [step_event.name for step_event in driven.drive(1).step_events]
 
 
 def test_a_controller_that_takes_no_commands_without_an_alarm_has_a_fault_that_clears_once_it_goes_on(

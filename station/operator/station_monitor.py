@@ -24,7 +24,7 @@ _NAME = "station"  # who says what nobody else said
 _BUS_GONE_S = 1.0
 
 
-class Vigil:
+class SilenceMonitor:
     """Which servers have fallen silent without a farewell. Pure: times are given."""
 
     def __init__(self) -> None:
@@ -72,7 +72,7 @@ class Vigil:
         return []
 
 
-class Onlooker:
+class StationMonitor:
     """Listens to a bus from now on; a context manager.
 
     Args:
@@ -85,7 +85,7 @@ class Onlooker:
         self._feed = EventFeed(bus)
         self._watch = bus.watch([keys.ESTOP])
         self._stop_seen = self._watch.latest(keys.ESTOP)  # one from before our time is no news
-        self._vigil = Vigil()
+        self._silence_monitor = SilenceMonitor()
         self._look_s = self._connected_s = self._clock.monotonic_s()
         self._is_lost = False
 
@@ -94,7 +94,7 @@ class Onlooker:
         now_s = self._clock.monotonic_s()
         found = list(self._feed.take())
         for event in found:
-            self._vigil.hear(event)
+            self._silence_monitor.hear(event)
         found += self._stop()
         if now_s - self._look_s >= LOOK_S:
             self._look_s = now_s
@@ -106,7 +106,7 @@ class Onlooker:
         self._feed.close()
         self._watch.close()
 
-    def __enter__(self) -> Onlooker:
+    def __enter__(self) -> StationMonitor:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -130,15 +130,15 @@ class Onlooker:
         try:
             health = [said for said in read_health(self._bus) if said.name != self._name]
         except BusError:  # the watch will say so, if it lasts
-            self._vigil.forget()
+            self._silence_monitor.forget()
             return []
         found = [_event("bus-back")] if self._is_lost else []
         self._is_lost = False
-        return [*found, *self._vigil.step(health, now_s)]
+        return [*found, *self._silence_monitor.step(health, now_s)]
 
     def _lose(self) -> list[Event]:
         was_lost, self._is_lost = self._is_lost, True
-        self._vigil.forget()
+        self._silence_monitor.forget()
         return [] if was_lost else [_event("bus-lost")]
 
 

@@ -20,8 +20,8 @@ from station.episode.storage.bounds import cut
 from station.episode.storage.manifest import Event, Manifest, Mark, Recorder
 from station.episode.storage.records import RawMessage
 from station.episode.storage.request import RecordRequest, parse_request, request_id
-from station.episode.writing.checkpoint import Told
-from station.episode.writing.heard import (
+from station.episode.writing.checkpoint import SummaryState
+from station.episode.writing.servers_seen import (
     LARGEST_CONFIGURATION,
     MAX_SERVERS,
     count_shortened,
@@ -42,7 +42,7 @@ _TOLD = ("events", "marks", "motions")  # sections that follow from the messages
 _EVENT_FIELDS = ("name", "severity", "source", "wall_ns", "detail")
 
 
-def note_event(manifest: Manifest | Told, value: bytes, at_s: float) -> None:
+def note_event(manifest: Manifest | SummaryState, value: bytes, at_s: float) -> None:
     """Put an event into a manifest; `at_s` is its arrival from the start of the episode [s]."""
     stated = statement(value, _LARGEST_EVENT)
     facts = stated.value if stated else {"name": "undecodable", "severity": "warning"}
@@ -71,7 +71,7 @@ def note_event(manifest: Manifest | Told, value: bytes, at_s: float) -> None:
     count_shortened(manifest, "events", in_it + (not is_short) + name.cuts + severity.cuts + source.cuts)
 
 
-def note_mark(manifest: Manifest | Told, label: str, at_s: float, success: bool | None) -> bool:
+def note_mark(manifest: Manifest | SummaryState, label: str, at_s: float, success: bool | None) -> bool:
     """Put a mark into a manifest; False when there are too many already."""
     if len(manifest.marks) >= manifests.MAX_MARKS:
         return False
@@ -83,7 +83,7 @@ def note_mark(manifest: Manifest | Told, label: str, at_s: float, success: bool 
     return True
 
 
-def note_not_mirrored(account: Recorder | Told, value: bytes) -> None:
+def note_not_mirrored(account: Recorder | SummaryState, value: bytes) -> None:
     """Count what a tap said of writes that it could not show."""
     said = not_mirrored.decode(value) or not_mirrored.NotMirrored("?", "")
     account.not_mirrored += said.count
@@ -92,16 +92,16 @@ def note_not_mirrored(account: Recorder | Told, value: bytes) -> None:
         account.not_mirrored_by[which] = account.not_mirrored_by.get(which, 0) + said.count
 
 
-class Retelling:
+class EpisodeSummary:
     """Takes the messages of a file in order and tells what follows from them.
 
     Attributes:
         told: What they told so far.
     """
 
-    def __init__(self, anchor: Anchor, told: Told | None = None) -> None:
+    def __init__(self, anchor: Anchor, told: SummaryState | None = None) -> None:
         """Begin with the first message of a file with a clock, or go on behind what was told."""
-        self.told = told or Told()
+        self.told = told or SummaryState()
         self._anchor = anchor
         self._wanted: dict[int, bool] = {}
 

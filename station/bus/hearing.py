@@ -8,7 +8,7 @@ from typing import Generic, NamedTuple, TypeVar
 ValueT = TypeVar("ValueT")
 
 
-class Heard(NamedTuple):
+class HeardSpan(NamedTuple):
     """A span of time, on the reader's monotonic clock [ns], of which no write has escaped it; empty until it begins.
 
     Attributes:
@@ -20,7 +20,7 @@ class Heard(NamedTuple):
     until_ns: int
 
 
-class Hearing:
+class HearingProof:
     """Proves a span by questions, which the server answers on the line of its messages and in their order.
 
     What it told before an answer has come before the answer; so all is known that was written before the question. Of
@@ -33,11 +33,11 @@ class Hearing:
 
     def __init__(self, gap_s: float) -> None:
         self._gap_ns = round(gap_s * 1e9)
-        self.span = Heard(0, 0)
+        self.span = HeardSpan(0, 0)
 
     def begin(self, now_ns: int) -> None:
         """Hear from now on: everything that is written later will be told."""
-        self.span = Heard(now_ns, now_ns)
+        self.span = HeardSpan(now_ns, now_ns)
 
     def prove(self, asked_ns: int, now_ns: int) -> None:
         """Record an answer, once all that was told before it has been taken up.
@@ -47,10 +47,10 @@ class Hearing:
             now_ns: When its answer was there.
         """
         is_unbroken = now_ns - self.span.until_ns <= self._gap_ns
-        self.span = Heard(self.span.since_ns if is_unbroken else now_ns, asked_ns)
+        self.span = HeardSpan(self.span.since_ns if is_unbroken else now_ns, asked_ns)
 
 
-class Told(Generic[ValueT]):
+class MissedWrites(Generic[ValueT]):
     """Finds the write that was not told of: an answer proves that the line is well, not that writes are told on it.
 
     All is read unasked, and then a question is put where writes are told of. By its answer every write was told of

@@ -12,7 +12,7 @@ from station.bus.client import Bus
 from station.life import events
 from station.life.events import Event
 from station.life.server import DEAD_AFTER_S, Health, State
-from station.operator.onlooker import Onlooker, Vigil
+from station.operator.station_monitor import SilenceMonitor, StationMonitor
 from tests.virtual.clock import VirtualClock
 from tests.virtual.network import Network
 
@@ -29,33 +29,33 @@ def names(found: list[Event]) -> list[tuple[str, str]]:
 
 
 def test_a_server_that_falls_silent_without_a_farewell_is_told_once_and_when_it_is_back() -> None:
-    vigil = Vigil()
-    assert vigil.step([health("g1", 1), health("long-gone", 1)], 0.0) == []
-    assert vigil.step([health("g1", 2), health("long-gone", 1)], 0.5) == []
-    assert vigil.step([health("g1", 2), health("long-gone", 1)], 0.5 + DEAD_AFTER_S) == []
-    assert names(vigil.step([health("g1", 2)], 0.6 + DEAD_AFTER_S)) == [("server-died", "g1")]
-    assert vigil.step([health("g1", 2)], 9.0) == []
-    assert vigil.step([health("g1", 3, "inactive")], 9.5) == []
-    assert names(vigil.step([health("g1", 4)], 10.0)) == [("server-back", "g1")]
+    silence = SilenceMonitor()
+    assert silence.step([health("g1", 1), health("long-gone", 1)], 0.0) == []
+    assert silence.step([health("g1", 2), health("long-gone", 1)], 0.5) == []
+    assert silence.step([health("g1", 2), health("long-gone", 1)], 0.5 + DEAD_AFTER_S) == []
+    assert names(silence.step([health("g1", 2)], 0.6 + DEAD_AFTER_S)) == [("server-died", "g1")]
+    assert silence.step([health("g1", 2)], 9.0) == []
+    assert silence.step([health("g1", 3, "inactive")], 9.5) == []
+    assert names(silence.step([health("g1", 4)], 10.0)) == [("server-back", "g1")]
 
 
 def test_a_server_that_says_farewell_or_whose_end_was_told_is_no_news() -> None:
-    vigil = Vigil()
-    vigil.step([health("g1", 1), health("motion", 1), health("pico", 1)], 0.0)
-    vigil.step([health("g1", 2), health("motion", 2), health("pico", 2)], 0.5)
-    vigil.hear(events.make("supervisor", "server-died", "error", server="g1"))
-    vigil.hear(events.make("pico", "server-crashed", "error", reason="x"))
-    found = vigil.step([health("g1", 2), health("motion", 3, "finalized"), health("pico", 2)], 1.0)
-    assert found + vigil.step([health("g1", 2), health("motion", 3, "finalized"), health("pico", 2)], 9.0) == []
+    silence = SilenceMonitor()
+    silence.step([health("g1", 1), health("motion", 1), health("pico", 1)], 0.0)
+    silence.step([health("g1", 2), health("motion", 2), health("pico", 2)], 0.5)
+    silence.hear(events.make("supervisor", "server-died", "error", server="g1"))
+    silence.hear(events.make("pico", "server-crashed", "error", reason="x"))
+    found = silence.step([health("g1", 2), health("motion", 3, "finalized"), health("pico", 2)], 1.0)
+    assert found + silence.step([health("g1", 2), health("motion", 3, "finalized"), health("pico", 2)], 9.0) == []
 
 
 def test_after_an_outage_of_the_bus_everybody_has_time_to_speak_again() -> None:
-    vigil = Vigil()
-    vigil.step([health("g1", 1)], 0.0)
-    vigil.step([health("g1", 2)], 0.5)
-    vigil.forget()
-    assert vigil.step([health("g1", 2)], 20.0) == []
-    assert vigil.step([health("g1", 2)], 30.0) == [], "it was not heard since"
+    silence = SilenceMonitor()
+    silence.step([health("g1", 1)], 0.0)
+    silence.step([health("g1", 2)], 0.5)
+    silence.forget()
+    assert silence.step([health("g1", 2)], 20.0) == []
+    assert silence.step([health("g1", 2)], 30.0) == [], "it was not heard since"
 
 
 @pytest.fixture
@@ -68,15 +68,15 @@ def test_a_stop_of_a_stock_script_is_heard_where_no_robot_is_there_to_say_so(net
     heard: list[Event] = []
     with Bus(network.address(), name="test", timeout_s=1.0) as bus:
         bus.call("SET", keys.ESTOP, b"1")
-        with Onlooker(bus) as onlooker:
-            assert list(onlooker.take()) == [], "it was pressed before our time"
+        with StationMonitor(bus) as monitor:
+            assert list(monitor.take()) == [], "it was pressed before our time"
             bus.call("SET", keys.ESTOP, json.dumps({"stop": False, "who": "ada"}))
             bus.publish({keys.EVENT: events.make("g1", "operator-reset", "warning", 0).encode()})
             network.clock.sleep(0.05)
-            heard += onlooker.take()
+            heard += monitor.take()
             bus.call("SET", keys.ESTOP, b"stop!")
             network.clock.sleep(0.05)
-            heard += onlooker.take()
+            heard += monitor.take()
     assert [event.name for event in heard] == ["operator-reset", "estop"]
 
 
@@ -88,10 +88,10 @@ def test_a_bus_that_goes_for_long_and_comes_back_is_told_by_nobody_else(
 
     def hear(seconds: float) -> None:
         for _ in range(round(seconds / 0.05)):
-            heard.extend(event.name for event in onlooker.take())
+            heard.extend(event.name for event in monitor.take())
             network.clock.sleep(0.05)
 
-    with Bus(network.address(), name="test", timeout_s=1.0) as bus, Onlooker(bus) as onlooker:
+    with Bus(network.address(), name="test", timeout_s=1.0) as bus, StationMonitor(bus) as monitor:
         bus.publish({keys.server("g1"): codec.json_object(health("g1", 1))})
         hear(2.0)
         network.restart_server(away_s)

@@ -41,7 +41,7 @@ class Configuration(msgspec.Struct):
     cut: int
 
 
-class Heard:
+class ServersSeen:
     """Listens to ``station:server:*``, ``station:config:*`` and ``command_source_*``.
 
     Attributes:
