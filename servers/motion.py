@@ -22,10 +22,10 @@ from station.bus.watch import Watch
 from station.errors import ConfigError, Refused
 from station.life.estop import StopWatch
 from station.life.loop import real_time
-from station.life.own_key import OwnKey
 from station.life.pace import Pace, StatePace, WallPace
 from station.life.server import Life, ServerKind
 from station.life.stop_file import StopFile
+from station.life.writer_conflict import OwnKey
 from station.motion.playback import AtEnd, Frame, Playback
 from station.motion.playback_requests import Requests
 from station.parts import by_key, parts_of

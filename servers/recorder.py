@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import sys
 from collections import deque
 from pathlib import Path
@@ -12,7 +13,6 @@ import msgspec
 
 from station.bus import codec, keys
 from station.config import to_plain
-from station.episode.recorder.heap import give_back_large_blocks
 from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.tap_reader import TapReader
 from station.episode.storage.claim import Claim
@@ -29,6 +29,9 @@ _STILL_TOLD = 8  # answers that go with the newest one: on a busy machine an ask
 _CLOSE_S = 8.0  # a supervisor kills after 15 s, its own death after 10
 _MANY_MINUTES = 20
 _SWITCH_S = 0.001  # Python's 5 ms between threads would stand in the arrival times
+
+_MMAP_THRESHOLD = -3  # M_MMAP_THRESHOLD of malloc.h
+_LARGE_BYTES = 256 * 1024
 
 
 class RecorderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -203,3 +206,14 @@ KIND = ServerKind(
     main=main,
     bus_timeout_s=1.0,
 )
+
+
+def give_back_large_blocks() -> None:
+    """Have every large block of this process be a mapping of its own, which ends when it is freed.
+
+    Left alone, glibc raises that limit to the size of the largest block that was freed, and from then on cuts buffers
+    of megabytes out of the heap, between values that stay: measured under eight times the recorder's load, 40 MB more
+    in the first ten minutes.
+    """
+    with contextlib.suppress(AttributeError, OSError):  # another C library knows no such limit, and needs none
+        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE_BYTES)

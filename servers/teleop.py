@@ -27,9 +27,9 @@ from station.config import to_plain
 from station.errors import ConfigError
 from station.life.events import Severity
 from station.life.loop import real_time
-from station.life.own_key import OwnKey
 from station.life.pace import WallPace
 from station.life.server import Life, ServerKind
+from station.life.writer_conflict import OwnKey
 from station.operator.buttons import ButtonMap, Buttons, Pressed
 from station.operator.device_subscriber import DeviceSubscriber
 from station.operator.driver import Driver, DriverKind

@@ -13,8 +13,8 @@ import numpy as np
 
 from adapters.motions.builtin.body import STANDING_HEIGHT_M, STANDING_Q
 from adapters.retarget.bone_frames import to_quats
+from adapters.retarget.ik_tasks import Weights
 from adapters.retarget.scaling import LinkTargets
-from adapters.retarget.weights import Weights
 from adapters.robots.g1 import joints as g1
 from adapters.robots.g1.joints import G1_29
 from station import assets

@@ -21,8 +21,7 @@ from station.clock import SYSTEM, Clock
 from station.control.arming import Arming
 from station.control.command_path import CommandPath, StepEvent
 from station.control.command_validator import Samples
-from station.control.gate import Decision, GateConfig
-from station.control.gate_state import FOLLOWING, MOVING
+from station.control.gate import FOLLOWING, MOVING, Decision, GateConfig
 from station.life.arm_request import ArmAnswer
 from station.life.controller_request import ControllerAnswer
 from station.protocols import CommandFormat, Floats

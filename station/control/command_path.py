@@ -14,10 +14,7 @@ from typing import Any, Protocol, TypeVar
 from station.control.arming import Arming, why_not_arm
 from station.control.command_arbiter import spoken
 from station.control.command_validator import CommandValidator, Samples
-from station.control.gate import Decision, Gate, GateConfig
-from station.control.gate_state import State
-from station.control.reengage_interlock import QuietTime
-from station.control.slew import Bounds
+from station.control.gate import Bounds, Decision, Gate, GateConfig, QuietTime, State
 from station.life.events import Severity
 from station.protocols import CommandFormat
 

@@ -18,7 +18,7 @@ every tick where it rests, and enters a command at once, as fast as the rates le
 A command that comes back while holding is followed at once if it was followed before; from returning, when the blend
 had not ended, or when somebody else gives it, it is entered again. What is a good command is decided before, in
 `station.control.command_validator`. Whatever the state, no element moves faster than its rate
-(`station.control.slew`): a command that jumps is caught up with. Two things jump: `reset`, to standing, where a robot
+(`Bounds`): a command that jumps is caught up with. Two things jump: `reset`, to standing, where a robot
 starts anew; and the output for a robot that stays while nobody moves it, which is where it rests.
 
 Where commands are lost, poses are held and then blended to standing; velocities begin to fade in the first tick that
@@ -31,63 +31,33 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import msgspec
 import numpy as np
 
 from station.blends import VELOCITY_FADE_S
 from station.control.command_arbiter import Rule
-from station.control.gate_state import FOLLOWING, LATCHED, MOVING, State
-from station.control.reengage_interlock import QuietTime, ReengageInterlock
-from station.control.slew import Bounds
-from station.protocols import Floats
+from station.errors import ConfigError
+from station.protocols import CommandFormat, Floats
 
+LONGEST_SLEW_TICK_S = 0.04
+"""A tick stands for no more than this [s]: after a stall the robot would get the whole of it as one kick."""
 
-class VelocityFade:
-    """A linear way from some velocities to those of a goal that may move; all other elements are left alone.
+_UNLIMITED = 1e12  # in place of infinity, of which nothing is no number
 
-    Args:
-        elements: Indices of the velocities within a command.
-        duration_s: Time that it takes [s].
-    """
+State = Literal["waiting", "entering", "tracking", "holding", "returning", "stopped", "faulted"]
 
-    def __init__(self, elements: Sequence[int], duration_s: float) -> None:
-        self._elements, self._duration_s = list(elements), duration_s
-        self._start: Floats | None = None  # None: nothing fades
-        self._passed_s = 0.0
+MOVING: tuple[State, ...] = ("entering", "tracking")
+"""A good command of this moment is followed."""
 
-    @property
-    def has_velocities(self) -> bool:
-        """Whether there is anything to fade."""
-        return bool(self._elements)
+FOLLOWING: tuple[State, ...] = (*MOVING, "holding")
+"""There is a commander, who decides where the robot is, be it by falling silent a moment ago."""
 
-    def begin(self, start: Floats) -> None:
-        """Begin anew from the velocities of a command, shape (m,)."""
-        self._start, self._passed_s = start, 0.0
+LATCHED: tuple[State, ...] = ("stopped", "faulted")
+"""Left by `station.control.gate.Gate.reset` alone."""
 
-    def end(self) -> None:
-        """Leave velocities alone from now on."""
-        self._start = None
-
-    def apply(self, wanted: Floats, goal: Floats, passed_s: float) -> Floats:
-        """Return a command with its velocities as they are after a further period.
-
-        Args:
-            wanted: The command, shape (m,); not changed.
-            goal: Where its velocities are going, shape (m,).
-            passed_s: The period [s].
-        """
-        if self._start is None or not self._elements:
-            return wanted
-        self._passed_s += passed_s
-        part = self._passed_s / self._duration_s
-        start, end = self._start[self._elements], goal[self._elements]
-        wanted = wanted.copy()
-        wanted[self._elements] = end if part >= 1.0 - _ROUNDING else start + part * (end - start)
-        return wanted
-
-
-_ROUNDING = 1e-9  # five ticks of 0.02 s are 100 ms
+_ROUNDING = 1e-9  # [s]: five ticks of 0.02 s are 100 ms, 75 of 4 ms are 0.3 s
 _LONGEST_TICK_S = 0.1  # a clock that leaps takes a blend no further than this
 _LATEST_S = 1e12  # beyond, a clock's ticks are lost in rounding
 _TOLD_S = 0.05  # a delay that explains something
@@ -399,3 +369,153 @@ def _staleness(age_s: float, delay_s: float) -> str:
         return "no command yet"
     came = f" and was written {delay_s * 1e3:.0f} ms before it came" if delay_s >= _TOLD_S else ""
     return f"the newest good command is {age_s * 1e3:.0f} ms old{came}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bounds:
+    """Where a command vector may be and how fast it may get there; each of shape (m,).
+
+    Attributes:
+        lower, upper: Range of each element.
+        rate: Greatest change of each element per second.
+    """
+
+    lower: Floats
+    upper: Floats
+    rate: Floats
+
+    @classmethod
+    def of(cls, command_format: CommandFormat, factor: float = 1.0) -> Bounds:
+        """Return the bounds of a format, its rates times a factor."""
+        return cls(command_format.lower, command_format.upper, np.minimum(command_format.rate * factor, _UNLIMITED))
+
+    def step(self, before: Floats, wanted: Floats, passed_s: float) -> Floats:
+        """Return what comes nearest to a vector after some time; the very vector where range and rate allow it.
+
+        The rate goes before the range: what is out of its range (an arm that was pushed there by hand) comes back at
+        its rate, and is out of it until it is back. Without time nothing moves.
+
+        Args:
+            before: Where it was, shape (m,).
+            wanted: Where to, shape (m,).
+            passed_s: How much time has passed [s]; counts for `LONGEST_SLEW_TICK_S` at most, and below 0 for none.
+        """
+        most = self.rate * min(max(passed_s, 0.0), LONGEST_SLEW_TICK_S)
+        moved: Floats = np.clip(np.clip(wanted, self.lower, self.upper), before - most, before + most)
+        return moved
+
+    def expect_back_within(self, default: Floats, blend_s: float) -> None:
+        """See that no element is too slow to be back at its default after a blend.
+
+        Raises:
+            ConfigError: one is.
+        """
+        farthest = np.maximum(default - self.lower, self.upper - default)
+        if (farthest > self.rate * blend_s).any():
+            slowest = int(np.argmax(farthest - self.rate * blend_s))
+            raise ConfigError(
+                f"gate: element {slowest} needs more than blend_out_s ({blend_s:g} s) to return to standing: it may be "
+                f"{farthest[slowest]:.3g} away and change by {self.rate[slowest]:.3g} a second; raise rate_factor or "
+                "blend_out_s"
+            )
+
+
+class VelocityFade:
+    """A linear way from some velocities to those of a goal that may move; all other elements are left alone.
+
+    Args:
+        elements: Indices of the velocities within a command.
+        duration_s: Time that it takes [s].
+    """
+
+    def __init__(self, elements: Sequence[int], duration_s: float) -> None:
+        self._elements, self._duration_s = list(elements), duration_s
+        self._start: Floats | None = None  # None: nothing fades
+        self._passed_s = 0.0
+
+    @property
+    def has_velocities(self) -> bool:
+        """Whether there is anything to fade."""
+        return bool(self._elements)
+
+    def begin(self, start: Floats) -> None:
+        """Begin anew from the velocities of a command, shape (m,)."""
+        self._start, self._passed_s = start, 0.0
+
+    def end(self) -> None:
+        """Leave velocities alone from now on."""
+        self._start = None
+
+    def apply(self, wanted: Floats, goal: Floats, passed_s: float) -> Floats:
+        """Return a command with its velocities as they are after a further period.
+
+        Args:
+            wanted: The command, shape (m,); not changed.
+            goal: Where its velocities are going, shape (m,).
+            passed_s: The period [s].
+        """
+        if self._start is None or not self._elements:
+            return wanted
+        self._passed_s += passed_s
+        part = self._passed_s / self._duration_s
+        start, end = self._start[self._elements], goal[self._elements]
+        wanted = wanted.copy()
+        wanted[self._elements] = end if part >= 1.0 - _ROUNDING else start + part * (end - start)
+        return wanted
+
+
+class QuietTime(NamedTuple):
+    """How quiet it is where commands come from.
+
+    Attributes:
+        for_s: For how long nothing has come and all of it would have been heard [s]; infinite, or no number, where
+            nothing ever came.
+        unheard_s: For how long nobody knows whether something was written, up to now [s]: a bus that is cut or frozen
+            tells nothing, and one that is well is asked only so often.
+    """
+
+    for_s: float
+    unheard_s: float = 0.0
+
+
+class ReengageInterlock:
+    """Counts for how long nothing has come since silence was insisted on.
+
+    Only time that was waited through counts. What came before does not, and neither does what a stalled process or a
+    clock that leaps has not heard: a hole in a stream around the instant of a reset is not somebody who let go. Nor
+    does time of which it is not known that nothing was written in it.
+
+    Args:
+        needed_s: Longer than this has nothing to come [s].
+    """
+
+    def __init__(self, needed_s: float) -> None:
+        self._needed_s = needed_s
+        self._heard_s: float | None = None  # None: from the next tick on
+        self._why = ""
+
+    @property
+    def missing(self) -> str:
+        """Why no command may be followed yet, or ""."""
+        return f"{self._why}; let go, then engage anew" if self._why else ""
+
+    def insist(self, why: str) -> None:
+        """Let nobody be followed before there was a silence from now on, for a reason."""
+        self._why, self._heard_s = why, None
+
+    def hear(self, quiet: QuietTime, passed_s: float) -> None:
+        """Record a tick.
+
+        Args:
+            quiet: As it is now.
+            passed_s: How much time the tick counts for [s].
+        """
+        if not self._why:
+            return
+        if self._heard_s is None:
+            self._heard_s = 0.0
+            return
+        for_s = math.inf if math.isnan(quiet.for_s) else max(quiet.for_s, 0.0)
+        self._heard_s = min(self._heard_s + passed_s, for_s)
+        if self._heard_s - quiet.unheard_s > self._needed_s + _ROUNDING:  # never where that is no number
+            self._why = ""

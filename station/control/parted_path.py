@@ -14,8 +14,7 @@ from station.bus import codec
 from station.control.arming import Arming
 from station.control.command_path import CommandPath, StepEvent
 from station.control.command_validator import CommandSample, Samples
-from station.control.gate import Decision, GateConfig
-from station.control.gate_state import State
+from station.control.gate import Decision, GateConfig, State
 from station.parts import PartedCommand, by_key, part_name
 from station.protocols import CommandFormat, Floats
 

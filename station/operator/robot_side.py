@@ -8,7 +8,7 @@ import numpy as np
 from station.bus import codec, keys
 from station.bus.sample import Sample
 from station.bus.watch import Watch
-from station.control.gate_state import FOLLOWING, LATCHED
+from station.control.gate import FOLLOWING, LATCHED
 from station.life import estop
 from station.protocols import Floats
 

@@ -1,7 +1,7 @@
 """Command against state as one page: each joint as asked and as measured, root, gate, clips and falls.
 
 Limbs are columns and each joint has its row, so left and right stand side by side; the two have one span. A robot
-without those limbs has its joints below each other (`station.view.joint_plot`).
+without those limbs has its joints below each other (`station.view.plots`).
 """
 
 from __future__ import annotations
@@ -17,12 +17,11 @@ from station import rotations
 from station.episode.reading.reader import EpisodeReader
 from station.errors import StationError
 from station.protocols import FALL_TILT_RAD, Floats
-from station.view import joint_plot
 from station.view import plot_style as style
 from station.view.layout import GATE_COLOURS
 from station.view.phases import TRACKING, Span
 from station.view.picture_file import page, save
-from station.view.run import Run, read_run
+from station.view.run import Joints, Run, read_run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,6 +41,8 @@ _BLENDS = frozenset(("waiting", "entering", "paused", "leaving", "done"))
 _LETTER_PX, _PAD_PX = 5.4, 8.0  # of the labels' font
 _BAR = 0.78  # of the height of a lane
 
+_LEAST_JOINT_SPAN_RAD = 0.05  # a joint that stands still must not look as if it trembled
+
 
 def save_plot(reader: EpisodeReader, path: Path) -> Path:
     """Draw an episode on a page, write it as PNG, and return its path.
@@ -56,7 +57,7 @@ def save_run(run: Run, path: Path) -> Path:
     """Like `save_plot`, of a run that has been read."""
     if run.commanded is None and run.measured is None:
         raise StationError(f"{run.episode_id}: no plot, it holds neither a command nor a state with joints")
-    names = joint_plot.names(run)
+    names = _joint_names(run)
     if not names:
         raise StationError(f"{run.episode_id}: no plot, nothing names the joints of {run.robot or 'its robot'}")
     has_limbs = len(run.groups) > 1 and any(joint in limb for limb in run.groups.values() for joint in names)
@@ -131,9 +132,9 @@ def _draw_joints(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
     lanes_end = 1 - (_HEAD_IN + _LANES_IN) / height_in
     lanes = GridSpec(1, 1, figure, top=1 - _HEAD_IN / height_in, bottom=lanes_end, **sides)
     limits = _draw_lanes(figure.add_subplot(lanes[0]), run)
-    below = GridSpec(len(joint_plot.names(run)), 1, figure, top=lanes_end - 0.42 / height_in,
+    below = GridSpec(len(_joint_names(run)), 1, figure, top=lanes_end - 0.42 / height_in,
                      bottom=_FOOT_IN / height_in, hspace=0.35, **sides)  # fmt: skip
-    joint_plot.draw(figure, below, run, errors, limits)
+    _draw_all_joints(figure, below, run, errors, limits)
 
 
 def _draw_lanes(axes: Axes, run: Run) -> tuple[float, float]:
@@ -339,3 +340,40 @@ def within(times_s: Floats, spans: Iterable[Span]) -> NDArray[np.bool_]:
     for span in spans:
         found |= (times_s >= span.start_s) & (times_s <= span.end_s)
     return found
+
+
+def _joint_names(run: Run) -> tuple[str, ...]:
+    """Return the joints of a run, in their order."""
+    both = [joints.names for joints in (run.commanded, run.joints) if joints is not None]
+    return tuple(dict.fromkeys(name for each in both for name in each))
+
+
+def _draw_all_joints(
+    figure: Figure, grid: GridSpec, run: Run, errors: Mapping[str, float], limits: tuple[float, float]
+) -> None:
+    """Draw a panel per joint, one below the other.
+
+    Args:
+        figure: The page.
+        grid: Has a row per joint.
+        run: What is drawn.
+        errors: Mean error by joint [rad].
+        limits: Of the time axis [s].
+    """
+    found = _joint_names(run)
+    for row, joint in enumerate(found):
+        axes = figure.add_subplot(grid[row, 0])
+        style.title(axes, f"{joint.replace('_', ' ')} [rad]", f"{errors[joint]:.4f}" if joint in errors else "")
+        style.mark(axes, run)
+        values = []
+        for source, pen in ((run.commanded, style.asked), (run.joints, style.measured)):
+            if source is not None and joint in source.names:
+                values.append(_values_of(source, joint))
+                pen(axes, source.times_s, values[-1])
+        style.scale(axes, np.concatenate(values), least=_LEAST_JOINT_SPAN_RAD)
+        style.time_axis(axes, limits, ticks=12, unit=" s" if row == len(found) - 1 else "")
+        axes.tick_params(axis="x", labelbottom=row == len(found) - 1)
+
+
+def _values_of(joints: Joints, name: str) -> Floats:
+    return joints.q[:, joints.names.index(name)]

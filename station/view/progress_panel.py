@@ -12,7 +12,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from station.control.gate_state import LATCHED
+from station.control.gate import LATCHED
 from station.episode.quality.falls import UPRIGHT_RAD
 from station.life.server import Health
 from station.printable import printable

@@ -16,8 +16,7 @@ from station import registry
 from station.bus import codec
 from station.control.command_arbiter import CommandArbiter
 from station.control.command_validator import CommandSample, CommandValidator
-from station.control.gate import Decision, Gate, GateConfig
-from station.control.slew import LONGEST_TICK_S, Bounds
+from station.control.gate import LONGEST_SLEW_TICK_S, Bounds, Decision, Gate, GateConfig
 from station.errors import ConfigError
 from station.life.writer_conflict import FOREIGN
 from station.motion.playback import Playback
@@ -182,7 +181,7 @@ class WritersAndClocks(RuleBasedStateMachine):
         assert (vector >= FORMAT.lower).all()
         assert (vector <= FORMAT.upper).all()
         if not self.is_reset:
-            most = self.rate * min(passed_s, LONGEST_TICK_S)
+            most = self.rate * min(passed_s, LONGEST_SLEW_TICK_S)
             assert (np.abs(vector - self.before) <= most + ROUNDING).all()
         assert (decision.state == "stopped") == self.is_stopped
         self.quiet_s += passed_s
@@ -211,7 +210,7 @@ def test_the_gate_alone_is_bounded_for_any_clock_age_and_vector(ticks: list[tupl
         }[kind]  # fmt: skip
         vector = gate.step(now_s, command, age_s).vector
         assert ((vector >= FORMAT.lower) & (vector <= FORMAT.upper)).all()
-        assert (np.abs(vector - before) <= FORMAT.rate * LONGEST_TICK_S + ROUNDING).all()
+        assert (np.abs(vector - before) <= FORMAT.rate * LONGEST_SLEW_TICK_S + ROUNDING).all()
         before = vector
 
 
@@ -251,8 +250,8 @@ def test_a_command_that_jumps_is_caught_up_with_at_the_speed_of_its_joints() -> 
 
 def test_after_a_stall_nothing_moves_further_than_in_40_ms() -> None:
     moved = Bounds.of(FORMAT).step(FORMAT.default, FORMAT.upper, 1.0) - FORMAT.default
-    np.testing.assert_allclose(moved, np.minimum(FORMAT.upper - FORMAT.default, FORMAT.rate * LONGEST_TICK_S))
-    assert LONGEST_TICK_S <= 2 * DT
+    np.testing.assert_allclose(moved, np.minimum(FORMAT.upper - FORMAT.default, FORMAT.rate * LONGEST_SLEW_TICK_S))
+    assert LONGEST_SLEW_TICK_S <= 2 * DT
 
 
 def test_another_writer_is_entered_from_the_present_output() -> None:

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from station import registry
 from station.bus import contracts
-from station.control.gate import Decision, Gate, GateConfig
-from station.control.slew import Bounds
+from station.control.gate import Bounds, Decision, Gate, GateConfig
 from station.protocols import CommandFormat, Floats
 from tests.examples import examples
 

@@ -16,8 +16,7 @@ from station.bus import codec
 from station.bus.hearing import HearingProof
 from station.control.arm_control import ArmControl
 from station.control.command_validator import CommandSample
-from station.control.gate import GateConfig
-from station.control.reengage_interlock import QuietTime, ReengageInterlock
+from station.control.gate import GateConfig, QuietTime, ReengageInterlock
 from tests.control.arm_bench import FORMAT, STEP
 from tests.control.ideal_arm import TICK_S, IdealArm
 from tests.examples import examples

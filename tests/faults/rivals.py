@@ -15,7 +15,7 @@ import numpy as np
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.tap import Write
-from station.control.slew import LONGEST_TICK_S
+from station.control.gate import LONGEST_SLEW_TICK_S
 from station.life.events import Event, decode
 from station.protocols import Floats
 from tests.servers.g1_station import FORMAT, ROBOT, G1Process, Log, StockCommander, logged
@@ -60,7 +60,7 @@ def used(log: Log) -> Floats:
 
 def expect_no_kick(log: Log) -> None:
     """No tick moved an element by more than its rate allows for the longest tick there is."""
-    assert (np.abs(np.diff(used(log), axis=0)) <= FORMAT.rate * LONGEST_TICK_S + 1e-9).all()
+    assert (np.abs(np.diff(used(log), axis=0)) <= FORMAT.rate * LONGEST_SLEW_TICK_S + 1e-9).all()
 
 
 def heard_before_told(log: Log, name: str) -> int:

@@ -11,6 +11,7 @@ import contextlib
 import socket
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from adapters.devices import pair
 from adapters.devices.pico.controls import CONTROLS
@@ -20,7 +21,7 @@ from station.clock import Clock
 from station.operator.device import Device
 from station.operator.device_kind import DeviceConfig, DeviceKind, Source
 from station.operator.measure import OperatorMeasure
-from station.operator.sample import OperatorSample
+from station.operator.sample import OperatorSample, Side
 
 _HOST = "127.0.0.1"
 _LOOK_S = 0.2
@@ -62,7 +63,7 @@ def _source(config: PicoConfig, clock: Clock, start_s: float) -> Iterator[Source
 
 
 def _stock(reading: OperatorSample) -> Mapping[str, bytes]:
-    from adapters.devices.pico.stock import controller_data
+    from adapters.devices.pico.kind import controller_data
     from adapters.robots.g1 import twist_keys
 
     return {twist_keys.CONTROLLER_DATA: codec.json_object(controller_data(reading))}
@@ -104,3 +105,29 @@ KIND = DeviceKind(
     port=DEFAULT_PORT,
     measure=_measure,
 )
+
+
+def controller_data(reading: OperatorSample) -> dict[str, Any]:
+    """Return a sample as stock TWIST2 teleoperation writes it; the time stamp is the headset's [ns].
+
+    Source: amazon-far/TWIST2, ``deploy_real/xrobot_teleop_to_robot_w_hand.py``; its recorder fails where a key lacks.
+    """
+    return {
+        "LeftController": _controller("left", reading),
+        "RightController": _controller("right", reading),
+        "timestamp": reading.capture_ns or 0,
+    }
+
+
+def _controller(side: Side, reading: OperatorSample) -> dict[str, Any]:
+    def value(name: str) -> float:
+        return reading.controls.get(f"{side}_{name}", 0.0)
+
+    return {
+        "index_trig": value("trigger"),
+        "grip": value("grip"),
+        "key_one": value("primary") > 0.5,
+        "key_two": value("secondary") > 0.5,
+        "axis": [value("stick_x"), value("stick_y")],
+        "axis_click": value("stick_click") > 0.5,
+    }

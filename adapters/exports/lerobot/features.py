@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from adapters.exports.lerobot.codec import PIXELS
+from adapters.exports.lerobot.av_library import PIXELS
 from adapters.exports.lerobot.plan import ACTION, AGE, STATE, TIME, Camera, Layout, Plan
 
 CHUNK = 1000

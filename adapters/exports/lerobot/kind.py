@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from adapters.exports.lerobot import plan as plans
-from adapters.exports.lerobot.codec import Codec
+from adapters.exports.lerobot.av_library import Codec
 from adapters.exports.lerobot.plan import Layout, Plan
 from station.export.kind import ExportOptions, Shard, ShardResult, SkippedEpisode, Source
 

@@ -11,9 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.exports.lerobot.av_library import av
-from adapters.exports.lerobot.codec import PIXELS
-from adapters.exports.lerobot.decoder import Decoder
+from adapters.exports.lerobot.av_library import PIXELS, Decoder, av
 from adapters.exports.lerobot.plan import Camera, Plan
 from adapters.exports.lerobot.stats import PixelCounts
 from adapters.exports.lerobot.video import VideoWriter, expect_frames

@@ -9,7 +9,7 @@ from typing import Literal
 
 import msgspec
 
-from adapters.exports.lerobot.codec import Codec
+from adapters.exports.lerobot.av_library import Codec
 from station.bus import keys
 from station.episode.reading import frames
 from station.episode.reading.reader import EpisodeReader
@@ -222,7 +222,7 @@ def _expect_defaults(reader: EpisodeReader, wish: PlanRequest, robot: str) -> No
 
 
 def _camera(reader: EpisodeReader, name: str, key: str) -> Camera:
-    from adapters.exports.lerobot.decoder import Decoder
+    from adapters.exports.lerobot.av_library import Decoder
 
     decoder = Decoder()
     pictures = (decoder.picture(frame.jpeg) for frame in islice(frames.frames(reader, key), _TRIED))

@@ -11,8 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from adapters.exports.lerobot.av_library import av
-from adapters.exports.lerobot.codec import PIXELS, Codec
+from adapters.exports.lerobot.av_library import PIXELS, Codec, av
 from station.errors import EpisodeError
 
 _ENCODERS: dict[Codec, tuple[str, dict[str, str]]] = {

@@ -6,9 +6,8 @@ import hashlib
 from typing import Any
 
 from adapters.motions.builtin.body import FORMAT
-from adapters.motions.builtin.clips import CLIPS, HELD_BACK, PREFIX, made, parts
+from adapters.motions.builtin.clips import CLIPS, HELD_BACK, PREFIX, join, made, parts
 from adapters.motions.builtin.gait import gait
-from adapters.motions.builtin.join import join
 from adapters.motions.builtin.plan import WalkPlan
 from adapters.motions.builtin.postures import Posture, postures
 from adapters.motions.raw import RawMotion

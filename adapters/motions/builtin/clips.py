@@ -7,14 +7,19 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from itertools import accumulate, pairwise
+from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
+from adapters.motions.builtin.body import FORMAT
 from adapters.motions.builtin.gait import gait
-from adapters.motions.builtin.join import join
 from adapters.motions.builtin.plan import WalkPlan
 from adapters.motions.builtin.postures import Posture, postures
 from adapters.motions.builtin.profiles import FPS
 from adapters.motions.raw import RawMotion
+from station import rotations
+from station.errors import UsageError
 
 PREFIX = "builtin:"
 """What a reference to one of them begins with."""
@@ -148,3 +153,25 @@ CLIPS: dict[str, Callable[[str], RawMotion]] = {
     "tour": _tour,
 }
 """How each is made, by name; each takes the name that its motion shall have."""
+
+
+def join(*motions: RawMotion, name: str = "joined") -> RawMotion:
+    """Return motions that begin and end in the standing pose as one, each going on where the one before stood still.
+
+    Args:
+        motions: At the frame rate of this package.
+        name: Of the result.
+
+    Raises:
+        UsageError: no motion.
+    """
+    if not motions:
+        raise UsageError(f"{name}: nothing to join; give at least one motion")
+    position, quats, q = [motions[0].root_pos], [motions[0].root_quat_wxyz], [motions[0].q]
+    for motion in motions[1:]:
+        turn = rotations.multiply(quats[-1][-1], rotations.inverse(motion.root_quat_wxyz[0]))
+        shift = position[-1][-1] - rotations.rotate(turn, motion.root_pos[0])
+        position.append(rotations.rotate(turn, motion.root_pos[1:]) + shift)
+        quats.append(rotations.multiply(turn, motion.root_quat_wxyz[1:]))
+        q.append(motion.q[1:])
+    return RawMotion(Path(name), FORMAT, FPS, np.concatenate(position), np.concatenate(quats), np.concatenate(q))

@@ -19,7 +19,7 @@ import numpy as np
 
 from station.bus import codec, keys
 from station.contract import TIMING_STAGES, Contract
-from station.control.gate_state import MOVING
+from station.control.gate import MOVING
 from station.episode.quality.finding_parts import Alignment
 from station.episode.reading.steps import Step, timing_row
 from station.protocols import Floats

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from station import rotations
 from station.bus import codec, contracts, keys
 from station.contract import TIMING_STAGES, Contract
-from station.control.gate_state import MOVING
+from station.control.gate import MOVING
 from station.control.tracking import TrackingError
 from station.episode.quality import falls
 from station.episode.quality.findings import FallSeen, Spread, StepQuality

@@ -21,8 +21,7 @@ from station.episode.storage.manifest import Manifest, dump_manifest, facts_of, 
 from station.episode.storage.progress import ResumePoint, Totals, WriterOptions, save_resume_point
 from station.episode.writing.checkpoint import EVERY_S, save_checkpoints
 from station.episode.writing.closing import summary_record
-from station.episode.writing.files import EpisodeFiles
-from station.episode.writing.lag import Lag
+from station.episode.writing.files import EpisodeFiles, Lag
 from station.errors import EpisodeError
 from station.life.events import Severity
 

@@ -21,9 +21,7 @@ from station.bus import codec, keys
 from station.contract import TIMING_STAGES
 from station.control.arm_control import aim
 from station.control.command_validator import Checked, check_command
-from station.control.gate import Gate, GateConfig
-from station.control.gate_state import FOLLOWING, MOVING
-from station.control.slew import Bounds
+from station.control.gate import FOLLOWING, MOVING, Bounds, Gate, GateConfig
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step, StepJoiner, timing_row

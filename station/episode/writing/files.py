@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,13 +18,15 @@ from station.episode.storage.progress import ResumePoint, Totals
 from station.episode.storage.records import metadata_at_head
 from station.episode.writing.checkpoint import Checkpoint, load_checkpoint
 from station.episode.writing.file import EpisodeFile
-from station.episode.writing.lag import Lag
 
 if TYPE_CHECKING:
     from station.bus.tap.base import Write
 
+
 _DROPS_EVERY_S = 5.0  # a power cut may take so much of the counts of dropped writes; a kill takes none
 _TIE_NS = 1000  # a step back of the log time by no more than this came of keeping the order
+
+_WINDOW = 1024
 
 
 class EpisodeFiles:
@@ -243,3 +246,23 @@ class EpisodeFiles:
     def _note_drops(self) -> None:
         self.signals.note(layout.DROPPED_RECORD, drops_record(self.drops))
         self._noted_drops, self._drops_due = self.drops.total, time.monotonic() + _DROPS_EVERY_S
+
+
+class Lag:
+    """Keeps the newest durations; written by one thread, read by another."""
+
+    def __init__(self) -> None:
+        self._newest_ns: deque[int] = deque(maxlen=_WINDOW)
+        self.longest_ns = 0
+
+    def note(self, duration_ns: int) -> None:
+        """Add one duration [ns]."""
+        self._newest_ns.append(duration_ns)
+        self.longest_ns = max(self.longest_ns, duration_ns)
+
+    def percentile_ms(self, percent: float) -> float | None:
+        """Return a percentile of the newest durations [ms], or None before the first."""
+        ordered = sorted(self._newest_ns.copy())
+        if not ordered:
+            return None
+        return round(ordered[min(len(ordered) - 1, int(len(ordered) * percent / 100))] * 1e-6, 3)

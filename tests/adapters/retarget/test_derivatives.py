@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adapters.retarget.derivatives import RootVelocity
+from adapters.retarget.pipeline import RootVelocity
 from station import rotations
 
 

@@ -16,8 +16,8 @@ from adapters.retarget.body_ik import Limits
 from adapters.retarget.calibration import of_person
 from adapters.retarget.evaluate import evaluate
 from adapters.retarget.human import INDEX, standing
+from adapters.retarget.ik_tasks import Weights
 from adapters.retarget.pipeline import BodyLost, BodyRetarget
-from adapters.retarget.weights import Weights
 from adapters.robots.g1 import joints as g1
 from adapters.robots.g1.joints import G1_29
 from station import rotations

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from adapters.devices.fakes.pico.service import PicoService
-from adapters.devices.pico import stock
 from adapters.devices.pico.controls import CONTROLS
+from adapters.devices.pico.kind import controller_data
 from station.operator.sample import OperatorSample
 from tests.adapters.devices.pico.frames import IDENTITY, body, controller, frame, hand, head
 from tests.adapters.devices.pico.wearing import Wearer, wearing
@@ -166,7 +166,7 @@ def test_a_missing_library_is_one_line_with_the_extra_to_install() -> None:
 
 
 def test_stock_data_have_every_key_that_stock_readers_ask_for() -> None:
-    data = stock.controller_data(
+    data = controller_data(
         OperatorSample(capture_ns=5, controls={"left_trigger": 0.5, "left_secondary": 1.0, "right_stick_y": -1.0})
     )
     at_rest = {"index_trig": 0.0, "grip": 0.0, "key_one": False, "key_two": False, "axis": [0.0, 0.0],

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adapters.exports.lerobot.codec import PIXELS, Codec
+from adapters.exports.lerobot.av_library import PIXELS, Codec
 from adapters.exports.lerobot.video import VideoWriter, expect_frames
 from tests.adapters.exports.lerobot.test_scheduling import told_of_a_new_thread
 
