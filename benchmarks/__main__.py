@@ -32,7 +32,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = [*(["--quick"] if options.quick else []), *([f"--minutes {options.minutes:g}"] if options.minutes else [])]
     command = " ".join(["python -m benchmarks", *options.names, *chosen])
     for name in options.names or MODULES:
-        benchmark: Benchmark = importlib.import_module(f"benchmarks.{name}").BENCHMARK
+        try:
+            benchmark: Benchmark = importlib.import_module(f"benchmarks.{name}").BENCHMARK
+        except ModuleNotFoundError as error:
+            parser.error(
+                f"benchmark {name} needs {error.name}, for its baseline; install it with: pip install -e .[test]"
+            )
         if benchmark.needs_assets and (problem := upstream.problem()):
             console.print(f"{benchmark.title}: left out, needs upstream data: {problem}")
             continue

@@ -40,7 +40,7 @@ _GATE_REMEDIES = {
     "stopped": "station estop --reset",
 }
 
-_PACKAGES = (packages.DISTRIBUTION, "mujoco", "onnxruntime", "numpy", "redis", "mcap", "rerun-sdk")
+_PACKAGES = (packages.DISTRIBUTION, "mujoco", "onnxruntime", "numpy", "hiredis", "mcap", "rerun-sdk")
 
 
 class _StatedPolicy(msgspec.Struct):
