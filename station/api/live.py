@@ -6,7 +6,7 @@ It needs neither NumPy nor a file until numbers are asked for, so a command line
 from __future__ import annotations
 
 import getpass
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import WeakSet
 
@@ -211,7 +211,7 @@ class Station:
             for robot in there:
                 if robot.state == "active" and robot.gate and name in ("", robot.name, robot.server):
                     return robot
-            if self._clock.monotonic_s() >= deadline_s:
+            if self._is_closed or self._clock.monotonic_s() >= deadline_s:
                 seen = ", ".join(f"{robot.name} ({robot.state})" for robot in there) or "none"
                 wanted = printable(name) or "any robot"
                 raise NotReady(f"{wanted}: not driven within {within_s:g} s on {self.address}; there: {seen}")
@@ -249,6 +249,10 @@ class Station:
             key: The key.
             silent_s: Ends when nothing was written for so long [s]; None: never.
         """
+        return _found(self.follow_or_none(key, silent_s=silent_s))
+
+    def follow_or_none(self, key: str, *, silent_s: float | None = None) -> Generator[Value | None]:
+        """As `follow`, and None where nothing came for 50 ms: whoever waits may look after something else."""
         contract, watch = self.describe(key), self._bus.watch([key])
         newest = watch.latest(key)
 
@@ -267,6 +271,10 @@ class Station:
         Args:
             silent_s: Ends when nothing happened for so long [s]; None: never.
         """
+        return _found(self.events_or_none(silent_s=silent_s))
+
+    def events_or_none(self, *, silent_s: float | None = None) -> Generator[Event | None]:
+        """As `events`, and None where nothing happened for 50 ms."""
         feed = EventFeed(self._bus)
 
         def newer() -> list[Event]:
@@ -345,17 +353,20 @@ class Station:
 
     def _given_by(
         self, source: Watch | EventFeed, newer: Callable[[], Sequence[_Given]], silent_s: float | None
-    ) -> Iterator[_Given]:
+    ) -> Generator[_Given | None]:
         """Yield what a source gives, until it was silent for too long or this is closed; the source listens already."""
         self._listening.add(source)
 
-        def given() -> Iterator[_Given]:
+        def given() -> Generator[_Given | None]:
             heard_s = self._clock.monotonic_s()
             with source:
                 while not self._is_closed and (silent_s is None or self._clock.monotonic_s() - heard_s < silent_s):
-                    for item in newer():
+                    found = newer()
+                    for item in found:
                         heard_s = self._clock.monotonic_s()
                         yield item
+                    if not found:
+                        yield None
 
         return given()
 
@@ -472,6 +483,10 @@ class MotionPlayer:
         from station.motion import playback_requests
 
         playback_requests.ask(self._bus, action, **fields)
+
+
+def _found(items: Generator[_Given | None]) -> Iterator[_Given]:
+    return (item for item in items if item is not None)
 
 
 def _listed(contract: Contract) -> str:

@@ -25,6 +25,7 @@ def test_the_examples_run(own: Home, capsys: pytest.CaptureFixture[str]) -> None
     assert names["gate"]["arming"] == "armed"
     assert (len(names["joints"]), len(names["vector"])) == (29, 65)
     assert names["begun"].detail["episode_id"]
+    assert (len(names["angles"]), names["gate_now"].json()["arming"]) == (3, "armed")
 
 
 def test_robot_armed_recorded_marked_stopped_and_judged_in_ten_lines() -> None:
