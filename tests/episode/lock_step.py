@@ -36,7 +36,7 @@ def record(builder: EpisodeBuilder, *, seconds: float, skip: int = 0, config: G1
     control = rig.control(gate=config.gate)
     motion = registry.find("loader", "motion")(MOTION)
     playback = Playback(motion, rig.command_format, enter_s=0.2)
-    key = rig.command_format.key
+    command_key = rig.command_format.key
     for tick in range(round(seconds / rig.period_s)):
         frame = playback.step(rig.period_s)
         values = _tick(control, rig, codec.json_vector(frame.command), tick)
@@ -48,7 +48,7 @@ def record(builder: EpisodeBuilder, *, seconds: float, skip: int = 0, config: G1
                     builder.skip(key, writer=writer)
             continue
         builder.write(values[0][1], at_s=at_s)
-        sent = {key: values[1][1][key], keys.command_source(rig.command_format.robot): source}
+        sent = {command_key: values[1][1][command_key], keys.command_source(rig.command_format.robot): source}
         builder.write(sent, at_s=at_s + 0.001, writer="motion")
         builder.write(values[2][1], at_s=at_s + 0.004)
     rig.robot.close()

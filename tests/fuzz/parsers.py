@@ -498,7 +498,7 @@ def _by_itself() -> list[Parser]:
         Parser("stop, kept", _kept_stop, (dumped(KEPT_STOP),), (_LIFE + "stop_file",)),
         Parser("write that was not mirrored", not_mirrored.decode, (b'{"command":"SWAPDB","key":"a","count":1}',),
                (_BODY + "tap.not_mirrored",)),
-        Parser("stop, told", _look_on, (b'{"stop": true, "reason": "so"}',), (_OPERATOR + "onlooker",)),
+        Parser("stop, told", _look_on, (b'{"stop": true, "reason": "so"}',), (_OPERATOR + "station_monitor",)),
         Parser("arm request", arm_request.read, (b'{"action": "arm", "id": "1", "server": "g1", "who": "ada"}',),
                (_LIFE + "arm_request",)),
         Parser("arm answer", arm_request._gate, (dumped(GATE),), (_LIFE + "arm_request",)),

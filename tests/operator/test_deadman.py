@@ -51,7 +51,7 @@ def test_letting_go_ends_it_in_the_same_tick() -> None:
 
 
 @pytest.mark.parametrize(
-    ("held", "now", "obstacle", "reason"),
+    ("held", "now", "why_blocked", "reason"),
     [
         (True, None, "", "no valid data from the device"),
         (None, "operator", "", "no valid data from the device"),
@@ -77,7 +77,7 @@ def test_what_comes_in_the_way_ends_it_and_holding_on_through_it_does_nothing_af
 
 
 @pytest.mark.parametrize(
-    ("now", "obstacle", "objection", "reason"),
+    ("now", "why_blocked", "why_not_engage", "reason"),
     [
         (None, "", "", "no valid data from the device"),
         (None, "body is not tracked", "", "body is not tracked"),

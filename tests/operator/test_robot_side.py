@@ -66,7 +66,7 @@ def test_latched_stop_is_an_obstacle_until_it_is_released(side: Side) -> None:
 
 
 @pytest.mark.parametrize(
-    ("state", "more", "obstacle"),
+    ("state", "more", "why_blocked"),
     [
         ("stopped", {}, "the emergency stop is latched"),
         ("waiting", {"arming": "disarmed"}, "the robot is disarmed"),

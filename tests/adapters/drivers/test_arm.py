@@ -264,7 +264,7 @@ def test_a_leader_that_is_far_away_may_not_begin_and_is_told_what_to_move_where(
 
 
 @pytest.mark.parametrize(
-    ("reading", "mode", "flaw"),
+    ("reading", "mode", "why_not"),
     [
         (OperatorSample(), BASE, "the device sends nothing that moves an arm"),
         (

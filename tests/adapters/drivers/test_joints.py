@@ -76,7 +76,7 @@ def test_values_after_the_joints_close_the_hands() -> None:
 
 
 @pytest.mark.parametrize(
-    ("joints", "flaw"),
+    ("joints", "why_not"),
     [
         (None, "the leader sends no joints"),
         (np.zeros(6), "the leader sends 6 values, expected 7 numbers"),
