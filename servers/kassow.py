@@ -11,7 +11,6 @@ import dataclasses
 import logging
 import queue
 import threading
-from collections import deque
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,15 +32,16 @@ from station.control.arm_control import ArmControl, result_values
 from station.control.arm_kind import ArmServerKind
 from station.control.gate import GateConfig
 from station.control.low_level import LowLevelLoop
-from station.life.controller_request import ControllerAnswer, ControllerRequest, read
+from station.errors import Refused
+from station.life.controller_request import ControllerAnswer, ControllerRequest
 from station.life.loop import Rate, real_time
+from station.life.request import AnswerMemory, parse
 from station.life.server import Life
 from station.printable import printable
 from station.software import software
 
 RATE_HZ = 250.0
 """Ticks of the gate: as many as the controller's, so that no turn of the throttle passes without a target."""
-_ANSWERS, _TOLD_TICKS = 64, 25  # that wait to be told, 0.1 s each: the last one while who asked still listens
 _STATE_EVERY, _CONTROLLER_EVERY = 2, 25  # ticks: 125 Hz and 10 Hz
 
 log = logging.getLogger(__name__)
@@ -204,48 +204,43 @@ class RequestHandler:
     def __init__(self, control: ArmControl, session: KordSession, robot: str) -> None:
         self._control, self._session, self._robot = control, session, robot
         self._cleared: queue.SimpleQueue[tuple[ControllerRequest, str]] = queue.SimpleQueue()
-        self._is_clearing = False
-        self._answers: deque[ControllerAnswer] = deque()  # the first one is being told
-        self._told_ticks, self._is_full = 0, False
+        self._clearing: ControllerRequest | None = None
+        self._answer: ControllerAnswer | None = None
+        self._answers = AnswerMemory[ControllerAnswer]()
 
     def hear(self, data: bytes) -> None:
         """Take up what came on the key of requests."""
-        request = read(data)
-        if request is None or request.robot != self._robot or not self._has_room(request):
+        try:
+            request = parse(data, ControllerRequest, "a request to a controller")
+        except Refused as error:
+            self._control.commanded.note("request-refused", "warning", reason=str(error))
             return
-        if request.action == "profile":
+        if request.robot != self._robot or request == self._clearing:
+            return
+        if (known := self._answers.get(request.id)) is not None:  # whoever asked has not seen it yet
+            self._answer = known
+        elif request.action == "profile":
             self._reply(request, self._session.choose(request.profile))
         elif request.action == "throttle":
             self._reply(request, self._session.throttle(request.throttle))
-        elif self._is_clearing:
+        elif self._clearing is not None:
             self._reply(request, "its faults are being cleared already")
         else:
-            self._is_clearing = True
+            self._clearing = request
             self._control.clearing()
             self._begin_clearing(request)
 
     def look(self) -> ControllerAnswer | None:
-        """Take up what is done by now; return this tick's answer, each long enough for who waits for it."""
-        if self._is_clearing and not self._cleared.empty():
+        """Take up what is done by now; return the newest answer."""
+        if self._clearing is not None and not self._cleared.empty():
             request, refusal = self._cleared.get()
-            self._is_clearing = False
+            self._clearing = None
             self._reply(request, refusal)
             if refusal:
                 self._control.commanded.note("clear-refused", "warning", who=request.who, reason=refusal)
             else:
                 self._control.cleared(request.who)
-        self._told_ticks += bool(self._answers)
-        if self._told_ticks > _TOLD_TICKS and len(self._answers) > 1:
-            self._answers.popleft()
-            self._told_ticks = 1
-        return self._answers[0] if self._answers else None
-
-    def _has_room(self, request: ControllerRequest) -> bool:
-        """Whether its answer would be told in time: what is not answered is not done either."""
-        was_full, self._is_full = self._is_full, len(self._answers) + self._is_clearing >= _ANSWERS
-        if self._is_full and not was_full:
-            self._control.commanded.note("request-refused", "warning", who=request.who, reason="too many wait already")
-        return not self._is_full
+        return self._answer
 
     def _begin_clearing(self, request: ControllerRequest) -> None:
         try:
@@ -265,7 +260,8 @@ class RequestHandler:
             self._cleared.put((request, refusal))
 
     def _reply(self, request: ControllerRequest, refusal: str) -> None:
-        self._answers.append(ControllerAnswer(id=request.id, action=request.action, refused=refusal))
+        self._answer = ControllerAnswer(id=request.id, action=request.action, refused=refusal)
+        self._answers.put(request.id, self._answer)
 
 
 def _open(config: KassowConfig, limits: ArmLimits) -> KordSession:

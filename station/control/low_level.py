@@ -23,10 +23,11 @@ from station.control.command_receiver import CommandReceiver, CommandWatch
 from station.control.command_validator import CommandSample, Samples
 from station.control.control import StepRecord
 from station.control.gate import Decision
-from station.errors import BusError
-from station.life import arm_request, estop
-from station.life.arm_request import ArmAnswer
+from station.errors import BusError, Refused
+from station.life import estop
+from station.life.arm_request import ArmAnswer, ArmRequest
 from station.life.loop import Rate
+from station.life.request import AnswerMemory, NewValue, parse
 from station.life.server import Life
 from station.life.stop_file import StopKeeper
 
@@ -76,9 +77,10 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         self._watch, self._receiver, self._key = self._watches[0], self._receivers[0], self._paths[0].command_format.key
         self._is_stopped_past_bus = False  # asked to, and not obeyed yet
         self._keeper = StopKeeper(life.bus.address)
-        self._arm_seen = self._watch.latest(keys.ARM)  # a request from before our time is none
+        self._arm_asked = NewValue(self._watch, keys.ARM)
         self._arm_answer: ArmAnswer | None = None
-        self._requests_seen = {key: self._watch.latest(key) for key in self._requests}
+        self._arm_answers = AnswerMemory[ArmAnswer]()
+        self._asked = {key: NewValue(self._watch, key) for key in self._requests}
         self._said_s = -math.inf
         self._bus_is_lost = False
         life.on_estop(self._hear_supervisor)
@@ -170,27 +172,28 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         return state
 
     def _is_asked(self) -> bool:
-        return (
-            self._is_stopped_past_bus or self._watch.has_stop_news or self._watch.latest(keys.ARM) is not self._arm_seen
-        )
+        return self._is_stopped_past_bus or self._watch.has_stop_news or self._arm_asked.has_come
 
     def _obey(self, now_s: float) -> bool:
         """Do what an operator asks for; return whether something was newly asked."""
         is_told = self._obey_stop(now_s)
         for key, act in self._requests.items():
-            sample = self._watch.latest(key)
-            is_new, self._requests_seen[key] = sample is not self._requests_seen[key], sample
-            if is_new and sample is not None and sample.arrived_ns is not None:
-                act(sample.value)
+            if (data := self._asked[key].take()) is not None:
+                act(data)
         return self._obey_arm(now_s) or is_told
 
     def _obey_arm(self, now_s: float) -> bool:
-        sample = self._watch.latest(keys.ARM)
-        if sample is self._arm_seen:
+        if (data := self._arm_asked.take()) is None:
             return False
-        self._arm_seen = sample
-        request = arm_request.read(sample.value) if sample is not None and sample.arrived_ns is not None else None
-        if request is None or request.server not in ("", self._life.name):
+        try:
+            request = parse(data, ArmRequest, "an arm request")
+        except Refused as error:
+            self._life.event("request-refused", severity="warning", reason=str(error))
+            return False
+        if request.server not in ("", self._life.name):
+            return False
+        if (known := self._arm_answers.get(request.id)) is not None:  # whoever asked has not seen it yet
+            self._arm_answer = known
             return False
         who = ", ".join(word for word in (request.who, request.reason) if word)
         refused = ""
@@ -199,6 +202,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         else:
             self._control.disarm(who)
         self._arm_answer = ArmAnswer(id=request.id, action=request.action, refused=refused)
+        self._arm_answers.put(request.id, self._arm_answer)
         return True
 
     def _hear_supervisor(self) -> None:

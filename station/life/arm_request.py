@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import getpass
-import secrets
 from typing import Any, Literal
 
 import msgspec
@@ -12,6 +11,7 @@ from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.watch import Watch
 from station.errors import NotReady, Refused
+from station.life import request
 from station.life.server import Health, read_health
 
 Action = Literal["arm", "disarm"]
@@ -56,14 +56,6 @@ class _Stated(msgspec.Struct):
     parts: list[str] = []  # names of its parts' keys, where they are commanded apart
 
 
-def read(data: bytes) -> ArmRequest | None:
-    """Return the request that bytes from the bus hold, or None when they hold none."""
-    try:
-        return codec.parse_struct(data, ArmRequest)
-    except codec.BadValue:
-        return None
-
-
 def ask(
     bus: Bus, action: Action, *, name: str = "", reason: str = "", within_s: float = WITHIN_S
 ) -> dict[str, list[str]]:
@@ -82,12 +74,13 @@ def ask(
     """
     robots = {health.name: robot_of(bus, health) for health in _low_level(bus, name)}
     server = next(iter(robots)) if name else ""
-    wanted = ArmRequest(action=action, id=secrets.token_hex(4), server=server, who=getpass.getuser(), reason=reason)
+    wanted = ArmRequest(action=action, id=request.new_id(), server=server, who=getpass.getuser(), reason=reason)
     deadline_s = bus.clock.monotonic_s() + within_s
-    with bus.watch([keys.command_gate(robot) for robot in robots.values()]) as watch:
-        if not bus.publish({keys.ARM: codec.json_object(wanted)}):
-            raise NotReady(f"{action}: the bus {bus.address} did not take the request ({bus.last_error})")
-        return {each: _follow(watch, each, robot, wanted, deadline_s) for each, robot in robots.items()}
+    gates = {each: keys.command_gate(robot) for each, robot in robots.items()}
+    with bus.watch(list(gates.values())) as watch:
+        answers = dict.fromkeys(gates.values(), lambda data: _answer(data, wanted.id))
+        request.ask(bus, watch, keys.ARM, wanted, answers, what=action, within_s=within_s)
+        return {each: _follow(watch, each, gate, wanted, deadline_s) for each, gate in gates.items()}
 
 
 def server_of(bus: Bus, robot: str) -> str:
@@ -149,11 +142,10 @@ def _stated(bus: Bus, health: Health) -> _Stated:
         raise NotReady(f"server {health.name!r} has not stated which robot it drives yet ({error})") from None
 
 
-def _follow(watch: Watch, name: str, robot: str, wanted: ArmRequest, deadline_s: float) -> list[str]:
+def _follow(watch: Watch, name: str, key: str, wanted: ArmRequest, deadline_s: float) -> list[str]:
     """Wait until a server has done what was asked for."""
     seen: list[str] = []
     newest: Any = None
-    key = keys.command_gate(robot)
     while (left_s := deadline_s - watch.clock.monotonic_s()) > 0:
         newest = watch.wait(key, after=newest, timeout_s=left_s) or newest
         gate = _gate(newest.value) if newest is not None else None
@@ -170,6 +162,12 @@ def _follow(watch: Watch, name: str, robot: str, wanted: ArmRequest, deadline_s:
         if gate.arming == "disarmed" and "arming" in seen:
             raise Refused(f"{name} was disarmed while it was arming; see its events")
     raise NotReady(f"{name}: no answer in time; does its loop run? `station doctor` tells")
+
+
+def _answer(data: bytes, asked: str) -> ArmAnswer | None:
+    """Return the answer to a request that a robot's gate tells of, if it does."""
+    gate = _gate(data)
+    return gate.arm if gate is not None and gate.arm is not None and gate.arm.id == asked else None
 
 
 def _gate(data: bytes) -> _Gate | None:

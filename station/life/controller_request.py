@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import getpass
-import secrets
 from typing import Literal
 
 import msgspec
 
 from station.bus import codec, keys
 from station.bus.client import Bus
-from station.bus.watch import Watch
 from station.errors import NotReady, Refused
-from station.life import arm_request
+from station.life import arm_request, request
 
 Action = Literal["clear", "profile", "throttle"]
 
@@ -52,14 +50,6 @@ class _Gate(msgspec.Struct):
     controller: ControllerAnswer | None = None
 
 
-def read(data: bytes) -> ControllerRequest | None:
-    """Return the request that bytes from the bus hold, or None when they hold none."""
-    try:
-        return codec.parse_struct(data, ControllerRequest)
-    except codec.BadValue:
-        return None
-
-
 def ask(
     bus: Bus, robot: str, action: Action, *, profile: str = "", throttle: int = 0, within_s: float = WITHIN_S
 ) -> None:
@@ -76,28 +66,23 @@ def ask(
         Refused: the controller's session said no; with its reason.
     """
     wanted = ControllerRequest(
-        action=action, id=secrets.token_hex(4), robot=robot, profile=profile, throttle=throttle, who=getpass.getuser()
+        action=action, id=request.new_id(), robot=robot, profile=profile, throttle=throttle, who=getpass.getuser()
     )
     arm_request.server_of(bus, robot)
-    deadline_s = bus.clock.monotonic_s() + within_s
-    with bus.watch([keys.command_gate(robot)]) as watch:
-        if not bus.publish({keys.CONTROLLER: codec.json_object(wanted)}):
-            raise NotReady(f"{action}: the bus {bus.address} did not take the request ({bus.last_error})")
-        answer = _answer(watch, keys.command_gate(robot), wanted.id, deadline_s)
+    gate = keys.command_gate(robot)
+    with bus.watch([gate]) as watch:
+        answers = {gate: lambda data: _answer(data, wanted.id)}
+        answer = request.ask(bus, watch, keys.CONTROLLER, wanted, answers, what=action, within_s=within_s).get(gate)
     if answer is None:
         raise NotReady(f"{robot}: no answer within {within_s:g} s; does its server run? `station status` tells")
     if answer.refused:
         raise Refused(f"{robot}: {answer.refused}")
 
 
-def _answer(watch: Watch, key: str, wanted: str, deadline_s: float) -> ControllerAnswer | None:
-    newest = None
-    while (left_s := deadline_s - watch.clock.monotonic_s()) > 0:
-        newest = watch.wait(key, after=newest, timeout_s=left_s) or newest
-        try:
-            answer = codec.parse_struct(newest.value, _Gate).controller if newest is not None else None
-        except codec.BadValue:  # somebody else's value; the server's next one is 4 ms away
-            continue
-        if answer is not None and answer.id == wanted:
-            return answer
-    return None
+def _answer(data: bytes, asked: str) -> ControllerAnswer | None:
+    """Return the answer to a request that an arm's gate tells of, if it does."""
+    try:
+        answer = codec.parse_struct(data, _Gate).controller
+    except codec.BadValue:  # somebody else's value; the server's next one is 4 ms away
+        return None
+    return answer if answer is not None and answer.id == asked else None

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import secrets
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Literal
 
 import msgspec
@@ -12,17 +12,18 @@ from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.watch import Watch
 from station.errors import NotReady, Refused
-from station.life.event_feed import EventFeed
+from station.life import events, request
+from station.life.events import Event
+from station.life.request import AnswerMemory, NewValue
 from station.life.server import Life
 from station.motion.playback import Playback
 
 MotionAction = Literal["start", "pause", "resume", "seek", "loop", "leave"]
 
-WITHIN_S = 3.0
-"""Longest wait for an answer [s]: an event may come half a second late, with a heartbeat."""
+WITHIN_S = 5.0
+"""Longest wait for an answer [s]: of a motion server that is late."""
 
 _DONE, _REFUSED = "motion-control", "motion-control-refused"
-_LOOK_S = 0.01
 
 
 class MotionControl(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -54,23 +55,17 @@ def ask(bus: Bus, action: MotionAction, *, within_s: float = WITHIN_S, **fields:
         NotReady: the bus did not take the request, or nobody answered.
         Refused: it does not apply now; with the reason.
     """
-    wanted = MotionControl(action=action, id=secrets.token_hex(4), **fields)
-    with EventFeed(bus) as feed:
-        if not bus.publish({keys.MOTION_CONTROL: codec.json_object(wanted)}):
-            raise NotReady(f"motion {action}: the bus {bus.address} did not take the request ({bus.last_error})")
-        deadline_s = bus.clock.monotonic_s() + within_s
-        while bus.clock.monotonic_s() < deadline_s:
-            for event in feed.take():
-                if event.detail.get("id") != wanted.id:
-                    continue
-                if event.name == _REFUSED:
-                    raise Refused(f"motion {action}: {event.detail.get('reason', '')}")
-                return
-            bus.clock.sleep(_LOOK_S)
-    raise NotReady(
-        f"motion {action}: nobody answered in {within_s:g} s; start one with `station serve motion`, or look at "
-        "`station status`"
-    )
+    wanted, what = MotionControl(action=action, id=request.new_id(), **fields), f"motion {action}"
+    with bus.watch([keys.EVENT]) as watch:
+        answers = {keys.EVENT: lambda data: _answer(data, wanted.id)}
+        found = request.ask(bus, watch, keys.MOTION_CONTROL, wanted, answers, what=what, within_s=within_s)
+    if (answer := found.get(keys.EVENT)) is None:
+        raise NotReady(
+            f"{what}: nobody answered in {within_s:g} s; start one with `station serve motion`, or look at "
+            "`station status`"
+        )
+    if answer.name == _REFUSED:
+        raise Refused(f"{what}: {answer.detail.get('reason', '')}")
 
 
 class Requests:
@@ -86,47 +81,54 @@ class Requests:
     def __init__(
         self, life: Life, watch: Watch, playback: Playback, signals: Mapping[str, Literal["start", "leave"]]
     ) -> None:
-        self._life, self._watch, self._playback, self._signals = life, watch, playback, signals
-        self._seen = {key: watch.latest(key) for key in (*signals, keys.MOTION_CONTROL)}
+        self._life, self._playback, self._signals = life, playback, signals
+        self._new = {key: NewValue(watch, key, is_age_needed=False) for key in (*signals, keys.MOTION_CONTROL)}
+        self._told = AnswerMemory[Callable[[], None]]()
 
     def obey(self) -> None:
         """Do what was newly asked for; call once per tick."""
         verbs = {"start": self._playback.start, "leave": self._playback.leave}
         for key, asked in self._signals.items():
-            if self._new(key) == b"1":
+            if self._new[key].take() == b"1":
                 verbs[asked]()
-        data = self._new(keys.MOTION_CONTROL)
+        data = self._new[keys.MOTION_CONTROL].take()
         if data is None:
             return
-        whose: dict[str, Any] = {}
         try:
-            request = codec.parse_struct(data, MotionControl)
-            whose = {"id": request.id} if request.id else {}
-            done = self._do(request)
-        except codec.BadValue as error:
-            self._life.event(_REFUSED, severity="warning", reason=str(error), **whose)
+            asked_for = request.parse(data, MotionControl, "a motion request")
+        except Refused as error:
+            self._life.event(_REFUSED, severity="warning", reason=str(error))
             return
-        if done:
-            self._life.event(_DONE, action=request.action, time_s=self._playback.time_s, **whose)
-        else:
-            reason = f"{request.action} does not apply while {self._playback.phase}"
-            self._life.event(_REFUSED, severity="warning", reason=reason, **whose)
+        tell = self._told.get(asked_for.id) or self._done(asked_for)
+        self._told.put(asked_for.id, tell)
+        tell()
 
-    def _do(self, request: MotionControl) -> bool:
+    def _done(self, asked: MotionControl) -> Callable[[], None]:
+        """Do what was asked for; return what tells of it."""
+        whose: dict[str, Any] = {"id": asked.id} if asked.id else {}
+        try:
+            is_done = self._do(asked)
+            refusal = f"{asked.action} does not apply while {self._playback.phase}"
+        except codec.BadValue as error:
+            is_done, refusal = False, str(error)
+        if is_done:
+            return partial(self._life.event, _DONE, action=asked.action, time_s=self._playback.time_s, **whose)
+        return partial(self._life.event, _REFUSED, severity="warning", reason=refusal, **whose)
+
+    def _do(self, asked: MotionControl) -> bool:
         playback = self._playback
-        if request.action == "loop":
-            playback.loop = request.on
+        if asked.action == "loop":
+            playback.loop = asked.on
             return True
-        if request.action == "seek":
-            if request.time_s is None:
+        if asked.action == "seek":
+            if asked.time_s is None:
                 raise codec.BadValue("seek needs time_s, the place to go to in seconds")
-            return playback.seek(request.time_s)
+            return playback.seek(asked.time_s)
         verbs = {"start": playback.start, "pause": playback.pause, "resume": playback.resume, "leave": playback.leave}
-        return verbs[request.action]()
+        return verbs[asked.action]()
 
-    def _new(self, key: str) -> bytes | None:
-        sample = self._watch.latest(key)
-        if sample is None or sample is self._seen[key]:
-            return None
-        self._seen[key] = sample
-        return sample.value
+
+def _answer(data: bytes, asked: str) -> Event | None:
+    """Return the event that answers a request, if these bytes are it."""
+    event = events.decode(data)
+    return event if event is not None and event.name in (_DONE, _REFUSED) and event.detail.get("id") == asked else None

@@ -48,6 +48,7 @@ from station.episode.storage.request import parse_answer, parse_request, request
 from station.episode.writing import servers_seen, summary
 from station.errors import NotReady, Refused, UnknownName, UsageError
 from station.life import arm_request, controller_request, estop, events, stop_button, stop_file
+from station.life.request import parse
 from station.life.server import Health, decode_health
 from station.life.stop_file import StopFile
 from station.motion.playback import Playback
@@ -499,17 +500,16 @@ def _by_itself() -> list[Parser]:
         Parser("write that was not mirrored", not_mirrored.decode, (b'{"command":"SWAPDB","key":"a","count":1}',),
                (_BODY + "tap.not_mirrored",)),
         Parser("stop, told", _look_on, (b'{"stop": true, "reason": "so"}',), (_OPERATOR + "station_monitor",)),
-        Parser("arm request", arm_request.read, (b'{"action": "arm", "id": "1", "server": "g1", "who": "ada"}',),
-               (_LIFE + "arm_request",)),
+        Parser("arm request", partial(parse, kind=arm_request.ArmRequest, what="an arm request"),
+               (b'{"action": "arm", "id": "1", "server": "g1", "who": "ada"}',), (_LIFE + "request",), (Refused,)),
         Parser("arm answer", arm_request._gate, (dumped(GATE),), (_LIFE + "arm_request",)),
         Parser("arm, which robot", partial(_robot_of, keys.server_config("g1")), (dumped(CONFIG),),
                (_LIFE + "arm_request",), (NotReady,)),
-        Parser("controller request", controller_request.read,
+        Parser("controller request", partial(parse, kind=controller_request.ControllerRequest, what="one"),
                (b'{"action": "throttle", "id": "1", "robot": "a", "profile": "b", "throttle": 3, "who": "ada"}',),
+               (_LIFE + "request",), (Refused,)),
+        Parser("controller answer", partial(controller_request._answer, asked="1"), (dumped(GATE),),
                (_LIFE + "controller_request",)),
-        Parser("controller answer", lambda data: controller_request._answer(
-                   Shelf({"gate": data}), "gate", "1", time.monotonic() + 1e-4),  # type: ignore[arg-type]
-               (dumped(GATE),), (_LIFE + "controller_request",)),
         Parser("stop, obeyed", stop_button._gate, (dumped(GATE),), (_LIFE + "stop_button",)),
         Parser("motion request", _motion_control, (b'{"action": "seek", "time_s": 1.5, "on": true}', b"1"),
                ("station.motion.playback_requests",)),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -95,41 +94,44 @@ def test_a_second_clear_is_refused_while_the_first_goes_on_and_both_are_answered
     assert answer_to(desk, "a").refused == ""
 
 
-def test_answers_that_come_at_once_are_told_one_after_the_other(desk: RequestHandler) -> None:
-    for number in range(5):
-        desk.hear(request("throttle", str(number), throttle=number + 1))
-    told = [answer.id for answer in (desk.look() for _ in range(200)) if answer is not None]
-    assert len(told) == 200
-    assert list(dict.fromkeys(told)) == ["0", "1", "2", "3", "4"]
-    assert all(told.count(str(number)) >= 25 for number in range(5))
-
-
-def test_of_more_requests_than_can_be_answered_in_time_each_is_done_and_answered_once_or_neither(
-    arm: DrivenArm, desk: RequestHandler
+def test_a_request_that_is_written_again_is_answered_again_and_done_once(
+    arm: DrivenArm, desk: RequestHandler, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    desk.hear(request("clear", "clear"))
-    for number in range(1, 201):
+    done, throttle = list[int](), arm.session.throttle
+
+    def noted(ticks: int) -> str:
+        done.append(ticks)
+        return throttle(ticks)
+
+    monkeypatch.setattr(arm.session, "throttle", noted)
+    for number in range(1, 60):
         desk.hear(request("throttle", str(number), throttle=number))
-    told: list[tuple[str, str]] = []
+    for number in (1, 30, 59):
+        desk.hear(request("throttle", str(number), throttle=number))
+        assert answer_to(desk, str(number)).refused == ""
+    assert done == list(range(1, 60))
+    wait_until(lambda: arm.step(None) is not None and arm.bridge.get_state().throttle == 59)
 
-    def look() -> bool:
-        answers = [desk.look() for _ in range(30)]
-        told.extend((answer.id, answer.refused) for answer in answers if answer is not None)
-        return {("clear", ""), ("63", "")} <= set(told)
 
-    wait_until(look)
-    look()
-    periods = [(id_, len(list(run))) for id_, run in itertools.groupby(id_ for id_, _ in told)]
-    done = [number for number, _ in periods if number != "clear"]
-    assert done == [str(number) for number in range(1, 64)]
-    assert sorted(number for number, _ in periods) == sorted([*done, "clear"]), "each once, the clear as well"
-    assert all(ticks >= 25 for _, ticks in periods)
-    assert not any(refused for _, refused in told)
-    record = arm.step(None)
-    assert arm.bridge.get_state().throttle == int(done[-1])
-    assert [step_event.name for step_event in record.step_events].count("request-refused") == 1
-    desk.hear(request("throttle", "later", throttle=2))
-    assert answer_to(desk, "later").refused == ""
+def test_a_clear_that_is_written_again_while_it_goes_on_is_no_second_one(
+    arm: DrivenArm, desk: RequestHandler, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on, clears, clear = threading.Event(), list[float](), arm.bridge.clear_faults
+
+    def wait_and_clear(deadline_s: float) -> Any:
+        clears.append(deadline_s)
+        go_on.wait(60.0)
+        return clear(deadline_s)
+
+    monkeypatch.setattr(arm.bridge, "clear_faults", wait_and_clear)
+    for _ in range(3):
+        desk.hear(request("clear", "a"))
+    assert desk.look() is None
+    go_on.set()
+    assert answer_to(desk, "a").refused == ""
+    desk.hear(request("clear", "a"))
+    assert answer_to(desk, "a").refused == ""
+    assert len(clears) == 1
 
 
 def test_a_clear_ends_driving_and_who_drove_has_to_let_go(arm: DrivenArm, desk: RequestHandler) -> None:

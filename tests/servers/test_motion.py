@@ -270,7 +270,7 @@ def test_an_operator_pauses_seeks_resumes_and_ends(start: Start, robot: StandInR
     process = start(pace="state", patience_s=0.1)  # sends again when nothing comes, so requests are seen
     robot.command()
     robot.until("playing")
-    control(bus, writes, {"action": "pause"})
+    control(bus, writes, {"action": "pause", "id": "once"})
     wait_until(lambda: robot.tick().phase == "paused")
     for _ in range(20):
         paused = robot.tick()
@@ -279,10 +279,13 @@ def test_an_operator_pauses_seeks_resumes_and_ends(start: Start, robot: StandInR
     wait_until(lambda: robot.tick().source["time_s"] == pytest.approx(0.4))
     control(bus, writes, {"action": "resume"})
     robot.until("playing")
+    control(bus, writes, {"action": "pause", "id": "once"})  # written again: answered again, and not done again
+    assert {robot.tick().phase for _ in range(5)} == {"playing"}
     control(bus, writes, {"action": "leave"})
     robot.until("done")
     assert finish(process) == 0
-    assert [event["action"] for event in writes.events("motion-control")] == ["pause", "seek", "resume", "leave"]
+    told = [event["action"] for event in writes.events("motion-control")]
+    assert told == ["pause", "seek", "resume", "pause", "leave"]
 
 
 def test_a_request_that_makes_no_sense_is_an_event(start: Start, bus: Bus, writes: Writes) -> None:

@@ -15,6 +15,7 @@ from station.bus import codec, keys
 from station.bus.client import Bus
 from station.errors import NotReady, Refused
 from station.life import arm_request
+from station.life.arm_request import ArmRequest
 from tests.virtual.clock import VirtualClock
 from tests.virtual.network import Network
 from tests.virtual.station import FORMAT, Commander, ControlledRobot, Walk, commander, events
@@ -70,6 +71,29 @@ def test_arming_ramps_the_stiffness_up_over_two_seconds_and_is_told(
     assert told.detail["ramp_s"] == 2.0
     assert arm_request.ask(bus, "disarm") == {"g1": ["disarmed"]}
     assert stiffness(disarmed)[-1] == 0.0
+
+
+def test_a_request_to_arm_that_is_written_again_after_the_robot_was_disarmed_arms_nothing(
+    clock: VirtualClock, network: Network, bus: Bus, disarmed: ControlledRobot
+) -> None:
+    written = codec.json_object(ArmRequest(action="arm", id="once"))
+    bus.publish({keys.ARM: written})
+    clock.until(lambda: disarmed.ticks[-1].arming == "armed")
+    arm_request.ask(bus, "disarm")
+    ticks = len(disarmed.ticks)
+    bus.publish({keys.ARM: written})
+    clock.until(lambda: len(disarmed.ticks) > ticks + 50)
+    assert {tick.arming for tick in disarmed.ticks[ticks + 1 :]} == {"disarmed"}
+    assert len(events(network, "arming")) == 1
+
+
+def test_what_is_no_request_to_arm_is_told(
+    clock: VirtualClock, network: Network, bus: Bus, disarmed: ControlledRobot
+) -> None:
+    bus.publish({keys.ARM: b'{"action": "lift"}'})
+    clock.until(lambda: events(network, "request-refused"))
+    (told,) = events(network, "request-refused")
+    assert told.detail["reason"].startswith("not an arm request: ")
 
 
 def test_arming_is_refused_while_commands_come_that_are_not_valid(

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import secrets
+import math
 from typing import Any
 
-from station.bus import codec, keys
+from station.bus import keys
 from station.bus.client import Bus
 from station.episode.storage.request import Action, RecordAnswer, RecordRequest, parse_answer
 from station.errors import NotReady, Refused
-
-_LOOK_S = 0.2  # how soon a request is sent again to a bus that was restarted and forgot it
+from station.life import request
 
 
 def ask(bus: Bus, action: Action, *, timeout_s: float = 20.0, **fields: Any) -> RecordAnswer:
@@ -26,30 +25,16 @@ def ask(bus: Bus, action: Action, *, timeout_s: float = 20.0, **fields: Any) -> 
         NotReady: the bus did not take the request, or no recorder answered.
         Refused: the recorder said no; with its reason.
     """
-    wanted = RecordRequest(id=secrets.token_hex(6), action=action, **fields)
-    request, sent_on = {keys.RECORD: codec.json_object(wanted)}, 0
-    deadline = bus.clock.monotonic_s() + timeout_s
+    wanted = RecordRequest(id=request.new_id(), action=action, **fields)
+    what = f"record {action}"
     with bus.watch([keys.RECORD_ACK]) as watch:
-        newest = None
-        while (remaining := deadline - bus.clock.monotonic_s()) > 0:
-            if watch.connections != sent_on:  # its id keeps it from being done twice
-                if bus.publish(request):
-                    sent_on = watch.connections
-                elif bus.is_connected:
-                    raise NotReady(f"record {action}: the bus {bus.address} did not take the request: {bus.last_error}")
-            sample = watch.wait(keys.RECORD_ACK, after=newest, timeout_s=min(remaining, _LOOK_S))
-            sample = sample or watch.latest(keys.RECORD_ACK)  # came while nobody told us: without age, yet with our id
-            if sample is not None and (answer := parse_answer(sample.value, wanted.id)) is not None:
-                return _accepted(action, answer)
-            newest = sample or newest
-    if not sent_on:
-        raise NotReady(f"record {action}: the bus {bus.address} has been gone for {timeout_s:g} s: {bus.last_error}")
-    raise NotReady(
-        f"record {action}: no recorder answered within {timeout_s:g} s; start one with `station serve recorder`"
-    )
-
-
-def _accepted(action: Action, answer: RecordAnswer) -> RecordAnswer:
+        answers = {keys.RECORD_ACK: lambda data: parse_answer(data, wanted.id)}
+        found = request.ask(  # the recorder misses no write of a bus that is there
+            bus, watch, keys.RECORD, wanted, answers, what=what, within_s=timeout_s, again_s=math.inf
+        )
+    if not found:
+        raise NotReady(f"{what}: no recorder answered within {timeout_s:g} s; start one with `station serve recorder`")
+    answer = found[keys.RECORD_ACK]
     if not answer.ok:
-        raise Refused(f"record {action}: {answer.reason}")
+        raise Refused(f"{what}: {answer.reason}")
     return answer

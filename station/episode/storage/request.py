@@ -9,6 +9,7 @@ import msgspec
 from station.bus import codec
 from station.episode.storage.manifest_parts import Operator
 from station.errors import Refused
+from station.life.request import parse
 
 _LONGEST_S = 30 * 24 * 3600.0
 
@@ -118,10 +119,7 @@ def parse_request(data: bytes) -> RecordRequest:
     Raises:
         Refused: it is none; says why.
     """
-    try:
-        request = codec.parse_struct(data, RecordRequest)
-    except codec.BadValue as error:
-        raise Refused(f"not a record request: {error}") from error
+    request = parse(data, RecordRequest, "a record request")
     if not (codec.is_modest(request.operator) and codec.is_modest(request.runbook)):
         raise Refused("not a record request: operator and runbook hold more than a manifest takes")
     if request.planned_s is not None and not 0 <= request.planned_s <= _LONGEST_S:

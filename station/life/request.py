@@ -1,0 +1,136 @@
+"""A request to a server: JSON on a key, answered under the request's id in what that server publishes anyway.
+
+A key holds one value at a time: a request may be overwritten before its server has seen it, and a bus may be started
+again. So whoever asks writes it again until it is answered, and a server does what has the same id once.
+"""
+
+from __future__ import annotations
+
+import math
+import secrets
+from collections.abc import Callable, Mapping
+from typing import Any, Generic, TypeVar
+
+import msgspec
+
+from station.bus import codec
+from station.bus.client import Bus
+from station.bus.watch import Watch
+from station.errors import NotReady, Refused
+
+_AGAIN_S = 0.5
+_LOOK_S = 0.2
+_REMEMBERED = 64
+
+AnswerT = TypeVar("AnswerT")
+RequestT = TypeVar("RequestT", bound=msgspec.Struct)
+
+
+def new_id() -> str:
+    """Return an id that no other request has."""
+    return secrets.token_hex(6)
+
+
+def parse(data: bytes, kind: type[RequestT], what: str) -> RequestT:
+    """Return the request that bytes from the bus hold.
+
+    Raises:
+        Refused: they hold none of this kind; ``not an arm request: …``, where `what` is "an arm request".
+    """
+    try:
+        return codec.parse_struct(data, kind)
+    except codec.BadValue as error:
+        raise Refused(f"not {what}: {error}") from error
+
+
+def ask(
+    bus: Bus,
+    watch: Watch,
+    key: str,
+    request: msgspec.Struct,
+    answers: Mapping[str, Callable[[bytes], AnswerT | None]],
+    *,
+    what: str,
+    within_s: float,
+    again_s: float = _AGAIN_S,
+) -> dict[str, AnswerT]:
+    """Write a request until it is answered on each of some keys; return the answers that came, by key.
+
+    Args:
+        bus: The bus that the servers listen on.
+        watch: Watches the keys of the answers.
+        key: Where requests of this kind are written.
+        request: What is asked for; it has an id.
+        answers: By key where an answer comes: returns it where a value of that key has it, else None.
+        what: What is asked for, in words, for errors.
+        within_s: Longest wait [s].
+        again_s: When to write it again [s]; infinite: only to a bus that was away meanwhile.
+
+    Raises:
+        NotReady: the bus did not take the request.
+    """
+    clock, data = bus.clock, {key: codec.json_object(request)}
+    deadline_s, sent_s, sent_on = clock.monotonic_s() + within_s, -math.inf, 0
+    found: dict[str, AnswerT] = {}
+    for place, answer_in in answers.items():
+        newest: Any = None
+        while place not in found and (now_s := clock.monotonic_s()) < deadline_s:
+            if watch.connections != sent_on or now_s - sent_s >= again_s:
+                if bus.publish(data):
+                    sent_s, sent_on = now_s, watch.connections
+                elif bus.is_connected:
+                    raise NotReady(f"{what}: the bus {bus.address} did not take the request ({bus.last_error})")
+            newest = watch.wait(place, after=newest, timeout_s=min(deadline_s - now_s, _LOOK_S)) or newest
+            sample = newest or watch.latest(place)  # without an age where it came while nobody told us of writes
+            if sample is not None and (answer := answer_in(sample.value)) is not None:
+                found[place] = answer
+    if not sent_on:
+        raise NotReady(f"{what}: the bus {bus.address} has been gone for {within_s:g} s ({bus.last_error})")
+    return found
+
+
+class NewValue:
+    """The value of a watched key, once for each that came; what stood there before is no request.
+
+    Args:
+        watch: Watches the key.
+        key: The key.
+        is_age_needed: Whether to pass over what was found after a cut, and may have been written long ago.
+    """
+
+    def __init__(self, watch: Watch, key: str, *, is_age_needed: bool = True) -> None:
+        self._watch, self._key, self._seen = watch, key, watch.latest(key)
+        self._is_age_needed = is_age_needed
+
+    @property
+    def has_come(self) -> bool:
+        """Whether one came since the last `take`."""
+        return self._watch.latest(self._key) is not self._seen
+
+    def take(self) -> bytes | None:
+        """Return the newest that came since the last call, else None."""
+        sample = self._watch.latest(self._key)
+        if sample is self._seen:
+            return None
+        self._seen = sample
+        if sample is None or (self._is_age_needed and sample.arrived_ns is None):
+            return None
+        return sample.value
+
+
+class AnswerMemory(Generic[AnswerT]):
+    """The newest answers by the ids of their requests, for one that is written again."""
+
+    def __init__(self) -> None:
+        self._answers: dict[str, AnswerT] = {}
+
+    def get(self, asked: str) -> AnswerT | None:
+        """Return the answer to a request; None where it is new, or has no id."""
+        return self._answers.get(asked)
+
+    def put(self, asked: str, answer: AnswerT) -> None:
+        """Keep an answer; one to a request without an id is not kept."""
+        if asked:
+            self._answers[asked] = answer
+        while len(self._answers) > _REMEMBERED:
+            del self._answers[next(iter(self._answers))]
