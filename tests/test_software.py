@@ -12,7 +12,10 @@ from station.software import software
 
 pytestmark = pytest.mark.usefixtures("processes")
 
-SAY = "from station.software import software; s = software(); print(repr(s.version), repr(s.revision), s.dirty)"
+SAY = (
+    "from station import software; software._GIT_TIMEOUT_S = 60.0; s = software.software();"
+    "print(repr(s.version), repr(s.revision), s.dirty)"
+)
 
 
 def copy_of_the_package(folder: Path) -> Path:

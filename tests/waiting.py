@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -19,6 +20,14 @@ def wait_until(condition: Callable[[], object], timeout_s: float = DEADLINE_S) -
         if time.monotonic() > deadline:
             raise AssertionError(f"did not hold within {timeout_s:g} s: {condition}")
         time.sleep(0.005)
+
+
+def is_running(pid: int) -> bool:
+    """Whether there is a process that has not ended; one that nobody has waited for has."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):  # the second where it goes between opening and reading
+        return False
 
 
 def bus_answers(address: BusAddress) -> bool:

@@ -13,14 +13,14 @@ import pytest
 from benchmarks import report
 from benchmarks.harness import Benchmark, Row, Target, alternate, compare, p99
 
-pytestmark = pytest.mark.usefixtures("processes")
+pytestmark = [pytest.mark.usefixtures("processes"), pytest.mark.timeout(300)]
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 def _run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "benchmarks", *arguments], cwd=ROOT, capture_output=True, text=True, timeout=100,
+        [sys.executable, "-m", "benchmarks", *arguments], cwd=ROOT, capture_output=True, text=True, timeout=280,
         check=False,
     )  # fmt: skip
 
@@ -68,7 +68,7 @@ def test_an_unknown_benchmark_is_refused_with_the_names_of_those_there_are() -> 
 def test_a_benchmark_that_needs_upstream_data_says_so_and_is_left_out_without_it(tmp_path: Path) -> None:
     environment = {k: v for k, v in os.environ.items() if k != "STATION_ASSETS"}
     result = subprocess.run(
-        [sys.executable, "-m", "benchmarks", "sim", "--quick"], cwd=ROOT, capture_output=True, text=True, timeout=100,
+        [sys.executable, "-m", "benchmarks", "sim", "--quick"], cwd=ROOT, capture_output=True, text=True, timeout=280,
         check=False, env=environment,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr

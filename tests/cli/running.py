@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import signal
 import subprocess
@@ -19,7 +18,7 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.life.server import Health, read_health
 from tests.main_job.station_runs import LOCK_STEP, ROOT, Terminal
-from tests.waiting import DEADLINE_S, bus_answers, wait_until
+from tests.waiting import DEADLINE_S, bus_answers, is_running, wait_until
 
 COMMANDS_ONLY = "commands-only"
 SHORT = ("--set", "motion.enter_s=0.1", "--set", "motion.leave_s=0.1")
@@ -135,18 +134,7 @@ def demo_episode(home: Home, done: subprocess.CompletedProcess[str]) -> Path:
 
 def are_gone(pids: Sequence[int]) -> bool:
     """Whether none of some processes runs any more."""
-    return not any(_is_running(pid) for pid in pids)
-
-
-def _is_running(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
+    return not any(is_running(pid) for pid in pids)
 
 
 def row(rows: list[dict[str, Any]], **wanted: str) -> dict[str, Any]:

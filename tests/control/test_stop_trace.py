@@ -54,6 +54,7 @@ def test_a_stop_that_is_hidden_at_once_is_a_stop(
         if before is not None:
             line.call("SET", KEY, before)
         with CommandWatch(bus_server, [KEY, "command"], key="command") as watch:
+            wait_until(lambda: watch.is_connected)
             line.pipeline(requests)
             wait_until(watch.urgent.is_set)
             news = watch.take_stop()
@@ -63,6 +64,7 @@ def test_a_stop_that_is_hidden_at_once_is_a_stop(
 
 def test_a_release_and_a_deletion_alone_are_no_stop(bus_server: BusAddress, line: Connection) -> None:
     with CommandWatch(bus_server, [KEY, "command"], key="command") as watch:
+        wait_until(lambda: watch.is_connected)
         line.call("SET", KEY, STOP)
         wait_until(lambda: (news := watch.take_stop()) and news.request.stop)
         for release in (RELEASE, b'{"stop": false, "arm": true}', RELEASE):
@@ -80,7 +82,8 @@ def test_what_is_written_while_the_watch_is_cut_off_is_a_stop_whatever_it_is(
 ) -> None:
     with Proxy(bus_server) as network, CommandWatch(network.address, [KEY], key="command") as watch:
         line.call("SET", KEY, b"0 ")
-        wait_until(lambda: (news := watch.take_stop()) and not news.request.stop)
+        wait_until(lambda: (sample := watch.latest(KEY)) is not None and sample.value == b"0 ")
+        watch.begin_stops()
         network.cut()
         line.pipeline([["SET", KEY, STOP], ["SET", KEY, again]])
         network.mend()

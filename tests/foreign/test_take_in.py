@@ -26,6 +26,8 @@ from station.foreign.take_in import ImportJob, ImportResult, take_in
 from tests.foreign.recorded import PERIOD_MS, STARTED_MS, document, jpeg, record
 from tests.waiting import DEADLINE_S, wait_until
 
+ENTRIES = 2000
+
 pytestmark = pytest.mark.usefixtures("processes")
 
 ROOT = Path(__file__).parents[2]
@@ -127,30 +129,42 @@ def test_a_recording_that_turns_out_bad_half_way_leaves_nothing(tmp_path: Path) 
 
 
 def long_recording(folder: Path) -> Path:
-    """One that takes seconds to be taken in."""
-    entries = [{"idx": n, "t_img": STARTED_MS + n, "action_neck": [0.0, 0.0]} for n in range(40_000)]
+    entries = [{"idx": n, "t_img": STARTED_MS + n, "action_neck": [0.0, 0.0]} for n in range(ENTRIES)]
     return record(folder, {"data": entries}, pictures=0)
 
 
 def begun(folder: Path, data: Path, task: str = "") -> subprocess.Popen[bytes]:
-    """Take a recording in, in a process of its own."""
-    code = (
-        "import sys; from tests.foreign.test_take_in import *;"
-        "done = taken(Path(sys.argv[1]), Path(sys.argv[2]), task=sys.argv[3]); print(done.is_new, done.path)"
-    )
+    """Take a recording in, in a process of its own, which stands still in the middle until it is told to go on."""
+    code = """
+import os, sys
+from station.foreign import take_in as taking
+from tests.foreign.test_take_in import *
+feed, folder, data, task = taking._feed, Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
+def feed_and_stop(*arguments):
+    feed(*arguments)
+    wait_until(lambda: list(data.glob(".importing-*/*.active")))
+    os.kill(os.getpid(), signal.SIGSTOP)
+taking._feed = feed_and_stop
+done = taken(folder, data, task=task)
+print(done.is_new, done.path)
+"""
     return subprocess.Popen([sys.executable, "-c", code, folder, data, task], cwd=ROOT, stdout=subprocess.PIPE)
 
 
 def test_one_that_was_killed_in_the_middle_is_no_episode_and_is_done_anew(tmp_path: Path) -> None:
     folder, data = long_recording(tmp_path / "cabinet" / "episode_0000"), tmp_path / "data"
     with begun(folder, data) as process:
-        wait_until(lambda: list(data.glob(".importing-*/*.active")))
+        wait_until(lambda: stands_still(process.pid))
         process.send_signal(signal.SIGKILL)
     assert process.returncode == -signal.SIGKILL
     assert find_episodes(data) == []
     done = taken(folder, data)
-    assert (done.is_new, done.messages) == (True, 80_000)
+    assert (done.is_new, done.messages) == (True, 2 * ENTRIES)
     assert [path.name for path in data.iterdir()] == ["cabinet"]
+
+
+def stands_still(pid: int) -> bool:
+    return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "T"
 
 
 def waits_for_a_lock(pid: int) -> bool:
@@ -164,8 +178,7 @@ def waits_for_a_lock(pid: int) -> bool:
 def test_two_processes_that_take_in_the_same_recording_make_one_episode_of_it(tmp_path: Path) -> None:
     folder, data = long_recording(tmp_path / "cabinet" / "episode_0000"), tmp_path / "data"
     with begun(folder, data) as first:
-        wait_until(lambda: list(data.glob(".importing-*/*.active")))
-        first.send_signal(signal.SIGSTOP)
+        wait_until(lambda: stands_still(first.pid))
         with begun(folder, data, "another") as second:
             wait_until(lambda: second.poll() is not None or waits_for_a_lock(second.pid))
             first.send_signal(signal.SIGCONT)

@@ -27,7 +27,7 @@ from station.life.restarts import Restarts
 from station.supervision.supervisor import Supervisor
 from tests.adapters.devices.pico.frames import frame
 from tests.operator.account import Account
-from tests.waiting import DEADLINE_S, wait_until
+from tests.waiting import DEADLINE_S, is_running, wait_until
 
 RUN = """
 import json, sys
@@ -248,11 +248,7 @@ def test_the_fake_service_does_not_outlive_its_server(start: Start, account: Acc
     children = [int(pid) for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
     assert len(children) == 1
     os.kill(process.pid, signal.SIGKILL)
-    wait_until(lambda: not Path(f"/proc/{children[0]}").exists() or is_zombie(children[0]))
-
-
-def is_zombie(pid: int) -> bool:
-    return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
+    wait_until(lambda: not is_running(children[0]))
 
 
 @pytest.mark.parametrize(

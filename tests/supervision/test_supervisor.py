@@ -18,7 +18,7 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.errors import NotReady
 from station.supervision.supervisor import Supervisor
-from tests.waiting import DEADLINE_S, wait_until
+from tests.waiting import DEADLINE_S, is_running, wait_until
 
 WAVE = MotionConfig(motion="builtin:wave", loop=True, enter_s=0.1, leave_s=0.1)
 
@@ -38,14 +38,6 @@ def supervisor(bus: Bus, tmp_path: Path) -> Iterator[Supervisor]:
         yield made
     finally:
         made.stop_all()
-
-
-def is_gone(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return True
-    return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
 
 
 def test_a_child_loads_and_stays_silent_until_it_is_activated(supervisor: Supervisor, bus: Bus) -> None:
@@ -77,7 +69,7 @@ def test_a_child_that_is_frozen_is_killed_when_it_is_stopped(supervisor: Supervi
     process = supervisor.children["motion"].process
     os.kill(process.pid, signal.SIGSTOP)
     assert supervisor.stop("motion", timeout_s=0.1) == -signal.SIGKILL
-    assert is_gone(process.pid)
+    assert not is_running(process.pid)
     assert "motion" not in supervisor.children
 
 
@@ -119,7 +111,7 @@ def test_children_do_not_outlive_a_killed_supervisor_and_leave_cleanly(
         finally:
             process.kill()
     assert len(pids) == 2
-    wait_until(lambda: all(is_gone(pid) for pid in pids))
+    wait_until(lambda: not any(is_running(pid) for pid in pids))
     assert b'"finalized"' in (bus.get(keys.server("active")) or b""), "it must finish, not be cut down"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
@@ -64,7 +65,10 @@ def recording() -> rr.RecordingStream:
 
 def listening_addresses(pid: int) -> set[str]:
     """Addresses [hexadecimal, as the kernel writes them] that a process listens on."""
-    mine = {os.readlink(link) for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink()}
+    mine = set()
+    for link in Path(f"/proc/{pid}/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # closed since
+            mine.add(os.readlink(link))
     lines = [line.split() for table in ("tcp", "tcp6") for line in Path(f"/proc/net/{table}").read_text().splitlines()]
     return {line[1].split(":")[0] for line in lines if line[3] == "0A" and f"socket:[{line[9]}]" in mine}
 
@@ -115,8 +119,10 @@ def test_a_viewer_that_cannot_be_run_is_an_error(program: Program, recording: rr
 def test_a_viewer_that_dies_before_it_has_everything_is_an_error_and_not_waited_for(
     program: Program, recording: rr.RecordingStream
 ) -> None:
-    with open_viewer(recording) as viewer:
+    ended = threading.Event()
+    with open_viewer(recording, on_end=ended.set) as viewer:
         program.kill()
+        assert ended.wait(DEADLINE_S)
         recording.log("text", rr.TextLog("never seen"))
         with pytest.raises(StationError, match=r"ended \(signal SIGKILL\); --save FILE"):
             viewer.deliver(recording)

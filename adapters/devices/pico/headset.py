@@ -56,6 +56,7 @@ _STILL_NS = 500_000_000
 _TRIES = 3  # a frame that comes while one is being read; two in a row within microseconds do not happen
 _LOOK_S = 0.1
 _CONNECTING_S = 1.0  # two beats of the library
+_NAP_S = 0.1
 _HANGS_S = 5.0
 _STDERR = 2
 _SIDES: tuple[Side, ...] = ("left", "right")
@@ -91,10 +92,10 @@ class Headset:
         self._controllers = {side: _Newest() for side in _SIDES}
         self._hands = {side: _Newest() for side in _SIDES}
         self._quiet = QuietStdout()
+        self._stamp_ns = self._sdk.get_time_stamp_ns()  # not 0 where an earlier one has left its last values behind
         with _folder_that_names(address, port):
             self._sdk.init()
         self._opened_s = self._clock.monotonic_s()
-        self._stamp_ns = self._sdk.get_time_stamp_ns()  # not 0 where an earlier one has left its last values behind
         atexit.register(self.close)
         self._is_open = True
 
@@ -138,7 +139,9 @@ class Headset:
         if not self._is_open:
             return
         self._is_open = False
-        self._clock.sleep(max(0.0, self._opened_s + _CONNECTING_S - self._clock.monotonic_s()))
+        early_s = self._opened_s + _CONNECTING_S - self._clock.monotonic_s()
+        for _ in range(math.ceil(max(early_s, 0.0) / _NAP_S)):  # a machine that stands still takes one nap away
+            self._clock.sleep(_NAP_S)
         faulthandler.dump_traceback_later(_HANGS_S, exit=True, file=_STDERR)
         self._sdk.close()
         faulthandler.cancel_dump_traceback_later()

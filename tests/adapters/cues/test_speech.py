@@ -11,6 +11,7 @@ from adapters.cues.speech import Speech, SpeechOptions, missing
 from station.operator.device import DeviceError
 from station.operator.voice import Cue
 from tests.adapters.cues.programs import calls, put
+from tests.waiting import DEADLINE_S
 
 pytestmark = pytest.mark.usefixtures("processes")
 
@@ -52,7 +53,8 @@ def test_words_are_one_argument_whatever_is_in_them(path: Path) -> None:
 
 
 @pytest.mark.parametrize("program", ["espeak-ng", "spd-say"])
-def test_a_cue_that_is_broken_off_ends_its_program(path: Path, program: str) -> None:
+def test_a_cue_that_is_broken_off_ends_its_program(path: Path, program: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("adapters.cues.speech._ENDS_S", DEADLINE_S)
     then = f'if "--cancel" not in sys.argv:\n    {FOR_EVER}'
     log = put(path, program, then=then)
     voice = Speech(SpeechOptions())

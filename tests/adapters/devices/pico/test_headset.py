@@ -116,8 +116,7 @@ def test_it_comes_back_with_a_service_that_was_away_for_too_short_to_be_noticed(
         wearer.after(frame(1 * MS))
         service.stop()
         service.start()
-        assert service.wait_for_listener(30.0)
-        assert wearer.after(frame(2 * MS))["capture_ns"] == 2 * MS
+        assert wearer.until_one_comes(frame(2 * MS))["capture_ns"] >= 2 * MS
 
 
 @pytest.mark.usefixtures("processes")

@@ -6,9 +6,11 @@
 from __future__ import annotations
 
 import json
+import queue
 import select
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +20,7 @@ from adapters.devices.fakes.pico.service import PicoService
 from adapters.devices.pico.headset import Headset
 from station.operator.device import DeviceError
 from station.operator.sample import OperatorSample, Pose
-from tests.waiting import DEADLINE_S
+from tests.waiting import DEADLINE_S, wait_until
 
 HUNG = 1
 """Exit code of a process that was ended because the library hung in its `close`, as it does on a busy machine."""
@@ -27,11 +29,39 @@ _GONE_NS = 3_600_000_000_000
 
 
 class Wearer:
-    """The process, seen from the test."""
+    """The process, seen from the test; where the library hung in its `close` and took it down, it is started anew."""
 
-    def __init__(self, process: subprocess.Popen[str], service: PicoService) -> None:
-        self._process, self._service = process, service
+    def __init__(self, service: PicoService, patience_s: float) -> None:
+        self._service, self._patience_s = service, patience_s
         self._epoch_ns = 0
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._start()
+
+    def _start(self) -> None:
+        command = [sys.executable, "-m", "tests.adapters.devices.pico.wearing"]
+        self.process = subprocess.Popen(
+            [*command, str(self._service.port), str(self._patience_s)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        self._reader = threading.Thread(target=self._read, args=(self.process,), daemon=True)
+        self._reader.start()
+
+    def _read(self, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
+            self._lines.put(line)
+        process.stdout.close()
+
+    def end(self) -> int:
+        """Have it end; return its exit code."""
+        assert self.process.stdin is not None
+        self.process.stdin.close()
+        try:
+            return self.process.wait(DEADLINE_S)
+        finally:
+            self.process.kill()
+            self.process.wait()
+            self._reader.join()
 
     def begin(self) -> None:
         """Begin a new test, at a time of the headset's at which all that was seen before is long gone."""
@@ -47,28 +77,40 @@ class Wearer:
         return self.next()
 
     def next(self) -> dict[str, Any]:
-        assert self._process.stdout is not None
         while True:
-            ready, _, _ = select.select([self._process.stdout], [], [], DEADLINE_S)
-            assert ready, "no sample came"
-            sample: dict[str, Any] = json.loads(self._process.stdout.readline())
+            try:
+                line = self._lines.get(timeout=DEADLINE_S)
+            except queue.Empty:
+                raise AssertionError("no sample came") from None
+            sample: dict[str, Any] = json.loads(line)
             sample["capture_ns"] -= self._epoch_ns
             if sample["capture_ns"] > 0:
                 return sample
 
+    def until_one_comes(self, frame: dict[str, Any]) -> dict[str, Any]:
+        """Send a frame again and again, each a millisecond later, as a headset that is worn does; return a sample."""
+
+        def comes() -> bool:
+            self.send(frame)
+            frame["timeStampNs"] += 1_000_000
+            if self.process.poll() == HUNG:
+                self.end()
+                self._start()
+            return not self._lines.empty()
+
+        wait_until(comes)
+        return self.next()
+
 
 @contextmanager
 def wearing(service: PicoService, patience_s: float = 2 * DEADLINE_S) -> Iterator[Wearer]:
-    command = [sys.executable, "-m", "tests.adapters.devices.pico.wearing", str(service.port), str(patience_s)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1) as process:
-        assert process.stdin is not None
-        try:
-            assert service.wait_for_listener(DEADLINE_S)
-            yield Wearer(process, service)
-            process.stdin.close()
-            assert process.wait(DEADLINE_S) in (0, HUNG), "it must end, by itself or because the library did not let go"
-        finally:
-            process.kill()
+    wearer = Wearer(service, patience_s)
+    try:
+        assert service.wait_for_listener(DEADLINE_S)
+        yield wearer
+    finally:
+        ended = wearer.end()
+    assert ended in (0, HUNG), "it must end, by itself or because the library did not let go"
 
 
 def _at(frame: dict[str, Any], epoch_ns: int) -> dict[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import threading
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -336,26 +335,22 @@ def test_a_shard_is_kept_only_while_the_rules_are_those_that_let_it_in(
     assert found == ["made", "kept", "made"]
 
 
-def test_an_episode_that_changes_while_it_is_read_is_left_out(tmp_path: Path) -> None:
+def test_an_episode_that_changes_while_it_is_read_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sources, out = two(tmp_path / "data"), tmp_path / "set"
     manifest = Path(sources[1].folder) / "manifest.yaml"
     plan = LEROBOT.prepare(sources, LeRobotOptions(min_quality="any"))
-    stop = threading.Event()
+    fingerprint = shards._fingerprint
 
-    def meddle() -> None:
-        while not stop.wait(0.005):
-            with manifest.open("a") as file:  # whole at any instant, unlike a file that is written anew
-                file.write("# again\n")
+    def and_then_it_changes(kind: Any, task: shards.Task) -> str:
+        found = fingerprint(kind, task)
+        with manifest.open("a") as file:
+            file.write("# again\n")
+        return found
 
+    monkeypatch.setattr(shards, "_fingerprint", and_then_it_changes)
     with shards.open_work(out) as work:
         task = shards.Task(format="lerobot", source=sources[1], plan=plan, min_quality="any", work=str(work))
-        meddler = threading.Thread(target=meddle)
-        meddler.start()
-        try:
-            outcome = shards.make_shard(task)
-        finally:
-            stop.set()
-            meddler.join()
+        outcome = shards.make_shard(task)
     assert outcome.status == "failed"
     assert "changed while it was read" in outcome.reason
 
