@@ -10,9 +10,11 @@ import contextlib
 import logging
 import os
 import re
+import shutil
 import socket
 import sys
 import tempfile
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -29,6 +31,7 @@ LOCAL = "local"
 _AHEAD = 1000  # tasks that Ray knows of at a time: enough for a cluster to grow by, few enough to keep track of
 _RETRIES = 1  # of a task whose worker or machine died; a task that reports its own failure is not tried again
 _REACH_S = 5.0
+_REMOVALS, _MOMENT_S = 100, 0.1  # of its folder, until its last process has ended
 _HOST_PORT = re.compile(r"(?:ray://)?(?P<host>[^/\s:]+|\[[^]]+\]):(?P<port>\d{1,5})")
 _QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",  # Ray would tell its makers of each run
@@ -115,13 +118,22 @@ def _connected(address: str, jobs: int) -> Iterator[Any]:
     # It runs whatever it is sent, so nobody else may find it: loopback, a token, a folder of its own.
     os.environ |= {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_AUTH_MODE": "token"}
     os.environ.setdefault("RAY_AUTH_TOKEN", token_hex(32))  # one for the life of this process: Ray remembers it
-    with (
-        tempfile.TemporaryDirectory(prefix="ray-", ignore_cleanup_errors=True) as folder,
-        _joined(
-            _import_ray(), address, num_cpus=jobs or os.cpu_count() or 1, include_dashboard=False, _temp_dir=folder
-        ) as ray,
-    ):
-        yield ray
+    folder = tempfile.mkdtemp(prefix="ray-")
+    options = {"num_cpus": jobs or os.cpu_count() or 1, "include_dashboard": False, "_temp_dir": folder}
+    try:
+        with _joined(_import_ray(), address, **options) as ray:
+            yield ray
+    finally:
+        _remove(folder)
+
+
+def _remove(folder: str) -> None:
+    """Remove Ray's folder, into which its last processes, which it does not wait for, may write for a moment."""
+    for _ in range(_REMOVALS):
+        shutil.rmtree(folder, ignore_errors=True)
+        if not os.path.exists(folder):
+            return
+        time.sleep(_MOMENT_S)
 
 
 @contextmanager

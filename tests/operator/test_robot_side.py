@@ -25,6 +25,7 @@ class Side:
     def __init__(self, bus: Bus) -> None:
         self.bus = bus
         self.watch = bus.watch(RobotSide.watched(ROBOT))
+        wait_until(lambda: self.watch.is_connected)
         self.robot = RobotSide(self.watch, ROBOT, SIZE)
 
     def say(self, state: str, **more: Any) -> None:

@@ -49,6 +49,7 @@ def test_newest_values_are_drawn_once_each(bus: Bus, tmp_path: Path) -> None:
     publish(bus, height=0.8, gate="entering")
     with LiveView(bus, recording, robot_model=tiny(tmp_path)) as view:
         assert view.robot == ROBOT
+        wait_until(lambda: view._watch.is_connected)
         assert view.look() == 4
         assert view.look() == 0
         publish(bus, height=0.75)
@@ -80,6 +81,7 @@ def test_value_that_does_not_fit_its_contract_is_passed_over(bus: Bus, tmp_path:
     publish(bus, height=0.8)
     bus.publish({twist_keys.action_body(): b"[1, 2", twist_keys.state_body(ROBOT): codec.json_vector([0.0] * 127)})
     with LiveView(bus, recording, robot_model=tiny(tmp_path)) as view:
+        wait_until(lambda: view._watch.is_connected)
         view.look()
     recording.flush()
     recording.disconnect()

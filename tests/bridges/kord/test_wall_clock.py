@@ -142,9 +142,6 @@ def test_a_python_that_does_not_come_round_leaves_the_arm_at_its_last_target() -
         q = bridge.engage() + 0.03 * ONE_JOINT
         bridge.stream_j(q)
         tick = bridge.get_state().tick
-        total = sum(range(3_000_000))  # the interpreter is busy and holds its lock
-        state = bridge.get_state()
-        assert total
-        assert state.tick > tick
+        wait_until(lambda: sum(range(3_000_000)) and bridge.get_state().tick > tick)  # busy, and holds its lock
         wait_until(lambda: abs(bridge.get_state().q[0] - q[0]) < 1e-9)
         assert bridge.get_state().stream_j_sends == 1

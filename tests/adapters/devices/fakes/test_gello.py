@@ -78,7 +78,9 @@ def test_the_fake_as_a_process_says_how_to_use_it(tmp_path: Path, number: signal
         line = process.stdout.readline()
         port = Path(line.split("[")[1].split("]")[0])
         folder = line.split("gello.calibrations=")[1].strip()
-        device = Gello(ports_wanted=(str(port),), calibrations_folder=Path(folder), by_id=port.parent)
+        device = Gello(
+            ports_wanted=(str(port),), calibrations_folder=Path(folder), by_id=port.parent, patience_s=DEADLINE_S
+        )
         try:
             found: list[OperatorSample] = []
             wait_until(lambda: found.append(reading) if (reading := device.read()) else found)

@@ -196,15 +196,17 @@ def test_a_script_types_the_same_bytes_every_time(clock: HandClock) -> None:
     assert played(0.01) == played(0.25) == [up, up, up, b"Hi", up, up, False, b"w"]
 
 
-def test_a_script_types_into_a_terminal_that_is_closed_and_opened_again(tmp_path: Path) -> None:
+def test_a_script_types_into_a_terminal_that_is_closed_and_opened_again(tmp_path: Path, clock: HandClock) -> None:
     file = tmp_path / "jog.json"
     steps = [{"at_s": 0.05, "press": "w"}, {"at_s": 0.3, "plugged": False}, {"at_s": 0.5, "plugged": True}]
     file.write_text(json.dumps({"device": "keyboard", "steps": steps}))
-    terminal: FakeTerminal = install(file)
+    terminal: FakeTerminal = install(file, clock)
     try:
         device = Keyboard(tty=str(terminal.path))
         terminal.begin()
+        clock.pass_(0.1)
         wait_until(lambda: held(device) == {"w"})
+        clock.pass_(0.25)
         ended: list[str] = []
 
         def is_gone() -> bool:
@@ -216,6 +218,7 @@ def test_a_script_types_into_a_terminal_that_is_closed_and_opened_again(tmp_path
 
         wait_until(is_gone)
         assert "the terminal was closed" in ended[0]
+        clock.pass_(0.25)
         wait_until(terminal.path.exists)
         again = Keyboard(tty=str(terminal.path))
         assert held(again) == set()
