@@ -295,15 +295,18 @@ def _print_readings(kind: DeviceKind, file: Path) -> None:
 
 
 def _show(device: Device) -> None:
+    # An exception that an interrupt raises within a function that a library calls, as fakes have them, is lost.
+    asked = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: asked.set())
     began_s, last = time.monotonic(), ""
     try:
-        while True:
+        while not asked.wait(_PERIOD_S):
             reading = device.read()
             line = _line(reading) if reading is not None else last
             if line != last:
                 click.echo(f"{time.monotonic() - began_s:8.2f} s  {line}")
                 last = line
-            time.sleep(_PERIOD_S)
     except DeviceError as error:
         click.echo(f"{time.monotonic() - began_s:8.2f} s  {error}")
     finally:

@@ -72,19 +72,21 @@ def ask(
     clock, data = bus.clock, {key: codec.json_object(request)}
     deadline_s, sent_s, sent_on = clock.monotonic_s() + within_s, -math.inf, 0
     found: dict[str, AnswerT] = {}
+    has_tried = False  # once, however late this process is
     for place, answer_in in answers.items():
         newest: Any = None
-        while place not in found and (now_s := clock.monotonic_s()) < deadline_s:
+        while place not in found and ((now_s := clock.monotonic_s()) < deadline_s or not has_tried):
+            has_tried = True
             if watch.connections != sent_on or now_s - sent_s >= again_s:
                 if bus.publish(data):
                     sent_s, sent_on = now_s, watch.connections
                 elif bus.is_connected:
                     raise NotReady(f"{what}: the bus {bus.address} did not take the request ({bus.last_error})")
-            newest = watch.wait(place, after=newest, timeout_s=min(deadline_s - now_s, _LOOK_S)) or newest
+            newest = watch.wait(place, after=newest, timeout_s=max(0.0, min(deadline_s - now_s, _LOOK_S))) or newest
             sample = newest or watch.latest(place)  # without an age where it came while nobody told us of writes
             if sample is not None and (answer := answer_in(sample.value)) is not None:
                 found[place] = answer
-    if not sent_on:
+    if sent_s == -math.inf:
         raise NotReady(f"{what}: the bus {bus.address} has been gone for {within_s:g} s ({bus.last_error})")
     return found
 
