@@ -217,7 +217,7 @@ class RequestHandler:
             return
         if request.robot != self._robot or request == self._clearing:
             return
-        if (known := self._answers.get(request.id)) is not None:  # whoever asked has not seen it yet
+        if (known := self._answers.get(request.id)) is not None:  # its asker has not seen the answer yet
             self._answer = known
         elif request.action == "profile":
             self._reply(request, self._session.choose(request.profile))

@@ -46,7 +46,7 @@ def writes() -> dict[str, tuple[str, ...]]:
     """Return patterns of the keys that each role may write, stamps left out.
 
     An e-stop may come from all who can move or sense. Keys of stock programs that bear no robot's name are those of
-    the families of robots that are registered; signals of a robot's remote are reset by who plays a motion.
+    the families of robots that are registered; signals of a robot's remote are reset by the server that plays a motion.
     """
     shared: dict[str, list[str]] = defaultdict(list)
     for name in contracts.robots():

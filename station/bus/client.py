@@ -317,7 +317,7 @@ class Bus:
             return
 
     def _bare(self, reason: str) -> str:
-        """Return a reason without the address, which is the same for everybody who hears of it."""
+        """Return a reason without the address, which is the same for all readers."""
         return reason.removeprefix(f"bus {self.address}").lstrip(": ")
 
     def _complain(self, reason: str) -> None:

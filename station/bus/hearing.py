@@ -1,4 +1,4 @@
-"""From when to when a reader knows of every write: only then has nobody written who was not heard. Pure."""
+"""The span in which a reader has heard of every write: only within it does hearing nothing mean silence. Pure."""
 
 from __future__ import annotations
 

@@ -67,11 +67,11 @@ def command_source(robot: str) -> str:
 def action_joints(robot: str) -> str:
     """Command of an arm: absolute targets of its n joints [rad], a JSON list in the order of the joints.
 
-    Who commands writes it in each of its ticks (up to 250 Hz), moved or not: the age says that somebody commands, the
+    A commander writes it in each of its ticks (up to 250 Hz), moved or not: the age says that it is commanded, the
     numbers say where to. A list equal to the one before costs the controller nothing: only what moved is sent on.
     After 100 ms of silence the arm holds and nothing is sent; after 300 ms the next command is entered anew. Positions
-    are absolute and never wrapped: a joint may turn by 360 degrees either way. Who begins to command begins with
-    `command_used`, which is where the arm is while nobody is followed.
+    are absolute and never wrapped: a joint may turn by 360 degrees either way. A commander begins with
+    `command_used`, which is where the arm is while no command is followed.
     """
     return f"action_joints_{robot}"
 
@@ -89,7 +89,7 @@ def state_tcp(robot: str) -> str:
 def state_counters(robot: str) -> str:
     """What the real-time session with an arm's controller has counted and measured, 125 times a second.
 
-    Counters only grow; whoever wants a rate takes the difference over a time.
+    Counters only grow; a rate is the difference over a time.
     """
     return f"state_counters_{robot}"
 

@@ -119,13 +119,13 @@ def driven_by_controller(rate_hz: float = 250.0, state_hz: float = 125.0) -> tup
     torques = elements(((f"{JOINT}_torque",), "N m"))
     return (
         make(keys.action_joints(ROBOT), "command", "json-vector", POSITIONS,
-             "absolute, never wrapped; written in each tick of who commands, and sent on only where it moved"),
+             "absolute, never wrapped; written in each tick of its commander, and sent on only where it moved"),
         make(keys.state_joints(ROBOT), "state", "f64", (*POSITIONS, *VELOCITIES, *torques),
              "as the controller reports them: its model's where it tells no sensor's, which hides tracking errors",
              rate_hz=state_hz),
         make(keys.state_tcp(ROBOT), "state", "f64", POSE, "frame of the arm's base", rate_hz=state_hz),
         make(keys.state_counters(ROBOT), "state", "f64", elements((COUNTERS, ""), (SESSION_TIMES, "s")),
-             "counters only grow; rates are for who reads", rate_hz=state_hz),
+             "counters only grow; a rate is a difference over a time", rate_hz=state_hz),
         make(keys.state_controller(ROBOT), "state", "json", rate_hz=None,
              note="ten times a second: backend, profile, throttle, flags, alarm and newest event of the controller"),
         make(keys.target(ROBOT), "policy", "f64", POSITIONS, "newest target handed to the controller's session; the "

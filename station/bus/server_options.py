@@ -28,8 +28,8 @@ class ServerOptions:
             user's other processes through a file of mode 0600 beside the socket. None asks nobody.
         acl_file: File of users and what each may do, in place of a password.
         login: User and password of ours in that file.
-        max_value_mb: Largest value that the server takes [MiB]; it hangs up on who sends a larger one, so no reader of
-            the bus ever has to hold one.
+        max_value_mb: Largest value that the server takes [MiB]; it hangs up on a client that sends a larger one, so no
+            reader of the bus ever has to hold one.
         folder: Existing folder for its log and for snapshots on their way to a replica.
         backlog_mb: How much of the write stream a tap that was cut off can still catch up with [MiB]; three JPEG
             cameras fill 256 MiB in about 45 s. Memory is used only as the stream grows.

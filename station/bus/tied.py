@@ -1,4 +1,4 @@
-"""A program tied to whoever starts it: the kernel kills it with the thread that did, ``kill -9`` included.
+"""A program tied to its starter: the kernel kills it with the thread that did, ``kill -9`` included.
 
 The wish is the child's to tell the kernel. Code of ours between fork and exec could do that, but in a process with
 threads no such code is safe, nor are the fork handlers of the libraries that a program has loaded by then. So this file

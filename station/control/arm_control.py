@@ -108,7 +108,7 @@ class ArmControl:
             now_s: The instant, on the clock of `CommandSample.arrived_s` [s].
         """
         self._tick += 1
-        now_ns = round(now_s * 1e9)  # so that who has the record can give the gate the very same instant
+        now_ns = round(now_s * 1e9)  # so that an audit can give the gate the very same instant
         gate = self.commanded.gate
         gate.rest(state.q)
         self._see_to_fault(state)
@@ -171,7 +171,7 @@ class ArmControl:
         return self.commanded.arm(now_s, who, refusal)
 
     def disarm(self, who: str = "") -> None:
-        """Let no targets go to the session, at once; who commanded has to let go, even if it is armed again at once."""
+        """Send no targets to the session, at once; the commander has to let go, even if it is armed again at once."""
         self.commanded.disarm(who)
         self._release()
         self.commanded.gate.insist_on_silence(_DISARMED)
@@ -194,7 +194,7 @@ class ArmControl:
             self.commanded.note("controller-fault", "error", reason=state.fault)
 
     def _see_to_readiness(self, state: ArmState, now_s: float) -> None:
-        """Let arming go on; nobody who commands meanwhile is followed once the arm may move."""
+        """Let arming go on; a command that runs meanwhile is not followed once the arm may move."""
         arming = self.commanded.arming
         if arming.state == "arming" and arming.stiffen(now_s) == 1.0:
             self.commanded.note("armed", "warning")
@@ -204,7 +204,7 @@ class ArmControl:
             self.commanded.gate.insist_on_silence(state.why_blocked)
 
     def _see_to_engagement(self, state: ArmState) -> None:
-        """Where the session takes no more targets by itself, nobody commands: who did has to engage anew."""
+        """Where the session takes no more targets by itself, the commander has to engage anew."""
         if self._target is None or state.is_engaged:
             return
         reason = "the controller's session takes no more targets"

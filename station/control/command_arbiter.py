@@ -1,9 +1,9 @@
 """Which of several writers of a key is obeyed, so that no robot follows two operators in turn. Pure; its time is given.
 
-The first is obeyed. Another is refused until the first has been silent for a while; with ``newest`` whoever begins to
-write is obeyed at once. A robot's server that stood still itself has heard no silence; one that was heard stays proven
-until he who was silent writes. Either way the change is a handover, and the gate enters the new one's commands with its
-blend.
+The first writer is obeyed. Another is refused until the first has been silent for a while; with ``newest`` a writer
+that begins is obeyed at once. If this process was paused, missing commands prove nothing: the silence timer restarts. A
+proven silence counts until that writer writes again. Each change is a handover: the gate blends into the new writer's
+commands.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class News:
 
     Attributes:
         kind: ``rivals`` compete, ``alone`` again, or a ``handover``.
-        writers: Who: all rivals; or the one that was obeyed and the one that is.
-        obeyed: Who is obeyed now.
+        writers: All rivals; or the writer that was obeyed and the one that is.
+        obeyed: The writer that is obeyed now.
         refused: Writes refused since the rivals were first told.
         reason: Why, for a handover.
     """
@@ -46,7 +46,7 @@ class CommandArbiter:
     """Told of each write; says whether it is obeyed.
 
     Args:
-        rule: Whom to obey.
+        rule: Which writer to obey.
         silent_after_s: A writer that has been silent for longer gives way to any other [s].
     """
 
@@ -54,8 +54,8 @@ class CommandArbiter:
         self._rule, self._silent_after_s = rule, silent_after_s
         self._rivals = WriterConflict(_APART_S)
         self._heard: dict[str, float] = {}  # newest write, in the order of writes
-        self._silent: set[str] = set()  # of them, who was silent for long enough and has not written since
-        self._is_unknown = False  # whether the bus stood still since the obeyed one, who may be silent, wrote last
+        self._silent: set[str] = set()  # of them, those proven silent that have not written since
+        self._is_unknown = False  # whether the bus stood still since the obeyed writer's last write
         self._news: list[News] = []
         self._competing: tuple[str, ...] = ()
         self._told_s: float | None = None
@@ -66,9 +66,9 @@ class CommandArbiter:
         """Record a write; return whether it is obeyed.
 
         Args:
-            writer: Whose it is.
-            now_s: When it came.
-            known_s: From when to when no write has escaped us: only in it has anybody been silent who was not heard.
+            writer: Its writer.
+            now_s: When it came [s].
+            known_s: Span in which every write was heard [s]: only within it do missing writes prove a silence.
         """
         self.know((known_s[0], min(now_s, known_s[1])))
         begins = writer not in self._heard or writer in self._silent
@@ -86,21 +86,21 @@ class CommandArbiter:
         return is_obeyed
 
     def alive(self, writer: str, now_s: float) -> None:
-        """Note that somebody wrote of whose write nothing else is known; a stranger stays one."""
+        """Record that a known writer wrote, where the value was not seen; an unknown writer stays unknown."""
         if writer in self._heard:
             self._heard[writer] = now_s
-            if writer == self.obeyed:  # with others, their first write that is known begins
+            if writer == self.obeyed:  # for others, the first write that is seen begins
                 self._silent.discard(writer)
 
     def know(self, known_s: tuple[float, float]) -> None:
-        """Note who has been silent in a span of which all writes have been told to us."""
+        """Record which writers were silent in a span in which every write was heard [s]."""
         since_s, until_s = known_s
         for writer, at_s in self._heard.items():
             if until_s - max(at_s, since_s) > self._silent_after_s:
                 self._silent.add(writer)
 
     def take_news(self, now_s: float) -> tuple[News, ...]:
-        """Return what is to be told, once."""
+        """Return what is new of the writers, each piece once."""
         others = [name for name, at_s in self._heard.items() if name != self.obeyed and now_s - at_s <= _APART_S]
         if self._competing and not others:
             self._news.append(News("alone", self._competing, self.obeyed, self._refused))
@@ -139,7 +139,7 @@ class CommandArbiter:
 
 
 def spoken(source: str) -> str:
-    """Return who a source is, for people: name, process and machine as far as its stamp tells them."""
+    """Return a source in words: name, process and machine, as far as its stamp tells them."""
     if source == FOREIGN:
         return "a foreign writer"
     name, _, rest = source.partition(".")

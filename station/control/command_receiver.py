@@ -1,4 +1,4 @@
-"""The newest command on the bus for a control step: of the writer that is obeyed, whoever else writes the key."""
+"""The newest command on the bus for a control step: that of the writer that is obeyed."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from station.control.command_validator import CommandSample
 from station.control.stop_trace import StopNews, StopTrace
 from station.life.writer_conflict import FOREIGN
 
-_PROBE_S = 0.05  # who waits for a silence waits this much longer; a probe takes 0.1 ms
-_MOST = 16  # writers between two looks; a stranger may invent names
+_PROBE_S = 0.05  # a silence is proven this much later at most; a probe takes 0.1 ms
+_MOST = 16  # writers between two polls; any client may invent names
 _AHEAD = 2  # writes that were read before they were told of, at most: each is told of within a round trip
 _CONTEST_NS = 1_000_000_000  # so long after a foreign write the next may come
-_MOST_WRITES = 4096  # between two looks: eight seconds of two who write at 250 Hz; more are forgotten
+_MOST_WRITES = 4096  # between two polls: eight seconds of two writers at 250 Hz; more are forgotten
 
 
 class Arrival(NamedTuple):
-    """That somebody wrote.
+    """A write of the command key.
 
     Attributes:
-        writer: Who.
+        writer: Its source.
         at_ns: When it came, on the monotonic clock [ns].
-        is_clear: Whether the value that was found is known to be his; else that he lives is all that is known.
+        is_clear: Whether the value that was read is this writer's; otherwise only that the writer is alive is known.
     """
 
     writer: str
@@ -42,12 +42,12 @@ class Arrival(NamedTuple):
 
 
 class NewWrites(NamedTuple):
-    """What came since the last look.
+    """What came since the last poll.
 
     Attributes:
-        heard: From when to when no write has escaped us; all that was written until then is in here, or was before.
-        arrivals: Who wrote when, in order.
-        newest: The newest value of each whose values are known.
+        heard: Span in which every write was heard; all that was written until its end is in here, or was before.
+        arrivals: Writes in order.
+        newest: The newest value of each writer, where it is known which value is whose.
     """
 
     heard: HeardSpan
@@ -56,12 +56,12 @@ class NewWrites(NamedTuple):
 
 
 class CommandWatch(Watch):
-    """A watch that keeps, for one key, who wrote when, and the newest value of each: a slot holds only the last one's.
-    A stop it keeps until it is taken, whatever is written after it (`station.control.stop_trace`).
+    """A watch that keeps the writers of one key apart: when each wrote, and its newest value (a slot holds the last
+    value only). A stop it keeps until it is taken, whatever is written after it (`station.control.stop_trace`).
 
-    A foreign write between a native one and our reading of it shows the foreign value beside the native stamp. So it
-    looks again for word of writes once it has read, and a value that both kinds of writers may have written is
-    nobody's; who wrote it writes again, and both are known to live.
+    A foreign write between a native one and our reading of it shows the foreign value beside the native stamp. So once
+    a value is read, notifications are read again. A value that either kind of writer may have written is left out; both
+    writers count as alive, and the next value will tell.
 
     Args:
         address: Where the bus is.
@@ -70,7 +70,7 @@ class CommandWatch(Watch):
         outages: As of any watch.
 
     Attributes:
-        urgent: Set when a write asks for the emergency stop: a loop that sleeps acts at once. Who obeys it clears it.
+        urgent: Set when a write asks for the emergency stop: a loop that sleeps acts at once, and clears it.
         doubtful: Values of `key` that may be of either kind of writer, and were left out.
     """
 
@@ -78,7 +78,7 @@ class CommandWatch(Watch):
         self._shared_key = key
         self._by_writer: dict[str, Sample] = {}
         self._arrivals: list[Arrival] = []
-        self._numbers: dict[str, int] = {}  # of each native writer's newest write that was read
+        self._numbers: dict[str, int] = {}  # sequence number of each native writer's newest write that was read
         self._ahead = 0
         self._is_doubtful = False
         self._foreign_ns = -_CONTEST_NS  # when a writer without stamps wrote the key last
@@ -88,9 +88,9 @@ class CommandWatch(Watch):
         super().__init__(address, wanted, outages=outages, probe_s=_PROBE_S)
 
     def take(self) -> NewWrites:
-        """Return the writes since the last call: a loop that stood still finds in them who wrote meanwhile.
+        """Return the writes since the last call; a loop that was paused finds those of the pause in them.
 
-        Where they were too many, nothing is known of the time before: what is `heard` begins anew.
+        Where they were too many to keep, the span of `heard` begins anew.
         """
         with self._changed:
             taken = NewWrites(self._hearing.span, self._arrivals, self._by_writer)
@@ -143,16 +143,16 @@ class CommandWatch(Watch):
             with self._changed:
                 for key, (value, mark) in values.items():
                     self._put(key, value, mark, now_ns, is_foreign=touched[key] > touched[keys.stamp(key)])
-                if self._shared_key in values and self._events is not None:  # who polls is told of no write
+                if self._shared_key in values and self._events is not None:  # a polled bus sends no notifications
                     self._note_overwritten(values[self._shared_key][1], touched[keys.stamp(self._shared_key)], now_ns)
                 self._changed.notify_all()
             touched = later
 
     def _must_know_all(self, values: Mapping[str, Read]) -> bool:
-        """Whether what was read says something only together with every write until then.
+        """Whether a value can be judged only once all notifications up to now have come.
 
-        Word of a write comes on another line than what was read, and on a network may come after it: beside a writer
-        without stamps a value is nobody's before all is told.
+        They come on another connection than the value, and over a network may come after it: beside a writer without
+        stamps it is not known whose value it is before.
         """
         is_contested = self.clock.monotonic_ns() - self._foreign_ns < _CONTEST_NS
         return (self._shared_key in values and is_contested) or (
@@ -160,7 +160,7 @@ class CommandWatch(Watch):
         )
 
     def _told_meanwhile(self) -> Counter[str]:
-        """Count the writes that we are told of by now."""
+        """Count the notifications that have come by now, by key."""
         told: Counter[str] = Counter()
         events = self._events
         while events is not None and (message := events.poll()) is not False:
@@ -190,10 +190,11 @@ class CommandWatch(Watch):
             self._arrive(Arrival(writer, now_ns, is_clear=True))
 
     def _note_overwritten(self, mark: stamp.Stamp | None, told: int, now_ns: int) -> None:
-        """Take as alive whose write may have been overwritten before we read it.
+        """Count writers as alive whose write may have been overwritten before it was read.
 
-        Of the native writes that we were told of, as many are of him whose is read as his numbers say. Where they are
-        fewer, somebody else wrote too: of two who answer to the same state, one is always overwritten at once.
+        The sequence numbers of the writer whose value was read say how many of the notified native writes are its own.
+        Where they are fewer, another one wrote too: of two writers that answer to the same state, one is always
+        overwritten at once.
         """
         own = 0
         if mark is not None:
@@ -220,16 +221,16 @@ class CommandWatch(Watch):
 
 
 class CommandReceiver:
-    """The newest command of a watch, as the control step wants it, and who writes it.
+    """The newest command of a watch, as the control step wants it, and its writers.
 
     Args:
         watch: Watches the key.
         key: The command's key.
-        writers: Decides whose command it is.
+        writers: Decides which writer is obeyed.
 
     Attributes:
-        heard_s: From when to when no write of it has escaped us, by the last call of `newest` or `has_come`, on the
-            gate's clock [s].
+        heard_s: Span in which every write of it was heard, by the last call of `newest` or `has_come`, on the gate's
+            clock [s].
     """
 
     def __init__(self, watch: CommandWatch, key: str, writers: CommandArbiter) -> None:
@@ -240,7 +241,7 @@ class CommandReceiver:
         self.heard_s = (-math.inf, -math.inf)
 
     def newest(self, now_s: float | None = None) -> CommandSample | None:
-        """Return the newest command, the same object as long as nothing new came from who is obeyed.
+        """Return the newest command of the obeyed writer, the same object as long as nothing new came from it.
 
         Args:
             now_s: When a command that is new counts as arrived, on the gate's clock [s]; None for its real arrival
@@ -250,7 +251,7 @@ class CommandReceiver:
         return self._command
 
     def has_come(self, now_s: float | None = None) -> bool:
-        """Take up what came since the last call; return whether something did from who is obeyed."""
+        """Take up what came since the last call; return whether the obeyed writer wrote."""
         before, newest, taken = self._command, self._watch.latest(self._key), self._watch.take()
         self.heard_s = self._seconds(taken.heard, now_s)
         for writer, at_ns, is_clear in taken.arrivals:
@@ -265,14 +266,14 @@ class CommandReceiver:
         doubtful = self._watch.doubtful
         self._refused, self._doubtful = self._refused + doubtful - self._doubtful, doubtful
         if newest is not None and newest is not self.seen:
-            is_left = newest.arrived_ns is None and self._command is before  # from before we looked
+            is_left = newest.arrived_ns is None and self._command is before  # from before this watch began
             if is_left and self.writers.obeyed in ("", writer_of(newest)):
                 self._command = _command(newest, now_s)
             self.seen = newest
         return self._command is not before
 
     def take_refused(self) -> int:
-        """Return how many commands came since the last call that are not used: of others, and of who knows whom."""
+        """Return how many commands of other, or of unknown, writers came since the last call."""
         refused, self._refused = self._refused, 0
         return refused
 
@@ -283,7 +284,7 @@ class CommandReceiver:
 
 
 def writer_of(sample: Sample) -> str:
-    """Return who wrote a value."""
+    """Return the source of a value, or `FOREIGN`."""
     return sample.stamp.source if sample.stamp is not None else FOREIGN
 
 

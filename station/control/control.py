@@ -197,8 +197,8 @@ class ControlStep:
     def _see_to_rest(self, state: RobotState) -> None:
         """Tell the gate where a robot, or a part, that stays rests.
 
-        It rests where it was asked to be, not where it is: one that sags a little under its load, and were asked to be
-        there, would sag on. While it is disarmed nobody is followed, and who commands then has to begin anew.
+        It rests where it was asked to be, not where it is: a joint that sags a little under its load, and were asked to
+        be there, would sag on. While it is disarmed no command is followed, and the commander has to begin anew.
         """
         self._is_lost = False
         for gate, joints in self._resting:

@@ -16,10 +16,10 @@ A robot that stays where it is without a command (an arm) has no way back: after
 every tick where it rests, and enters a command at once, as fast as the rates let it.
 
 A command that comes back while holding is followed at once if it was followed before; from returning, when the blend
-had not ended, or when somebody else gives it, it is entered again. What is a good command is decided before, in
+had not ended, or when another writer gives it, it is entered again. What is a good command is decided before, in
 `station.control.command_validator`. Whatever the state, no element moves faster than its rate
 (`Bounds`): a command that jumps is caught up with. Two things jump: `reset`, to standing, where a robot
-starts anew; and the output for a robot that stays while nobody moves it, which is where it rests.
+starts anew; and the output for a robot that stays while it is not commanded, which is where it rests.
 
 Where commands are lost, poses are held and then blended to standing; velocities begin to fade in the first tick that
 follows no command, and are zero `GateConfig.velocity_fade_s` later, since a velocity that is held moves the robot on.
@@ -52,7 +52,7 @@ MOVING: tuple[State, ...] = ("entering", "tracking")
 """A good command of this moment is followed."""
 
 FOLLOWING: tuple[State, ...] = (*MOVING, "holding")
-"""There is a commander, who decides where the robot is, be it by falling silent a moment ago."""
+"""A commander decides where the robot is; it may have fallen silent a moment ago."""
 
 LATCHED: tuple[State, ...] = ("stopped", "faulted")
 """Left by `station.control.gate.Gate.reset` alone."""
@@ -70,16 +70,16 @@ class GateConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     Attributes:
         blend_in_s: Time from the present output to the live command [s]; none for a robot that stays.
         hold_after_s: Age of the newest good command beyond which it is held rather than followed [s].
-        return_after_s: Age beyond which the robot is taken back to standing [s]; one that stays is nobody's from then
-            on, and commands of which silence is asked have to cease for longer than this.
+        return_after_s: Age beyond which the robot is taken back to standing [s]; one that stays follows no commander
+            from then on. Where a silence is asked for, commands have to cease for longer than this.
         blend_out_s: Time from the held command to standing [s].
         velocity_fade_s: Time from the velocities of the last command to zero, from the first tick on that does not
             follow it, and back to live ones after a hold [s]; longer where a low `rate_factor` does not let them.
         stale_after_s: Time since a command was written, by its writer's own clock where that is known, beyond which it
             is held rather than followed, however newly it arrived [s]; at least `hold_after_s`.
         rate_factor: Times the greatest rates of the command format; less moves more gently.
-        rivals: Whom to obey when two write the command: ``keep-first`` refuses the second until the first has been
-            silent for longer than `return_after_s`; ``newest`` gives way to whoever begins to write.
+        rivals: Which to obey when two write the command: ``keep-first`` refuses the second until the first has been
+            silent for longer than `return_after_s`; ``newest`` obeys each writer that begins.
 
     Raises:
         ValueError: a number that is not positive and finite, or returning before holding.
@@ -198,7 +198,7 @@ class Gate:
 
     @property
     def why_not_follow(self) -> str:
-        """What whoever commands has to do before he is followed, and why, or ""."""
+        """What the commander has to do before it is followed, and why, or ""."""
         return self._silence.missing
 
     def step(
@@ -245,11 +245,11 @@ class Gate:
         return Decision(self._state, self._vector.copy(), reason, age_s, transitions, self._limited)
 
     def change_hands(self, reason: str) -> None:
-        """Enter the next good command again: somebody else gives it."""
+        """Blend into the next good command again: another writer gives it."""
         self._new_hands = reason
 
     def insist_on_silence(self, why: str) -> None:
-        """Follow nobody until commands have ceased, from now on, for longer than `GateConfig.return_after_s`."""
+        """Follow no command until commands have ceased, from now on, for longer than `GateConfig.return_after_s`."""
         self._silence.insist(why)
 
     def rest(self, where: Floats, bounds: Bounds | None = None) -> None:
@@ -482,8 +482,8 @@ class ReengageInterlock:
     """Counts for how long nothing has come since silence was insisted on.
 
     Only time that was waited through counts. What came before does not, and neither does what a stalled process or a
-    clock that leaps has not heard: a hole in a stream around the instant of a reset is not somebody who let go. Nor
-    does time of which it is not known that nothing was written in it.
+    clock that leaps has not heard: a hole in a stream around the instant of a reset is no letting go. Nor does time in
+    which writes may have been missed.
 
     Args:
         needed_s: Longer than this has nothing to come [s].

@@ -50,7 +50,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         state_values: Makes the values that are published at the start of a tick; there may be none.
         result_values: Makes those that are published after a step, with the answer to the last request to arm.
         period_s: Control period [s].
-        requests: Keys on which more is asked of this robot, and who does it; called in the loop, between ticks.
+        requests: Keys of further requests to this robot, and what does them; called in the loop, between ticks.
     """
 
     def __init__(
@@ -192,7 +192,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             return False
         if request.server not in ("", self._life.name):
             return False
-        if (known := self._arm_answers.get(request.id)) is not None:  # whoever asked has not seen it yet
+        if (known := self._arm_answers.get(request.id)) is not None:  # its asker has not seen the answer yet
             self._arm_answer = known
             return False
         who = ", ".join(word for word in (request.who, request.reason) if word)

@@ -1,8 +1,8 @@
 """The emergency stop's key: what its value asks for. In doubt it asks to stop.
 
-A restarted bus has forgotten the key, and who starts after that would not know of a latched stop. So those who do know
-say it again, but only where the key holds nothing (``SET … NX``, one step of the server's): whatever anybody has
-written since, a reset above all, stands.
+A restarted bus has forgotten the key, and a server that starts after that would not know of a latched stop. So those
+that do know say it again, but only where the key holds nothing (``SET … NX``, one step of the server's): whatever
+anybody has written since, a reset above all, stands.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The events of a bus, each once and one after the other, for whoever shows them.
+"""The events of a bus, each once and one after the other, for what shows them.
 
 Their key holds one at a time, so of two that are written within a millisecond a reader may see the second alone. What
 was missed there comes with the heartbeat of the server that said it, half a second late.
@@ -78,7 +78,7 @@ class EventFeed:
     def _look(self) -> None:
         try:
             found = read_health(self._bus)
-        except BusError:  # who has a feed looks at the bus as well, and tells of its loss
+        except BusError:  # the owner of a feed watches the bus as well, and tells of its loss
             return
         for event in sorted((event for health in found for event in health.events), key=lambda event: event.wall_ns):
             self.add(event)

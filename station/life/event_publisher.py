@@ -1,7 +1,7 @@
 """Says the events of a server: on the bus, in the log, and once more with its heartbeats.
 
 The bus holds one event at a time; of two that are written within a millisecond a reader may see the second alone. So
-each stands in the server's heartbeats too, for a few seconds: who follows both (`station.life.event_feed`) misses none.
+each stands in the server's heartbeats too, for a few seconds: a reader of both (`station.life.event_feed`) misses none.
 """
 
 from __future__ import annotations

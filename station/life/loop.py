@@ -57,7 +57,7 @@ class Rate:
         """Sleep until the next deadline; deadlines that have passed are counted and skipped, never made up for.
 
         Where `urgent` is or gets set the tick comes at once and later deadlines count from it; but never two ticks in
-        a row, so that whoever sets it all the time cannot make the loop run away.
+        a row, so that setting it all the time cannot make the loop run away.
         """
         now_ns = self._clock.monotonic_ns()
         if self._deadline_ns is None:

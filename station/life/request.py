@@ -1,7 +1,7 @@
 """A request to a server: JSON on a key, answered under the request's id in what that server publishes anyway.
 
 A key holds one value at a time: a request may be overwritten before its server has seen it, and a bus may be started
-again. So whoever asks writes it again until it is answered, and a server does what has the same id once.
+again. So an asker writes it again until it is answered, and a server does what has the same id once.
 """
 
 from __future__ import annotations

@@ -161,7 +161,7 @@ class StopFile:
 
 
 class StopKeeper:
-    """Writes a stop's file in a thread of its own, in order: who stops a robot waits for no disk.
+    """Writes a stop's file in a thread of its own, in order: stopping a robot waits for no disk.
 
     Args:
         address: The bus.

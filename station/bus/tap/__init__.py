@@ -1,4 +1,4 @@
-"""Every write of the bus, in order and byte for byte, whoever wrote it and however."""
+"""Every write of the bus, in order and byte for byte, by any writer and any command."""
 
 from __future__ import annotations
 
