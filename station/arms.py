@@ -35,7 +35,7 @@ class ArmState:
         fault: Why the controller takes no commands until somebody clears it, or ""; after its last semicolon what an
             operator does about it.
         why_blocked: Why no target could be taken where the arm is, though nothing is at fault, or "".
-        told: The session's own snapshot, for whoever publishes it.
+        told: The session's own snapshot, for what publishes it.
     """
 
     mono_ns: int
@@ -52,7 +52,7 @@ class ArmSession(Protocol):
 
     @property
     def is_simulated(self) -> bool:
-        """Whether nobody can stand beside this arm."""
+        """Whether this arm is a simulation, which no person can stand beside."""
         ...
 
     @property

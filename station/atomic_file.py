@@ -35,7 +35,7 @@ def write_atomic(path: Path, data: bytes, *, sync: bool = True, mode: int = 0o64
 
 
 def refuse_special(path: Path) -> None:
-    """Refuse a path that is there and no regular file: whoever opens a pipe waits for its writer.
+    """Refuse a path that is there and no regular file: opening a pipe waits for its writer.
 
     Raises:
         OSError: it is none.

@@ -1,7 +1,7 @@
 """Time, and every wait for it: given to what runs between the bus and the robot, never read by it.
 
 A server runs on `SYSTEM`. A test gives a clock of its own: the same code then runs in virtual time, thousands of trials
-in one process, each the same for the same seed. So whoever gets a `Clock` reads no other, and waits by no other.
+in one process, each the same for the same seed. So code that is given a `Clock` reads no other, and waits by no other.
 """
 
 from __future__ import annotations

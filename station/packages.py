@@ -27,7 +27,7 @@ _ELSE = "or give the station an environment of its own"
 
 
 class Foreign(NamedTuple):
-    """A package of somebody else under the name of one of ours.
+    """A foreign package under the name of one of ours.
 
     Attributes:
         name: Of the package.
@@ -46,7 +46,7 @@ class Foreign(NamedTuple):
 
 
 def expect_ours() -> None:
-    """Look, without importing anything, whether Python would import our packages and nobody else's.
+    """Look, without importing anything, whether Python would import our packages and no others.
 
     Raises:
         StationError: another package hides one of ours.

@@ -25,8 +25,8 @@ class PartedCommand:
     """One vector for the policy, one key and one gate for each part (`station.protocols.CommandFormat`).
 
     A part is a command format of its own, registered under its own name, whose `robot` is that of the whole and the
-    part's name: ``quad_legs`` of a ``quad``. So whoever drives a part finds its gate and what is used of its command
-    where it finds those of any robot. It has no key: nobody writes all parts at once.
+    part's name: ``quad_legs`` of a ``quad``. So what drives a part finds its gate and what is used of its command
+    where it finds those of any robot. It has no key: no writer writes all parts at once.
 
     Args:
         name: Registered name.

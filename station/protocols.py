@@ -1,7 +1,7 @@
 """What a robot, a policy and a motion are to the rest of the station.
 
 SI units. Quaternions are ``w x y z``. "Root" is the base, a humanoid's pelvis: X forward, Y left, Z up. Arrays are
-float64 unless a line says otherwise; none of them may be changed by who receives it.
+float64 unless a line says otherwise; none of them may be changed by the code that receives it.
 """
 
 from __future__ import annotations
@@ -258,10 +258,10 @@ class Motion(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class StockKeys:
-    """What programs of others expect of whoever commands, beside the values of `CommandFormat.auxiliary`.
+    """What foreign programs expect of a commander, beside the values of `CommandFormat.auxiliary`.
 
     Attributes:
-        returning: Those of the companions that go back to their default when who drives leaves; others keep their
+        returning: Those of the auxiliary keys that go back to their default when driving ends; others keep their
             value, as a hand that holds something does.
         clocks: Keys that hold the wall clock of the command [ms since the epoch].
         signals: Keys with which a remote starts a motion or has it leave: ``1`` while its button is down.

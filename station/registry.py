@@ -92,7 +92,7 @@ def find(kind: Kind, name: str) -> Any:
 
     Raises:
         UnknownName: nothing is registered under it; the message lists what is.
-        StationError: it cannot be loaded, or a package of somebody else has the name of one of ours, and hides it.
+        StationError: it cannot be loaded, or a foreign package has the name of one of ours, and hides it.
     """
     entry = _entries(kind).get(name)
     if entry is None:

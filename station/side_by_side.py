@@ -80,7 +80,7 @@ def run(
     results: dict[int, R] = {}
     count = processes(len(tasks), jobs)
     with contextlib.closing(_alone(work, tasks) if count == 1 else _shared(work, tasks, count, on_death)) as done:
-        for number, result in done:  # closed at once, so that nobody works on where `on_done` ends it
+        for number, result in done:  # closed at once, so that no process works on where `on_done` ends it
             results[number] = result
             if on_done is not None:
                 on_done(result)
@@ -215,4 +215,4 @@ def _end_with_parent() -> None:
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()
-    os._exit(1)  # nobody is left to hear of anything
+    os._exit(1)  # no process is left to tell

@@ -2,7 +2,7 @@
 
 A command server cannot say where the robot is, a low-level server cannot give commands, a recorder reads everything
 and writes nothing but its own bookkeeping, an observer says only how it is doing, a viewer writes nothing at all.
-Nobody may change the server's settings, run scripts or delete the keys of others. The default user, whom a stranger
+No role may change the server's settings, run scripts or delete the keys of others. The default user, whom a stranger
 is, is off.
 """
 

@@ -22,7 +22,7 @@ PASSWORD_FILE_VARIABLE = "STATION_BUS_PASSWORD_FILE"
 CA_VARIABLE = "STATION_BUS_CA"
 CERTIFICATE_VARIABLE = "STATION_BUS_CERT"
 KEY_VARIABLE = "STATION_BUS_KEY"
-DEFAULT_USER = "operator"  # of a file that has passwords for several: who uses the command line
+DEFAULT_USER = "operator"  # of a file that has passwords for several users: the command line's
 _EXPECTED = "expected redis://HOST:PORT/DB, rediss://HOST:PORT/DB or unix:///PATH?db=N"
 _SOCKET_PATH_LIMIT = 104  # bytes; the smallest limit among the systems that we run on
 

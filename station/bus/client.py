@@ -258,7 +258,7 @@ class Bus:
                 self._end_refusals()
         now_s = self.clock.monotonic_s()
         if answers or not connection.owed:
-            # One that was looked for in vain: where we ourselves were stopped, nobody looked.
+            # One that was looked for in vain: while this process was paused, it did not look.
             if now_s - self._heard_s > _SILENT_S and self._looks_in_vain:
                 self.outages.note("bus-silent", _ns(self._heard_s))
             self._heard_s, self._looks_in_vain = now_s, 0

@@ -179,7 +179,7 @@ def _decoder(kind: type[T]) -> msgspec.json.Decoder[T]:
 
 
 def parse_facts(data: bytes | None) -> dict[str, Any]:
-    """Decode a JSON object for a reader to whom other bytes, or none, say nothing: it is empty for those."""
+    """Decode a JSON object; other bytes, or none, give an empty one."""
     try:
         value = parse_json(data) if data is not None else None
     except BadValue:

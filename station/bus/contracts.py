@@ -158,7 +158,7 @@ def _expanded(found: RobotFamily) -> RobotFamily:
 def _sound(kind: registry.Kind, trouble: str, make: Callable[[Any], _Made]) -> Iterator[tuple[str, _Made]]:
     """Make something of each that is registered, of ours first; with its name.
 
-    A recorder records what comes, whatever is wrong with what somebody registered: that is told and passed over.
+    A recorder records what comes; a registered contract that is wrong is told of and passed over.
     """
     for name in sorted(registry.names(kind), key=lambda name: not registry.is_ours(kind, name)):
         try:

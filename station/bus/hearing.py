@@ -54,7 +54,7 @@ class MissedWrites(Generic[ValueT]):
     """Finds the write that was not told of: an answer proves that the line is well, not that writes are told on it.
 
     All is read unasked, and then a question is put where writes are told of. By its answer every write was told of
-    that had been there to be read, and the key read again; a key that has not been is one that nobody told us of.
+    that had been there to be read, and the key read again; where a key was not, its notification is missing.
     """
 
     def __init__(self) -> None:

@@ -1,6 +1,6 @@
 """Keeps a server of our own alive: one that dies is started again at once, in the same place, with the same options.
 
-What it held is gone, and nobody misses it: each process that finds its connection cut says again what it runs, and the
+What it held is gone, and is not missed: each process that finds its connection cut says again what it runs, and the
 recorder measures what it did not hear.
 """
 
@@ -108,7 +108,7 @@ class KeptServer:
     def _run(self) -> None:
         try:
             self._launch()
-        except Exception as error:  # noqa: BLE001  whoever waits for the start raises it
+        except Exception as error:  # noqa: BLE001  raised where the start is waited for
             self._failure = error
             return
         finally:
@@ -132,7 +132,7 @@ class KeptServer:
                 return
             try:
                 self._launch()
-            except BusError as error:  # no memory, or somebody else took its place
+            except BusError as error:  # no memory, or another server took its place
                 how = str(error)
                 self._short_lives += 1
                 continue

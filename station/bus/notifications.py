@@ -1,6 +1,6 @@
 """The server's word of each write: which of its events readers need, and whether it still sends them.
 
-The setting is one for all clients. Whoever sets it to what he needs himself takes it from everybody else, and the
+The setting is one for all clients. A client that sets it to what it needs takes it from all others, and the
 server goes on answering all questions as if nothing were the matter.
 """
 

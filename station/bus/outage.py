@@ -1,6 +1,6 @@
 """What a process suffered from its bus: silences, losses, refusals. Each is told once, when it is over.
 
-While it lasts nobody could hear of it; so it carries when it began, and whoever tells of it says how long ago that was.
+While it lasts it cannot be told; so it carries when it began, and is told later with how long ago that was.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 from station.clock import SYSTEM, Clock
 
 _SETTLE_NS = 1_000_000_000  # a recorder has tapped a restarted server again by then, and hears what is told
-_MOST = 100  # of which nobody has taken notice
+_MOST = 100  # that were not told yet
 _REMEMBERED = 8
 
 Kind = Literal["bus-silent", "bus-back", "bus-refused", "watch-back"]

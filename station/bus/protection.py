@@ -99,7 +99,7 @@ def _setting(bus: Bus, name: str) -> str:
 
 
 def _stranger_may_write(bus: Bus) -> bool:
-    """Whether one who gives no name may write a command; tried on a key that is not there, and stays away."""
+    """Whether a client without a name may write a command; tried on a key that is not there, and stays away."""
     nobody = msgspec.structs.replace(bus.address, username=None, password=None)
     try:
         with contextlib.closing(Connection(nobody, timeout_s=1.0)) as line:

@@ -1,4 +1,4 @@
-"""Our own Redis or Valkey server: a child process that cannot outlive us and that nobody else can reach.
+"""Our own Redis or Valkey server: a child process that cannot outlive us and that no other user can reach.
 
 It listens on a unix socket that only this user may open and, when asked to, on one port of the loopback interface for
 scripts that know nothing but ``localhost:6379``. It keeps nothing on disk: the recorder is the memory of the station.

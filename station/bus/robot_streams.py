@@ -131,7 +131,7 @@ def driven_by_controller(rate_hz: float = 250.0, state_hz: float = 125.0) -> tup
         make(keys.target(ROBOT), "policy", "f64", POSITIONS, "newest target handed to the controller's session; the "
              "controller is sent those that moved"),
         make(keys.command_gate(ROBOT), "policy", "json", note="state, reason and age of the command at the gate"),
-        make(keys.command_used(ROBOT), "policy", "f64", POSITIONS, "the command after the gate; where nobody is "
+        make(keys.command_used(ROBOT), "policy", "f64", POSITIONS, "the command after the gate; where none is "
              "followed, where the arm is"),
         make(keys.policy_timing(ROBOT), "policy", "json-vector", _TIMING,
              "one machine's monotonic clock; no policy: observed and inferred are when the gate had decided"),

@@ -1,4 +1,4 @@
-"""Where our own server listens, whom it lets in, and how that is told to it."""
+"""Where our own server listens, which clients it lets in, and how that is told to it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ServerOptions:
         bind: Address that the port is opened on beside the loopback interface, for other machines; needs a password
             or an ACL.
         password: What everybody must say first, on the socket too; it goes to the server through a pipe, and to this
-            user's other processes through a file of mode 0600 beside the socket. None asks nobody.
+            user's other processes through a file of mode 0600 beside the socket. None asks for none.
         acl_file: File of users and what each may do, in place of a password.
         login: User and password of ours in that file.
         max_value_mb: Largest value that the server takes [MiB]; it hangs up on a client that sends a larger one, so no

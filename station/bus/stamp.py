@@ -1,4 +1,4 @@
-"""The stamp beside every key: who wrote its value, when, and as the how-manieth.
+"""The stamp beside every key: the writer of its value, the time, and the writer's count of writes.
 
 A native writer sets ``key`` and ``key@`` in one ``MSET``. The stamp is ASCII text, fields separated by a space:
 ``seq mono_ns wall_ns source [capture_ns]``. Stock TWIST scripts neither write nor read it.

@@ -50,8 +50,8 @@ _ASKED = b"now"  # tells the answer of `_hear_all` from that of a probe
 class Watch:
     """Slots with the newest value of some keys, filled by a thread of its own that reconnects by itself.
 
-    After a cut every key is read again, since nobody told us of what was written meanwhile: what changed is taken up as
-    of unknown age, what was deleted stays in its slot with the age that it has.
+    After a cut every key is read again, since no notification came of what was written meanwhile: what changed is taken
+    up as of unknown age, what was deleted stays in its slot with the age that it has.
 
     Args:
         address: Where the bus is.

@@ -35,7 +35,7 @@ class Drops(msgspec.Struct):
     """Pictures that never came to the bus, by reason; each counts since the camera was opened.
 
     Attributes:
-        lost: The camera took them, and nobody got them: holes in its own numbering.
+        lost: The camera took them, and they never came: holes in its own numbering.
         skipped: They were here, but a newer one was too.
         torn: They were no whole JPEG file, or marked as damaged.
     """

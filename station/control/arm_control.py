@@ -44,7 +44,7 @@ class ArmRecord:
         tick: Number of the tick, from 1.
         state: What the session told.
         decision: What the gate let through.
-        target: The newest target that the session took, shape (n,) [rad]; where nobody is followed, the joints.
+        target: The newest target that the session took, shape (n,) [rad]; where no command is followed, the joints.
         is_sent: Whether it was handed over in this tick.
         refusal: Why the session was not engaged in this tick, or did not take the target that it was handed, or "".
         command_seq: Sequence number of the command that was used; 0 when foreign or none.
@@ -150,7 +150,7 @@ class ArmControl:
                 self.commanded.arming.disarm()
 
     def clearing(self) -> None:
-        """Let nobody drive on while faults are cleared, there being one or not: that ends the session's engagement."""
+        """End driving while faults are cleared, there being one or not: that ends the session's engagement."""
         if self._target is not None:
             self._end("the controller's faults are being cleared")
 
@@ -245,7 +245,7 @@ class ArmControl:
         return True
 
     def _end(self, reason: str) -> None:
-        """Follow nobody any more, and nobody again before he has let go."""
+        """Follow no command any more, and none again before its commander has let go."""
         self._release()
         self.commanded.gate.reset(reason)
         self.commanded.gate.insist_on_silence(reason)

@@ -67,7 +67,7 @@ class CommandPath:
         self.validator = CommandValidator(command_format, config.longest_delay_s)
         self.arming = arming
         self._refusing: str | None = None
-        self._rival = ""  # why somebody else's command was refused in this step
+        self._rival = ""  # why another writer's command was refused in this step
         self._heard_s = (-math.inf, math.inf)  # offline everything is known
         self._slewing = RateLimiting(command_format)
         self._step_events: list[StepEvent] = [] if step_events is None else step_events

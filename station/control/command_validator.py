@@ -78,7 +78,7 @@ class CommandSample:
         written_ns, arrived_ns: When it was written and when it arrived, on this machine's monotonic clock; 0 when
             unknown, as `written_ns` for a foreign writer.
         seq: Sequence number of its write; 0 for a foreign writer.
-        source: Who wrote it, as in its stamp; "" when nobody asks.
+        source: Its writer, as in its stamp; "" where that does not matter.
     """
 
     value: bytes
@@ -121,7 +121,7 @@ class CommandValidator:
     clamped_samples: int = 0
     _asked_s: float | None = None  # when the age of `good` was last asked for
     _least_s: float = 0.0  # how old it must be by the time that has passed here
-    _found_s: float | None = None  # when `sample` was first asked for, where nobody knows when it came
+    _found_s: float | None = None  # when `sample` was first asked for, where it is not known when it came
 
     def take(self, sample: CommandSample | None) -> bool:
         """Take up the newest sample; return whether it is one that was not seen before."""

@@ -470,8 +470,8 @@ class QuietTime(NamedTuple):
     Attributes:
         for_s: For how long nothing has come and all of it would have been heard [s]; infinite, or no number, where
             nothing ever came.
-        unheard_s: For how long nobody knows whether something was written, up to now [s]: a bus that is cut or frozen
-            tells nothing, and one that is well is asked only so often.
+        unheard_s: For how long it is not known whether something was written, up to now [s]: a bus that is cut or
+            frozen tells nothing, and one that is well is asked only so often.
     """
 
     for_s: float
@@ -500,7 +500,7 @@ class ReengageInterlock:
         return f"{self._why}; let go, then engage anew" if self._why else ""
 
     def insist(self, why: str) -> None:
-        """Let nobody be followed before there was a silence from now on, for a reason."""
+        """Follow no command before there was a silence from now on, for a reason."""
         self._why, self._heard_s = why, None
 
     def hear(self, quiet: QuietTime, passed_s: float) -> None:

@@ -123,7 +123,7 @@ def build(config: RigConfig, *, may_be_real: bool = False) -> Rig:
     Args:
         config: What drives what.
         may_be_real: Whether the robot may be a real one. Only its server drives one: a rehearsal or a replay goes
-            through its steps as fast as it can, with nobody beside it.
+            through its steps as fast as it can, with no person beside it.
 
     Raises:
         UnknownName: a name that is not registered.

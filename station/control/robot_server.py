@@ -34,7 +34,7 @@ class PolicyServerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         rate_hz: Rate of the loop [Hz]; 0 for the one that the policy was trained at.
         pace: ``wall`` or ``command`` (lock-step).
         command_timeout_s: Longest wait for the next command in lock-step [s]; then ticks go on at `rate_hz`.
-        gate: Times of the gate, how fast a command may move, and whom to obey when two write it.
+        gate: Times of the gate, how fast a command may move, and which writer to obey when two write it.
         start_armed: Whether targets go to the robot from the start; None: only in simulation. Otherwise `station arm`.
         on_fall: ``continue``, or ``reset``: a simulated robot is put back on its feet after a second.
         real_time_priority: SCHED_FIFO priority that is asked for with `pace: wall`; 0 does not ask.

@@ -77,7 +77,7 @@ class StopTrace:
         self.on_read(value, is_new=is_new)
 
     def begin(self) -> None:
-        """Forget what came until now: what counts for a robot that nobody drove yet is what the key holds."""
+        """Forget what came until now: for a robot that was not driven yet only what the key holds counts."""
         self._news = None
 
     def take(self) -> StopNews | None:

@@ -62,7 +62,7 @@ def ask(
         within_s: Longest wait [s].
 
     Raises:
-        NotReady: nobody drives that arm, the bus did not take the request, or nobody answered.
+        NotReady: no server drives that arm, the bus did not take the request, or no answer came.
         Refused: the controller's session said no; with its reason.
     """
     wanted = ControllerRequest(
@@ -83,6 +83,6 @@ def _answer(data: bytes, asked: str) -> ControllerAnswer | None:
     """Return the answer to a request that an arm's gate tells of, if it does."""
     try:
         answer = codec.parse_struct(data, _Gate).controller
-    except codec.BadValue:  # somebody else's value; the server's next one is 4 ms away
+    except codec.BadValue:  # a foreign value; the server's next one is 4 ms away
         return None
     return answer if answer is not None and answer.id == asked else None

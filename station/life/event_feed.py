@@ -19,7 +19,7 @@ from station.life.events import Event
 from station.life.server import read_health
 
 _LOOK_S = 0.5
-_MOST = 1000  # events that nobody has taken, or that are known; a server gone mad must not fill the memory
+_MOST = 1000  # events that were not taken yet, or that are known; a server gone mad must not fill the memory
 
 
 class EventFeed:

@@ -52,13 +52,13 @@ class EventPublisher:
         events.write_log(log, event)
 
     def say_on_bus(self, name: str, severity: Severity, **detail: Any) -> None:
-        """Say an event that somebody else prints."""
+        """Publish an event that another process prints."""
         event = events.make(self._source, name, severity, self._clock.wall_ns(), **detail)
         self._recent.append(event)
         self._bus.publish({keys.EVENT: event.encode()})
 
     def say_late(self) -> None:
-        """Say the events of which nobody could hear, now that the bus is back and listened to again."""
+        """Publish the events that the bus did not take, now that it is back and its readers listen again."""
         while self._unsaid:
             event = self._unsaid[0]
             if not self._bus.publish({keys.EVENT: events.late(event, self._clock.wall_ns()).encode()}):

@@ -83,7 +83,7 @@ def ask(
                 elif bus.is_connected:
                     raise NotReady(f"{what}: the bus {bus.address} did not take the request ({bus.last_error})")
             newest = watch.wait(place, after=newest, timeout_s=max(0.0, min(deadline_s - now_s, _LOOK_S))) or newest
-            sample = newest or watch.latest(place)  # without an age where it came while nobody told us of writes
+            sample = newest or watch.latest(place)  # without an age where it came while notifications were cut
             if sample is not None and (answer := answer_in(sample.value)) is not None:
                 found[place] = answer
     if sent_s == -math.inf:

@@ -173,7 +173,7 @@ class Life:
         self._publisher.say(name, severity, **detail)
 
     def last_word(self, name: str, **detail: Any) -> None:
-        """Say on the bus what ends this server; whoever started it prints the error itself."""
+        """Say on the bus what ends this server; its starter prints the error itself."""
         self._publisher.say_on_bus(name, "error", **detail)
 
     def report(self, **facts: Any) -> None:

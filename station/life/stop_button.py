@@ -1,4 +1,4 @@
-"""The emergency stop as somebody presses it: a line of its own to the bus, and the truth about whether it was taken.
+"""The emergency stop as a person presses it: a line of its own to the bus, and the truth about whether it was taken.
 
 Whether the bus takes it or not, a press is kept in the stop's file (`station.life.stop_file`) until it is released.
 
@@ -152,7 +152,7 @@ class StopButton:
                 return
 
     def _write_once(self, value: bytes) -> None:
-        """Write it and wait for the server's word: a write that is only on its way stops nobody."""
+        """Write it and wait for the server's word: a write that is only on its way stops no robot."""
         lost = self._bus.lost_writes
         if not self._bus.publish({keys.ESTOP: value}):
             raise BusError(self._bus.last_error or f"bus {self._bus.address}: no answer")

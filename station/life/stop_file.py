@@ -149,7 +149,7 @@ class StopFile:
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:
-        """Keep other processes from writing meanwhile; one that is frozen holds up nobody for long."""
+        """Keep other processes from writing meanwhile; one that is frozen holds up no other for long."""
         descriptor = os.open(self.path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             end_s = self._clock.monotonic_s() + _LOCKED_WITHIN_S

@@ -33,7 +33,7 @@ class MotionControl(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         action: What to do.
         time_s: Where `seek` goes to [s].
         on: Whether `loop` is switched on.
-        id: Found again in the event that answers; "" for whoever waits for none.
+        id: Found again in the event that answers; "" where none is waited for.
     """
 
     action: MotionAction
@@ -52,7 +52,7 @@ def ask(bus: Bus, action: MotionAction, *, within_s: float = WITHIN_S, **fields:
         fields: The other fields of `MotionControl`.
 
     Raises:
-        NotReady: the bus did not take the request, or nobody answered.
+        NotReady: the bus did not take the request, or no answer came.
         Refused: it does not apply now; with the reason.
     """
     wanted, what = MotionControl(action=action, id=request.new_id(), **fields), f"motion {action}"

@@ -1,4 +1,4 @@
-"""What waits to be heard, and the thread that says it: the newest matters, urgent cues interrupt, nobody waits."""
+"""What waits to be heard, and the thread that says it: the newest matters, urgent cues interrupt, no caller waits."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class CueQueue:
 
 
 class Speaker:
-    """Says cues with a voice, in a thread of its own; whoever hands one over never waits.
+    """Says cues with a voice, in a thread of its own; handing one over never waits.
 
     Args:
         voice: Says them; closed with the speaker.
@@ -153,7 +153,7 @@ class Speaker:
             self._voice.say(cue, self._hush)
         except StationError as error:
             return str(error)
-        except Exception as error:  # a fault in one voice, somebody else's perhaps, must not silence an operator's ears
+        except Exception as error:  # a fault in one voice, a third party's perhaps, must not silence an operator's ears
             log.debug("%r", cue, exc_info=True)
             return f"internal error in the voice: {' '.join(f'{type(error).__name__}: {error}'.split())}"
         return ""

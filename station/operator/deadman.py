@@ -90,11 +90,11 @@ class DeadMan(Generic[Input, Target]):
         """Look at both sides.
 
         Args:
-            held: Whether the button that must be held is down; None when nobody knows, which ends driving.
+            held: Whether the button that must be held is down; None when that is not known, which ends driving.
             now: The operator's side; None when it is not usable.
             target: What the robot is asked for at present: the robot's side, should this tick engage.
             toggled: Whether the button that turns driving on and off was pressed since the last tick.
-            why_blocked: Why nobody may drive now (a stop, a lost bus, stale data), or "".
+            why_blocked: Why driving is not allowed now (a stop, a lost bus, stale data), or "".
             why_not_engage: Why driving may not begin now, though it may go on (a leader far from its follower), or "".
 
         Returns:
@@ -102,7 +102,7 @@ class DeadMan(Generic[Input, Target]):
         """
         why_blocked = why_blocked or ("no valid data from the device" if now is None or held is None else "")
         pressed = toggled or (held is True and not self._was_held)
-        self._was_held = held is not False  # nobody knows: it has to be seen released first
+        self._was_held = held is not False  # not known: it has to be seen released first
         jumped = self._jump(self._before, now) if now is not None and self._before is not None else ""
         self._before = now
         if self.state == "engaged":

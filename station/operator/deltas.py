@@ -34,7 +34,7 @@ def followed(target: Pose, start: Pose, now: Pose, *, scale: float = 1.0, headin
         target: Where the target was at the start.
         start, now: Where the operator was at the start, and is.
         scale: How far the target goes for each metre; rotations are not scaled.
-        heading_rad: Where the operator faces in the operator's world: his forward becomes the target's.
+        heading_rad: Where the operator faces in the operator's world: that forward becomes the target's.
     """
     moved = scale * (now.position - start.position)
     turned = rotations.multiply(now.quat_wxyz, rotations.inverse(start.quat_wxyz))

@@ -31,7 +31,7 @@ class DeviceSample:
 
     Attributes:
         reading: The newest sample; None when there is none that may be used.
-        why_not: Why there is none, or why it holds buttons only and nobody may drive by it; else "".
+        why_not: Why there is none, or why it holds buttons only and is not to be driven by; else "".
         sample: Count of samples by the device server's own counting, for the source of a command.
     """
 

@@ -92,7 +92,7 @@ class Driver(Protocol):
         ...
 
     def take_up(self, command: Floats) -> None:
-        """Go on from a command that somebody else asked for, shape (m,); not while engaged."""
+        """Go on from a command that came from elsewhere, shape (m,); not while engaged."""
         ...
 
     def facts(self) -> dict[str, Any]:
@@ -107,7 +107,7 @@ class DriverKind(msgspec.Struct, frozen=True, kw_only=True):
         name: Name under which it is found.
         summary: What it does, in a line.
         options: Type of its options.
-        make: Makes a driver of options and an operator's name ("" for nobody known); imports what is heavy only when
+        make: Makes a driver of options and an operator's name ("" where none is known); imports what is heavy only when
             called, and raises a `station.errors.StationError` that says what is missing.
         rate_hz: Commands per second that its robot expects [Hz].
     """

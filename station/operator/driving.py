@@ -88,7 +88,7 @@ class Driving:
         Args:
             reading: The newest sample; None when it is stale, lost, or cannot be read.
             dt_s: The period [s].
-            why_blocked: Why nobody may drive now (an emergency stop, a lost bus, the reason why data are stale), or "".
+            why_blocked: Why driving is not allowed now (an emergency stop, a lost bus, stale data), or "".
         """
         pressed = self._buttons.step(None if reading is None else reading.controls, dt_s)
         before = self.driver.mode

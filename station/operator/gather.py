@@ -10,7 +10,7 @@ from station.operator.device_subscriber import DeviceSubscriber
 from station.operator.sample import OperatorSample
 
 _LOOK_S = 0.004  # a headset sends every 11 to 14 ms
-_LASTS_S = 1.5  # what is over before needs nobody
+_LASTS_S = 1.5  # what is over before is not told
 
 
 class Gatherer:

@@ -1,4 +1,4 @@
-"""Measuring an operator with a device that sees the body: what the command line asks, and whoever measures answers."""
+"""Measuring an operator with a device that sees the body: what the command line asks, and what a measurer answers."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class OperatorMeasure(Protocol):
         ...
 
     def why_not(self, reading: OperatorSample) -> str:
-        """Return why nobody can be measured of such a sample, or ""."""
+        """Return why such a sample cannot be measured, or ""."""
         ...
 
     def file(self, operator: str) -> Path:

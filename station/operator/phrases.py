@@ -33,8 +33,8 @@ class Phrase(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """What is told of an event.
 
     Attributes:
-        words: With fields of the event in braces; ``{take}`` is the number of the episode, ``{source}`` who says so.
-            "" is not told.
+        words: With fields of the event in braces; ``{take}`` is the number of the episode, ``{source}`` the server that
+            says so. "" is not told.
         tune: What it sounds like to a voice without words.
         urgent: Whether it breaks off what is being said.
         about: Its subject; a newer phrase about the same takes the place of one that waits.

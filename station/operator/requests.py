@@ -162,7 +162,7 @@ class ArmButtons:
     disarm does not wait for a robot that is arming.
 
     Args:
-        life: Says that nobody answered; a refusal is said by the robot's server.
+        life: Says that no answer came; a refusal is said by the robot's server.
         robot: Suffix of the robot's keys.
         device: Whose buttons they are.
 

@@ -16,7 +16,7 @@ SILENT_S = 1.5
 """A robot's server that has not spoken for longer is gone [s]: in lock-step it waits a second for a command."""
 
 FOLLOWS_WITHIN_S = 2.0
-"""A gate that has not begun to follow us by then obeys somebody else, or refuses us [s]."""
+"""A gate that has not begun to follow us by then obeys another writer, or refuses us [s]."""
 
 _LEAVING = ("holding", "returning")
 
@@ -35,13 +35,13 @@ class RobotSide:
         watch: Watches the keys of `watched`.
         robot: Suffix of the robot's keys.
         size: Length of its command.
-        holds_position: Whether it stays where it is without a command: then nobody may drive before it has said where
-            that is.
+        holds_position: Whether it stays where it is without a command: then driving is not allowed before it has said
+            where that is.
 
     Attributes:
-        why_blocked: Why nobody may drive now, or "".
+        why_blocked: Why driving is not allowed now, or "".
         left: While we command: why the robot has ceased to follow us, or "".
-        arming: Whether targets go to it: ``disarmed``, ``arming`` or ``armed``; the last one where nobody says.
+        arming: Whether targets go to it: ``disarmed``, ``arming`` or ``armed``; the last one where it is not told.
         used: The command that the robot follows, shape (m,); None when unknown.
     """
 

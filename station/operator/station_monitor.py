@@ -1,8 +1,8 @@
-"""Everything that an operator should be told of, as events: those of the bus, and those that nobody is left to say.
+"""Everything that an operator should be told of, as events: those of the bus, and those whose server is gone.
 
 A server that was killed says nothing, where nobody supervises it; a bus that is gone says nothing at all; and a stop
 is to be heard whether a robot obeys it or not. What is read of heartbeats, the line and the stop's own key is made an
-event of the usual name, so that whoever listens knows one kind of news.
+event of the usual name, so that a listener knows one kind of news.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from station.life.server import DEAD_AFTER_S, Health, read_health
 LOOK_S = 0.5
 """Time between two looks at the heartbeats [s]; they come as often."""
 
-_NAME = "station"  # who says what nobody else said
+_NAME = "station"  # source of what no server said
 _BUS_GONE_S = 1.0
 
 
@@ -33,14 +33,14 @@ class SilenceMonitor:
         self._told: set[str] = set()
 
     def hear(self, event: Event) -> None:
-        """Record who was already said to be gone."""
+        """Record a server that was already said to be gone."""
         if event.name in ("server-died", "server-silent", "server-given-up"):
             self._told.add(str(event.detail.get("server")))
         elif event.name in ("server-failed", "server-crashed"):
             self._told.add(event.source)
 
     def step(self, health: Iterable[Health], now_s: float) -> list[Event]:
-        """Return who died or came back since the last look."""
+        """Return the servers that died or came back since the last poll."""
         found = []
         for said in health:
             name, (word, heard_s) = said.name, self._heard.get(said.name, (0, now_s))
@@ -56,7 +56,7 @@ class SilenceMonitor:
         return found
 
     def forget(self) -> None:
-        """Begin anew: nobody could speak meanwhile."""
+        """Begin anew: no server could be heard meanwhile."""
         self._heard.clear()
         self._alive.clear()
 
@@ -77,7 +77,7 @@ class StationMonitor:
 
     Args:
         bus: Where everything is said.
-        name: The server's own, whose heartbeat is nobody's business.
+        name: The server's own, whose heartbeat is not watched.
     """
 
     def __init__(self, bus: Bus, name: str = "") -> None:

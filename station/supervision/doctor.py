@@ -186,7 +186,7 @@ def _troubles(health: Health, key: str) -> Iterator[Finding]:
 
 
 def _commands_without_a_robot(bus: Bus) -> Iterator[Finding]:
-    """Tell who writes commands when no low-level server of ours tells which ones it wants."""
+    """Tell which writers command when no low-level server of ours tells which commands it wants."""
     for name in registry.names("command"):
         key = registry.find("command", name).key  # "" of one that is made of parts, which are registered too
         if key and bus.get(key) is not None:
@@ -225,7 +225,7 @@ def _command(watch: Watch, key: str, sources: dict[str, int]) -> Finding:
 
 
 def _who(sample: Sample) -> str:
-    """Say who wrote a value: name and process, or that it was somebody without stamps."""
+    """Return the writer of a value: name and process, or that it writes no stamps."""
     if sample.stamp is None:
         return "a foreign writer"
     return f"{sample.stamp.writer} (pid {sample.stamp.pid})"
@@ -301,7 +301,7 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 def bus_access(bus: Bus) -> Finding:
-    """Look at who can reach a bus."""
+    """Look at which clients can reach a bus."""
     protection = look(bus)
     level: Literal["ok", "warning", "broken"] = (
         "ok" if protection.verdict == "closed" else "broken" if protection.verdict == "open" else "warning"

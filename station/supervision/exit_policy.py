@@ -1,8 +1,8 @@
 """What becomes of a station when one of its servers dies or falls silent.
 
-The robot needs nobody for its safety: the gate holds, returns to standing and stands. So where a person attends, the
-station stays up, says who died and waits for the answer; nothing that moves a robot starts again by itself unless the
-runbook says so.
+The robot needs no supervisor for its safety: the gate holds, returns to standing and stands. So where a person attends,
+the station stays up, says what died and waits for the answer; nothing that moves a robot starts again by itself unless
+the runbook says so.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class ExitPolicy:
         runbook: What it starts, and what is to be done if one dies.
         supervisor: Has the processes.
         face: Shows and asks.
-        is_unattended: Whether nobody is asked, whoever is there.
+        is_unattended: Whether no person is asked, even where one is there.
     """
 
     def __init__(self, runbook: Runbook, supervisor: Supervisor, face: SessionUI, *, is_unattended: bool) -> None:
@@ -50,7 +50,7 @@ class ExitPolicy:
     def look(
         self, health: Sequence[Health] | None, latched: Callable[[], LatchedStop | None] = lambda: None
     ) -> tuple[str, int] | None:
-        """See who has died; return why the station should end, and an exit code, or None.
+        """See what has died; return why the station should end, and an exit code, or None.
 
         Args:
             health: What the servers said last; None where the bus cannot tell.
@@ -71,7 +71,7 @@ class ExitPolicy:
             self._dead[name] = how
             self._tell(name, what, _DIED)
         if health is None:
-            self._heard.clear()  # nobody could speak: their time begins anew when the bus is back
+            self._heard.clear()  # no server could be heard: their time begins anew when the bus is back
         else:
             self._look_for_silent(health)
         if (self._dead or self._silent) and self._face.take_restart():

@@ -49,7 +49,7 @@ class Arming(msgspec.Struct, frozen=True, kw_only=True):
         """Ask for it and wait until it is done.
 
         Raises:
-            NotReady: nobody answered in time.
+            NotReady: no answer in time.
             Refused: the server said no.
         """
         done = arm_request.ask(bus, self.action, name=self.server, reason="runbook", within_s=self.within_s)

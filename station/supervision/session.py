@@ -27,7 +27,7 @@ from station.supervision.stop_memory import StopMemory
 from station.supervision.supervisor import NAME, Supervisor, how_it_ended
 
 _LOOK_S = 0.1
-_BUS_GONE_S = 10.0  # a restarted server is back within a second; without one nobody can be watched over
+_BUS_GONE_S = 10.0  # a restarted server is back within a second; without one no server can be supervised
 _RECORDER = "recorder"
 _UNATTENDED = "--yes"
 _TOLD_OTHERWISE = (  # with more, by the session itself
@@ -64,7 +64,7 @@ class Session:
         supervisor: Starts the processes.
         face: Shows and asks.
         data: Folder of episodes.
-        recording: What to record; None records nothing until somebody asks the recorder.
+        recording: What to record; None records nothing until the recorder is asked.
         is_unattended: Answer confirmations with yes, recorded as such; refused for a real robot.
     """
 
@@ -154,7 +154,7 @@ class Session:
             self._record(self._recording, stop)
 
     def _to_blame(self, step: Step) -> str:
-        """Return the step that failed: servers load side by side, and who waits for one hears that another has died."""
+        """Return the step that failed: servers load side by side, and while one is waited for another may die."""
         dead = self._supervisor.ended()
         if isinstance(step, StartStep) and step.start not in dead:
             return next((str(other) for other in self._runbook.servers if other.start in dead), str(step))

@@ -139,14 +139,14 @@ class Supervisor:
         child = self.children[name]
         if child.restarts is not None:
             child.restarts.is_armed = True
-        with contextlib.suppress(BrokenPipeError):  # it has just died; whoever looks next will say so
+        with contextlib.suppress(BrokenPipeError):  # it has just died; the next poll will say so
             os.write(child.go, b"go\n")
 
     def health(self, name: str) -> Health | None:
         """Return what a child last said of itself; None before its first word, and while the bus is away."""
         try:
             data = self._bus.get(keys.server(name))
-        except BusError:  # its line is mended in the background; who waits has a deadline
+        except BusError:  # its line is mended in the background; the waiting has a deadline
             return None
         health = decode_health(data) if data is not None else None
         return health if health is not None and health.pid == self.children[name].process.pid else None
@@ -245,7 +245,7 @@ class Supervisor:
         return code
 
     def stop_all(self) -> None:
-        """Stop whatever still runs: all at once and soon, since whoever comes here has no time for an order."""
+        """Stop whatever still runs: all at once and soon, since there is no time for an order here."""
         deadline = self.clock.monotonic_s() + _HURRY_S
         self._closed.set()
         if self._nurse is not None:

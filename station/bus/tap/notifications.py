@@ -107,7 +107,7 @@ class NotificationTap:
         self._values.close()
 
     def _arm(self) -> None:
-        refusal = switch_on(self._values)  # no failure yet: somebody else may have, and the probe will tell
+        refusal = switch_on(self._values)  # no failure yet: another client may have, and the probe will tell
         self._subscribe()
         token = write_probe(self._values)
         deadline = self._clock.monotonic_s() + _ARM_TIMEOUT_S

@@ -31,7 +31,7 @@ _DEFAULT_PING_PERIOD_S = 10
 _SHORTEST_SILENCE_S = 5.0
 _NEAR_BYTES = 1 << 20  # in 30 ms so much comes from three cameras, and a busy machine wakes a reader as late
 
-_LOOK_S = 0.02  # as often as somebody who waits asks; an answer takes the server 0.05 ms
+_LOOK_S = 0.02  # between two polls of a reader that waits; an answer takes the server 0.05 ms
 _OFFSET = re.compile(rb"^master_repl_offset:(\d+)\r?$", re.MULTILINE)
 _REPLICAS = (b"slave", b"replica")
 

@@ -61,7 +61,7 @@ class Stream:
         offset: Bytes of the server's history up to the end of the last whole command.
         selected_db: Database selected there.
         probe: Value of the last probe key that came by.
-        wants_answer: Whether the server asked for an acknowledgement; whoever sends it resets this.
+        wants_answer: Whether the server asked for an acknowledgement; sending it resets this.
         snapshot: What the tapped database held when a probe was written; taken in when that probe comes by.
 
     A command that does not carry the whole value of its key (APPEND, COPY, RENAME …) is a write of that value where it
@@ -250,7 +250,7 @@ class Stream:
                 self._learn(key)
 
     def _learn(self, key: bytes) -> str:
-        if len(self._names) >= _KNOWN_KEYS_LIMIT:  # somebody makes keys without end; a FLUSHDB will then miss some
+        if len(self._names) >= _KNOWN_KEYS_LIMIT:  # a client makes keys without end; a FLUSHDB will then miss some
             self._names.clear()
         name = self._names[key] = key_name(key)
         return name
