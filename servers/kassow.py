@@ -72,7 +72,7 @@ class KassowConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         profile: How targets are tracked; docs/kassow.md tells them apart.
         speed_rad_s: Greatest speed of a target; a command that jumps is caught up with [rad/s].
         lead_s: How far ahead of the arm a target may be, in time at the profile's speed [s].
-        gate: Times of the gate, and whom to obey when two write the command.
+        gate: Times of the gate, and which writer to obey when two write the command.
         start_armed: Whether targets go to the arm from the start; None: only in simulation. Otherwise `station arm`.
         connect_within_s: Longest wait for the controller [s].
         real_time_priority: SCHED_FIFO priority that the session's thread asks for, the server for less; 0 for none.
@@ -249,7 +249,7 @@ class RequestHandler:
             self._cleared.put((request, f"it cannot be tried now ({error})"))
 
     def _clear(self, request: ControllerRequest) -> None:
-        """Clear, and hand over how it ended in every case: who asked waits for it, and may ask again after it."""
+        """Clear, and hand over how it ended in every case: the asker waits for it, and may ask again after it."""
         refusal = "it ended without a result; see the server's log"
         try:
             refusal = self._session.clear()

@@ -3,11 +3,11 @@
 It knows no device: it follows the operator's keys of one (`station.operator.device_subscriber`), has one dead-man and
 one map of buttons for all (`station.operator.driving`), and a driver that makes commands (`adapters.drivers`).
 
-Commands are sent from the first engaging on; before, nobody commands and the robot stands. The first one is the command
-that the robot already follows. When the operator lets go, the pose is held and a walk comes to a stand. Commands end,
-and the robot returns to standing, when the device has been away for `patience_s`, when the robot was stopped, or when
-it ceased to follow; only a new engaging begins them again. Asked to leave, or on an error, it blends to the default. A
-robot that stays where it is without a command, an arm, is left there instead.
+Commands are sent from the first engaging on; before, no command is sent and the robot stands. The first one is the
+command that the robot already follows. When the operator lets go, the pose is held and a walk comes to a stand.
+Commands end, and the robot returns to standing, when the device has been away for `patience_s`, when the robot was
+stopped, or when it ceased to follow; only a new engaging begins them again. Asked to leave, or on an error, it blends
+to the default. A robot that stays where it is without a command, an arm, is left there instead.
 """
 
 from __future__ import annotations

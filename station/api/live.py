@@ -141,7 +141,7 @@ class Station:
 
     Raises:
         UsageError: no address.
-        BusError: nobody answers there.
+        BusError: no server answers there.
     """
 
     def __init__(self, bus: str | None = None, *, name: str = "script") -> None:
@@ -160,7 +160,7 @@ class Station:
         return str(self._bus.address)
 
     def close(self) -> None:
-        """Hang up; who follows a key or the events comes to their end."""
+        """Hang up; what follows a key or the events comes to its end."""
         self._is_closed = True
         for each in list(self._listening):
             each.close()
@@ -252,7 +252,7 @@ class Station:
         return _found(self.follow_or_none(key, silent_s=silent_s))
 
     def follow_or_none(self, key: str, *, silent_s: float | None = None) -> Generator[Value | None]:
-        """As `follow`, and None where nothing came for 50 ms: whoever waits may look after something else."""
+        """As `follow`, and None where nothing came for 50 ms: a caller that waits may look after something else."""
         contract, watch = self.describe(key), self._bus.watch([key])
         newest = watch.latest(key)
 
@@ -416,7 +416,7 @@ class Record:
         """End the episode; return its id, its folder and what is in it.
 
         Args:
-            success: Whether the task was done; None where nobody says.
+            success: Whether the task was done; None where that is not said.
         """
         return self._ask("stop", success=success)
 

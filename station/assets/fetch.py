@@ -27,7 +27,7 @@ OnBytes = Callable[[int], None]
 
 
 class WantedFile(msgspec.Struct, frozen=True, kw_only=True):
-    """A pinned file that somebody asked for.
+    """A pinned file that is asked for.
 
     Attributes:
         reference: Its name.
@@ -47,7 +47,7 @@ class WantedFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FetchRequest(msgspec.Struct, frozen=True, kw_only=True):
-    """A bundle that somebody asked for, and its files.
+    """A bundle that is asked for, and its files.
 
     Attributes:
         bundle: What is asked for.

@@ -44,7 +44,7 @@ class _Found(msgspec.Struct, kw_only=True):
         role: ``device`` or ``camera``.
         version: Of the library; None where that is not installed.
         plugged_in: What can be seen now.
-        problem: Why nobody can tell; "" for none.
+        problem: Why that cannot be told; "" for none.
     """
 
     device: str

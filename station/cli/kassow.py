@@ -42,7 +42,7 @@ def command() -> None:
 def clear(robot: str, bus: str | None) -> None:
     """Clear the faults of the controller, once their cause is gone.
 
-    Nothing moves afterwards: old targets are forgotten, and whoever drives has to let go and engage anew. What only a
+    Nothing moves afterwards: old targets are forgotten, and the commander has to let go and engage anew. What only a
     person at the controller can confirm (an emergency stop) has to be confirmed there first.
     """
     _ask(bus, robot, "clear")

@@ -29,7 +29,7 @@ Progress = Callable[[int, int], None]
 """Called with messages done and messages in all, every few of them."""
 
 _TELL_EVERY = 2000  # messages
-_NO_CONTRACT = "nobody has described it: it has no contract"
+_NO_CONTRACT = "nothing describes it: it has no contract"
 
 
 class Enriched(msgspec.Struct, frozen=True, kw_only=True):
@@ -83,7 +83,9 @@ def enrich(reader: EpisodeReader, *, is_forced: bool = False, progress: Progress
             made.fill(reader, survey, progress)
             made.finish()
             if source.identities(reader) != before:
-                raise EpisodeError(f"{reader.folder}: changed while it was read; enrich it again when nobody writes it")
+                raise EpisodeError(
+                    f"{reader.folder}: changed while it was read; enrich it again when it is written no more"
+                )
         size_bytes = path.stat().st_size
     except OSError as error:
         why = error.strerror or str(error)

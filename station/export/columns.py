@@ -46,7 +46,7 @@ def key_columns(reader: EpisodeReader, key: str) -> KeyColumns:
     """Return the columns of a key as an episode recorded them.
 
     Raises:
-        EpisodeError: the episode has no such key, or nobody has said what its numbers are; names key and cure.
+        EpisodeError: the episode has no such key, or nothing says what its numbers are; names key and cure.
     """
     found = reader.recorded
     if key not in found:

@@ -76,7 +76,7 @@ def map_episodes(
     Raises:
         DiskRefuses: the disk is full or may not be written: the rest is not tried.
         StationError: Ray is not installed, or its cluster cannot be reached, or was lost.
-        KeyboardInterrupt: Ctrl-C; nobody works on then.
+        KeyboardInterrupt: Ctrl-C; all processes have ended then.
     """
     work = _Guarded(fn)
 

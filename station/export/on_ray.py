@@ -115,7 +115,7 @@ def _connected(address: str, jobs: int) -> Iterator[Any]:
         with _joined(_import_ray(), address) as ray:
             yield ray
         return
-    # It runs whatever it is sent, so nobody else may find it: loopback, a token, a folder of its own.
+    # It runs whatever it is sent, so no other user may find it: loopback, a token, a folder of its own.
     os.environ |= {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_AUTH_MODE": "token"}
     os.environ.setdefault("RAY_AUTH_TOKEN", token_hex(32))  # one for the life of this process: Ray remembers it
     folder = tempfile.mkdtemp(prefix="ray-")
@@ -153,7 +153,7 @@ def _joined(ray: Any, address: str, **options: Any) -> Iterator[Any]:
 
 
 def _see_that_it_is_there(address: str) -> None:
-    """Refuse an address that nobody answers at, within seconds: Ray's own patience is minutes."""
+    """Refuse an address at which no server answers, within seconds: Ray's own patience is minutes."""
     match = _HOST_PORT.fullmatch(address)
     if match is None:
         if address != "auto":

@@ -185,7 +185,7 @@ def _span(recorded: Recorded, newest: Sequence[KeyColumns], pairs: Mapping[str, 
     """Return the first and the last instant at which every column has a value [ns].
 
     A value that is written as things happen holds until the next one; one that is written at a rate holds until its
-    last, because who wrote it may be gone.
+    last, because its writer may be gone.
     """
     firsts = [int(recorded.tracks[one.key].times_ns[0]) for one in newest]
     lasts = [int(recorded.tracks[one.key].times_ns[-1]) for one in newest if one.rate_hz is not None]

@@ -82,7 +82,7 @@ def open_work(out: Path) -> Iterator[Path]:
     """Claim an output folder for this process; give the folder in which the export works, kept when it is left.
 
     Raises:
-        BadFile: the output is there already and not empty, somebody else exports to it, or it cannot be made.
+        BadFile: the output is there already and not empty, another process exports to it, or it cannot be made.
     """
     out = out.absolute()
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -191,7 +191,7 @@ def _make(kind: ExportKind, task: Task, place: Path, before: str, judged: verdic
     try:
         made = kind.convert(task.source, task.plan, making / _FILES)
         if _fingerprint(kind, task) != before:
-            raise EpisodeError("changed while it was read; export it again when nobody writes it")
+            raise EpisodeError("changed while it was read; export it again when it is written no more")
         _sync(making)
         record = _Record(fingerprint=before, rules=judged.rules, made=made)
         write_atomic(making / _RECORD, msgspec.json.encode(record))

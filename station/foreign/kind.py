@@ -27,7 +27,7 @@ class Times:
 
     Attributes:
         source: ``measured``: its recorder wrote them down; ``nominal``: there are none, places in the list stand for
-            them at a rate that nobody measured.
+            them at a rate that was not measured.
         note: What exactly, in a sentence.
         started_ns: Wall clock of the first instant [ns since the epoch]; None where nominal.
         rate_hz: The nominal rate [Hz]; None where measured.

@@ -26,7 +26,7 @@ class Episode:
         folder: Where it is.
         manifest: Its manifest, less what `quality` has as well.
         quality: What was measured of it.
-        is_named: Whether somebody asked for this one.
+        is_named: Whether it was asked for by name.
     """
 
     folder: Path
@@ -49,7 +49,7 @@ class Episode:
 
     @property
     def discarded_for(self) -> str:
-        """Why it was discarded, "" where nobody said."""
+        """Why it was discarded, "" where that was not said."""
         begin = "discarded: "
         labels = [mark.label for mark in self.manifest.marks if mark.label.startswith(begin)]
         return labels[-1].removeprefix(begin) if labels else ""
@@ -67,12 +67,12 @@ def gather(
     folders: Iterable[Path], book: RuleBook, *, named: bool, is_judged_anew: bool = False,
     tell: Callable[[], None] = lambda: None,
 ) -> tuple[list[Episode], list[UnreadableEpisode]]:  # fmt: skip
-    """Read episodes, measuring those that nobody has checked since anything about them changed.
+    """Read episodes, measuring those that were not checked since anything about them changed.
 
     Args:
         folders: Where they are.
         book: The rules for those that are measured now.
-        named: Whether somebody named them.
+        named: Whether they were asked for by name.
         is_judged_anew: Whether the rules are laid on all of them.
         tell: Called after each.
     """

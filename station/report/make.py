@@ -20,7 +20,7 @@ from station.software import software
 
 STYLE = Path(__file__).with_name("style.css")
 PICTURED = 40
-"""Episodes that nobody named and that are drawn all the same: the rejected first, then the usable, then the newest."""
+"""Episodes drawn though they were not named: the rejected first, then the usable, then the newest."""
 
 # A page that shows what strangers wrote runs no script and fetches nothing, whatever slipped through.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
@@ -43,7 +43,7 @@ def write(
         episodes: What to report on, oldest first.
         unread: What could not be read.
         title: Title of the page.
-        pictured: How many episodes are drawn that nobody named; those that were named always are.
+        pictured: How many episodes are drawn that were not named; those that were named always are.
         tell: Called after each episode.
 
     Raises:

@@ -67,7 +67,7 @@ class RandomArms:
         seed: Of the poses and times.
 
     Raises:
-        ConfigError: the format has no arms, or nobody knows how fast they are.
+        ConfigError: the format has no arms, or it is not known how fast they are.
     """
 
     def __init__(self, command_format: CommandFormat, joint_speeds: dict[str, float], seed: int) -> None:

@@ -43,7 +43,7 @@ def find_model(
 def find_path(
     servers: Iterable[Mapping[str, Any]], robot: str, reference: str | Path | None = None
 ) -> tuple[Path | None, list[str]]:
-    """Like `find_model`, for whoever reads the file itself."""
+    """Like `find_model`, for code that reads the file itself."""
     if reference is not None:
         return assets.resolve(str(reference)), []
     problems: list[str] = []

@@ -34,7 +34,7 @@ def panel(
         progress: What was seen.
         names: Servers of the run, in the order of their start.
         step: What is being done meanwhile, "" for nothing.
-        died: How those ended that nobody has started again, by name.
+        died: How those ended that were not started again, by name.
     """
     died = died or {}
     table = Table.grid(padding=(0, 2))

@@ -25,7 +25,7 @@ class KeyStatus(msgspec.Struct, frozen=True):
     """A key of the bus.
 
     Attributes:
-        key, role, writer: The key, what it is to a station, and who wrote it last (``foreign`` without a stamp).
+        key, role, writer: The key, what it is to a station, and its last writer (``foreign`` without a stamp).
         rate_hz: Writes per second [Hz].
         age_s: Time since the last write [s]; for a key that was not written while we looked, by its stamp, else None.
     """

@@ -37,7 +37,7 @@ class CameraMeter:
 
     Args:
         cameras: Key of each camera by its name, as `station.episode.reading.frames.cameras` gives them.
-        stated_hz: Rate that each camera was set to, by its key, where somebody said so; as `stated_hz` gives them.
+        stated_hz: Rate that each camera was set to, by its key, where that was stated; as `stated_hz` gives them.
     """
 
     def __init__(self, cameras: dict[str, str], stated_hz: Mapping[str, float]) -> None:

@@ -31,7 +31,7 @@ class KeyChanges(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class KeyPresence(msgspec.Struct, frozen=True, kw_only=True):
-    """How a rated key lies in the episode, whoever wrote it.
+    """How a rated key lies in the episode, of all its writers.
 
     Attributes:
         key, role: The key, and its role by the recorded contract.

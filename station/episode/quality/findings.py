@@ -90,7 +90,7 @@ class CommandPause(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         at_s: Last command before it, from the start of the episode [s].
-        seconds: Until the next command, whoever gave it [s].
+        seconds: Until the next command of any writer [s].
         keys: Command keys that were silent.
         writer: Server that ended its commands.
         reason: Why, as it said.
@@ -131,7 +131,7 @@ class Interruption(msgspec.Struct, frozen=True, kw_only=True):
             missing or may be. ``recorder-restart``: it was killed, and another took the episode up.
         at_s: When it began, from the start of the episode [s].
         seconds: How long it lasted [s]; None where it did not end.
-        lost: Writes that it cost; None where nobody can tell.
+        lost: Writes that it cost; None where that is not known.
         told_by: Servers that told of it.
         reason: Why, as they said.
     """

@@ -127,7 +127,7 @@ def _restart(note: Mapping[str, Any]) -> Interruption:
 
 
 def _end(manifest: Manifest) -> list[Interruption]:
-    """Return the loss that nobody could tell of: the one that ended the episode."""
+    """Return the loss of which no event could tell: the one that ended the episode."""
     if manifest.recorder.ended_by != "bus-lost":
         return []
     reason = "it did not come back, and the recorder ended the episode"

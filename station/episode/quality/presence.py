@@ -73,7 +73,7 @@ def ends_s(manifest: Manifest, streams: Sequence[StreamQuality]) -> tuple[float,
 def find(
     streams: Iterable[StreamQuality], span_s: tuple[float, float], ends: Sequence[End], heard: Heartbeats
 ) -> list[KeyPresence]:
-    """Return how each rated key lies in the episode, by key, whoever wrote it.
+    """Return how each rated key lies in the episode, by key, of all writers.
 
     Args:
         streams: Of the episode.

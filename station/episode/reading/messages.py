@@ -45,7 +45,7 @@ class Channel(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_bookkeeping(self) -> bool:
-        """Whether it holds the recorder's own list of stamps, not a key of the bus that somebody named like it."""
+        """Whether it holds the recorder's own list of stamps, not a key of the bus of the same name."""
         return self.topic == layout.STAMPS_TOPIC and self.writer == layout.RECORDER and not self.source
 
     @property

@@ -44,7 +44,7 @@ class Step:
         state_number: Sequence number of the state that it saw, 0 where none was recorded; likewise.
         at_ns: When the results were written, on the episode's clock [ns since the epoch].
         values: Bytes of the results by key, and of the state before them.
-        before: The newest of the context keys that were asked for, by key, whoever wrote them.
+        before: The newest of the context keys that were asked for, by key, of all writers.
     """
 
     source: str

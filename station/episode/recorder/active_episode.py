@@ -91,7 +91,7 @@ class ActiveEpisode:
         self.writer.save_manifest(self.manifest)  # the file does not tell of it: safe before what follows
 
     def touch(self) -> None:
-        """Have the manifest saved soon: somebody changed it."""
+        """Have the manifest saved soon: it was changed."""
         self._is_dirty = True
 
     def save_if_due(self) -> None:

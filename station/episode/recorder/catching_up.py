@@ -6,7 +6,7 @@ from station.bus.tap import Tap
 
 _FULL = 3 / 8  # of the queue before the disk: before anything is dropped
 _DRAINED = 1 / 4
-_LONGEST_S = 20.0  # as long as whoever asks a recorder waits for its answer, which comes in the order of the stream
+_LONGEST_S = 20.0  # as long as an asker waits for the recorder's answer, which comes in the order of the stream
 
 
 class CatchingUp:

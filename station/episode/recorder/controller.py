@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 _REMEMBERED = 64
-_MOST_DUE = 256  # of a flood of requests the newest are answered: whoever sent the others has stopped waiting
+_MOST_DUE = 256  # of a flood of requests the newest are answered: the askers of the others have stopped waiting
 
 
 _WRITE_BYTES = 300  # of a write with its stamp, beside its value
@@ -91,7 +91,7 @@ _NONE = "no episode is being recorded"
 
 
 class RecorderController:
-    """What is recorded now, what is being closed, and who waits for an answer.
+    """What is recorded now, what is being closed, and which requests wait for an answer.
 
     Attributes:
         answers: Answers that are to be published; the owner takes them out.

@@ -1,4 +1,4 @@
-"""What a recorder that was killed leaves to the next one: an episode, and requests that nobody has answered."""
+"""What a recorder that was killed leaves to the next one: an episode, and requests that were not answered."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from station.life.restarts import RESTARTS_VARIABLE
 if TYPE_CHECKING:
     from station.life.server import Life
 
-_PATIENCE_S = 20.0  # as long as whoever asks a recorder waits for its answer
+_PATIENCE_S = 20.0  # as long as an asker waits for the recorder's answer
 _READ_S = 0.02
 
 
@@ -133,7 +133,7 @@ class CrashRecovery:
             self._was_killed
             and (folder := newest_closed(self._options.data, self._clock.wall_ns(), _PATIENCE_S)) is not None
         ):
-            with contextlib.suppress(EpisodeError, OSError):  # closed by somebody else, or damaged since
+            with contextlib.suppress(EpisodeError, OSError):  # closed by another process, or damaged since
                 _ended_before(recording, folder, last_requests(folder))
         is_exact = tap.resumed is True
         if self._unborn is not None:
@@ -266,7 +266,7 @@ class CrashRecovery:
 
 
 def _ended_before(recording: Recording, folder: Path, requests: list[str]) -> dict[str, Any]:
-    """Have whoever ended an episode answered as its own recorder would have; returns the summary."""
+    """Have those that ended an episode answered as its own recorder would have; returns the summary."""
     manifest = find_manifest(folder).manifest
     summary = summary_of(manifest)
     answer = RecordAnswer(id="", ok=True, episode_id=manifest.episode_id, path=str(folder), summary=summary)

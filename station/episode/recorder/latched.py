@@ -57,7 +57,7 @@ def not_among(states: Iterable[Write], writes: Iterable[Write]) -> list[Write]:
 
 
 def believed(writes: Sequence[Write], stamps: Mapping[str, bytes | None]) -> Sequence[Write]:
-    """Return writes without those latched states whose key was next written by somebody who does not stamp.
+    """Return writes without those latched states whose key was next written by a writer without stamps.
 
     Args:
         writes: In the order of the bus.

@@ -55,7 +55,7 @@ class WriteQueue:
         most_writes, most_bytes: Its bounds: number of writes, and bytes of their values.
 
     Attributes:
-        writes, size: Of what is queued or in the hand of whoever writes it.
+        writes, size: Of what is queued or being written.
     """
 
     def __init__(self, most_writes: int, most_bytes: int) -> None:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-_LINGER_S = 0.004  # taking writes in handfuls halves the CPU at 10 000 a second, and nobody waits for them
+_LINGER_S = 0.004  # taking writes in handfuls halves the CPU at 10 000 a second, and they are not waited for
 _HURRY_WRITES = 2000
 
 WriterState = Literal["opening", "open", "finishing", "finished", "failed"]
@@ -50,7 +50,7 @@ class EpisodeWriter:
         anchor: Clock of the file.
         manifest: What is known before the first write.
         options: How to write.
-        start_id: Id of the request that began the episode, for whoever takes it up again.
+        start_id: Id of the request that began the episode, for the recorder that takes it up again.
         place: Where the tap stood before the first write, for the same.
         reopened: The files of an episode that is taken up again; None makes new ones.
         clock: The recorder's.
@@ -191,7 +191,9 @@ class EpisodeWriter:
 
     def _open(self) -> None:
         if self._files is None:
-            self._ledger.note(self._position, None)  # before all else: nobody goes on with what is there without it
+            self._ledger.note(
+                self._position, None
+            )  # before all else: no recorder goes on with what is there without it
         manifest = self._next_manifest()
         data = save_manifest(manifest, self.folder) if manifest else b""
         if self._files is None:
@@ -245,7 +247,7 @@ class EpisodeWriter:
         totals = self.totals()
         closing = self._closing
         if closing is None:
-            raise RuntimeError("closing an episode that nobody asked to finish")
+            raise RuntimeError("closing an episode that was not asked to finish")
         manifest = closing(totals)
         files.finish(dump_manifest(manifest), summary_record(totals))
         files.name()
@@ -302,7 +304,7 @@ class EpisodeWriter:
             with contextlib.suppress(OSError):  # of an episode that could not even begin, leave nothing; else keep all
                 self._ledger.remove()
                 self.folder.rmdir()
-        with self._wake:  # last: whoever sees it finds the folder as it will stay
+        with self._wake:  # last: who sees it finds the folder as it will stay
             self.error, self.state = error, "failed"
             self.dropped += self._queue.clear()
 

@@ -4,8 +4,8 @@ An arm has no policy; what decides its motion is the gate. Two questions. Do the
 instants, give the recorded commands after the gate, and its states? And do those, with the recorded joints, give the
 recorded targets? With two times yes, the file holds everything that decided what was asked of the controller.
 
-Where nobody was followed nothing is derived: the recorded place of the arm is where the next derivation begins. Where
-the controller's session refused a target, its refusal stands in the file, and the target before holds on.
+Where no command was followed nothing is derived: the next derivation begins at the recorded place of the arm. Where the
+controller's session refused a target, its refusal stands in the file, and the target before holds on.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ class _Run:
     config: GateConfig
     _commands: OrderedDict[int, list[Message]] = field(default_factory=OrderedDict)
     _before: Step | None = None
-    _held: Floats | None = None  # the target of the tick before, where somebody was followed in it
+    _held: Floats | None = None  # the target of the tick before, where a command was followed in it
     _source: str = ""
 
     def __post_init__(self) -> None:

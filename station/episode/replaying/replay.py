@@ -31,7 +31,7 @@ _AHEAD = 500  # moments that are read before they are due: some seconds
 _SLACK_NS = 5_000_000  # reading a chunk takes 2 to 3 ms; only done when that much time is left
 _NAP_S = 0.05  # longest wait before a request to stop is seen
 
-_LISTEN_S = 0.3  # six periods of a 20 Hz writer: who drives a robot is heard within
+_LISTEN_S = 0.3  # six periods of a 20 Hz writer: a commander is heard within
 COMMANDS = frozenset({"command"})
 ROLES: tuple[str, ...] = (*get_args(Role), "unknown")
 """Every role that a key may have; ``unknown`` for a key without contract."""
@@ -112,7 +112,7 @@ def to_bus(
         reader: The episode.
         address: Where to.
         speed: Times the recorded speed; infinite sends without waiting.
-        roles: Which keys, by role of their contract (``unknown`` without); None: everything on a bus where nobody
+        roles: Which keys, by role of their contract (``unknown`` without); None: everything on a bus where no server
             lives, all but requests where only recorders and sensors live, commands alone where a robot is driven.
         allow_live: Whether commands may go to a robot that is being driven on this bus.
         ease_in_s: Blend from the default pose into the first command, where a robot is driven [s].
@@ -120,7 +120,7 @@ def to_bus(
 
     Raises:
         BusError: the bus cannot be reached.
-        Refused: a robot lives there and `allow_live` is not set, or somebody else commands it.
+        Refused: a robot lives there and `allow_live` is not set, or another writer commands it.
         UsageError: a speed that is not positive.
     """
     if not speed > 0.0:
@@ -244,8 +244,8 @@ class Target:
     """Who lives on a bus.
 
     Attributes:
-        robots: Low-level servers, and state keys that somebody writes without being one of our servers.
-        commanders: Command servers, and command keys that somebody writes.
+        robots: Low-level servers, and state keys that a foreign program writes.
+        commanders: Command servers, and command keys that are written.
         others: Recorders and sensors.
     """
 
@@ -260,12 +260,12 @@ class Target:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nobody lives there."""
+        """Whether no server lives there."""
         return not (self.robots or self.commanders or self.others)
 
 
 def look_at(bus: Bus) -> Target:
-    """Return who lives on a bus: by heartbeats, and by what stock scripts without one write within a moment."""
+    """Return what lives on a bus: by heartbeats, and by what stock scripts without one write within a moment."""
     alive = [health for health in read_health(bus) if health.is_alive and not _is_replayed(bus, health)]
     written = _written_now(bus)
     by_role: dict[str, list[str]] = {"low-level": [], "command": []}
@@ -285,7 +285,7 @@ def roles_for(
     """Return the roles to replay, None for everything.
 
     Raises:
-        Refused: a robot lives there and that is not allowed, or somebody else commands it.
+        Refused: a robot lives there and that is not allowed, or another writer commands it.
         UnknownName: no such role.
     """
     for role in wanted or ():
@@ -300,7 +300,7 @@ def roles_for(
         return _for_a_robot(target, wanted, allow_live=allow_live, speed=speed)
     if wanted is not None:
         return frozenset(wanted)
-    # A recorder would obey a recorded request to record; on an empty bus nobody obeys.
+    # A recorder would obey a recorded request to record; on an empty bus there is none.
     return None if target.is_empty else frozenset(ROLES) - {"control"}
 
 
@@ -338,7 +338,7 @@ def _written_now(bus: Bus) -> dict[str, list[str]]:
 
 
 def _is_replayed(bus: Bus, health: Health) -> bool:
-    """Whether a heartbeat was put there by a replay: it names the server that was recorded, not who wrote it."""
+    """Whether a heartbeat was put there by a replay: it names the server that was recorded, not its writer."""
     key = keys.server(health.name)
     sample = bus.read([key]).get(key)
     return sample is None or sample.stamp is None or sample.stamp.source != health.source
@@ -395,7 +395,7 @@ def _blends(bus: Bus, reader: EpisodeReader, duration_s: float) -> list[_Blend]:
         except codec.BadValue:
             continue  # the gate refuses it as it did then
         until_ns = message.log_ns + _TOGETHER_NS if until_ns is None else until_ns
-        if start is not None:  # else nobody drives that arm here
+        if start is not None:  # else that arm is not driven here
             takes_s = float(np.abs(goal - start).max()) / _ARM_RAD_S if is_arm else 0.0
             found.append(_Blend(message.topic, start, goal, max(duration_s, takes_s)))
     return found

@@ -1,4 +1,4 @@
-"""From a write on the bus to a channel of the file: who wrote it, in what encoding, how many were lost before."""
+"""From a write on the bus to a channel of the file: its writer, its encoding, how many were lost before."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Channel:
         key, source, encoding, file: As in `station.episode.storage.manifest.Stream`.
         contract: What the key holds; None where nothing describes it.
         shares_clock: Whether the source's monotonic clock is ours, so that its stamps fall on our time line.
-        count, lost, repeated: Messages; sequence numbers missing between them, whoever lost or dropped them; messages
+        count, lost, repeated: Messages; sequence numbers missing between them, lost or dropped anywhere; messages
             that did not advance.
         last_sequence: Newest sequence number; of a foreign writer our own count.
         first_ns, last_ns: First and newest log time [ns].

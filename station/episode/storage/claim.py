@@ -95,7 +95,7 @@ class Claim:
         holder = os.pread(descriptor, 32, 0).decode("ascii", "replace").strip()
         if not is_ours:
             raise Refused(f"{what}: another recorder (pid {holder or 'unknown'}) is at work; stop it first: {remedy}")
-        with contextlib.suppress(OSError):  # the disk is full: the lock holds, only nobody reads whose it is
+        with contextlib.suppress(OSError):  # the disk is full: the lock holds, only its owner cannot be read
             os.ftruncate(descriptor, 0)
             os.pwrite(descriptor, b"%d\n" % os.getpid(), 0)
         return holder

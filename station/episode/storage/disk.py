@@ -79,7 +79,7 @@ class Disk:
         try:
             write_all(self._descriptor, data)
         except OSError:
-            with contextlib.suppress(OSError):  # a torn chunk at the end is cut by whoever reads it
+            with contextlib.suppress(OSError):  # a torn chunk at the end is cut by its reader
                 os.ftruncate(self._descriptor, self.written)
             raise
         self.written += len(data)
@@ -123,7 +123,7 @@ def give_back(folder: Path) -> None:
 
 
 def is_locked(path: Path) -> bool:
-    """Whether a living process holds a file, as its `Disk` or as a lock; the kernel knows, and nobody else need."""
+    """Whether a living process holds a file, as its `Disk` or as a lock; the kernel knows."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # a pipe is no reason to wait
     except OSError:

@@ -1,4 +1,4 @@
-"""Episodes that nobody closed: found by their files alone, read as far as they tell, and offered for repair."""
+"""Episodes that were never closed: found by their files alone, read as far as they tell, and offered for repair."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TEMPORARY = tuple(f".{name}." for name in (layout.MANIFEST, *_SMALL))
 
 
 def left_open(data: Path) -> list[Path]:
-    """Return the folders of the episodes that nobody closed and nobody writes any more, oldest first.
+    """Return the folders of the episodes that were never closed and are not written any more, oldest first.
 
     One without signals is not among them: there is nothing to repair, and perhaps its recorder lives and waits for the
     disk.
@@ -25,7 +25,7 @@ def left_open(data: Path) -> list[Path]:
 
 
 def is_left_open(folder: Path) -> bool:
-    """Whether an episode was never closed, and whoever wrote it is dead."""
+    """Whether an episode was never closed, and its writer is dead."""
     active = folder / layout.ACTIVE
     if active.exists():
         return not is_locked(active)
@@ -40,7 +40,7 @@ def has_signals(folder: Path) -> bool:
 def not_begun(data: Path) -> list[Path]:
     """Return the folders of episodes of which there is no more than where their start stands on the bus.
 
-    Only who holds the claim of the data folder knows that none of them is just being begun.
+    Only the holder of the data folder's claim knows that none of them is just being begun.
     """
     return [folder for folder in data.glob("*/*/") if is_numbered(folder) and not any(map(_is_of_it, folder.iterdir()))]
 

@@ -85,7 +85,7 @@ class Manifest(msgspec.Struct, kw_only=True):
         holes: Bounded: the last one reaches to the end of all that did not fit, which are counted beside them.
         quality: What a later measurement (`check`) found; free form.
         recovery: A note for each time that a recorder took the episode up again (``kind: resumed``), or that a repair
-            closed it (``kind: repaired``): when, how long nobody recorded, what was cut. The newest ones; how many
+            closed it (``kind: repaired``): when, how long nothing was recorded, what was cut. The newest ones; how many
             older ones there were is counted beside them.
         shortened: By section, how many texts, numbers and members others wrote that were too large or too many for a
             manifest: cut, or left out. The signals hold them whole.

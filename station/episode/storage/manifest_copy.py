@@ -56,7 +56,7 @@ def choose_manifest(folder: Path, signals: Path, attachments: Mapping[str, bytes
 
 
 def manifest_to_change(folder: Path) -> Manifest:
-    """Return the manifest of an episode for the one who will save it anew; one that cannot be read is put aside first.
+    """Return the manifest of an episode to be saved anew; one that cannot be read is put aside first.
 
     Raises:
         EpisodeError: there is none that can be read.

@@ -107,7 +107,7 @@ class Timing(msgspec.Struct, kw_only=True):
         anchor: The clock of every log time in the file; None only in a manifest that is not ours.
         preroll_s: How long before the start request the first message came [s].
         duration_s: From the start request to the end [s]; None while recording.
-        clock_offsets: Offsets to other hosts' clocks, where somebody measured them [s].
+        clock_offsets: Offsets to other hosts' clocks, where they were measured [s].
     """
 
     started: str = ""
@@ -141,7 +141,7 @@ class Hole(msgspec.Struct, kw_only=True):
     Attributes:
         from_s, to_s: From when to when [s from the start].
         reason: Why.
-        lost: Writes that are missing there by the sequence numbers of those who number them; None until it is known.
+        lost: Writes that are missing there by the sequence numbers of writers that number them; None until it is known.
     """
 
     from_s: float

@@ -31,7 +31,7 @@ def open_locked(path: Path, *, waits: bool) -> io.FileIO:
         except BaseException:
             file.close()
             raise
-        file.close()  # who had it has renamed or removed it meanwhile: the next one is another file
+        file.close()  # its owner has renamed or removed it meanwhile: the next one is another file
 
 
 def is_named(path: Path, file: io.FileIO | io.BufferedIOBase) -> bool:

@@ -58,7 +58,7 @@ class RecordAnswer(msgspec.Struct, frozen=True, kw_only=True):
         episode_id, path: The episode it is about, and its folder.
         reason: Why not, in one line; "" when `ok`.
         summary: After ``stop`` and ``discard``: seconds, messages, bytes, lost, dropped, … as counted in the file.
-        earlier: The answers before it, newest first: who looked a moment too late finds its own among them.
+        earlier: The answers before it, newest first: an asker that looked a moment too late finds its own among them.
     """
 
     id: str

@@ -1,7 +1,7 @@
 """The end of an MCAP file: its index, made from the records that are there.
 
 A file whose writer was killed and went on in another process, or that is made from what is whole of a torn one, has
-nobody who remembers its beginning. So its index is made anew, from the headers of the chunks and from the message
+no process that remembers its beginning. So its index is made anew, from the headers of the chunks and from the message
 indexes behind them; nothing is decompressed.
 """
 

@@ -15,7 +15,7 @@ from station.errors import EpisodeError, StationError
 
 
 class OutputRefused(OSError):
-    """The system refused the file that is being written; every other `OSError` is of whoever writes it."""
+    """The system refused the file that is being written; every other `OSError` is of the code that writes it."""
 
 
 @contextmanager
@@ -66,7 +66,7 @@ def named_file(path: Path) -> Iterator[BinaryIO]:
 
 
 class _Output(io.FileIO):
-    """The file as whoever writes it has it."""
+    """The file as the code that writes it has it."""
 
     def write(self, data: Any, /) -> int:
         with _refusals():

@@ -1,4 +1,4 @@
-"""What a recorder knows of its files so far, saved every few seconds: who goes on need not read it all again.
+"""What a recorder knows of its files so far, saved every few seconds, so that the next need not read it all again.
 
 The files alone say the same, and without a checkpoint they are asked. But reading takes seconds for each gigabyte, and
 all the while the bus server holds back what is written, which it does not for ever.

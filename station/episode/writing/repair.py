@@ -53,7 +53,7 @@ class Repaired(msgspec.Struct, frozen=True, kw_only=True):
         episode_id, path: The episode, and the folder where it is good now.
         messages, seconds: What it holds, and how long it is from its start [s].
         cut_messages: Messages known to have been in the files once and not kept; what never reached the disk, at most
-            one flush interval, nobody counted.
+            one flush interval, are not counted.
         cuts: What was cut, of each file that was torn.
         requests: Ids of the requests to the recorder that it holds.
     """
