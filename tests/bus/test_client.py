@@ -15,7 +15,7 @@ from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.errors import BusError
 from tests.faults.bus_station import pid_of
-from tests.waiting import wait_until
+from tests.waiting import DEADLINE_S, wait_until
 
 pytestmark = pytest.mark.usefixtures("processes")
 
@@ -84,15 +84,20 @@ def freeze(bus: Bus) -> int:
     return pid
 
 
-def test_a_frozen_server_holds_a_writer_no_longer_than_its_time_out(bus_server: BusAddress) -> None:
+def test_a_frozen_server_holds_a_writer_no_longer_than_its_time_out(
+    bus_server: BusAddress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(client, "_STALL_S", DEADLINE_S)
     with Bus(bus_server, name="motion") as bus:
         pid = freeze(bus)
         try:
             assert all(bus.publish({"k": b"1"}) for _ in range(100)), "kept, to be sent when the server goes on"
+            monkeypatch.setattr(client, "_STALL_S", 0.5)
             wait_until(lambda: not bus.publish({"k": b"1"}))
             assert not bus.is_connected
             assert bus.lost_writes > 100
         finally:
+            monkeypatch.setattr(client, "_STALL_S", DEADLINE_S)
             os.kill(pid, signal.SIGCONT)
         wait_until(lambda: bus.is_connected)
         assert bus.publish({"k": b"2"})
@@ -152,6 +157,7 @@ def test_a_long_silence_of_the_writer_is_not_held_against_the_server(
             assert bus.publish({"k": b"2"})
             assert bus.is_connected
         finally:
+            monkeypatch.setattr(client, "_STALL_S", DEADLINE_S)
             os.kill(pid, signal.SIGCONT)
         wait_until(lambda: bus.publish({"k": b"3"}) and not bus.is_late)
         assert bus.lost_writes == 0

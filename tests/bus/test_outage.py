@@ -28,7 +28,7 @@ from station.errors import BusError
 from tests.bus.answering import answering
 from tests.bus.proxy import Proxy
 from tests.faults.bus_station import frozen, pause, pid_of
-from tests.waiting import wait_until
+from tests.waiting import DEADLINE_S, wait_until
 
 pytestmark = pytest.mark.usefixtures("processes")
 
@@ -47,6 +47,7 @@ def test_a_frozen_server_is_a_silence_of_that_length(bus_server: BusAddress) -> 
     with Bus(bus_server, name="g1") as bus:
         pid = pid_of(bus_server)
         os.kill(pid, signal.SIGSTOP)
+        bus.publish({"k": b"1"})
         began = time.monotonic()
         wait_until(lambda: bus.publish({"k": b"1"}) and time.monotonic() - began > 0.8)
         os.kill(pid, signal.SIGCONT)
@@ -66,7 +67,7 @@ def test_a_writer_that_was_frozen_itself_does_not_blame_the_server(bus_server: B
         "from station.bus.address import parse\n"
         "from station.bus.client import Bus\n"
         "outage._SETTLE_NS = 0\n"
-        "bus = Bus(parse(sys.argv[1]), name='g1')\n"
+        "bus = Bus(parse(sys.argv[1]), name='g1', timeout_s=5.0)\n"
         "print('up', flush=True)\n"
         "while bus.publish({'k': b'1'}) and not select.select([sys.stdin], [], [], 0.0)[0]: pass\n"
         "print([found.kind for found in bus.outages.take()])\n"
@@ -83,7 +84,7 @@ def test_a_writer_that_was_frozen_itself_does_not_blame_the_server(bus_server: B
                 pause(0.6)  # longer than a silence that is told of
                 before = bus.get(keys.stamp("k"))
             wait_until(lambda before=before: bus.get(keys.stamp("k")) != before)  # type: ignore[misc]
-        out, _ = writer.communicate("", timeout=30)
+        out, _ = writer.communicate("", timeout=DEADLINE_S)
     assert out == "[]\n"
 
 
@@ -181,7 +182,7 @@ def test_a_half_open_connection_is_given_up_and_another_is_made(
         wait_until(lambda: watch.connections == 2)
         assert bus.publish({"k": b"3"})
         wait_until(lambda: (found := watch.latest("k")) is not None and found.value == b"3")
-        assert [found.kind for found in bus.outages.take()] == ["bus-back"]
+        assert [found.kind for found in bus.outages.take() if found.kind != "bus-silent"] == ["bus-back"]
 
 
 def test_a_lossless_tap_is_lost_with_a_half_open_connection_and_goes_on_where_it_was(bus_server: BusAddress) -> None:

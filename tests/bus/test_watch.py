@@ -15,6 +15,7 @@ import redis
 
 from station.bus.address import BusAddress
 from station.bus.client import Bus
+from station.bus.outage import Outages
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.bus.watch import Watch
 from tests.bus.answering import answering
@@ -112,11 +113,12 @@ def test_after_a_cut_it_reads_again_what_changed_meanwhile_and_calls_none_of_it_
         before = {key: watch.latest(key) for key in wanted}
         network.cut()
         wait_until(lambda: not watch.is_connected)
+        known = watch.connections
         bus.publish({"changed": b"meanwhile"})
         bus.call("SET", "overwritten", b"by a stock script")
         bus.call("DEL", "gone")
         network.mend()
-        wait_until(lambda: watch.connections == 2)
+        wait_until(lambda: watch.connections > known)
         after = {key: watch.latest(key) for key in wanted}
         assert after["same"] is before["same"]
         assert after["gone"] is before["gone"]
@@ -184,10 +186,17 @@ def expect_nothing_new(watch: Watch, pid: int) -> int:
     return frozen_ns
 
 
-def test_of_an_idle_bus_it_is_known_that_nothing_was_written(probed: Watch) -> None:
-    wait_until_heard(probed, 0.5)
-    assert probed.heard.until_ns < time.monotonic_ns()
-    assert probed.connections == 1
+def cuts(outages: Outages) -> list[str]:
+    """Return why a watch was cut that was not just answered late, as on a busy machine."""
+    return [str(one.numbers["reason"]) for one in outages._held if "in time" not in one.numbers["reason"]]
+
+
+def test_of_an_idle_bus_it_is_known_that_nothing_was_written(bus_server: BusAddress) -> None:
+    outages = Outages()
+    with Watch(bus_server, ["k"], probe_s=PROBE_S, outages=outages) as watch:
+        wait_until_heard(watch, 0.5)
+        assert watch.heard.until_ns < time.monotonic_ns()
+        assert cuts(outages) == []
 
 
 def test_of_a_frozen_bus_nothing_is_known_and_when_it_is_back_it_begins_anew(
@@ -235,7 +244,9 @@ def test_what_was_written_before_it_knows_of_every_write_is_at_hand(bus_server: 
         wait_until(lambda: probed.latest("k") is not None)
         proofs: set[int] = set()
         while len(proofs) < 25:
-            known_ns, sample = probed.heard.until_ns, probed.latest("k")
+            (since_ns, known_ns), sample = probed.heard, probed.latest("k")
+            if since_ns == known_ns:  # it has just begun to hear, and knows of no time yet
+                continue
             proofs.add(known_ns)
             assert sample is not None
             newest = int(sample.value)
@@ -268,8 +279,9 @@ def test_a_half_open_line_of_messages_is_given_up_though_the_server_answers_on_t
         Watch(network.address, ["k"]) as watch,
         Bus(bus_server, name="motion", timeout_s=5.0) as bus,
     ):
+        known = watch.connections
         network.swallow(only_newest=True)
-        wait_until(lambda: watch.connections == 2)
+        wait_until(lambda: watch.connections > known)
         bus.publish({"k": b"1"})
         wait_until(lambda: watch.latest("k") is not None)
 

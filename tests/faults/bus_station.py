@@ -109,6 +109,10 @@ class RobotStation(RecordedStation):
             return ""
         return str(codec.parse_json(value)["state"]) if value else ""
 
+    def log(self, name: str) -> str:
+        """Return what a server has printed."""
+        return self.supervisor.children[name].log.read_text(errors="replace")
+
     def told(self, folder: Path, event: str) -> list[str]:
         """Return the servers whose event of a name is in the manifest on the disk, sorted."""
         return sorted(found.source for found in load_manifest(folder).events if found.name == event)

@@ -106,20 +106,31 @@ class BadDisk:
             order.unlink()
 
 
+class Film:
+    """How many bytes of pictures come a second.
+
+    Attributes:
+        mb_per_s: May be set anew [MB/s].
+    """
+
+    def __init__(self, mb_per_s: float) -> None:
+        self.mb_per_s = mb_per_s
+
+
 @contextmanager
-def camera(address: BusAddress, mb_per_s: float) -> Iterator[None]:
+def camera(address: BusAddress, mb_per_s: float) -> Iterator[Film]:
     """Write pictures that nothing can compress, as many bytes a second."""
-    done = threading.Event()
+    film, done = Film(mb_per_s), threading.Event()
 
     def write() -> None:
         with Bus(address, name="camera", timeout_s=5.0) as bus:
-            while not done.wait(_FRAME_BYTES / (mb_per_s * 1e6)):
+            while not done.wait(_FRAME_BYTES / (film.mb_per_s * 1e6)):
                 bus.publish({CAMERA: os.urandom(_FRAME_BYTES)})
 
     thread = threading.Thread(target=write)
     thread.start()
     try:
-        yield
+        yield film
     finally:
         done.set()
         thread.join()

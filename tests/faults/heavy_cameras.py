@@ -15,10 +15,11 @@ from station.bus.address import BusAddress
 from station.episode.reading.reader import open_episode
 from station.episode.storage.manifest import Manifest
 from tests.faults.recorded_station import RecordedStation, Writers, assert_holds_everything, recorded_station
+from tests.waiting import wait_until
 
 PERIOD_S = 0.005
 CAMERAS = (keys.camera_image("left"), keys.camera_image("right"))
-BURST = 300  # images of 100 kB
+MORE = 40  # of each camera, while it catches up
 QUEUE_MB, FLUSH_KB, FLUSH_TAKES_S = 8.0, 1000.0, 0.1  # a disk of 10 MB a second
 
 _CAMERAS = """
@@ -86,27 +87,41 @@ def images_are_accounted_for(folder: Path, written: int) -> Manifest:
     return reader.manifest
 
 
-def catch_up(address: BusAddress, place: Path) -> int:
+def _newest(station: RecordedStation) -> int:
+    """Return the number of the newest image of a camera on the bus; 0 while there is none."""
+    image = station.bus.get(CAMERAS[-1])
+    return int.from_bytes(image[:8], "little") if image else 0
+
+
+def catch_up(address: BusAddress, place: Path, burst: int = 100) -> int:
     """Kill a recorder on a slow disk while a burst of images waits for it; return how many it dropped.
 
-    What comes while it catches up takes three times the room that the queue has for images.
+    What waits, and the 8 MB that come while it catches up, is several times what the queue has room for.
+
+    Args:
+        address: Of the bus.
+        place: For everything that is written.
+        burst: Images of 100 kB that wait.
     """
     with recorded_station(address, place, queue_mb=QUEUE_MB, flush_kb=FLUSH_KB) as station:
         folder = Path(station.ask("start", task="walk").path or "")
         cameras, writers = Cameras(address, 4.0), Writers(address, PERIOD_S)
         station.wait_until_it_records(messages=300)
-        pid = station.kill()
-        image = os.urandom(100_000)
-        for number in range(BURST):
-            assert station.bus.publish({"camera_burst": number.to_bytes(8, "little") + image})
-        station.wait_for_another(pid)
-        station.wait_until_it_records(messages=300 + BURST + 1500)
-        written, images = writers.stop(), cameras.stop()
+        with cameras.paused():  # what comes is bounded, however long another takes to come
+            pid, before = station.kill(), _newest(station)
+            image = os.urandom(100_000)
+            for number in range(burst):
+                assert station.bus.publish({"camera_burst": number.to_bytes(8, "little") + image})
+            station.wait_for_another(pid)
+        wait_until(lambda: _newest(station) >= before + MORE)
+        images = cameras.stop()
+        station.wait_until_it_records(messages=300 + burst + 1500)
+        written = writers.stop()
         ended = station.ask("stop")
     assert_holds_everything(folder, written)
     assert images_are_accounted_for(folder, images).recorder.restarts == 1
-    burst = [int.from_bytes(message.data[:8], "little") for message in open_episode(folder).messages(["camera_burst"])]
-    assert burst == list(range(BURST))
+    kept = [int.from_bytes(message.data[:8], "little") for message in open_episode(folder).messages(["camera_burst"])]
+    assert kept == list(range(burst))
     return int(ended.summary["dropped"])
 
 

@@ -211,10 +211,12 @@ def stands_without_a_bus(station: MovingStation) -> list[str]:
     """Take the bus away for good while the robot walks: it stands; return the states of its gate."""
     station.play("builtin:walk-forward", enter_s=0.1)
     station.wait_s(1.0)
+    known = len(station.log("g1"))
     station.kill_bus()
     # No event can be read now; the server's log has them, and it counts its falls.
-    wait_until(lambda: "from=returning to=waiting" in station.log("g1"))
-    gates = [line.partition("gate ")[2].split()[1] for line in station.log("g1").splitlines() if " gate " in line]
+    wait_until(lambda: "from=returning to=waiting" in station.log("g1")[known:])
+    lines = station.log("g1")[known:].splitlines()
+    gates = [line.partition("gate ")[2].split()[1] for line in lines if " gate " in line]
     station.start_bus()  # to ask how it stands
     wait_until(lambda: (health := station.health("g1")) is not None and health.detail.get("gate") is not None)
     station.wait_s(0.5)

@@ -171,6 +171,6 @@ def assert_holds_every_picture(folder: Path, written: int) -> None:
     assert [m.sequence for m in found] == list(range(1, written + 1))
     assert [m.data for m in found] == [jpeg(number, 30_000) for number in range(1, written + 1)]
     assert {m.channel.file for m in found} == {"cameras.mcap"}
-    assert all(0 < m.publish_ns - captured_ns(m) < 1_000_000_000 for m in found)
+    assert all(captured_ns(m) < m.publish_ns for m in found)
     logged = [message.log_ns for message in reader.messages()]
     assert logged == sorted(logged), "both files go on with the same clock"

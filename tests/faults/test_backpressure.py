@@ -43,16 +43,19 @@ def test_on_a_slow_disk_images_are_thinned_out_and_every_command_stays(
         wait_until(lambda: dropped(station) > 300)
         images = cameras.stop()
         slow_disk.heal()
-        wait_until(lambda: station.events(folder).count("images-dropped") == 2)  # it began, and it ended
+        assert station.ask("mark", label="no more images").ok  # it has heard of all of them by then
+        wait_until(lambda: (told := station.events(folder).count("images-dropped")) and told % 2 == 0)
         written = writers.stop()
         ended = station.ask("stop")
     assert_holds_everything(folder, written)
     manifest = images_are_accounted_for(folder, images)
     assert ended.summary["dropped"] == manifest.recorder.dropped > 300
     events = [event for event in manifest.events if event.name.endswith("-dropped")]
-    assert [(event.name, event.severity) for event in events] == [("images-dropped", "warning")] * 2
-    assert events[1].numbers["dropped"] == manifest.recorder.dropped
-    assert sum(events[1].numbers["keys"].values()) == manifest.recorder.dropped
+    assert {(event.name, event.severity) for event in events} == {("images-dropped", "warning")}
+    began, ended_each = events[::2], events[1::2]  # more than once where a busy machine took no image for a while
+    assert len(began) == len(ended_each)
+    assert sum(event.numbers["dropped"] for event in ended_each) == manifest.recorder.dropped
+    assert sum(sum(event.numbers["keys"].values()) for event in ended_each) == manifest.recorder.dropped
     quality = check(open_episode(folder))
     verdicts = {reason.rule: reason.verdict for reason in quality.reasons}
     assert verdicts["dropped-images"] == "usable"

@@ -16,6 +16,7 @@ from station.bus.server_options import ServerOptions
 from station.life.estop import read, restate
 from station.supervision.stop_memory import StopMemory
 from tests.faults.bus_station import soon
+from tests.waiting import wait_until
 
 pytestmark = pytest.mark.usefixtures("processes")
 
@@ -73,6 +74,7 @@ def test_a_station_says_a_stop_again_that_its_bus_has_forgotten_and_a_released_o
         assert read(bus.get(keys.ESTOP) or b"").reason == "smoke"
         bus.publish({keys.ESTOP: b'{"stop": false}'})
         soon(lambda: not memory.is_stopped)
+        wait_until(lambda: kept.restarts == 1)
         os.kill(kept.pid, signal.SIGKILL)
         soon(lambda: memory.has_forgetful_bus)
         assert memory.look() == ""

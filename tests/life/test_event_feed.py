@@ -5,19 +5,23 @@ from __future__ import annotations
 from contextlib import ExitStack
 
 import msgspec
+import pytest
 
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.life import events
+from station.life import event_publisher, events
 from station.life.event_feed import EventFeed
 from station.life.server import Life, ServerKind, read_health
-from tests.waiting import wait_until
+from tests.waiting import DEADLINE_S, wait_until
 
 KIND = ServerKind(name="a", role="command", summary="", config=msgspec.Struct, main=lambda _config, _life: 0)
 
 
-def test_a_feed_misses_no_event_however_fast_several_servers_speak(bus_server: BusAddress) -> None:
+def test_a_feed_misses_no_event_however_fast_several_servers_speak(
+    bus_server: BusAddress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(event_publisher, "RECENT_S", DEADLINE_S)
     with ExitStack() as stack:
         lines = {name: stack.enter_context(Bus(bus_server, name=name, timeout_s=5.0)) for name in ("a", "b", "c", "d")}
         lives = {name: Life(KIND, name, line, "") for name, line in lines.items()}

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from station.bus import codec, keys
+from station.bus import codec, keys, outage
 from station.bus.client import Bus
 from station.bus.keeper import KeptServer
 from station.bus.redis_server import RedisServer, ServerOptions
@@ -27,7 +27,10 @@ def names(log: Log) -> list[str]:
     return [codec.parse_json(value)["name"] for value in log.values(keys.EVENT)]
 
 
-def test_events_that_the_bus_did_not_take_are_said_late_once_and_in_order(tmp_path: Path) -> None:
+def test_events_that_the_bus_did_not_take_are_said_late_once_and_in_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outage, "_SETTLE_NS", 4_000_000_000)  # the log listens by then
     options = ServerOptions(folder=tmp_path, socket=tmp_path / "bus.sock")
     with RedisServer.start(options) as first, Bus(first.address, name="arm") as bus:
         life = Life(KIND, "arm", bus, "")

@@ -15,9 +15,11 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.errors import BusError
+from station.life import server
 from station.life.stop_button import StopButton
+from tests.faults.bus_station import soon
 from tests.servers.g1_station import LIGHT, G1Process, logged
-from tests.waiting import wait_until
+from tests.waiting import DEADLINE_S, wait_until
 
 pytestmark = pytest.mark.usefixtures("processes")
 
@@ -33,17 +35,20 @@ def test_what_is_pressed_stands_on_the_bus_with_who_and_why(bus_server: BusAddre
         assert button.robots() == []
 
 
-def test_it_tells_when_the_robots_have_obeyed_and_which_have_not(bus_server: BusAddress) -> None:
+def test_it_tells_when_the_robots_have_obeyed_and_which_have_not(
+    bus_server: BusAddress, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "DEAD_AFTER_S", DEADLINE_S)  # a robot that is stopped where it stands says no more
     with StopButton(bus_server) as button, logged(bus_server) as log, G1Process(bus_server, *LIGHT) as robot:
-        wait_until(lambda: button.robots() == ["g1"])
+        soon(lambda: button.robots() == ["g1"])
         wait_until(log.states)
         button.press("a test")
-        assert button.unstopped(10.0) == {}
+        soon(lambda: button.unstopped(DEADLINE_S) == {})
         button.release("a test")
         wait_until(lambda: log.events("operator-reset") and log.states()[-1] == "waiting")
         os.kill(robot.process.pid, signal.SIGSTOP)
         button.press("a test")
-        assert button.unstopped(0.1) == {"g1": "waiting"}
+        soon(lambda: button.unstopped(0.1) == {"g1": "waiting"})
 
 
 def test_a_bus_that_is_frozen_has_taken_nothing(tmp_path: Path) -> None:

@@ -23,7 +23,8 @@ from station.episode.reading.reader import open_episode
 from station.errors import BusError
 from station.life.server import read_health
 from tests.security.conftest import As
-from tests.waiting import wait_until
+from tests.servers.g1_station import PATIENT
+from tests.waiting import DEADLINE_S, wait_until
 
 pytestmark = pytest.mark.usefixtures("processes")
 
@@ -148,24 +149,23 @@ def test_a_whole_station_works_with_a_user_for_each_of_its_servers(
     as_role: As, password_file: Path, tmp_path: Path, passwords: dict[str, str]
 ) -> None:
     address, data = as_role("operator"), tmp_path / "data"
-    light = ("physics_dt_s=0.002", "real_time_priority=0")
     with (
         Bus(address, name="operator", timeout_s=5.0) as bus,
-        _server("g1", address, password_file, data, *light) as g1,
+        _server("g1", address, password_file, data, *PATIENT) as g1,
         _server("recorder", address, password_file, data) as recorder,
     ):
         wait_until(lambda: {h.name for h in read_health(bus) if h.state == "active"} >= {"g1", "recorder"})
         _ask_recorder(address, "start")
-        with _server("motion", address, password_file, data, "motion=builtin:march") as motion:
+        with _server("motion", address, password_file, data, "motion=builtin:march", "loop=true") as motion:
             with bus.watch([keys.command_gate(ROBOT)]) as watch:
                 wait_until(lambda: (s := watch.latest(keys.command_gate(ROBOT))) and b'"tracking"' in s.value)
             motion.send_signal(signal.SIGTERM)
-            assert motion.wait(60) == 0
+            assert motion.wait(DEADLINE_S) == 0
         folder = _ask_recorder(address, "stop")
         lost = {health.name: health.lost_writes for health in read_health(bus)}
         for process in (g1, recorder):
             process.send_signal(signal.SIGTERM)
-            _, said = process.communicate(timeout=30)
+            _, said = process.communicate(timeout=DEADLINE_S)
             assert process.returncode == 0
             assert "NOPERM" not in said
     assert not any(lost.values()), lost

@@ -21,6 +21,7 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.tap import open_tap
 from station.errors import BusError, ConfigError
+from tests.waiting import DEADLINE_S, wait_until
 
 _CHUNK = 1 << 16
 
@@ -110,11 +111,13 @@ def test_a_bus_behind_tls_is_written_watched_and_tapped(
     address = addresses.parse(f"rediss://localhost:{tls_port}/0")
     tap = open_tap(address)
     with Bus(address, name="tls", timeout_s=5.0) as bus, bus.watch(["a"]) as watch:
+        wait_until(lambda: watch.is_connected)
         bus.publish({"a": b"x" * 100_000})
-        sample = watch.wait("a", after=None, timeout_s=30.0)
+        wait_until(lambda: watch.latest("a"))
+        sample = watch.latest("a")
     assert sample is not None
     assert len(sample.value) == 100_000
-    writes = [write for write in tap.read(30.0) if write.key == "a"]
+    writes = [write for write in tap.read(DEADLINE_S) if write.key == "a"]
     assert writes[0].value == sample.value
     tap.close()
 

@@ -21,7 +21,8 @@ from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import Connection
-from station.bus.tap import Write, open_tap
+from station.bus.tap import Write
+from station.bus.tap.replication import ReplicationTap
 from station.errors import BusError
 from station.life.events import Event, decode
 from station.protocols import Floats
@@ -72,7 +73,8 @@ class Log:
     def __init__(self, address: BusAddress) -> None:
         self.writes: list[Write] = []
         self._by_key: dict[str, list[Write]] = {}  # without deletions; tests look often
-        self._tap = open_tap(address, backend="replication")
+        self._tap = ReplicationTap(address)
+        self._tap._link.silence_limit_s = DEADLINE_S  # a bus that is frozen for a test is no reason to end
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._take, daemon=True)
         self._thread.start()

@@ -82,6 +82,7 @@ def walk(
     g1, recorder = serve("g1", *robot), serve("recorder")
     started = open_bus.terminal.json("record", "start", "--task", "stock-walk")
     commands, follower = clip(motion, seconds), Follower(stock)
+    wait_until(lambda: bus.get(STATE_BODY))
     stock.play(commands, follower.look)
     wait_until(lambda: gate(bus) == "tracking")
     stock.close()
@@ -156,16 +157,28 @@ def read_our_commands(bus: Bus, serve: Serve, stock: LowLevelServer) -> Reads:
     return Reads(len({tuple(commands[0]) for commands in read}), abs(int(t_action) - now_ms) * 1e-3)
 
 
+class Look(NamedTuple):
+    """Joints that a stock robot was asked for [rad], and between which instants it read them [s]."""
+
+    before_s: float
+    joints: list[float]
+    after_s: float
+
+
 def look_at_our_commands(bus: Bus, serve: Serve, stock: LowLevelServer) -> float:
     """Return the largest step of a joint between two looks of a stock robot at our commands [rad]."""
+    now_s = time.monotonic()
+    looks = [Look(now_s, STANDING[6:], now_s)]
     serve("motion", MOTION)
     wait_until(lambda: bus.get(twist_keys.action_body()))
-    looks = [(time.monotonic(), STANDING[6:])]
     for _ in range(100):
-        (body, *_others), *_ = run(stock, 1)
-        looks.append((time.monotonic(), body[6:]))
+        before_s = time.monotonic()
+        body, *_others = stock.tick()
+        looks.append(Look(before_s, body[6:], time.monotonic()))
+        time.sleep(LOOP_S)
     steps = []
-    for (before_s, one), (now_s, two) in itertools.pairwise(looks):
-        steps.append(max(abs(a - b) for a, b in zip(one, two, strict=True)))
-        assert steps[-1] < 0.3 + FASTEST_RAD_S * (now_s - before_s)  # a late look sees several periods at once
+    for one, two in itertools.pairwise(looks):
+        steps.append(max(abs(a - b) for a, b in zip(one.joints, two.joints, strict=True)))
+        # A late look sees several periods at once.
+        assert steps[-1] < 0.3 + FASTEST_RAD_S * (two.after_s - one.before_s)
     return max(steps)

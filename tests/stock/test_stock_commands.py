@@ -11,7 +11,7 @@ from station.bus.client import Bus
 from tests.servers.g1_station import LEAVING, PATIENT
 from tests.stock.conftest import OpenBus, Serve, health
 from tests.stock.stock_trials import gate, walk
-from tests.stock.stock_twist2 import ACTIONS, BODY, STANDING, MotionServer, waving
+from tests.stock.stock_twist2 import ACTIONS, BODY, LOOP_S, STANDING, MotionServer, waving
 from tests.waiting import DEADLINE_S, wait_until
 
 AS_STOCK = ("policy=twist2", "robot_model=twist2:g1/g1_sim2sim_29dof.xml")
@@ -26,6 +26,18 @@ def play_until_followed(bus: Bus, stock: MotionServer, each: Callable[[list[floa
     """Play until the robot follows."""
     stock.play(takewhile(lambda _: gate(bus) != "tracking", waving(DEADLINE_S)), each)
     assert gate(bus) == "tracking"
+
+
+def refused(bus: Bus, kind: str) -> int:
+    """Return how many commands of a kind the robot has refused."""
+    return int(health(bus, "g1").detail.get("refused", {}).get(kind, 0))
+
+
+def play_until_refused(bus: Bus, stock: MotionServer, kind: str, body: list[float]) -> None:
+    """Play one body until the robot has refused it; the one before was of another kind, and is counted by then."""
+    known, bodies = refused(bus, kind), [list(map(float, body))] * round(DEADLINE_S / LOOP_S)
+    stock.play(takewhile(lambda _: refused(bus, kind) == known, bodies))
+    assert refused(bus, kind) > known
 
 
 @pytest.mark.parametrize(
@@ -60,10 +72,12 @@ def test_what_stock_may_write_wrongly_is_refused_and_the_robot_stands(
 ) -> None:
     g1 = serve("g1", *PATIENT)
     nan = [float("nan"), *STANDING[1:]]
-    for body in ([*STANDING, 1.0, 0.0], [*STANDING, 0.0, 0.0, 0.0], nan, STANDING[:33]):
-        stock.play([list(map(float, body))] * 5)
+    play_until_refused(bus, stock, "wrong-length", [*STANDING, 1.0, 0.0])
+    play_until_refused(bus, stock, "not-finite", nan)
+    play_until_refused(bus, stock, "wrong-length", [*STANDING, 0.0, 0.0, 0.0])
     stock.redis.set(BODY, "not a list")
-    wait_until(lambda: sum(health(bus, "g1").detail.get("refused", {}).values()) >= 4)
+    wait_until(lambda: refused(bus, "not-json") > 0)
+    play_until_refused(bus, stock, "wrong-length", STANDING[:33])
     assert (g1.poll(), gate(bus)) == (None, "waiting")
     play_until_followed(bus, stock)
     stock.close()

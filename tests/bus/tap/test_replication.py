@@ -14,7 +14,7 @@ import pytest
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
 from station.bus.redis_server import RedisServer, ServerOptions
-from station.bus.tap import link
+from station.bus.tap import Write, link
 from station.bus.tap.replication import ReplicationTap
 from station.errors import BusError
 from tests.bus.tap.conftest import Collect
@@ -28,7 +28,7 @@ from tests.bus.tap.traffic import (
     start_server,
     write_all,
 )
-from tests.waiting import wait_until
+from tests.waiting import DEADLINE_S, wait_until
 
 pytestmark = pytest.mark.usefixtures("processes")
 
@@ -152,12 +152,20 @@ def test_probes_are_not_delivered_and_two_taps_see_the_same(
 def test_link_lives_on_while_nobody_writes_and_nobody_reads(
     tap: ReplicationTap, writer: Connection, collect: Collect
 ) -> None:
-    writer.call("CONFIG", "SET", "repl-timeout", 2)
     tap._link.silence_limit_s = 2.5  # a reader that was held up must not take its own absence for the server's
-    time.sleep(5.0)  # two and a half times as long as a link without acknowledgements may live
+    unread_s, known = time.monotonic(), acknowledgements(writer)
+    wait_until(lambda: acknowledgements(writer) >= known + 5 and time.monotonic() - unread_s > 3.0)
+    assert tap.read(0.0) == []
+    tap._link.silence_limit_s = DEADLINE_S
     writer.call("SET", "a", "1")
     assert content(collect(tap)) == [("a", b"1", None)]
     assert info(writer)["sync_full"] == "1"
+
+
+def acknowledgements(writer: Connection) -> int:
+    """Return how many the server has taken."""
+    stats = writer.call("INFO", "commandstats").decode()
+    return int(stats.partition("cmdstat_replconf:calls=")[2].partition(",")[0])
 
 
 def test_link_without_acknowledgements_is_cut(
@@ -183,7 +191,7 @@ def test_acknowledgement_on_request_lets_the_writer_wait_for_us(tap: Replication
     reading = threading.Thread(target=lambda: [tap.read(0.05) for _ in iter(stop.is_set, True)])
     reading.start()
     writer.call("SET", "a", "1")
-    assert writer.call("WAIT", 1, 5000) == 1
+    wait_until(lambda: writer.call("WAIT", 1, 1000) == 1)
     stop.set()
     reading.join()
 
@@ -209,10 +217,12 @@ def test_frozen_server_is_an_error(tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 def test_quiet_bus_is_not_taken_for_a_frozen_one(tap: ReplicationTap) -> None:
-    tap._link.silence_limit_s = 2.5  # the server's keep-alive comes every second
-    until = time.monotonic() + 3.0
-    while time.monotonic() < until:
-        assert tap.read(0.2) == []
+    tap._link.silence_limit_s = DEADLINE_S
+    seen: list[Write] = []
+    for _ in range(3):
+        heard_s = tap._link._heard_at  # the server's keep-alive comes every second
+        wait_until(lambda heard_s=heard_s: seen.extend(tap.read(0.2)) or tap._link._heard_at > heard_s)  # type: ignore[misc]
+    assert seen == []
 
 
 def test_reading_a_closed_tap_is_an_error(tap: ReplicationTap) -> None:

@@ -228,7 +228,7 @@ def test_stock_robot_without_heartbeat_is_heard_by_its_writes(builder: EpisodeBu
     stop = threading.Event()
 
     def stock() -> None:
-        with Bus(bus_server, name="unused") as bus:
+        with Bus(bus_server, name="unused", timeout_s=5.0) as bus:
             while not stop.wait(0.02):
                 bus.call("SET", twist_keys.state_body(ROBOT), codec.json_vector([0.0] * 34))
 

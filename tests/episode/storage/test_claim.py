@@ -14,8 +14,10 @@ import pytest
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
+from station.episode.storage import claim as claims
 from station.episode.storage.claim import Claim, is_claimed
 from station.errors import EpisodeError, Refused
+from tests.waiting import DEADLINE_S
 
 HOLD = """
 import signal, sys
@@ -79,7 +81,10 @@ def test_a_data_folder_that_cannot_be_made_is_refused(bus_server: BusAddress, tm
         Claim(tmp_path / "file" / "data", bus)
 
 
-def test_looking_at_the_lock_does_not_keep_a_recorder_out(bus_server: BusAddress, tmp_path: Path) -> None:
+def test_looking_at_the_lock_does_not_keep_a_recorder_out(
+    bus_server: BusAddress, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(claims, "_TRIES", round(DEADLINE_S / claims._TRY_S))
     done = threading.Event()
 
     def look() -> None:
