@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from station.episode.quality.findings import Quality, Verdict
 from tests.lateness import STALE_S, TooLate, Waits
-from tests.verdicts import OF_LATENESS, worse_than
+from tests.verdicts import worse_than
 
 _PERIOD_S = 0.02
 _LASTING = (0.3 + 1.0) / 0.3  # of an interruption to its cause: a silence of 0.3 s, and a second of entering after it
@@ -49,7 +49,7 @@ def expect_no_worse_in_time(than: Verdict, quality: Quality, waits: Waits) -> No
     """
     waits.seconds()
     against = worse_than(than, quality)
-    assert {reason.rule for reason in against} <= OF_LATENESS, quality.reasons
+    assert {reason.rule for reason in against} <= set(_LATENESS), quality.reasons
     if against:
         proofs = [_LATENESS[reason.rule](quality, waits) for reason in against]
         late_s, waited_s = min(proofs, key=lambda proof: proof[1] - proof[0])  # the one that is proven least

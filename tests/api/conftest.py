@@ -7,8 +7,9 @@ from contextlib import contextmanager
 
 import pytest
 
+from station.life.stop_button import StopButton
 from tests.cli.running import Home, new_home
-from tests.waiting import wait_until
+from tests.waiting import DEADLINE_S, wait_until
 
 WAITING = ("motion.wait_for_start=true", "motion.loop=true", "motion.enter_s=0.3", "motion.leave_s=0.3")
 
@@ -26,6 +27,13 @@ def station_that_waits() -> Iterator[Home]:
             station.finish()
         bus.interrupt()
         bus.finish()
+
+
+@pytest.fixture
+def patient_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stop waits for its robots as long as a test does, and not a second."""
+    for wait in (StopButton.unstopped, StopButton.unreleased):
+        monkeypatch.setattr(wait, "__defaults__", (DEADLINE_S,))
 
 
 @pytest.fixture(scope="package")

@@ -12,6 +12,7 @@ import pytest
 from adapters.robots.g1 import twist_keys
 from station import Station, StationError
 from station.api import live
+from station.api.live import RobotStatus
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -40,10 +41,11 @@ def alone(bus_server: BusAddress) -> Iterator[Station]:
 
 
 def test_servers_and_robots_tell_of_themselves(lab: Station) -> None:
-    assert {"g1", "recorder", "motion"} <= {server.name for server in lab.servers()}
-    (robot,) = lab.robots()
+    wait_until(lambda: {"g1", "recorder", "motion"} <= {server.name for server in lab.servers()})
+    robot = lab.wait_for_robot(within_s=DEADLINE_S)
+    assert {there.name for there in lab.robots()} <= {ROBOT}
     assert (robot.name, robot.server, robot.state, robot.arming) == (ROBOT, "g1", "active", "armed")
-    assert {lab.wait_for_robot(name).name for name in ("", "g1", ROBOT)} == {ROBOT}
+    assert {lab.wait_for_robot(name, within_s=DEADLINE_S).name for name in ("", "g1", ROBOT)} == {ROBOT}
     described = lab.description(ROBOT)
     assert described is not None
     assert len(described.joints) == 29
@@ -90,7 +92,7 @@ def test_a_motion_obeys_or_says_why_not(lab: Station) -> None:
 
 
 def phase(lab: Station) -> object:
-    return next(server.detail.get("phase") for server in lab.servers() if server.name == "motion")
+    return next((server.detail.get("phase") for server in lab.servers() if server.name == "motion"), None)
 
 
 def test_an_episode_is_recorded_marked_and_flagged(lab: Station, shared: Home) -> None:
@@ -107,23 +109,27 @@ def test_an_episode_is_recorded_marked_and_flagged(lab: Station, shared: Home) -
     assert lab.record.discard("only a trial").episode_id == begun.episode_id
 
 
-@pytest.mark.usefixtures("processes")
+@pytest.mark.usefixtures("processes", "patient_stop")
 def test_a_robot_is_disarmed_armed_stopped_and_released_by_its_name() -> None:
     # No motion beside it: a stop ends that, and with it a station that nobody attends.
     with new_home() as home, home.running("bus", "start"):
         wait_until(home.bus_is_there)
         with home.running("serve", "g1"), Station(home.bus.url) as lab:
-            lab.wait_for_robot(within_s=DEADLINE_S)
+
+            def robot() -> RobotStatus:
+                return lab.wait_for_robot(ROBOT, within_s=DEADLINE_S)
+
+            robot()
             assert list(lab.disarm(ROBOT)) == ["g1"]
-            assert lab.robots()[0].arming == "disarmed"
+            assert robot().arming == "disarmed"
             assert lab.arm(ROBOT)["g1"][-1] == "armed"
             assert lab.estop("somebody came close") == ["g1"]
-            assert lab.robots()[0].gate == "stopped"
-            assert "somebody came close" in lab.robots()[0].reason
+            assert robot().gate == "stopped"
+            assert "somebody came close" in robot().reason
             with pytest.raises(Refused, match="the emergency stop is latched"):
                 lab.arm("g1")
             lab.release("all clear")
-            assert lab.robots()[0].gate != "stopped"
+            assert robot().gate != "stopped"
             with pytest.raises(NotReady, match="no low-level server h1 runs"):
                 lab.arm("h1")
 

@@ -14,6 +14,7 @@ PAGE = (ROOT / "docs" / "script.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"^```python\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
 
 
+@pytest.mark.usefixtures("patient_stop")
 def test_the_examples_run(own: Home, capsys: pytest.CaptureFixture[str]) -> None:
     names: dict[str, Any] = {}
     for example in EXAMPLES:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import fcntl
+import codecs
 import os
 import pty
 import signal
@@ -10,6 +10,8 @@ import subprocess
 import sys
 import termios
 import threading
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from tests.cli.running import Home
@@ -20,21 +22,30 @@ _AT_TERMINAL = (
     "import fcntl, os, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); os.execv(sys.argv[1], sys.argv[1:])"
 )
 """Run by the child itself: between fork and exec of a process with threads no code is safe, see `station.bus.tied`."""
+_END = "\0the end\0"
+"""Written behind all that a process has written."""
 
 
 class AtTerminal:
-    """A process whose terminal we hold; a context manager that kills it."""
+    """A process whose terminal we hold; a context manager that kills it.
 
-    def __init__(self, home: Home, *arguments: str) -> None:
+    Args:
+        home: Where it runs.
+        arguments: The verb and what belongs to it.
+        program: What Python runs in place of the station, as words of its command line.
+    """
+
+    def __init__(self, home: Home, *arguments: str, program: Sequence[str] = ("-m", "station")) -> None:
         self._ours, theirs = pty.openpty()
         self.before = self.settings()
         self.process = subprocess.Popen(
-            [sys.executable, "-I", "-S", "-c", _AT_TERMINAL, sys.executable, "-m", "station", *arguments],
+            [sys.executable, "-I", "-S", "-c", _AT_TERMINAL, sys.executable, *program, *arguments],
             env={**home.environment, "TERM": "xterm", "COLUMNS": "400", "LINES": "40", "PYTHONFAULTHANDLER": "1"},
             cwd=ROOT, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
         )  # fmt: skip
         self._theirs = theirs  # kept open, so that its settings can be read when the process has ended
         self.screen = ""
+        self._screen_lock = threading.Lock()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -66,9 +77,9 @@ class AtTerminal:
         except subprocess.TimeoutExpired:
             self.send(signal.SIGABRT)
             self.process.wait(10)
-            wait_until(lambda: not _has_more(self._ours))
+            self._read_all()
             raise AssertionError(f"it did not end; its screen:\n{self.screen}") from None
-        wait_until(lambda: not _has_more(self._ours))
+        self._read_all()
         return code
 
     def __enter__(self) -> AtTerminal:
@@ -82,8 +93,22 @@ class AtTerminal:
         os.close(self._ours)
 
     def _read(self) -> None:
+        decoder = codecs.getincrementaldecoder("utf-8")(errors="replace")
         while data := _some(self._ours):
-            self.screen += data.decode(errors="replace")
+            with self._screen_lock:
+                self.screen += decoder.decode(data)
+
+    def _read_all(self) -> None:
+        """Wait until all that was written stands on the screen."""
+        os.write(self._theirs, _END.encode())
+        wait_until(lambda: _END in self.screen)
+        with self._screen_lock:
+            self.screen = self.screen.replace(_END, "")
+
+
+def stands_still(pid: int) -> bool:
+    """Whether a process was told to stand still."""
+    return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "T"
 
 
 def at_a_terminal(home: Home, *arguments: str, until: str, then: bytes) -> tuple[int, str]:
@@ -99,8 +124,3 @@ def _some(descriptor: int) -> bytes:
         return os.read(descriptor, 4096)
     except OSError:  # Linux says so where others say end of file
         return b""
-
-
-def _has_more(descriptor: int) -> bool:
-    waiting = fcntl.ioctl(descriptor, termios.FIONREAD, b"\0" * 4)
-    return bool(int.from_bytes(waiting, sys.byteorder))

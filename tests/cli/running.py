@@ -23,7 +23,7 @@ from tests.waiting import DEADLINE_S, bus_answers, is_running, wait_until
 COMMANDS_ONLY = "commands-only"
 SHORT = ("--set", "motion.enter_s=0.1", "--set", "motion.leave_s=0.1")
 """Blends as short as they may be: tests of the command line wait for no robot."""
-DEMO = ("demo", "--for", "1s", *SHORT)
+DEMO = ("demo", "--for", "3s", *SHORT)
 IN_STEP = tuple(word for setting in LOCK_STEP for word in ("--set", setting))
 """Robot and motion wait for each other: nothing of an episode is late, however busy the machine is."""
 
@@ -105,8 +105,9 @@ class Home(Terminal):
             return {health.name: health for health in read_health(line)}
 
     def pids(self) -> dict[str, int]:
-        """Process ids of the servers that are alive, by name."""
-        return {name: health.pid for name, health in self.health().items() if health.is_alive}
+        """Process ids of the servers that run and said no farewell, by name, however late their heartbeats are."""
+        heard = {name: health for name, health in self.health().items() if health.state != "finalized"}
+        return {name: health.pid for name, health in heard.items() if is_running(health.pid)}
 
     def without(self, *variables: str) -> Home:
         """The same place without some variables."""

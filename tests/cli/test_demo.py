@@ -10,11 +10,13 @@ from subprocess import CompletedProcess
 
 import pytest
 
+from station.episode.quality.check import check
 from station.episode.reading.reader import open_episode
 from station.episode.replaying.audit import audit
 from station.view import names
 from tests.cli.at_terminal import at_a_terminal
 from tests.cli.running import DEMO, IN_STEP, SHORT, Home, are_gone, demo_episode, new_home
+from tests.verdicts import expect_no_worse_but_late
 from tests.view.pictures import drawing_machine, pixels
 
 __all__ = ["drawing_machine"]
@@ -42,10 +44,12 @@ def episode(bare: Home, done: CompletedProcess[str]) -> Path:
 def test_without_upstream_data_the_robot_walks_is_recorded_checked_and_audited(
     done: CompletedProcess[str], episode: Path
 ) -> None:
-    assert ": good   " in done.stdout, done.stdout
     assert "0 lost, 0 falls" in done.stdout
     assert " steps, 0 different" in done.stdout
     reader = open_episode(episode)
+    quality = check(reader)
+    expect_no_worse_but_late("good", quality)
+    assert f": {quality.verdict}   " in done.stdout, done.stdout
     assert reader.manifest.policy.name == "tracker"
     assert reader.manifest.robot.facts["model"].endswith("g1.xml")
     assert audit(reader).is_equal

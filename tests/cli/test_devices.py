@@ -163,7 +163,7 @@ def test_an_example_is_played_until_it_is_stopped(home: Home, device: str, numbe
     ]
 
 
-UNPLUGGED = {"at_s": 0.3, "plugged": False}
+UNPLUGGED = {"at_s": 3.0, "plugged": False}
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ UNPLUGGED = {"at_s": 0.3, "plugged": False}
     [
         ("spacemouse", {"at_s": 0.1, "buttons": [1]}, "button_1=1"),
         ("gamepad", {"at_s": 0.1, "set": {"right_primary": 1}}, "right_primary=1"),
-        ("keyboard", {"at_s": 0.1, "press": "w"}, "key_w=1"),
+        ("keyboard", {"at_s": 0.1, "press": "w", "for_s": 2.5}, "key_w=1"),
     ],
 )
 def test_what_a_script_does_is_shown_until_the_device_is_gone(

@@ -14,7 +14,7 @@ import pytest
 
 from adapters.robots.g1 import twist_keys
 from station.bus import keys
-from tests.cli.at_terminal import AtTerminal
+from tests.cli.at_terminal import AtTerminal, stands_still
 from tests.cli.running import Home, new_home, one_line
 from tests.episode.synthetic import EpisodeBuilder, walk
 from tests.faults.disks import small_disk
@@ -102,6 +102,24 @@ def test_what_cannot_be_is_told_in_a_line(walked: Home, arguments: list[str], to
     assert not (ROOT / ".x.export").exists(), "where nothing was made, nothing is left"
 
 
+HALF_WAY = """
+import os, runpy, signal
+from station import side_by_side
+run = side_by_side.run
+def run_half_way(*given, on_done, **how):
+    done = []
+    def tell(attempt):
+        on_done(attempt)
+        done.append(attempt)
+        if len(done) == 5:
+            os.kill(os.getpid(), signal.SIGSTOP)
+    return run(*given, on_done=tell, **how)
+side_by_side.run = run_half_way
+runpy.run_module("station", run_name="__main__", alter_sys=True)
+"""
+"""The station, which stands still, and gives its processes no more to do, once five episodes are done."""
+
+
 @pytest.fixture
 def many(walked: Home, tmp_path: Path) -> Path:
     """A data folder with so many episodes that an export can be met in the middle."""
@@ -118,9 +136,11 @@ def test_an_export_that_ends_in_the_middle_goes_on_when_it_is_called_again(
 ) -> None:
     command = ("export", "npz", "--data", str(many), "--out", str(tmp_path / "out"), "--jobs", "2")
     shards = tmp_path / ".out.export" / "shards"
-    with AtTerminal(walked, *command) as terminal:
-        wait_until(lambda: shards.is_dir() and len(list(shards.iterdir())) > 3)
+    with AtTerminal(walked, *command, program=("-c", HALF_WAY)) as terminal:
+        wait_until(lambda: stands_still(terminal.process.pid))
+        assert len(list(shards.iterdir())) > 3
         os.killpg(terminal.process.pid, number)  # as Ctrl-C does
+        terminal.send(signal.SIGCONT)
         code = terminal.finish()
         if number == signal.SIGINT:
             assert code == 130

@@ -11,7 +11,7 @@ from station.episode.quality.check import check
 from station.episode.reading.reader import open_episode
 from tests.cli.conftest import wave_once
 from tests.cli.running import DEMO, Home, demo_episode, new_home, status_of_motion
-from tests.cli.stopped import driven_robot, stop_and_reset
+from tests.cli.stopped import IN_TIME, driven_robot, stop_and_reset
 from tests.figures import Figures
 from tests.late_verdicts import expect_no_worse_in_time
 from tests.lateness import TooLate, Waits, in_time
@@ -24,7 +24,8 @@ STOPS = 10
 def test_a_stop_from_the_command_line_damps_within_a_step(processes: None, proof: Figures) -> None:
     def stop(home: Home) -> int:
         waits = Waits()
-        before = stop_and_reset(home)
+        before, said = stop_and_reset(home)
+        assert said == (f"e-stop: {IN_TIME[0]}", IN_TIME[1])
         if before > 1:  # at most the step that was under way when the stop was written
             raise TooLate("the stop", (before - 1) * PERIOD_S, waits.seconds())
         return before

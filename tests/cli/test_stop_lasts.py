@@ -11,6 +11,7 @@ from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.client import Bus
 from tests.cli.running import Home, one_line
+from tests.cli.stopped import release
 from tests.servers.g1_station import LIGHT
 from tests.waiting import wait_until
 
@@ -64,10 +65,10 @@ def test_a_robot_that_is_started_alone_starts_stopped_and_says_it_to_the_bus(hom
             assert "the emergency stop is latched" in one_line(
                 home.run("serve", "motion", "--set", "motion=builtin:wave")
             )
-            assert home.run("estop", "--reset").stdout == "e-stop released\n"
+            release(home)
             with Bus(home.bus, name="test", timeout_s=5.0) as line:
-                gate = codec.parse_json(line.get(keys.command_gate(twist_keys.TWIST2_ROBOT)) or b"{}")
-                assert gate["state"] == "waiting"
+                key = keys.command_gate(twist_keys.TWIST2_ROBOT)
+                wait_until(lambda: codec.parse_json(line.get(key) or b"{}").get("state") == "waiting")
             os.kill(robot.process.pid, signal.SIGKILL)
         with home.running("serve", "g1", *sets):
             wait_until(lambda: home.health()["g1"].detail.get("gate") == "waiting")

@@ -40,13 +40,19 @@ def _cycle(at_s: float) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
+def press_and_push(twist: list[float]) -> list[dict[str, Any]]:
+    """Press and push the cap, again and again: where a sample came late and driving ended, the next press begins it."""
+    begin_s = [4.0 * cycle for cycle in range(30)]
+    return [step for at_s in begin_s for step in (*press(at_s + 0.5), *push(at_s + 1.0, twist, 2.0))]
+
+
 def move_and_let_go(folder: Path) -> list[str]:
     """Do so, again where a sample came late and driving ended by itself; return why driving ended each time."""
     steps = [step for cycle in range(CYCLES) for step in _cycle(cycle * CYCLE_S)]
     with OperatedArm(folder, steps) as station:
         arm = station.start_arm()
-        station.start_script()
         started = arm.session.q.copy()
+        station.start_script()
         rest, stands = Rest([], []), started
 
         def is_done() -> bool:

@@ -7,7 +7,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import groupby, pairwise
+from itertools import dropwhile, groupby, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.sample import Sample
 from station.bus.tap import Write
-from station.life.events import Event
 from station.operator import sample as readings
 from station.operator.sample import OperatorSample, Status
 from tests.servers.one_server import OneServer
@@ -70,13 +69,16 @@ class Station(OneServer):
         """Return the states that were told, in order, without ``stale``, which a busy machine adds for a moment."""
         return [state for state, _ in groupby(state for state in self.states() if state != "stale")]
 
-    def until_told(self, *states: str, beside: Callable[[], object]) -> None:
-        """Wait until states that last were told, in order, and something is so."""
-        self.until(lambda: self.lasting() == list(states) and bool(beside()))
+    def until_back(self, reason: str, *, beside: Callable[[], object]) -> None:
+        """Wait until it was told that the device is lost for a reason and, since then, live, and something is so."""
 
-    def told(self, name: str) -> Event:
-        """Return the newest event of a name."""
-        return [event for event in self.events if event.name == name][-1]
+        def is_back() -> bool:
+            since = dropwhile(
+                lambda event: event.name != "operator-lost" or reason not in str(event.detail), self.events
+            )
+            return any(event.name == "operator-live" for event in since)
+
+        self.until(lambda: is_back() and bool(beside()))
 
     def _keep(self, writes: list[Write]) -> None:
         values = {write.key: write.value or b"" for write in writes}

@@ -122,13 +122,16 @@ class Commander:
         station: Whose arm.
         name: Under which it writes.
         speed_rad_s: Of joint 1 [rad/s].
+        moves: Whether it moves from the first write on.
     """
 
-    def __init__(self, station: ArmStation, name: str = "commander", *, speed_rad_s: float = 0.3) -> None:
+    def __init__(
+        self, station: ArmStation, name: str = "commander", *, speed_rad_s: float = 0.3, moves: bool = True
+    ) -> None:
         self._speed_rad_s = speed_rad_s
         self._bus = Bus(station.server.address, name=name, timeout_s=5.0)
         self.q = station.used()
-        self.moves = True
+        self.moves = moves
         self.longest_gap_s = 0.0  # a busy machine may keep it from writing
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)

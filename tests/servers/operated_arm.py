@@ -34,6 +34,8 @@ from tests.waiting import wait_until
 
 ROBOT = KR810_ROBOT
 TIMEOUT_S = 60.0
+PATIENT = GateConfig(hold_after_s=1.0, return_after_s=3.0)
+"""These tests are about who drives, and not about an arm whose commands are late: that is the gate's."""
 _NOT_HEARD = "has not said where it is"  # how the teleoperation server speaks of an arm
 
 
@@ -43,7 +45,7 @@ class ArmAtWork:
     def __init__(self, address: Any) -> None:
         self.session = IdealArm()
         command_format = arm_command("kassow", arm_limits.load("kassow", "kr810"))
-        self.control = ArmControl(self.session, command_format, gate=GateConfig(), is_armed=True)
+        self.control = ArmControl(self.session, command_format, gate=PATIENT, is_armed=True)
         self._bus = Bus(address, name="arm", timeout_s=5.0)
         self._watch = self._bus.watch([keys.action_joints(ROBOT)])
         self._stop = threading.Event()

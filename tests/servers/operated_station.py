@@ -31,7 +31,7 @@ from station.rotations import tilt
 from station.supervision.supervisor import Supervisor
 from tests.servers.engagements import jumps_at_engaging
 from tests.servers.g1_station import ROBOT, Log
-from tests.servers.worn_headset import PRESS_S, WornHeadset
+from tests.servers.worn_headset import AGAIN_S, PRESS_S, WornHeadset
 from tests.waiting import wait_until
 
 START_PAUSE = "right_primary"
@@ -98,9 +98,11 @@ class OperatedStation:
         return self.headset
 
     # -- What the operator does --------------------------------------------------------------------------------------
-    def press(self, *controls: str, until: Callable[[], object], for_s: float = PRESS_S) -> None:
+    def press(
+        self, *controls: str, until: Callable[[], object], for_s: float = PRESS_S, again_s: float = AGAIN_S
+    ) -> None:
         """Press controls until something is so."""
-        self.worn.press(*controls, until=until, for_s=for_s, timeout_s=TIMEOUT_S)
+        self.worn.press(*controls, until=until, for_s=for_s, again_s=again_s, timeout_s=TIMEOUT_S)
 
     @property
     def is_engaged(self) -> bool:

@@ -112,6 +112,11 @@ def test_of_pictures_that_waited_the_newest_goes_to_the_bus(
         station.until(lambda: station.detail.get("skipped") == 2)
 
 
+def is_lost(station: CameraStation, reason: str) -> bool:
+    """Whether it was told that the camera is lost for a reason; a busy machine may add another one."""
+    return any(reason in event.detail["reason"] for event in station.told("camera-lost"))
+
+
 def is_stopped(pid: int) -> bool:
     return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "T"
 
@@ -122,17 +127,17 @@ def test_a_camera_that_is_torn_out_is_lost_and_comes_back_by_itself(
     with fake.camera(library, devices) as camera:
         begin(station, camera)
         pass_on(station, camera, 1)
+        backs = len(station.told("camera-back"))
         camera.unplug()
-        station.until(lambda: station.told("camera-lost"))
-        assert "gone; plug it in again" in station.told("camera-lost")[0].detail["reason"]
-        station.until(lambda: "no camera found" in station.told("camera-lost")[-1].detail["reason"])
+        station.until(lambda: is_lost(station, "gone; plug it in again"))
+        station.until(lambda: is_lost(station, "no camera found"))
         station.until(lambda: station.detail.get("camera") == "lost")
         camera.plug_in()
         taken = pass_on(station, camera, 2)
-        station.until(lambda: station.told("camera-back"))
+        station.until(lambda: len(station.told("camera-back")) > backs)
         assert station.shots[-1].jpeg == pictures.jpeg(2)
         assert station.shots[-1].stamp.capture_ns == taken[0]
-        assert len(station.told("camera-back")) == 1
+        assert len(station.told("camera-back")) == backs + 1
         station.until(lambda: station.detail.get("camera") == "live")
         assert station.detail["lost"] == 0, "a stream that begins anew has no hole"
         assert station.stop() == 0
@@ -154,8 +159,7 @@ def test_a_camera_without_pictures_is_lost_until_it_has_some(
         if fails:
             pass_on(station, camera, 1)
             camera.fail(errno.EIO)
-        station.until(lambda: station.told("camera-lost"))
-        assert told in station.told("camera-lost")[0].detail["reason"]
+        station.until(lambda: is_lost(station, told))
         pass_on(station, camera, 2)
         station.until(lambda: station.told("camera-back"))
 

@@ -46,7 +46,7 @@ def test_a_runbook_starts_several_under_names_of_their_own(bus_server: BusAddres
         subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
         ) as process,
-        Bus(bus_server, name="test") as bus,
+        Bus(bus_server, name="test", timeout_s=5.0) as bus,
     ):
         wanted = [keys.camera_image("head"), keys.camera_image("left_wrist")]
         found: dict[str, Sample] = {}

@@ -23,6 +23,7 @@ from station.life import events
 from station.life.server import DEAD_AFTER_S, read_health
 from tests.adapters.cues.programs import calls, put
 from tests.servers.device_station import RUN
+from tests.servers.g1_station import Log, logged
 from tests.waiting import DEADLINE_S, wait_until
 
 TAKE = "2026-11-21-g1-walk-0007"
@@ -150,29 +151,29 @@ serve(kind, Nothing(), address=parse(sys.argv[1]))
 
 def test_a_voice_that_fails_is_an_event_and_the_others_go_on(start: Start, bus: Bus, tmp_path: Path) -> None:
     put(tmp_path / "bin", "espeak-ng", then='sys.exit("no card")')
-    start(voices=["speech", "wav"], options={"wav": {"file": str(tmp_path / "cues.wav")}})
-    tell(bus, "teleop", "operator-engaged")
-    wait_until(lambda: (tmp_path / "cues.txt").read_text().endswith("\tengaged\n"))
+    with logged(bus.address) as log:
+        start(voices=["speech", "wav"], options={"wav": {"file": str(tmp_path / "cues.wav")}}, old_s=60)
+        tell(bus, "teleop", "operator-engaged")
+        wait_until(lambda: (tmp_path / "cues.txt").read_text().endswith("\tengaged\n"))
+        wait_until(lambda: flaws(log) == [{"voice": "speech", "reason": "espeak-ng ended with exit code 1: no card"}])
 
-    wait_until(lambda: flaws(bus) == [{"voice": "speech", "reason": "espeak-ng ended with exit code 1: no card"}])
 
-
-def flaws(bus: Bus) -> list[dict[str, Any]]:
+def flaws(log: Log) -> list[dict[str, Any]]:
     """What the server told of cues that were not said."""
-    found = (event for health in read_health(bus) for event in health.events)
-    return [event.detail for event in found if event.name == "cue-not-said"]
+    return [event.detail for event in log.events("cue-not-said")]
 
 
 def test_after_a_cue_that_could_not_be_broken_off_the_next_is_said(start: Start, bus: Bus, tmp_path: Path) -> None:
     hangs = 'while "engaged" in sys.argv or "--cancel" in sys.argv: time.sleep(0.05)'
     log = put(tmp_path / "bin", "spd-say", then=hangs)
-    start(voices=["speech"])
-    tell(bus, "teleop", "operator-engaged")
-    wait_until(lambda: calls(log))
-    tell(bus, "g1", "estop", reason="emergency stop")
     reason = "`spd-say --cancel` has not ended within 1 s; does its sound service run?"
-    wait_until(lambda: flaws(bus) == [{"voice": "speech", "reason": reason}])
-    wait_until(lambda: [arguments[-1] for arguments in calls(log)][2:] == ["emergency stop"])
+    with logged(bus.address) as told:
+        start(voices=["speech"], old_s=60)
+        tell(bus, "teleop", "operator-engaged")
+        wait_until(lambda: calls(log))
+        tell(bus, "g1", "estop", reason="emergency stop")
+        wait_until(lambda: flaws(told) == [{"voice": "speech", "reason": reason}])
+        wait_until(lambda: [arguments[-1] for arguments in calls(log)][2:] == ["emergency stop"])
 
 
 def test_a_file_of_the_lab_is_heeded(start: Start, bus: Bus, tmp_path: Path, said: Callable[[], list[str]]) -> None:

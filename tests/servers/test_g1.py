@@ -57,7 +57,7 @@ def test_malformed_commands_of_every_kind_are_refused_told_once_per_kind_and_sur
            json.dumps([9.0] * 35).encode(), b'{"a": 1}', b"null"]  # fmt: skip
     with (
         logged(bus_server) as log,
-        G1Process(bus_server, *LIGHT) as server,
+        G1Process(bus_server, *PATIENT) as server,  # none of them is too old, however long it was on its way
         Bus(bus_server, name="bad", timeout_s=5.0) as bus,
     ):
         wait_until(lambda: ticks(log) > 5)

@@ -49,9 +49,9 @@ def test_the_emergency_stop_is_heard_in_lock_step_while_no_command_comes(bus_ser
 
 def test_a_motion_through_the_lock_step_station_gives_the_figures_of_its_rehearsal(bus_server: BusAddress) -> None:
     (expected,) = rehearse_all([WALK], RigConfig(), jobs=1)
-    with logged(bus_server) as log, G1Process(bus_server, "pace=command", "command_timeout_s=5"):
+    with logged(bus_server) as log, G1Process(bus_server, "pace=command", "command_timeout_s=20"):
         wait_until(lambda: log.of(keys.robot_state(ROBOT)))
-        with motion_process(bus_server, f"motion={WALK}", "pace=state") as motion:
+        with motion_process(bus_server, f"motion={WALK}", "pace=state", "patience_s=20") as motion:
             _, err = motion.communicate(timeout=100)
             assert motion.returncode == 0, err
     error = TrackingError(names_of(FORMAT.elements), registry.find("command", "twist2").joint_names)

@@ -150,7 +150,7 @@ def test_a_recorder_killed_in_mid_episode_leaves_what_it_has_flushed(recorder: S
     point = load_resume_point(folder)
     assert point is not None
     assert point.position is not None
-    assert point.messages == sum(1 for _ in reader.messages())
+    assert point.messages <= sum(1 for _ in reader.messages())
 
 
 def test_ending_the_recorder_closes_its_episode(recorder: Start, bus: Bus) -> None:

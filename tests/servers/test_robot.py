@@ -11,6 +11,7 @@ import pytest
 from servers.g1 import G1Config
 from station import config, registry
 from station.bus import keys
+from station.bus.client import Bus
 from station.control import rig
 from station.control.rig import RigConfig, checkpoint_of, robot_kind
 from station.control.robot_server import PolicyServerConfig, RobotConfig
@@ -32,6 +33,8 @@ def test_a_robot_is_served_by_its_registered_name_and_states_what_it_is() -> Non
             wait_until(lambda: (it := home.health().get("robot")) is not None and it.state == "active")
             stated = home.json("describe", ROBOT)
             assert (stated["model"], len(stated["joints"])) == ("unitree_g1", 29)
+            with Bus(home.bus, name="test", timeout_s=5.0) as line:
+                wait_until(lambda: line.get(keys.command_gate(ROBOT)) is not None)
             gate = home.json("describe", keys.command_gate(ROBOT))["value"]
             assert (gate["state"], gate["arming"]) == ("waiting", "armed")
             server.interrupt()

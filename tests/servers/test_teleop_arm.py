@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.servers.arm_trials import move_and_let_go, press, push
+from station.life.events import Event
+from tests.servers.arm_trials import move_and_let_go, press, press_and_push
 from tests.servers.operated_arm import OperatedArm
 from tests.waiting import wait_until
 
@@ -32,36 +33,41 @@ def test_nobody_drives_an_arm_that_has_not_said_where_it_is(tmp_path: Path) -> N
 
 
 def test_after_a_fault_the_arm_is_driven_from_where_it_stands_and_only_after_a_new_press(tmp_path: Path) -> None:
-    steps = [*press(0.5), *push(1.0, [0, 0, 1, 0, 0, 0], 3.0), *press(5.0), *press(9.0), *press(13.0)]
-    with OperatedArm(tmp_path, steps, driver="arm-joints") as station:
+    with OperatedArm(tmp_path, press_and_push([0, 0, 1, 0, 0, 0]), driver="arm-joints") as station:
         arm = station.start_arm()
         station.start_script()
         wait_until(lambda: len(arm.session.sent) > 50)
         arm.session.fault = "HALT: event 1010"
-        ended = station.wait_for("teleop-commands-end")
-        assert "HALT: event 1010" in ended.detail["reason"]
+        wait_until(lambda: ended_by(station, "HALT: event 1010"))
+        (ended,) = ended_by(station, "HALT: event 1010")
         assert ended.detail["then"] == "the robot stays where it is; engage anew"
-        arm.session.q = arm.session.q + 0.05  # pushed aside meanwhile
-        arm.session.goal = arm.session.q.copy()
-        stands = arm.session.q.copy()
-        count = len(station.commands())
+        stands = arm.session.q + 0.05
+        arm.session.goal = stands  # pushed aside meanwhile
+        wait_until(lambda: np.allclose(arm.session.q, stands, rtol=0.0, atol=1e-9))
+        count, engaged = len(station.commands()), len(station.told("operator-engaged"))
         arm.session.clear()
         arm.control.cleared("tests")
-        station.wait_for("operator-engaged", 2)
+        station.wait_for("operator-engaged", engaged + 1)
         wait_until(lambda: len(station.commands()) > count)
         assert station.commands()[count] == pytest.approx(stands, abs=1e-6)
 
 
+def ended_by(station: OperatedArm, reason: str) -> list[Event]:
+    """Return the events of commands that ended for a reason."""
+    return [event for event in station.told("teleop-commands-end") if reason in event.detail["reason"]]
+
+
 def test_asked_to_stop_it_leaves_the_arm_where_it_is_at_once(tmp_path: Path) -> None:
-    with OperatedArm(tmp_path, [*press(0.5), *push(1.0, [1, 0, 0, 0, 0, 0], 60.0)], leave_s=30.0) as station:
+    with OperatedArm(tmp_path, press_and_push([1, 0, 0, 0, 0, 0]), leave_s=30.0) as station:
         arm = station.start_arm()
         station.start_script()
         wait_until(lambda: len(arm.session.sent) > 50)
+        ended = len(station.told("teleop-commands-end"))
         station.supervisor.stop("teleop")
         wait_until(lambda: not arm.session.is_engaged)
         # On its way: at a command that it was given, not at its default; a busy machine's arm is behind the last one.
         away = np.abs(station.commands() - arm.session.q).max(axis=1)
         assert away.min() <= arm.session.lead_rad
         sent = len(arm.session.sent)
-        station.wait_for("teleop-commands-end")
+        station.wait_for("teleop-commands-end", ended + 1)
         assert len(arm.session.sent) == sent

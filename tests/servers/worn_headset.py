@@ -28,7 +28,7 @@ from station.life.loop import Rate
 
 PRESS_S = 0.3
 _SEEN_S = 0.2  # a release is believed after three ticks of what drives
-_AGAIN_S = 5.0
+AGAIN_S = 5.0
 _LOOK_S = 0.01
 _ROOT = Path(__file__).parents[2]
 
@@ -48,16 +48,18 @@ class WornHeadset:
         assert self._process.stdout is not None
         self.port = int(self._process.stdout.readline())
 
-    def press(self, *controls: str, until: Callable[[], object], for_s: float = PRESS_S, timeout_s: float) -> None:
-        """Press controls until something is so: again where nothing came of it, as a person does, because a machine
-        that is busy may not have seen it."""
+    def press(
+        self, *controls: str, until: Callable[[], object], for_s: float = PRESS_S, again_s: float, timeout_s: float
+    ) -> None:
+        """Press controls until something is so: again where nothing came of it for a time, as a person does, because a
+        machine that is busy may not have seen it."""
         end_s = time.monotonic() + timeout_s
         while not until():
             assert time.monotonic() < end_s, f"nothing came of pressing {'+'.join(controls)}: {until}"
             self._tell(control={"set": dict.fromkeys(controls, 1.0), "for_s": for_s})
             time.sleep(for_s + _SEEN_S)
-            again_s = time.monotonic() + _AGAIN_S
-            while not until() and time.monotonic() < again_s:
+            pressed_s = time.monotonic()
+            while not until() and time.monotonic() < pressed_s + again_s:
                 time.sleep(_LOOK_S)
 
     def hold(self, values: Mapping[str, float]) -> None:
