@@ -196,12 +196,13 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             self._arm_answer = known
             return False
         who = ", ".join(word for word in (request.who, request.reason) if word)
-        refused = ""
+        refused, was = "", self._control.commanded.arming.state
         if request.action == "arm":
             refused = self._control.arm(now_s, who)
         else:
             self._control.disarm(who)
-        self._arm_answer = ArmAnswer(id=request.id, action=request.action, refused=refused)
+        began = request.action == "arm" and was == "disarmed" and not refused
+        self._arm_answer = ArmAnswer(id=request.id, action=request.action, refused=refused, began=began)
         self._arm_answers.put(request.id, self._arm_answer)
         return True
 

@@ -38,11 +38,19 @@ class ArmRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class ArmAnswer(msgspec.Struct, frozen=True, kw_only=True):
-    """What came of a request; `refused` says why nothing was done, or is ""."""
+    """What came of a request.
+
+    Attributes:
+        id: Of the request.
+        action: What was asked for.
+        refused: Why nothing was done, or "".
+        began: Whether arming began by it; a robot that is armed already has nothing to do.
+    """
 
     id: str
     action: Action
     refused: str = ""
+    began: bool = False
 
 
 class _Gate(msgspec.Struct):
@@ -153,6 +161,8 @@ def _follow(watch: Watch, name: str, key: str, wanted: ArmRequest, deadline_s: f
             continue
         if gate.arm.refused:
             raise Refused(f"{name} is not {wanted.action}ed: {gate.arm.refused}")
+        if gate.arm.began and not seen:  # the ramp may be over before this process comes to look
+            seen.append("arming")
         if gate.arming not in seen[-1:]:
             seen.append(gate.arming)
         if wanted.action == "arm" and gate.state == "stopped":
