@@ -162,8 +162,8 @@ def test_who_is_overwritten_each_time_before_he_can_be_read_is_not_silent(
 def test_what_it_knows_of_is_as_old_as_its_last_look_on_the_clock_of_the_gate(watch: CommandWatch) -> None:
     receiver = CommandReceiver(watch, KEY, CommandArbiter())
     assert receiver.heard_s == (-math.inf, -math.inf)
-    began_s = time.monotonic()  # a reader that stood still hears anew from its next answer on
-    wait_until(lambda: receiver.newest() is None and began_s < receiver.heard_s[0] < receiver.heard_s[1])
+    began_s = time.monotonic()
+    wait_until(lambda: receiver.newest() is None and receiver.heard_s[0] < receiver.heard_s[1] > began_s)
     assert receiver.heard_s[1] < time.monotonic()
     wait_until(lambda: receiver.newest(7.0) is None and receiver.heard_s[0] < receiver.heard_s[1] < 7.0)
     wait_until(lambda: receiver.newest(7.0) is None and receiver.heard_s[1] > 6.0)
