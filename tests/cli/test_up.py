@@ -15,6 +15,12 @@ from tests.waiting import wait_until
 FOREVER = ("--set", "motion.loop=true", *SHORT)
 UNENDING = "  - check: key-rate\n    key: nobody\n    min_hz: 1\n    within_s: 3600\n  - start: recorder"
 """Steps of a start that does not come to its end."""
+G1_LOADS_FOR_EVER = """
+import sys, time
+if "g1" in sys.orig_argv:
+    time.sleep(3600)
+"""
+"""Found by each Python of a station, and obeyed by its robot."""
 RECORDED = ("--yes", "--record", "--task", "t", *FOREVER)
 
 
@@ -59,6 +65,19 @@ def test_ctrl_c_takes_the_station_down_in_order_and_closes_the_episode(home: Hom
     assert station.text.index("✓ stop motion") < station.text.index("✓ stop recorder")
     assert are_gone(pids)
     assert home.json("episodes", "show", out.strip())["manifest"]["state"] == "finished"
+
+
+def test_ctrl_c_while_a_server_loads_does_not_wait_for_it(home: Home, tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text(G1_LOADS_FOR_EVER)
+    home.environment["PYTHONPATH"] = str(tmp_path)
+    with home.running("up", "g1-sim-motion", *RECORDED) as station:
+        station.wait_for("✓ check bus")
+        station.interrupt()
+        code, out = station.finish()
+    assert code == 130, station.text
+    assert out == ""
+    assert "stopped: asked to stop before" in station.text
+    assert not home.data.exists() or not list(home.data.glob("*/*"))
 
 
 def test_ctrl_c_during_the_start_stops_what_has_started(home: Home, tmp_path: Path) -> None:
