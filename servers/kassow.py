@@ -35,7 +35,7 @@ from station.control.low_level import LowLevelLoop
 from station.errors import Refused
 from station.life.controller_request import ControllerAnswer, ControllerRequest
 from station.life.loop import Rate, real_time
-from station.life.request import AnswerMemory, parse
+from station.life.request import OVERTAKEN, Asked, DoneRequests, parse
 from station.life.server import Life
 from station.printable import printable
 from station.software import software
@@ -206,19 +206,21 @@ class RequestHandler:
         self._cleared: queue.SimpleQueue[tuple[ControllerRequest, str]] = queue.SimpleQueue()
         self._clearing: ControllerRequest | None = None
         self._answer: ControllerAnswer | None = None
-        self._answers = AnswerMemory[ControllerAnswer]()
+        self._done = DoneRequests[ControllerAnswer]()
 
-    def hear(self, data: bytes) -> None:
+    def hear(self, asked: Asked) -> None:
         """Take up what came on the key of requests."""
         try:
-            request = parse(data, ControllerRequest, "a request to a controller")
+            request = parse(asked.data, ControllerRequest, "a request to a controller")
         except Refused as error:
             self._control.commanded.note("request-refused", "warning", reason=str(error))
             return
-        if request.robot != self._robot or request == self._clearing:
+        if request.robot != self._robot or (self._clearing is not None and request.id == self._clearing.id != ""):
             return
-        if (known := self._answers.get(request.id)) is not None:  # its asker has not seen the answer yet
+        if (known := self._done.get(request.id)) is not None:  # its asker has not seen the answer yet
             self._answer = known
+        elif self._done.begin(asked.first_ns(request.late_s)):
+            self._reply(request, OVERTAKEN)
         elif request.action == "profile":
             self._reply(request, self._session.choose(request.profile))
         elif request.action == "throttle":
@@ -261,7 +263,7 @@ class RequestHandler:
 
     def _reply(self, request: ControllerRequest, refusal: str) -> None:
         self._answer = ControllerAnswer(id=request.id, action=request.action, refused=refusal)
-        self._answers.put(request.id, self._answer)
+        self._done.put(request.id, self._answer)
 
 
 def _open(config: KassowConfig, limits: ArmLimits) -> KordSession:

@@ -27,7 +27,7 @@ from station.errors import BusError, Refused
 from station.life import estop
 from station.life.arm_request import ArmAnswer, ArmRequest
 from station.life.loop import Rate
-from station.life.request import AnswerMemory, NewValue, parse
+from station.life.request import OVERTAKEN, Asked, DoneRequests, NewRequests, parse
 from station.life.server import Life
 from station.life.stop_file import StopKeeper
 
@@ -61,7 +61,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         state_values: Callable[[StateT], Mapping[str, bytes]],
         result_values: Callable[[RecordT, ArmAnswer | None], Mapping[str, bytes]],
         period_s: float,
-        requests: Mapping[str, Callable[[bytes], None]] | None = None,
+        requests: Mapping[str, Callable[[Asked], None]] | None = None,
     ) -> None:
         self._life, self._control, self._clock = life, control, life.clock
         self._state_values, self._result_values = state_values, result_values
@@ -77,10 +77,10 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         self._watch, self._receiver, self._key = self._watches[0], self._receivers[0], self._paths[0].command_format.key
         self._is_stopped_past_bus = False  # asked to, and not obeyed yet
         self._keeper = StopKeeper(life.bus.address)
-        self._arm_asked = NewValue(self._watch, keys.ARM)
+        self._arm_asked = NewRequests(self._watch, keys.ARM)
         self._arm_answer: ArmAnswer | None = None
-        self._arm_answers = AnswerMemory[ArmAnswer]()
-        self._asked = {key: NewValue(self._watch, key) for key in self._requests}
+        self._arm_done = DoneRequests[ArmAnswer]()
+        self._asked = {key: NewRequests(self._watch, key) for key in self._requests}
         self._said_s = -math.inf
         self._bus_is_lost = False
         life.on_estop(self._hear_supervisor)
@@ -178,32 +178,36 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         """Do what an operator asks for; return whether something was newly asked."""
         is_told = self._obey_stop(now_s)
         for key, act in self._requests.items():
-            if (data := self._asked[key].take()) is not None:
-                act(data)
+            if (asked := self._asked[key].take()) is not None:
+                act(asked)
         return self._obey_arm(now_s) or is_told
 
     def _obey_arm(self, now_s: float) -> bool:
-        if (data := self._arm_asked.take()) is None:
+        if (asked := self._arm_asked.take()) is None:
             return False
         try:
-            request = parse(data, ArmRequest, "an arm request")
+            request = parse(asked.data, ArmRequest, "an arm request")
         except Refused as error:
             self._life.event("request-refused", severity="warning", reason=str(error))
             return False
         if request.server not in ("", self._life.name):
             return False
-        if (known := self._arm_answers.get(request.id)) is not None:  # its asker has not seen the answer yet
+        if (known := self._arm_done.get(request.id)) is not None:  # its asker has not seen the answer yet
             self._arm_answer = known
             return False
         who = ", ".join(word for word in (request.who, request.reason) if word)
         refused, was = "", self._control.commanded.arming.state
-        if request.action == "arm":
+        is_overtaken = self._arm_done.begin(asked.first_ns(request.late_s))
+        if request.action == "arm" and is_overtaken and was == "disarmed":
+            refused = OVERTAKEN
+            self._life.event("arm-refused", severity="warning", who=who, reason=refused)
+        elif request.action == "arm":
             refused = self._control.arm(now_s, who)
         else:
             self._control.disarm(who)
         began = request.action == "arm" and was == "disarmed" and not refused
         self._arm_answer = ArmAnswer(id=request.id, action=request.action, refused=refused, began=began)
-        self._arm_answers.put(request.id, self._arm_answer)
+        self._arm_done.put(request.id, self._arm_answer)
         return True
 
     def _hear_supervisor(self) -> None:

@@ -12,6 +12,7 @@ from station.bus.client import Bus
 from station.bus.watch import Watch
 from station.errors import NotReady, Refused
 from station.life import request
+from station.life.request import LateS
 from station.life.server import Health, read_health
 
 Action = Literal["arm", "disarm"]
@@ -28,6 +29,7 @@ class ArmRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         id: Found again in the answer.
         server: Name of the low-level server; "" for every one.
         who, reason: For the recording.
+        late_s: How long after it was first written this was [s].
     """
 
     action: Action
@@ -35,6 +37,7 @@ class ArmRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     server: str = ""
     who: str = ""
     reason: str = ""
+    late_s: LateS = 0.0
 
 
 class ArmAnswer(msgspec.Struct, frozen=True, kw_only=True):

@@ -11,6 +11,7 @@ from station.bus import codec, keys
 from station.bus.client import Bus
 from station.errors import NotReady, Refused
 from station.life import arm_request, request
+from station.life.request import LateS
 
 Action = Literal["clear", "profile", "throttle"]
 
@@ -28,6 +29,7 @@ class ControllerRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         profile: Name, for ``profile``.
         throttle: Ticks, for ``throttle``.
         who: For the recording.
+        late_s: How long after it was first written this was [s].
     """
 
     action: Action
@@ -36,6 +38,7 @@ class ControllerRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     profile: str = ""
     throttle: int = 0
     who: str = ""
+    late_s: LateS = 0.0
 
 
 class ControllerAnswer(msgspec.Struct, frozen=True, kw_only=True):

@@ -1,7 +1,9 @@
 """A request to a server: JSON on a key, answered under the request's id in what that server publishes anyway.
 
-A key holds one value at a time: a request may be overwritten before its server has seen it, and a bus may be started
-again. So an asker writes it again until it is answered, and a server does what has the same id once.
+A key holds one value at a time: a request may be overwritten before its server has seen it, and its answer before its
+asker has. So an asker writes it again until it is answered, each time with how long ago it first did, and a server does
+what has the same id once. What moves a robot is not done late where another request was done since: that one may have
+stopped it. What holds it (disarm, pause) always is.
 """
 
 from __future__ import annotations
@@ -9,7 +11,7 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Callable, Mapping
-from typing import Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, NamedTuple, TypeVar
 
 import msgspec
 
@@ -17,6 +19,12 @@ from station.bus import codec
 from station.bus.client import Bus
 from station.bus.watch import Watch
 from station.errors import NotReady, Refused
+
+OVERTAKEN = "a request that was asked for after it was done before it; look at the robot, then ask again"
+"""Why what moves a robot is not done late."""
+
+LateS = Annotated[float, msgspec.Meta(ge=0.0, le=86400.0)]
+"""How long after it was first written a request was written again [s]."""
 
 _AGAIN_S = 0.5
 _LOOK_S = 0.2
@@ -52,7 +60,7 @@ def ask(
     *,
     what: str,
     within_s: float,
-    again_s: float = _AGAIN_S,
+    is_repeated: bool = True,
 ) -> dict[str, AnswerT]:
     """Write a request until it is answered on each of some keys; return the answers that came, by key.
 
@@ -60,17 +68,18 @@ def ask(
         bus: The bus that the servers listen on.
         watch: Watches the keys of the answers.
         key: Where requests of this kind are written.
-        request: What is asked for; it has an id.
+        request: What is asked for; it has an `id`, and, where it is repeated, a `late_s`.
         answers: By key where an answer comes: returns it where a value of that key has it, else None.
         what: What is asked for, in words, for errors.
         within_s: Longest wait [s].
-        again_s: When to write it again [s]; infinite: only to a bus that was away meanwhile.
+        is_repeated: Whether to write it every half second; else again only to a bus that was away meanwhile.
 
     Raises:
         NotReady: the bus did not take the request.
     """
-    clock, data = bus.clock, {key: codec.json_object(request)}
-    deadline_s, sent_s, sent_on = clock.monotonic_s() + within_s, -math.inf, 0
+    clock, again_s = bus.clock, _AGAIN_S if is_repeated else math.inf
+    began_s, sent_s, sent_on = clock.monotonic_s(), -math.inf, 0
+    deadline_s = began_s + within_s
     found: dict[str, AnswerT] = {}
     has_tried = False  # once, however late this process is
     for place, answer_in in answers.items():
@@ -78,7 +87,9 @@ def ask(
         while place not in found and ((now_s := clock.monotonic_s()) < deadline_s or not has_tried):
             has_tried = True
             if watch.connections != sent_on or now_s - sent_s >= again_s:
-                if bus.publish(data):
+                if is_repeated:
+                    request = msgspec.structs.replace(request, late_s=now_s - began_s)
+                if bus.publish({key: codec.json_object(request)}):
                     sent_s, sent_on = now_s, watch.connections
                 elif bus.is_connected:
                     raise NotReady(f"{what}: the bus {bus.address} did not take the request ({bus.last_error})")
@@ -91,7 +102,24 @@ def ask(
     return found
 
 
-class NewValue:
+class Asked(NamedTuple):
+    """A request as it was found on its key.
+
+    Attributes:
+        data: Its bytes.
+        written_ns: When it was written, on this machine's monotonic clock; when it arrived, for a writer elsewhere; 0
+            where neither is known.
+    """
+
+    data: bytes
+    written_ns: int
+
+    def first_ns(self, late_s: float) -> int:
+        """Return when it was first written, by how long before this writing that was [s]."""
+        return self.written_ns - round(late_s * 1e9)
+
+
+class NewRequests:
     """The value of a watched key, once for each that came; what stood there before is no request.
 
     Args:
@@ -109,7 +137,7 @@ class NewValue:
         """Whether one came since the last `take`."""
         return self._watch.latest(self._key) is not self._seen
 
-    def take(self) -> bytes | None:
+    def take(self) -> Asked | None:
         """Return the newest that came since the last call, else None."""
         sample = self._watch.latest(self._key)
         if sample is self._seen:
@@ -117,18 +145,26 @@ class NewValue:
         self._seen = sample
         if sample is None or (self._is_age_needed and sample.arrived_ns is None):
             return None
-        return sample.value
+        mark, arrived_ns = sample.stamp, sample.arrived_ns or 0
+        is_ours = mark is not None and mark.is_from_this_boot
+        return Asked(sample.value, min(mark.mono_ns, arrived_ns) if mark is not None and is_ours else arrived_ns)
 
 
-class AnswerMemory(Generic[AnswerT]):
-    """The newest answers by the ids of their requests, for one that is written again."""
+class DoneRequests(Generic[AnswerT]):
+    """What became of requests: their answers by id, for one that is written again, and when the newest was written."""
 
     def __init__(self) -> None:
         self._answers: dict[str, AnswerT] = {}
+        self._newest_ns = 0
 
     def get(self, asked: str) -> AnswerT | None:
         """Return the answer to a request; None where it is new, or has no id."""
         return self._answers.get(asked)
+
+    def begin(self, first_ns: int) -> bool:
+        """Take up a request that was first written then [ns]; return whether one that was written later was before."""
+        is_overtaken, self._newest_ns = first_ns < self._newest_ns, max(self._newest_ns, first_ns)
+        return is_overtaken
 
     def put(self, asked: str, answer: AnswerT) -> None:
         """Keep an answer; one to a request without an id is not kept."""

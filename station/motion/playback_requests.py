@@ -14,7 +14,7 @@ from station.bus.watch import Watch
 from station.errors import NotReady, Refused
 from station.life import events, request
 from station.life.events import Event
-from station.life.request import AnswerMemory, NewValue
+from station.life.request import DoneRequests, LateS, NewRequests
 from station.life.server import Life
 from station.motion.playback import Playback
 
@@ -23,6 +23,7 @@ MotionAction = Literal["start", "pause", "resume", "seek", "loop", "leave"]
 WITHIN_S = 5.0
 """Longest wait for an answer [s]: of a motion server that is late."""
 
+_ALWAYS = ("pause", "leave")  # is done however late it comes: it ends a movement
 _DONE, _REFUSED = "motion-control", "motion-control-refused"
 
 
@@ -34,12 +35,14 @@ class MotionControl(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         time_s: Where `seek` goes to [s].
         on: Whether `loop` is switched on.
         id: Found again in the event that answers; "" where none is waited for.
+        late_s: How long after it was first written this was [s].
     """
 
     action: MotionAction
     time_s: float | None = None
     on: bool = True
     id: str = ""
+    late_s: LateS = 0.0
 
 
 def ask(bus: Bus, action: MotionAction, *, within_s: float = WITHIN_S, **fields: Any) -> None:
@@ -82,36 +85,37 @@ class Requests:
         self, life: Life, watch: Watch, playback: Playback, signals: Mapping[str, Literal["start", "leave"]]
     ) -> None:
         self._life, self._playback, self._signals = life, playback, signals
-        self._new = {key: NewValue(watch, key, is_age_needed=False) for key in (*signals, keys.MOTION_CONTROL)}
-        self._told = AnswerMemory[Callable[[], None]]()
+        self._new = {key: NewRequests(watch, key, is_age_needed=False) for key in (*signals, keys.MOTION_CONTROL)}
+        self._done = DoneRequests[Callable[[], None]]()
 
     def obey(self) -> None:
         """Do what was newly asked for; call once per tick."""
         verbs = {"start": self._playback.start, "leave": self._playback.leave}
-        for key, asked in self._signals.items():
-            if self._new[key].take() == b"1":
-                verbs[asked]()
-        data = self._new[keys.MOTION_CONTROL].take()
-        if data is None:
+        for key, verb in self._signals.items():
+            if (signal := self._new[key].take()) is not None and signal.data == b"1":
+                verbs[verb]()
+        if (asked := self._new[keys.MOTION_CONTROL].take()) is None:
             return
         try:
-            asked_for = request.parse(data, MotionControl, "a motion request")
+            wanted = request.parse(asked.data, MotionControl, "a motion request")
         except Refused as error:
             self._life.event(_REFUSED, severity="warning", reason=str(error))
             return
-        tell = self._told.get(asked_for.id) or self._done(asked_for)
-        self._told.put(asked_for.id, tell)
+        if (tell := self._done.get(wanted.id)) is None:
+            is_overtaken = self._done.begin(asked.first_ns(wanted.late_s))
+            tell = self._obey(wanted, request.OVERTAKEN if is_overtaken and wanted.action not in _ALWAYS else "")
+            self._done.put(wanted.id, tell)
         tell()
 
-    def _done(self, asked: MotionControl) -> Callable[[], None]:
-        """Do what was asked for; return what tells of it."""
+    def _obey(self, asked: MotionControl, refusal: str) -> Callable[[], None]:
+        """Do what was asked for, unless it is refused; return what tells of it."""
         whose: dict[str, Any] = {"id": asked.id} if asked.id else {}
         try:
-            is_done = self._do(asked)
-            refusal = f"{asked.action} does not apply while {self._playback.phase}"
+            if not refusal and not self._do(asked):
+                refusal = f"{asked.action} does not apply while {self._playback.phase}"
         except codec.BadValue as error:
-            is_done, refusal = False, str(error)
-        if is_done:
+            refusal = str(error)
+        if not refusal:
             return partial(self._life.event, _DONE, action=asked.action, time_s=self._playback.time_s, **whose)
         return partial(self._life.event, _REFUSED, severity="warning", reason=refusal, **whose)
 

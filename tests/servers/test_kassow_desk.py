@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from servers.kassow import RequestHandler
 from station.bus import codec
 from station.life.controller_request import Action, ControllerAnswer, ControllerRequest
+from station.life.request import OVERTAKEN, Asked
 from tests.adapters.robots.kassow.driven_arm import DrivenArm
 from tests.waiting import wait_until
 
@@ -29,8 +31,9 @@ def desk(arm: DrivenArm) -> RequestHandler:
     return RequestHandler(arm.control, arm.session, ROBOT)
 
 
-def request(action: Action, number: str, **asked: Any) -> bytes:
-    return codec.json_object(ControllerRequest(action=action, id=number, robot=ROBOT, who="ada", **asked))
+def request(action: Action, number: str, **wanted: Any) -> Asked:
+    data = codec.json_object(ControllerRequest(action=action, id=number, robot=ROBOT, who="ada", **wanted))
+    return Asked(data, time.monotonic_ns())
 
 
 def answer_to(desk: RequestHandler, number: str) -> ControllerAnswer:
@@ -113,6 +116,13 @@ def test_a_request_that_is_written_again_is_answered_again_and_done_once(
     wait_until(lambda: arm.step(None) is not None and arm.bridge.get_state().throttle == 59)
 
 
+def test_a_request_that_was_overtaken_by_another_is_refused(arm: DrivenArm, desk: RequestHandler) -> None:
+    desk.hear(request("throttle", "later", throttle=5))
+    desk.hear(request("throttle", "first", throttle=2, late_s=0.5))
+    assert answer_to(desk, "first").refused == OVERTAKEN
+    wait_until(lambda: arm.step(None) is not None and arm.bridge.get_state().throttle == 5)
+
+
 def test_a_clear_that_is_written_again_while_it_goes_on_is_no_second_one(
     arm: DrivenArm, desk: RequestHandler, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -149,7 +159,7 @@ def test_a_clear_ends_driving_and_who_drove_has_to_let_go(arm: DrivenArm, desk: 
 
 def test_requests_to_another_arm_and_what_is_none_are_not_answered(desk: RequestHandler) -> None:
     for data in (b"hello", codec.json_object(ControllerRequest(action="clear", id="a", robot="kassow_other"))):
-        desk.hear(data)
+        desk.hear(Asked(data, 1))
     assert desk.look() is None
 
 

@@ -283,11 +283,15 @@ def test_an_operator_pauses_seeks_resumes_and_ends(start: Start, robot: StandInR
     assert not paused.command[[0, 1, 5]].any()
     control(bus, writes, {"action": "seek", "time_s": 0.4})
     wait_until(lambda: robot.tick().source["time_s"] == pytest.approx(0.4))
+    bus.publish({keys.MOTION_CONTROL: b'{"action": "resume", "late_s": 60}'})  # first written before the others
+    wait_until(lambda: writes.events("motion-control-refused"))
+    assert "was asked for after it was done before it" in writes.events("motion-control-refused")[0]["reason"]
+    assert robot.tick().phase == "paused"
     control(bus, writes, {"action": "resume"})
     robot.until("playing")
     control(bus, writes, {"action": "pause", "id": "once"})  # written again: answered again, and not done again
     assert {robot.tick().phase for _ in range(5)} == {"playing"}
-    control(bus, writes, {"action": "leave"})
+    control(bus, writes, {"action": "leave", "late_s": 60})  # what ends a movement is done however late it comes
     robot.until("done")
     assert finish(process) == 0
     told = [event["action"] for event in writes.events("motion-control")]

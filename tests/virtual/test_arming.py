@@ -16,6 +16,7 @@ from station.bus.client import Bus
 from station.errors import NotReady, Refused
 from station.life import arm_request
 from station.life.arm_request import ArmRequest
+from station.life.request import OVERTAKEN
 from tests.virtual.clock import VirtualClock
 from tests.virtual.network import Network
 from tests.virtual.station import FORMAT, Commander, ControlledRobot, Walk, commander, events
@@ -85,6 +86,19 @@ def test_a_request_to_arm_that_is_written_again_after_the_robot_was_disarmed_arm
     clock.until(lambda: len(disarmed.ticks) > ticks + 50)
     assert {tick.arming for tick in disarmed.ticks[ticks + 1 :]} == {"disarmed"}
     assert len(events(network, "arming")) == 1
+
+
+def test_a_request_to_arm_that_comes_after_a_later_one_to_disarm_arms_nothing_and_is_told(
+    clock: VirtualClock, network: Network, bus: Bus, disarmed: ControlledRobot
+) -> None:
+    arm_request.ask(bus, "disarm")
+    bus.publish({keys.ARM: codec.json_object(ArmRequest(action="arm", id="lost", late_s=1.0))})
+    clock.until(lambda: events(network, "arm-refused"))
+    assert events(network, "arm-refused")[0].detail["reason"] == OVERTAKEN
+    assert {tick.arming for tick in disarmed.ticks} == {"disarmed"}
+    assert arm_request.ask(bus, "arm") == {"g1": ["arming", "armed"]}
+    bus.publish({keys.ARM: codec.json_object(ArmRequest(action="disarm", id="late", late_s=60.0))})
+    clock.until(lambda: disarmed.ticks[-1].arming == "disarmed")
 
 
 def test_what_is_no_request_to_arm_is_told(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from station.bus import keys
@@ -30,7 +29,7 @@ def ask(bus: Bus, action: Action, *, timeout_s: float = 20.0, **fields: Any) -> 
     with bus.watch([keys.RECORD_ACK]) as watch:
         answers = {keys.RECORD_ACK: lambda data: parse_answer(data, wanted.id)}
         found = request.ask(  # the recorder misses no write of a bus that is there
-            bus, watch, keys.RECORD, wanted, answers, what=what, within_s=timeout_s, again_s=math.inf
+            bus, watch, keys.RECORD, wanted, answers, what=what, within_s=timeout_s, is_repeated=False
         )
     if not found:
         raise NotReady(f"{what}: no recorder answered within {timeout_s:g} s; start one with `station serve recorder`")
