@@ -99,7 +99,7 @@ def follow(control: ControlStep, command: Floats, now_s: float) -> StepRecord:
 
 @dataclass
 class Operator:
-    """Somebody who swings about, throws the sticks and presses the button now and then."""
+    """An operator who moves at random, throws the sticks and presses the button now and then."""
 
     random: np.random.Generator
     hands_s: float = 0.0

@@ -100,9 +100,7 @@ class MotionConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 def main(config: MotionConfig, life: Life) -> int:
     """Load the motion, play it, leave in the default pose; return the exit code."""
     command: CommandFormat = registry.find("command", config.format)
-    if staying := [
-        part.name for part in parts_of(command) if part.holds_position
-    ]:  # a motion begins and ends at a default
+    if staying := [part.name for part in parts_of(command) if part.holds_position]:
         raise ConfigError(
             f"format {config.format!r}: {', '.join(staying)} rests where it is, and has no pose to begin a motion from"
         )

@@ -1,4 +1,4 @@
-"""How an operator moves the tool of an arm: a goal that stays near the tool, within a box, no faster than told."""
+"""How an operator moves the tool of an arm: a goal that stays near the tool, within a box and a speed limit."""
 
 from __future__ import annotations
 

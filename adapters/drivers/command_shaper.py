@@ -28,7 +28,7 @@ class CommandShaper:
         self._begun_s, self._lasts_s = 0.0, np.ones(len(self.sent))
 
     def take_up(self, command: Floats) -> None:
-        """Let a command of somebody else stand, shape (m,)."""
+        """Take up another writer's command, shape (m,), and go on from it."""
         self.sent = np.clip(command, self.command_format.lower, self.command_format.upper)
         self.begin()
 

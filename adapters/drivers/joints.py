@@ -111,7 +111,7 @@ class JointsDriver:
         )
 
     def differences(self, leader: Floats) -> list[Difference]:
-        """Return a table of where each joint of leader and robot is, for the operator who brings them together."""
+        """Return where each joint of leader and robot is, for the operator who brings them together."""
         pairs = zip(self._options.joints, leader.tolist(), self._q.tolist(), strict=False)
         return [Difference(*pair) for pair in pairs]
 

@@ -24,7 +24,7 @@ _FASTEST_HZ = 1000.0
 _CAMERA = PICTURE
 _UNKNOWN = (
     "what the keys held between two ticks: the recorder polled them",
-    "how old each value was: a key that nobody wrote any more was recorded as if it were alive",
+    "how old each value was: a key that had no writer any more was recorded as if it were alive",
     "when each picture was taken: t_img is when it was copied",
     "the policy, its checkpoint and rate, and what the robot was really sent",
     "the robot's joint velocities and orientation beyond roll and pitch",
@@ -85,7 +85,7 @@ def _times(document: Document) -> tuple[Times, Sequence[int]]:
     """Return where the times come from, and each entry's, from the first [ns].
 
     The recorder's own clock at each tick is the best there is; without it, the operator's or the robot's, if they
-    went on all the time; else nobody knows.
+    went on all the time; else they are unknown.
     """
     notes = {
         twist2_file.T_IMAGE: "t_img, the recorder's wall clock as it copied the picture of a tick, in milliseconds",

@@ -186,7 +186,7 @@ class RescueRules:
         good_rad: So near where it shall point: it follows again.
         longest_s: No way takes longer [s].
         other_rad: Where freeing has not helped, it is not tried again before the arm is asked to point elsewhere.
-        speed_rad_s: Greatest speed of the arm's joints on the way [rad/s]: nobody asked for these motions.
+        speed_rad_s: Greatest speed of the arm's joints on the way [rad/s]: no command asks for these motions.
     """
 
     caught_rad: float = 0.6

@@ -118,7 +118,7 @@ def calibrate(
         device, source: What the samples came from.
 
     Raises:
-        NotCalibrated: too few samples, a body that is lost or moves, another pose, lengths that nobody has.
+        NotCalibrated: too few samples, a body that is lost or moves, another pose, lengths that no person has.
     """
     positions, quats = _still(bodies)
     heading = _heading(positions)
@@ -196,7 +196,7 @@ def _still(bodies: Sequence[Body]) -> tuple[Floats, Floats]:
 
 
 def _heading(positions: Floats) -> float:
-    """Where somebody looks [rad]: at right angles to hips and shoulders."""
+    """Which way an operator faces [rad]: at right angles to hips and shoulders."""
     left = sum(positions[INDEX[f"left_{name}"]] - positions[INDEX[f"right_{name}"]] for name in ("hip", "shoulder"))
     return math.atan2(-left[0], left[1])
 
@@ -260,7 +260,7 @@ def _measured(positions: Floats) -> Proportions:
 
 
 def _check_lengths(lengths: Proportions, error: type[StationError], where: str) -> None:
-    """Refuse lengths that nobody has; those that only place a joint within the body may be anything."""
+    """Refuse lengths that no person has; those that only place a joint within the body may be anything."""
     if not SHORTEST_M <= lengths.height <= TALLEST_M:
         raise error(
             f"{where}the operator is {lengths.height:.2f} m tall, expected {SHORTEST_M} to {TALLEST_M} m; "

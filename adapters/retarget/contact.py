@@ -97,7 +97,7 @@ class FootHold:
 
     def _judge(self, heights: Floats, ankles: Floats) -> None:
         rules = self._rules
-        # Before there is a speed, a foot that is low is taken to carry: somebody who begins stands.
+        # Before there is a speed, a foot that is low is taken to carry: an operator begins standing.
         slow = (self._speed < rules.slow_mps) | ~np.isfinite(self._speed)
         comes = ~self.carries & (heights < rules.low_m) & slow
         left = np.linalg.norm((ankles - self._held)[:, :2], axis=1) > rules.let_go_m

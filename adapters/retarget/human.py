@@ -68,7 +68,7 @@ class Proportions:
 
     @property
     def height(self) -> float:
-        """How tall somebody of these lengths is, about [m]."""
+        """How tall a person of these lengths is, about [m]."""
         return (self.ankle_height + self.leg + self.hip_drop + self.trunk + self.head) / _TO_HEAD_JOINT
 
 
@@ -187,7 +187,7 @@ def standing(
     heading_rad: float = 0.0,
     at: tuple[float, float] = (0.0, 0.0),
 ) -> Body:
-    """Return the body of somebody who stands upright on the floor, arms out (a T-pose) or hanging."""
+    """Return the body of a person who stands upright on the floor, arms out (a T-pose) or hanging."""
     turn = _matrices(rotations.from_rotation_vector(np.array([[0.0, 0.0, heading_rad]])))
     pelvis = np.array([[*at, lengths.ankle_height + lengths.leg]])
     feet = np.stack([pelvis + turn @ (out * lengths.hip_half_width) for out in OUT])

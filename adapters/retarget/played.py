@@ -84,10 +84,10 @@ class RetargetedMotion:
 
 
 def person_of(motion: Motion, height_m: float | None = None, *, rate_hz: float = RATE_HZ) -> Skeletons:
-    """Return the person who does what a motion of the G1 does; of the robot's own size when no height is given.
+    """Return the body of an operator who does a motion of the G1; of the robot's own size where no height is given.
 
     Raises:
-        UsageError: a height that nobody has.
+        UsageError: a height that no person has.
     """
     if height_m is not None and not SHORTEST_M <= height_m <= TALLEST_M:
         raise UsageError(f"{motion.name}: a person of {height_m} m; expected {SHORTEST_M} to {TALLEST_M} m")
@@ -107,7 +107,7 @@ def imitated(motion: Motion, height_m: float, *, rate_hz: float = RATE_HZ) -> Re
     """Return what a person of a height makes of a motion of the G1, by way of tracking and retargeting.
 
     Raises:
-        UsageError: a height that nobody has.
+        UsageError: a height that no person has.
         StationError: the extra ``retarget`` is not installed.
     """
     person = person_of(motion, height_m, rate_hz=rate_hz)

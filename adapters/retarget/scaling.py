@@ -24,7 +24,7 @@ STRAIGHTEST = 0.995
 """Of a straight leg's length, what the robot's legs are stretched to at most: knees that lock cannot push."""
 
 LOWEST_M = 0.3
-"""The pelvis is asked no lower [m]: nobody's robot gets up from there."""
+"""The pelvis is asked no lower [m]: no robot gets up from there."""
 
 SEGMENTS = {
     "upper arm": ("upper_arm",),
@@ -102,7 +102,7 @@ class Segment(NamedTuple):
 
 
 def segments(lengths: Proportions) -> tuple[Segment, ...]:
-    """Return each part of somebody's body beside the robot's."""
+    """Return the lengths of each part of an operator's body and of the robot's."""
     return tuple(
         Segment(name, _sum(lengths, parts), _sum(G1_SIZED, parts)) for name, parts in SEGMENTS.items()
     )  # fmt: skip

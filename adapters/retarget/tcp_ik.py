@@ -87,7 +87,7 @@ def _damped(jacobian: Floats, error: Floats, preferred: Floats) -> Floats:
 
 
 class TcpFollower:
-    """A pose that follows goals within a box, no faster than told; at a side of the box it slides along it.
+    """A pose that follows goals within a box and a speed limit; at a side of the box it slides along it.
 
     Args:
         pose: Where the tool is, in the frame of the robot's base.

@@ -1,6 +1,6 @@
 """Walking by sticks: velocities and a height become a reference of the whole body, tick by tick.
 
-As `adapters.motions.builtin.gait`, but with an end that nobody knows: the steps to come are planned anew in every tick
+As `adapters.motions.builtin.gait`, but with an end that is not known: the steps to come are planned anew in every tick
 from the velocity of that moment, the centre of mass goes where a pendulum that looks ahead to them goes, the legs
 follow by inverse kinematics. Feet that carry stand still. Pure: time comes as arguments.
 """

@@ -2,7 +2,7 @@
 
 ```yaml
 model: kr810
-source: where the numbers come from, so that somebody else can look them up
+source: where the numbers come from, so that they can be looked up
 joints:                # from the base to the flange
   - {name: joint_1, lower_rad: -6.283, upper_rad: 6.283, speed_rad_s: 3.927, acceleration_rad_s2: 174.5}
   …

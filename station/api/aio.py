@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
 from collections.abc import AsyncIterator, Callable, Coroutine, Generator
 from concurrent.futures import ThreadPoolExecutor
@@ -21,8 +22,8 @@ ParametersT = ParamSpec("ParametersT")
 class _Asynchronous(Generic[BlockingT]):
     """Asks a blocking object in threads."""
 
-    _blocking: BlockingT
-    _threads: ThreadPoolExecutor
+    def __init__(self, blocking: BlockingT, threads: ThreadPoolExecutor) -> None:
+        self._blocking, self._threads = blocking, threads
 
     async def _run(self, call: Callable[[], ResultT]) -> ResultT:
         return await asyncio.get_running_loop().run_in_executor(self._threads, call)
@@ -45,9 +46,6 @@ def _awaited(
 class AsyncRecord(_Asynchronous[Record]):
     """`Record`, each method to be awaited."""
 
-    def __init__(self, blocking: Record, threads: ThreadPoolExecutor) -> None:
-        self._blocking, self._threads = blocking, threads
-
     start = _awaited(Record.start)
     stop = _awaited(Record.stop)
     mark = _awaited(Record.mark)
@@ -57,9 +55,6 @@ class AsyncRecord(_Asynchronous[Record]):
 
 class AsyncMotionPlayer(_Asynchronous[MotionPlayer]):
     """`MotionPlayer`, each method to be awaited."""
-
-    def __init__(self, blocking: MotionPlayer, threads: ThreadPoolExecutor) -> None:
-        self._blocking, self._threads = blocking, threads
 
     start = _awaited(MotionPlayer.start)
     pause = _awaited(MotionPlayer.pause)
@@ -154,7 +149,8 @@ class _Items(AsyncIterator[ResultT]):
         self._end()
 
     def __del__(self) -> None:
-        self._end()
+        with contextlib.suppress(RuntimeError):  # the interpreter ends, and takes no work for threads any more
+            self._end()
 
     def _next(self) -> ResultT | None:
         for found in self._items:

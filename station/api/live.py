@@ -360,6 +360,7 @@ class Station:
         def given() -> Generator[_Given | None]:
             heard_s = self._clock.monotonic_s()
             with source:
+                yield None  # begun: whatever becomes of this, its source is closed
                 while not self._is_closed and (silent_s is None or self._clock.monotonic_s() - heard_s < silent_s):
                     found = newer()
                     for item in found:
@@ -368,7 +369,9 @@ class Station:
                     if not found:
                         yield None
 
-        return given()
+        items = given()
+        next(items)
+        return items
 
     def _button(self) -> StopButton:
         return StopButton(self._bus.address, name=self._name)

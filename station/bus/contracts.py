@@ -143,7 +143,7 @@ def _commands() -> tuple[tuple[str, Contract], ...]:
     made = _sound(
         "command",
         "its key has no contract",
-        lambda command_format: (command_format.robot, command_stream(command_format)),
+        lambda found: (found.robot, command_stream(found)),
     )
     return tuple(found for _, found in made)
 

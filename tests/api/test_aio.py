@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -52,6 +54,37 @@ def test_what_is_waited_for_holds_up_nothing_and_can_be_given_up(bus_server: Bus
 
     asyncio.run(main())
     wait_until(lambda: not [each for each in threading.enumerate() if each.name.startswith(("station", "event-feed"))])
+
+
+def test_a_follower_that_was_never_asked_listens_no_longer_than_it_is_held(bus_server: BusAddress) -> None:
+    async def main() -> None:
+        async with AsyncStation(bus_server.url) as lab:
+            values, events = await lab.follow(KEY), await lab.events()
+            assert _listeners() != []
+            del values, events
+            await asyncio.to_thread(wait_until, lambda: not _listeners())
+
+    asyncio.run(main())
+
+
+def _listeners() -> list[str]:
+    return [
+        each.name for each in threading.enumerate() if each.name.startswith(("station-items", "event-feed", "watch"))
+    ]
+
+
+def test_a_script_may_end_with_a_follower_in_its_hands(bus_server: BusAddress) -> None:
+    script = f"""
+import asyncio, station
+async def main():
+    lab = await station.AsyncStation({bus_server.url!r}).__aenter__()
+    return await lab.follow({KEY!r})
+held = asyncio.run(main())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=DEADLINE_S, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_followers_end_with_the_station_or_after_a_silence(bus_server: BusAddress) -> None:

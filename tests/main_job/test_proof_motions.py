@@ -40,3 +40,7 @@ def runs(processes: None, proof: Figures, assets: Path, tmp_path_factory: pytest
 def run(request: pytest.FixtureRequest, runs: Runs) -> Driven:
     """The run of one case."""
     return runs[request.param].result()
+
+
+def test_the_verdict_is_good(run: Driven) -> None:
+    assert run.check["verdict"] == "good", run.check["reasons"]

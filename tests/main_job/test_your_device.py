@@ -74,8 +74,8 @@ def test_its_episode_is_good_and_says_who_drove_with_what(driven: Terminal) -> N
 def test_what_the_robot_did_of_it_is_derived_again(driven: Terminal) -> None:
     audit = driven.json("audit", episode(driven))
     assert audit["steps"] > 100
-    # A recording may begin between a state and its step.
-    assert audit["steps"] - audit["observations"]["compared"] in (0, 1)
+    # Where a recording begins in the middle of a run, the state or the past of its first step may not be in the file.
+    assert audit["steps"] - audit["observations"]["compared"] <= audit["segments"] == 1
     assert (audit["different"], audit["observations"]["different"]) == (0, 0)
 
 

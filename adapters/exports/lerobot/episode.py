@@ -74,12 +74,12 @@ def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
 
 
 def task_of(manifest: Manifest) -> str:
-    """Return what the robot was told to do, in words: the instruction, or else the name of the task."""
+    """Return the instruction of the task, or else its name."""
     return " ".join((manifest.task.instruction or manifest.task.name).split()) or "untitled"
 
 
 def provenance(reader: EpisodeReader) -> dict[str, Any]:
-    """Return where an episode comes from: hashes, who, when, with which policy, how good."""
+    """Return where an episode comes from: hashes, operator, time, policy and verdict."""
     manifest = reader.manifest
     return {
         "sha256": {file.name: sha256(file) for file in sorted(reader.files)},

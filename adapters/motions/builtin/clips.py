@@ -108,7 +108,7 @@ def _tour(name: str) -> RawMotion:
 
 @lru_cache(maxsize=32)
 def made(name: str) -> RawMotion:
-    """Return the motion of a name in `CLIPS`; its arrays are read-only, because all who ask get the same."""
+    """Return the motion of a name in `CLIPS`; its arrays are read-only, since all callers share them."""
     motion = CLIPS[name](f"{PREFIX}{name}")
     for frames in (motion.root_pos, motion.root_quat_wxyz, motion.q):
         frames.flags.writeable = False

@@ -6,9 +6,10 @@ which the server verified before it obeyed.
 
 from __future__ import annotations
 
+from station.bus.server_options import LARGEST_VALUE
+
 _STRING = 0
 _FOOTER_SIZE = 10
-_LARGEST = 64 << 20  # of a decompressed value, as large as the largest that a bus of ours takes
 _INTEGERS = {0: 1, 1: 2, 2: 4}  # bytes by encoding
 _COMPRESSED = 3
 _IS_ENCODED = 3
@@ -66,7 +67,7 @@ def _cut(data: bytes, at: int, size: int) -> tuple[bytes, int]:
 
 def _decompressed(packed: bytes, size: int) -> bytes:
     """Return what LZF made of bytes: literals, and references to what came before."""
-    if size > _LARGEST:
+    if size > LARGEST_VALUE:
         raise IndexError(f"it claims {size} bytes")
     found, at = bytearray(), 0
     while at < len(packed) and len(found) < size:

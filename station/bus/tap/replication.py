@@ -21,7 +21,7 @@ from station.bus.tap.base import (
     write_probe,
 )
 from station.bus.tap.link import Link
-from station.bus.tap.stream import Stream
+from station.bus.tap.stream import LARGEST_KNOWN, MOST_BYTES, Stream
 from station.errors import BusError
 
 log = logging.getLogger(__name__)
@@ -36,8 +36,6 @@ _OFFSET = re.compile(rb"^master_repl_offset:(\d+)\r?$", re.MULTILINE)
 _REPLICAS = (b"slave", b"replica")
 
 _SCAN_COUNT = 1000
-_MOST_BYTES = 64 << 20
-_LARGEST = 1 << 20  # bytes of one value
 
 
 class ReplicationTap:
@@ -290,7 +288,7 @@ def _small(connection: Connection, names: list[bytes]) -> tuple[list[bytes], tup
     sizes = connection.send_packed(b"".join(pack("STRLEN", name) for name in names), len(names))
     wanted, unread, total = [], [], 0
     for name, size in zip(names, sizes, strict=True):
-        if isinstance(size, int) and size <= _LARGEST and total + size <= _MOST_BYTES:
+        if isinstance(size, int) and size <= LARGEST_KNOWN and total + size <= MOST_BYTES:
             wanted.append(name)
             total += size
         else:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Container, Iterable, Mapping
 
 import hiredis
 
+from station.bus.server_options import LARGEST_VALUE
 from station.bus.tap.base import PROBE, Snapshot, Write, key_name
 from station.bus.tap.dumped import string_in
 from station.bus.tap.not_mirrored import not_mirrored
@@ -31,12 +32,9 @@ _SILENT = frozenset(
 
 Command = list[bytes]
 
-
-_LARGEST = 64 << 20  # bytes, the largest value that a bus of ours takes
-
-_MOST_BYTES = 64 << 20
+MOST_BYTES = 64 << 20  # of all values that are known
 _MOST_KEYS = 100_000
-_LARGEST_KNOWN = 1 << 20  # bytes of one value; pictures have 100 kB
+LARGEST_KNOWN = 1 << 20  # bytes of one of them; pictures have 100 kB
 
 
 def encoded_length(command: Command) -> int:
@@ -277,7 +275,7 @@ def after(command: Command, before: bytes) -> bytes | None:
     """
     name = command[0].upper()
     reach = int(command[2]) // _PER_BYTE[name] if name in _PER_BYTE else 0
-    return PARTIAL[name](before, command) if reach <= _LARGEST else None
+    return PARTIAL[name](before, command) if reach <= LARGEST_VALUE else None
 
 
 def _set_range(before: bytes, command: Command) -> bytes:
@@ -337,7 +335,7 @@ class KnownValues:
 
     def put(self, db: int, key: bytes, value: bytes) -> None:
         """Say what a key holds from now on."""
-        if len(value) > _LARGEST_KNOWN:
+        if len(value) > LARGEST_KNOWN:
             self.forget(db, key)
             return
         held = self._held.setdefault(db, {})
@@ -347,7 +345,7 @@ class KnownValues:
         held[key] = value
         if self._unknown:
             self._unknown.discard((db, key))
-        if self._size > _MOST_BYTES or self._keys > _MOST_KEYS:
+        if self._size > MOST_BYTES or self._keys > _MOST_KEYS:
             self._forget_all()
 
     def remove(self, db: int, key: bytes) -> None:

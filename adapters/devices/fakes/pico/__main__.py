@@ -1,7 +1,7 @@
 """``python -m adapters.devices.fakes.pico FILE``: a fake PC service that plays a script until it is stopped.
 
 Another program that starts it gives ``--as-child``: then it says ``listening PORT`` on its standard output, begins
-with the line ``go`` on its standard input, and ends with the end of that: it cannot outlive who started it.
+with the line ``go`` on its standard input, and ends with the end of that: it cannot outlive its parent.
 """
 
 from __future__ import annotations

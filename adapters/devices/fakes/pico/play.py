@@ -22,7 +22,7 @@ from station.protocols import Floats
 _PRESS_S = 0.2
 _FAULT_S = 1.0
 _TREMBLE_M = 1e-5
-_STILL = "0,0,0,0,0,0"  # velocities and accelerations, which nobody should use: see the adapter
+_STILL = "0,0,0,0,0,0"  # velocities and accelerations, which are not to be used: see the adapter
 _SLICE_S = 0.1
 _ROUNDING = 1e-9
 _ONE_FRAME = ("torn", "poison")

@@ -35,7 +35,7 @@ class FakeInterface(Protocol):
         ...
 
     def next_report(self) -> bytes | None:
-        """Return the oldest report that nobody has read, b"" when there is none, None when it is torn out."""
+        """Return the oldest report that was not read, b"" when there is none, None when it is torn out."""
         ...
 
 

@@ -95,7 +95,7 @@ class FakeMouse:
         return self._is_plugged
 
     def next_report(self) -> bytes | None:
-        """Return the oldest report that nobody has read, b"" when there is none, None when it is torn out."""
+        """Return the oldest report that was not read, b"" when there is none, None when it is torn out."""
         self._catch_up()
         if self._was_torn_out:
             return None
