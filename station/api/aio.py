@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import functools
 from collections.abc import AsyncIterator, Callable, Coroutine, Generator
 from concurrent.futures import ThreadPoolExecutor
@@ -149,8 +148,7 @@ class _Items(AsyncIterator[ResultT]):
         self._end()
 
     def __del__(self) -> None:
-        with contextlib.suppress(RuntimeError):  # the interpreter ends, and takes no work for threads any more
-            self._end()
+        self._end()
 
     def _next(self) -> ResultT | None:
         for found in self._items:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import subprocess
-import sys
 import threading
 
 import pytest
@@ -71,20 +69,6 @@ def _listeners() -> list[str]:
     return [
         each.name for each in threading.enumerate() if each.name.startswith(("station-items", "event-feed", "watch"))
     ]
-
-
-def test_a_script_may_end_with_a_follower_in_its_hands(bus_server: BusAddress) -> None:
-    script = f"""
-import asyncio, station
-async def main():
-    lab = await station.AsyncStation({bus_server.url!r}).__aenter__()
-    return await lab.follow({KEY!r})
-held = asyncio.run(main())
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, timeout=DEADLINE_S, check=False
-    )
-    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_followers_end_with_the_station_or_after_a_silence(bus_server: BusAddress) -> None:
