@@ -1,9 +1,9 @@
-"""How well a robot follows: one definition for the offline rehearsal and for the check of a recorded episode.
+"""How well a robot follows: one definition for rehearsals, the check of an episode, its plots and its report.
 
-A tick counts while the motion plays (not while it blends in, pauses or leaves) and the gate tracks. Its joint error is
-the mean over the commanded joints of |q - commanded q|, where q was measured at the start of the tick and the command
-is the one that the policy got in that tick. The error of a run is the mean over its ticks. Height: |z - commanded z|
-of the root, where the robot knows its z.
+A tick counts while the motion plays (not while it blends in, pauses or leaves) and the gate tracks. The error of a
+joint is the mean over these ticks of |q - commanded q|, where q was measured at the start of the tick and the command
+is the one that the policy got in that tick; the error of a run is the mean over its joints and ticks. What is no number
+was not measured, and does not count. Height: |z - commanded z| of the root, where the robot knows its z.
 """
 
 from __future__ import annotations
@@ -11,6 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from station.protocols import Floats
+
+LARGEST_RAD = 1e6
+"""Of a joint's error: what is beyond it was not measured [rad]."""
 
 
 class TrackingError:
@@ -22,23 +25,22 @@ class TrackingError:
     """
 
     def __init__(self, names: tuple[str, ...], joint_names: tuple[str, ...]) -> None:
-        pairs = [
-            (joint, names.index(f"{name}_pos"))
-            for joint, name in enumerate(joint_names)
-            if f"{name}_pos" in names
-        ]  # fmt: skip
-        self._joints = np.array([joint for joint, _ in pairs], dtype=np.intp)
-        self._elements = np.array([element for _, element in pairs], dtype=np.intp)
+        self._names = tuple(name for name in joint_names if f"{name}_pos" in names)
+        self._joints = np.array([joint_names.index(name) for name in self._names], dtype=np.intp)
+        self._elements = np.array([names.index(f"{name}_pos") for name in self._names], dtype=np.intp)
         self._height = names.index("root_height") if "root_height" in names else None
-        self._joint_sum, self._height_sum = 0.0, 0.0
+        self._sums, self._counts = np.zeros(len(self._names)), np.zeros(len(self._names), dtype=np.int64)
+        self._height_sum, self._height_ticks = 0.0, 0
         self.ticks = 0
-        self._height_ticks = 0
 
     def add(self, q: Floats, command: Floats, root_height_m: float | None = None) -> None:
         """Take a tick that counts: joints [rad], command vector, height of the root [m] where known."""
         self.ticks += 1
-        if len(self._joints):
-            self._joint_sum += float(np.abs(q[self._joints] - command[self._elements]).mean())
+        with np.errstate(all="ignore"):
+            errors = np.abs(q[self._joints] - command[self._elements])
+        known = errors <= LARGEST_RAD
+        self._sums += np.where(known, errors, 0.0)
+        self._counts += known
         if root_height_m is not None and self._height is not None:
             self._height_sum += abs(root_height_m - float(command[self._height]))
             self._height_ticks += 1
@@ -46,7 +48,14 @@ class TrackingError:
     @property
     def mean_joint_error_rad(self) -> float | None:
         """Mean joint error [rad]; None when no tick counted, or no joint is commanded."""
-        return self._joint_sum / self.ticks if self.ticks and len(self._joints) else None
+        count = int(self._counts.sum())
+        return float(self._sums.sum()) / count if count else None
+
+    @property
+    def joint_errors_rad(self) -> dict[str, float]:
+        """Mean error of each joint that was compared [rad]."""
+        measured = zip(self._names, self._sums.tolist(), self._counts.tolist(), strict=True)
+        return {name: total / count for name, total, count in measured if count}
 
     @property
     def mean_root_height_error_m(self) -> float | None:

@@ -88,7 +88,8 @@ def _drawn(episode: Episode, recorded: dict[str, Contract]) -> Html:
         reader = EpisodeReader(signals_file(episode.folder))
         told = story.read(reader)
         recorded.update(told.contracts)
-        return episode_page.section(episode, told, tracking_plot.draw(told), strip.strips(reader))
+        plot = tracking_plot.draw(told, episode.quality.joint_errors_rad(told.robot))
+        return episode_page.section(episode, told, plot, strip.strips(reader))
     except EpisodeError as error:
         return episode_page.section(episode, None, None, {}, problem=f"nothing is drawn: {error}")
 

@@ -1,4 +1,4 @@
-"""What happened when in one episode, and how well it was tracked, in one pass that holds no more than a plot shows."""
+"""What happened when in one episode, and its joints, in one pass that holds no more than a plot shows."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from station.bus import codec, keys
 from station.contract import Contract
+from station.control.tracking import LARGEST_RAD
 from station.episode.quality import interruptions
 from station.episode.reading import steps
 from station.episode.reading.messages import Message
@@ -18,14 +19,13 @@ from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step, StepJoiner
 from station.protocols import Floats
 from station.view import phases
-from station.view.phases import TRACKING, PhaseNames, Span, Spans
+from station.view.phases import PhaseNames, Span, Spans
 
 POINTS = 1200
 """Of a curve, at least where there are as many steps, and not twice as many."""
 MOST_SPANS, MOST_EVENTS = 400, 400
 _JOINT = "_pos"
 _LONGEST_TEXT, _LONGEST_STATE = 300, 40
-_LARGEST_RAD = 1e6  # of a joint's error: what is beyond it, or not finite, was never measured and cannot be drawn
 
 
 class EventRow(NamedTuple):
@@ -47,7 +47,6 @@ class Tracks(NamedTuple):
             for, shape (n,).
         joints: Names of m joints.
         asked, measured: Positions, shape (n, m) [rad].
-        errors_rad: Mean error of each joint while the gate tracked, shape (m,); nan where it never did.
     """
 
     times_s: Floats
@@ -56,7 +55,6 @@ class Tracks(NamedTuple):
     joints: tuple[str, ...]
     asked: Floats
     measured: Floats
-    errors_rad: Floats
 
 
 @dataclass
@@ -155,7 +153,6 @@ class _Tracker:
     def __init__(self, robot: str, recorded: Mapping[str, Contract], stride: int, begin_ns: int) -> None:
         self._stride, self._begin_ns = stride, begin_ns
         self._state_key, self._asked_key = steps.state_key(robot, recorded), keys.command_used(robot)
-        self._gate_key = keys.command_gate(robot)
         described = (recorded.get(key) for key in (self._state_key, self._asked_key))
         state, asked = (() if contract is None else contract.names for contract in described)
         shared = [name for name in state if name.endswith(_JOINT) and name in asked]
@@ -165,7 +162,6 @@ class _Tracker:
         self._points: list[tuple[float, float, float]] = []
         self._curves: list[tuple[Floats, Floats]] = []
         self._held: list[tuple[float, float]] = []
-        self._sum, self._tracked = np.zeros(len(shared)), 0
 
     def feed(self, step: Step) -> None:
         state, asked = step.values.get(self._state_key, b""), step.values.get(self._asked_key, b"")
@@ -174,12 +170,9 @@ class _Tracker:
         q, wanted = codec.parse_f64(state)[self._columns[0]], codec.parse_f64(asked)[self._columns[1]]
         with np.errstate(all="ignore"):
             errors = np.abs(q - wanted)
-        if not (errors <= _LARGEST_RAD).all():
+        if not (errors <= LARGEST_RAD).all():
             return
         self._held.append((float(errors.mean()), float(errors.max())))
-        if codec.parse_facts(step.values.get(self._gate_key, b"")).get("state") == TRACKING:
-            self._sum += errors
-            self._tracked += 1
         if len(self._held) >= self._stride:
             means, mosts = zip(*self._held, strict=True)
             self._points.append(((step.at_ns - self._begin_ns) * 1e-9, sum(means) / len(means), max(mosts)))
@@ -191,8 +184,7 @@ class _Tracker:
             return None
         times, means, mosts = (np.array(column) for column in zip(*self._points, strict=True))
         measured, asked = (np.array(column) for column in zip(*self._curves, strict=True))
-        mean = self._sum / self._tracked if self._tracked else np.full(len(self._joints), np.nan)
-        return Tracks(times, means, mosts, self._joints, asked, measured, mean)
+        return Tracks(times, means, mosts, self._joints, asked, measured)
 
 
 def lasting(spans: Iterable[Span]) -> list[Span]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,33 +26,38 @@ _LEAST_SPAN_RAD = 0.2
 _LEAST_ERROR_RAD = 0.01  # an arm follows within milliradians
 
 
-def draw(story: Story) -> bytes | None:
-    """Return the picture of an episode as PNG, or None where nothing tells how it was tracked."""
+def draw(story: Story, errors: Mapping[str, float]) -> bytes | None:
+    """Return the picture of an episode as PNG, or None where nothing tells how it was tracked.
+
+    Args:
+        story: What happened in it.
+        errors: Mean error of each joint that was compared [rad].
+    """
     if story.tracks is None:
         return None
     with page(_WIDTH_IN, _HEIGHT_IN, _SMALLER) as figure:
-        _draw(figure, story, story.tracks)
+        _draw(figure, story, story.tracks, errors)
         return _png(figure)
 
 
-def _draw(figure: Figure, story: Story, tracks: Tracks) -> None:
+def _draw(figure: Figure, story: Story, tracks: Tracks, errors: Mapping[str, float]) -> None:
     grid = figure.add_gridspec(
         1 + _SHOWN, 2, width_ratios=(3.6, 1), height_ratios=(1.35, *[1] * _SHOWN), left=0.035, right=0.99, top=0.945,
         bottom=0.055, hspace=0.52, wspace=0.2,
     )  # fmt: skip
     run = Run(episode_id="", robot=story.robot, gate=story.gate, phases=story.phases)
     limits = (min(story.first_s, 0.0), max(story.last_s, story.first_s + 0.1))
-    order = np.argsort(-np.nan_to_num(tracks.errors_rad, nan=-1.0), kind="stable")
+    order = sorted(range(len(tracks.joints)), key=lambda column: -errors.get(tracks.joints[column], -1.0))
     error = figure.add_subplot(grid[0, 0])
     _draw_error(error, run, tracks)
     panels = [error]
-    for row, column in enumerate(order[:_SHOWN].tolist(), 1):
+    for row, column in enumerate(order[:_SHOWN], 1):
         panels.append(figure.add_subplot(grid[row, 0]))
-        _draw_joint(panels[-1], run, tracks, column, with_legend=row == 1)
+        _draw_joint(panels[-1], run, tracks, column, errors, with_legend=row == 1)
     for axes in panels:
         style.time_axis(axes, limits, ticks=12, unit=" s" if axes is panels[-1] else "")
         axes.tick_params(axis="x", labelbottom=axes is panels[-1])
-    _draw_bars(figure.add_subplot(grid[:, 1]), tracks, order[:_BARS].tolist())
+    _draw_bars(figure.add_subplot(grid[:, 1]), tracks, order[:_BARS], errors)
 
 
 def _draw_error(axes: Axes, run: Run, tracks: Tracks) -> None:
@@ -64,26 +70,28 @@ def _draw_error(axes: Axes, run: Run, tracks: Tracks) -> None:
     axes.locator_params(axis="y", nbins=4)
 
 
-def _draw_joint(axes: Axes, run: Run, tracks: Tracks, column: int, *, with_legend: bool) -> None:
-    error = tracks.errors_rad[column]
+def _draw_joint(
+    axes: Axes, run: Run, tracks: Tracks, column: int, errors: Mapping[str, float], *, with_legend: bool
+) -> None:
+    joint = tracks.joints[column]
     told = "commanded (orange), measured (blue)" if with_legend else ""
-    mean = "" if np.isnan(error) else f", mean error {error:.3f}"
-    style.title(axes, f"{tracks.joints[column].replace('_', ' ')} [rad]{mean}", told)
+    mean = f", mean error {errors[joint]:.3f}" if joint in errors else ""
+    style.title(axes, f"{joint.replace('_', ' ')} [rad]{mean}", told)
     style.mark(axes, run)
     style.asked(axes, tracks.times_s, tracks.asked[:, column])
     style.measured(axes, tracks.times_s, tracks.measured[:, column])
     style.scale(axes, np.concatenate([tracks.asked[:, column], tracks.measured[:, column]]), least=_LEAST_SPAN_RAD)
 
 
-def _draw_bars(axes: Axes, tracks: Tracks, columns: list[int]) -> None:
+def _draw_bars(axes: Axes, tracks: Tracks, columns: list[int], errors: Mapping[str, float]) -> None:
     style.title(axes, "mean |error| while tracking [rad]", "" if len(columns) == len(tracks.joints) else "worst first")
-    values = np.nan_to_num(tracks.errors_rad[columns])
+    values = [errors.get(tracks.joints[column], 0.0) for column in columns]
     axes.barh(
         range(len(columns)), values, 0.62, color=[style.MEASURED] * _SHOWN + [style.SECOND] * (len(columns) - _SHOWN)
     )
     axes.set_yticks(range(len(columns)), [tracks.joints[column].replace("_", " ") for column in columns])
     axes.set_ylim(len(columns) - 0.4, -0.6)
-    axes.set_xlim(0, 1.1 * max(float(values.max(initial=0.0)), _LEAST_ERROR_RAD))
+    axes.set_xlim(0, 1.1 * max(*values, _LEAST_ERROR_RAD))
     axes.grid(visible=True, axis="x")
     axes.grid(visible=False, axis="y")
     axes.locator_params(axis="x", nbins=4)

@@ -6,14 +6,15 @@ without those limbs has its joints below each other (`station.view.plots`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from station import rotations
+from station.episode.quality import rule_file
+from station.episode.quality.standing import standing
 from station.episode.reading.reader import EpisodeReader
 from station.errors import StationError
 from station.protocols import FALL_TILT_RAD, Floats
@@ -50,18 +51,18 @@ def save_plot(reader: EpisodeReader, path: Path) -> Path:
     Raises:
         StationError: the episode holds no joints, or the file cannot be written.
     """
-    return save_run(read_run(reader), path)
+    run = read_run(reader)
+    return save_run(run, standing(reader, rule_file.shipped()).joint_errors_rad(run.robot), path)
 
 
-def save_run(run: Run, path: Path) -> Path:
-    """Like `save_plot`, of a run that has been read."""
+def save_run(run: Run, errors: Mapping[str, float], path: Path) -> Path:
+    """Like `save_plot`, of a run that has been read and the mean errors of its joints [rad]."""
     if run.commanded is None and run.measured is None:
         raise StationError(f"{run.episode_id}: no plot, it holds neither a command nor a state with joints")
     names = _joint_names(run)
     if not names:
         raise StationError(f"{run.episode_id}: no plot, nothing names the joints of {run.robot or 'its robot'}")
     has_limbs = len(run.groups) > 1 and any(joint in limb for limb in run.groups.values() for joint in names)
-    errors = joint_errors(run)
     below_in = _root_in(run) + _places(run.groups, errors).rows * _ROW_IN if has_limbs else len(names) * _ROW_IN
     height_in = _HEAD_IN + _LANES_IN + below_in + _FOOT_IN
     with page(style.WIDTH_PX / style.DPI, height_in) as figure:
@@ -309,37 +310,6 @@ def _gate(state: str) -> str:
     rgba = GATE_COLOURS.get(state, 0x9E9E9EFF)
     parts = [(rgba >> shift) & 0xFF for shift in (24, 16, 8)]
     return "#" + "".join(f"{round(part + 0.55 * (255 - part)):02x}" for part in parts)
-
-
-def joint_errors(run: Run) -> dict[str, float]:
-    """Return the mean |measured - commanded| of each joint [rad]; empty where nothing can be compared.
-
-    It counts while the motion plays and the gate tracks; the measured value is the last one before each command.
-    """
-    asked, measured = run.commanded, run.joints
-    if asked is None or measured is None or not len(measured.q):
-        return {}
-    counts = within(asked.times_s, run.playing) if run.playing else np.full(len(asked.times_s), True)
-    if run.gate:
-        counts &= within(asked.times_s, [span for span in run.gate if span.name == TRACKING])
-    before = np.searchsorted(measured.times_s, asked.times_s, side="right") - 1
-    counts &= before >= 0
-    errors = {}
-    for column, name in enumerate(asked.names):
-        if name in measured.names:
-            differences = np.abs(measured.q[before, measured.names.index(name)] - asked.q[:, column])[counts]
-            known = differences[np.isfinite(differences)]
-            if len(known):
-                errors[name] = float(known.mean())
-    return errors
-
-
-def within(times_s: Floats, spans: Iterable[Span]) -> NDArray[np.bool_]:
-    """Return which instants lie within any of some spans, ends included, shape (n,)."""
-    found = np.full(len(times_s), False)
-    for span in spans:
-        found |= (times_s >= span.start_s) & (times_s <= span.end_s)
-    return found
 
 
 def _joint_names(run: Run) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.vectors import numbers
 from station.protocols import Floats
 from station.view import phases, poses
-from station.view.phases import PLAYING, Span
+from station.view.phases import Span
 from station.view.poses import Ints, Numbers, Posture
 
 _JOINT = "_pos"  # end of the name of a joint's position in a contract
@@ -48,7 +48,6 @@ class Run:
         heights: Times [s] and commanded heights of the root [m]; None where the command has none.
         gate: States of the gate.
         phases: What was played: names of clips while a motion plays, else the phase; or what an operator moved.
-        playing: When a motion played, blends and pauses left out.
         can_fall: Whether it is a robot that stands on its own.
         groups: Names of its joints by limb.
         falls_s: When the robot fell [s].
@@ -65,7 +64,6 @@ class Run:
     heights: tuple[Floats, Floats] | None = None
     gate: list[Span] = field(default_factory=list)
     phases: list[Span] = field(default_factory=list)
-    playing: list[Span] = field(default_factory=list)
     can_fall: bool = True
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     falls_s: list[float] = field(default_factory=list)
@@ -101,9 +99,8 @@ def read_run(reader: EpisodeReader) -> Run:
     measured = poses.measured(find, states, description)
     has_base = description is None or description.has_base
     name = phases.PhaseNames(phases.motion_facts(reader, robot))
-    source = list(_objects(held[keys.command_source(robot)], begin_ns))
+    source = _objects(held[keys.command_source(robot)], begin_ns)
     gates = _objects(held[keys.command_gate(robot)], begin_ns)
-    played = phases.spans((at_s, str(value.get("phase", ""))) for at_s, value in source)
     return Run(
         episode_id=reader.episode_id,
         robot=robot,
@@ -115,7 +112,6 @@ def read_run(reader: EpisodeReader) -> Run:
         heights=_heights(find, commands, begin_ns),
         gate=phases.spans((at_s, str(value.get("state", ""))) for at_s, value in gates),
         phases=phases.spans((at_s, name(value)) for at_s, value in source),
-        playing=[span for span in played if span.name == PLAYING],
         can_fall=has_base,
         falls_s=_falls(held[keys.EVENT], robot, measured, begin_ns),
         start_ns=begin_ns,

@@ -98,14 +98,15 @@ def test_its_state_can_be_read_as_a_policy_reads_it(reader: EpisodeReader) -> No
     assert (state.q.shape, state.dq.shape, state.quat_wxyz.tolist()) == ((2,), (2,), [1.0, 0.0, 0.0, 0.0])
 
 
-def test_its_limbs_are_drawn(reader: EpisodeReader, tmp_path: Path) -> None:
+def test_its_limbs_are_drawn(reader: EpisodeReader, quality: Quality, tmp_path: Path) -> None:
     run = read_run(reader)
     assert (run.robot, run.groups, run.can_fall) == (NAME, strider.DESCRIPTION.groups, True)
     assert run.commanded is not None
     assert run.commanded.names == KNEES
-    page = pixels(plots.save_run(run, tmp_path / "plot.png"))
+    errors = quality.joint_errors_rad(NAME)
+    page = pixels(plots.save_run(run, errors, tmp_path / "plot.png"))
     assert (run.has_place, run.heights) == (False, None)
-    with_height = pixels(plots.save_run(replace(run, has_place=True), tmp_path / "placed.png"))
+    with_height = pixels(plots.save_run(replace(run, has_place=True), errors, tmp_path / "placed.png"))
     assert len(page) < len(with_height), "no empty panel where nothing measures a height"
 
 

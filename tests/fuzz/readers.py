@@ -50,7 +50,7 @@ def _checked(reader: EpisodeReader) -> None:
 
 
 def _told(reader: EpisodeReader) -> None:
-    tracking_plot.draw(story.read(reader))
+    tracking_plot.draw(story.read(reader), {})
 
 
 def _numbers(reader: EpisodeReader) -> None:

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from adapters.robots.g1 import twist_keys
-from adapters.robots.g1.joints import G1_29
 from station.bus import codec, keys
 from station.episode.reading.reader import open_episode
 from station.view import plot_style as style
-from station.view.plots import joint_errors
 from station.view.run import Run, read_run
 from tests.episode.synthetic import ROBOT, STANDING, EpisodeBuilder, command, tick, walk
 from tests.view import arms
@@ -54,7 +52,6 @@ def test_clips_take_the_place_of_playing(builder: EpisodeBuilder) -> None:
     run = read(builder, {"servers": {"motion": {"robot": ROBOT, "motion": facts}}})
     assert [span.name for span in run.phases] == ["wave", "bow", "tour"]
     assert run.motion == "tour"
-    assert [span.name for span in run.playing] == ["playing"]
 
 
 def test_a_fall_is_seen_once_though_told_and_derived(builder: EpisodeBuilder) -> None:
@@ -62,27 +59,6 @@ def test_a_fall_is_seen_once_though_told_and_derived(builder: EpisodeBuilder) ->
         tick(builder, number, at_s=0.02 * number, quat=LYING if number >= 50 else (1.0, 0, 0, 0))
     builder.event("fall", at_s=0.95, severity="error")
     assert read(builder).falls_s == [pytest.approx(0.95, abs=0.01)]
-
-
-def test_joint_errors_count_only_while_the_motion_plays_and_the_gate_tracks(builder: EpisodeBuilder) -> None:
-    for number in range(40):
-        is_counted = number >= 20
-        asked = command(STANDING + (0.1 if is_counted else 0.5))
-        tick(builder, number, at_s=0.02 * number, asked=asked, gate="tracking" if is_counted else "entering")
-    errors = joint_errors(read(builder))
-    assert set(errors) == set(G1_29)
-    assert np.array(list(errors.values())) == pytest.approx(0.1, abs=0.03)
-
-
-def test_values_that_are_no_numbers_take_no_part_in_errors(builder: EpisodeBuilder) -> None:
-    for number in range(20):
-        q = STANDING.copy()
-        q[0] = np.nan
-        q[1] = np.nan if number % 2 else q[1]
-        tick(builder, number, at_s=0.02 * number, q=q, asked=command(STANDING + 0.1))
-    errors = joint_errors(read(builder))
-    assert G1_29[0] not in errors
-    assert errors[G1_29[1]] == pytest.approx(0.1)
 
 
 def test_an_episode_of_stock_scripts_gives_its_command_and_its_state(builder: EpisodeBuilder) -> None:
@@ -103,7 +79,6 @@ def test_an_episode_without_a_robot_has_its_command_alone(builder: EpisodeBuilde
     run = read(builder)
     assert run.measured is None
     assert run.commanded is not None
-    assert joint_errors(run) == {}
 
 
 def test_an_episode_with_nothing_of_a_robot_is_an_empty_run(builder: EpisodeBuilder) -> None:

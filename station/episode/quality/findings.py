@@ -164,6 +164,7 @@ class StepQuality(msgspec.Struct, frozen=True, kw_only=True):
         mean_joint_error_rad: Over those steps, as `station.control.tracking` defines it, so that it compares with a
             rehearsal [rad]; None where no joint is commanded.
         worst_joint, worst_joint_error_rad: The joint with the greatest mean error.
+        joint_errors_rad: Mean error of each joint [rad].
         mean_root_height_error_m: Likewise for the height of the root [m]; simulation only.
     """
 
@@ -180,6 +181,7 @@ class StepQuality(msgspec.Struct, frozen=True, kw_only=True):
     mean_joint_error_rad: float | None
     worst_joint: str
     worst_joint_error_rad: float | None
+    joint_errors_rad: dict[str, float]
     mean_root_height_error_m: float | None
 
 
@@ -281,3 +283,7 @@ class Quality(msgspec.Struct, kw_only=True):
     success: bool | None = None
     discarded: bool = False
     shortened: dict[str, int] = {}
+
+    def joint_errors_rad(self, robot: str) -> dict[str, float]:
+        """Return the mean error of each joint of a robot that was compared [rad]."""
+        return next((steps.joint_errors_rad for steps in self.steps if steps.robot == robot), {})

@@ -52,7 +52,6 @@ class StepMeter:
     _pose_times: dict[str, array[int]] = field(default_factory=lambda: defaultdict(lambda: array("q")))
     _tracking: TrackingError | None = None
     _joints: tuple[str, ...] = ()
-    _joint_sums: dict[str, float] = field(default_factory=lambda: defaultdict(float))
     _counts: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -84,8 +83,9 @@ class StepMeter:
 
     def result(self, paused: Sequence[Span] = ()) -> StepQuality:
         """Return the measures of all steps; announced pauses of the commands are left out."""
-        tracking, compared = self._tracking, self._tracking.ticks if self._tracking else 0
-        worst = max(self._joint_sums, key=lambda joint: self._joint_sums[joint], default="")
+        tracking = self._tracking
+        errors = tracking.joint_errors_rad if tracking else {}
+        worst = max(errors, key=errors.__getitem__, default="")
         times, gates = np.array(self._times, dtype=np.int64), np.array(self._gates, dtype=np.str_)
         away = _paused(times, gates, [span for span in paused if any(key.endswith(self.robot) for key in span.keys)])
         timed = np.array(self._timed, dtype=np.int64)
@@ -104,10 +104,11 @@ class StepMeter:
             interrupted_share=interrupted,
             clamped=self._counts.get("clamped"),
             refused=self._counts.get("refused"),
-            compared_steps=compared,
+            compared_steps=tracking.ticks if tracking else 0,
             mean_joint_error_rad=tracking.mean_joint_error_rad if tracking else None,
             worst_joint=worst,
-            worst_joint_error_rad=self._joint_sums[worst] / compared if worst else None,
+            worst_joint_error_rad=errors.get(worst),
+            joint_errors_rad=errors,
             mean_root_height_error_m=tracking.mean_root_height_error_m if tracking else None,
         )
 
@@ -148,12 +149,9 @@ class StepMeter:
         if self._tracking is None:
             self._joints = tuple(name.removesuffix("_pos") for name in names if name.endswith("_pos"))
             self._tracking = TrackingError(asked_names, self._joints)
-        q = measured[: len(self._joints)]
         truth = self._named(step, keys.sim_qpos(self.robot))
-        self._tracking.add(q, asked, None if truth is None else float(truth[1][truth[0].index("root_z")]))
-        for joint, position in zip(self._joints, q, strict=True):
-            if f"{joint}_pos" in asked_names:
-                self._joint_sums[joint] += abs(float(position - asked[asked_names.index(f"{joint}_pos")]))
+        height_m = None if truth is None else float(truth[1][truth[0].index("root_z")])
+        self._tracking.add(measured[: len(self._joints)], asked, height_m)
 
     def _named(self, step: Step, key: str) -> tuple[tuple[str, ...], Floats] | None:
         data, names = step.values.get(key), self._layouts.get(key)

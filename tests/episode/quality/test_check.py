@@ -13,6 +13,7 @@ import pytest
 from msgspec.structs import replace
 
 from adapters.robots.g1 import twist_keys
+from adapters.robots.g1.joints import G1_29
 from station.bus import codec, keys
 from station.episode.quality import rule_file
 from station.episode.quality.check import check, write_measured
@@ -137,6 +138,20 @@ def test_the_worst_joint_is_named(builder: EpisodeBuilder) -> None:
     walk(builder, asked=command(q), **FAST)
     (steps,) = checked(builder).steps
     assert (steps.worst_joint, steps.worst_joint_error_rad) == ("left_knee", pytest.approx(0.2))
+
+
+def test_joints_that_are_no_numbers_take_no_part_in_errors(builder: EpisodeBuilder) -> None:
+    for number in range(20):
+        q = STANDING.copy()
+        q[0] = np.nan
+        q[1] = np.nan if number % 2 else q[1]
+        tick(builder, number, at_s=0.02 * number, q=q, asked=command(STANDING + 0.1))
+    quality = checked(builder)
+    errors = quality.joint_errors_rad(ROBOT)
+    assert list(errors) == list(G1_29[1:])
+    assert list(errors.values()) == pytest.approx([0.1] * 28)
+    assert quality.steps[0].mean_joint_error_rad == pytest.approx(0.1)
+    assert quality.joint_errors_rad("another") == {}
 
 
 def test_a_fall_is_seen_in_the_pose_alone(builder: EpisodeBuilder) -> None:
