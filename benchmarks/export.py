@@ -101,11 +101,11 @@ def _speed(what: str, folder: Path, found: Sequence[Source], settings: Settings)
 def _export(found: Sequence[Source], out: Path, jobs: int, on_done: Any = None) -> Exported:
     kind: ExportKind = registry.find("export", "lerobot")
 
-    def note(outcome: Outcome) -> None:
+    def on_result(outcome: Outcome) -> None:
         if on_done is not None:
             on_done(outcome)
 
-    return export(kind, found, kind.options(), out, where=Workers(jobs=jobs), on_done=note)
+    return export(kind, found, kind.options(), out, where=Workers(jobs=jobs), on_done=on_result)
 
 
 def _resident() -> float:

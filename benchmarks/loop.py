@@ -66,11 +66,11 @@ def _absolute(ticks: int) -> list[float]:
 
 
 def _turn(worker: processes.Worker, seconds: float) -> Callable[[], list[float]]:
-    def take() -> list[float]:
+    def measure() -> list[float]:
         wakes: list[float] = worker.ask(seconds)
         return wakes
 
-    return take
+    return measure
 
 
 def _rows(condition: str, wakes: Mapping[str, Rounds]) -> list[Row]:

@@ -39,12 +39,12 @@ class Worker:
         self._process = _SPAWN.Process(target=_work, args=(far, make, arguments), daemon=True)
         self._process.start()
         far.close()
-        self._take()
+        self._receive()
 
     def ask(self, *arguments: Any) -> Any:
         """Call the function over there and return what it returns."""
         self._line.send(arguments)
-        return self._take()
+        return self._receive()
 
     def close(self) -> None:
         """End the process."""
@@ -60,7 +60,7 @@ class Worker:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _take(self) -> Any:
+    def _receive(self) -> Any:
         kind, value = self._line.recv()
         if kind == "failed":
             raise RuntimeError(f"a process of the benchmark failed:\n{value}")

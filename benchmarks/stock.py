@@ -87,12 +87,12 @@ def poll_recorder(port: int, names: Sequence[str], stop: Callable[[], bool]) -> 
     client = Client(port)
     seen: dict[str, set[bytes]] = {name: set() for name in names}
     while not stop():
-        loop(RECORDER_HZ, 1, lambda: _look(client, names, seen))
+        loop(RECORDER_HZ, 1, lambda: _poll(client, names, seen))
     client.close()
     return seen
 
 
-def _look(client: Client, names: Sequence[str], seen: dict[str, set[bytes]]) -> None:
+def _poll(client: Client, names: Sequence[str], seen: dict[str, set[bytes]]) -> None:
     for name, value in zip(names, client.read(names), strict=True):
         if value is not None:
             seen[name].add(value)

@@ -102,12 +102,12 @@ def _speaker(config: CuesConfig, name: str, clock: Clock) -> Speaker:
 
 def _run(life: Life, monitor: StationMonitor, table: Phrases, speakers: Mapping[str, Speaker]) -> None:
     while not life.clock.wait(life.stop_event, _PERIOD_S):
-        for event in monitor.take():
+        for event in monitor.poll():
             if (cue := table.cue(event)) is not None:
                 for speaker in speakers.values():
-                    speaker.say(cue)
+                    speaker.play(cue)
         for name, speaker in speakers.items():
-            if why_not := speaker.take_flaw():
+            if why_not := speaker.pop_error():
                 life.event("cue-not-said", severity="warning", voice=name, reason=why_not)
         life.report(
             said=sum(speaker.said for speaker in speakers.values()),

@@ -137,10 +137,10 @@ def main(config: KassowConfig, life: Life) -> int:
             control,
             state_values=publisher.state_values,
             result_values=lambda record, arm: result_values(
-                config.robot, record, control.commanded, arm, requests.look()
+                config.robot, record, control.commanded, arm, requests.poll()
             ),
             period_s=1.0 / RATE_HZ,
-            requests={keys.CONTROLLER: requests.hear},
+            requests={keys.CONTROLLER: requests.on_request},
         ) as loop:
             life.configured(_facts(config, life.name, command_format, limits, session))
             if not life.ready():
@@ -208,12 +208,12 @@ class RequestHandler:
         self._answer: ControllerAnswer | None = None
         self._done = DoneRequests[ControllerAnswer]()
 
-    def hear(self, asked: Asked) -> None:
+    def on_request(self, asked: Asked) -> None:
         """Take up what came on the key of requests."""
         try:
             request = parse(asked.data, ControllerRequest, "a request to a controller")
         except Refused as error:
-            self._control.commanded.note("request-refused", "warning", reason=str(error))
+            self._control.commanded.add_event("request-refused", "warning", reason=str(error))
             return
         if request.robot != self._robot or (self._clearing is not None and request.id == self._clearing.id != ""):
             return
@@ -232,14 +232,14 @@ class RequestHandler:
             self._control.clearing()
             self._begin_clearing(request)
 
-    def look(self) -> ControllerAnswer | None:
+    def poll(self) -> ControllerAnswer | None:
         """Take up what is done by now; return the newest answer."""
         if self._clearing is not None and not self._cleared.empty():
             request, refusal = self._cleared.get()
             self._clearing = None
             self._reply(request, refusal)
             if refusal:
-                self._control.commanded.note("clear-refused", "warning", who=request.who, reason=refusal)
+                self._control.commanded.add_event("clear-refused", "warning", who=request.who, reason=refusal)
             else:
                 self._control.cleared(request.who)
         return self._answer

@@ -244,7 +244,7 @@ class Player:
             for key, own in self._own_keys:
                 own.check(self._watch.latest(key))
             self._writer.write(frame, pace.state_seq)
-            self._story.tell(frame)
+            self._story.publish(frame)
             if self._preview is not None:
                 self._preview.show(frame.time_s)
             self._life.report(**pace.health(), phase=frame.phase, motion_time_s=round(frame.time_s, 3))
@@ -289,7 +289,7 @@ class _Story:
         self._life, self._playback = life, playback
         self._has_begun, self._phase, self._loops = False, "", 0
 
-    def tell(self, frame: Frame) -> None:
+    def publish(self, frame: Frame) -> None:
         if frame.phase == self._phase:
             return
         self._phase = frame.phase

@@ -154,8 +154,8 @@ class _Recorder:
         is_closed = self.recording.close(_CLOSE_S)
         if not is_closed:
             self._life.event("recorder-not-closed", severity="error", waited_s=_CLOSE_S)
-        self._say_notices()
-        for answer in self.recording.answers.take():
+        self._publish_notices()
+        for answer in self.recording.answers.pop():
             self._answer(answer)
         return 0 if is_closed else 1
 
@@ -172,7 +172,7 @@ class _Recorder:
 
     def _speak(self) -> None:
         now = self._life.clock.monotonic_s()
-        self._say_notices()
+        self._publish_notices()
         if now >= self._answer_due and (answer := self.recording.answers.next()) is not None:
             self._answer_due = now + _ANSWER_SPACING_S
             self._answer(answer)
@@ -186,7 +186,7 @@ class _Recorder:
                 dropped=state.dropped, restarts=state.restarts, minutes_left=_shown(state),
             )  # fmt: skip
 
-    def _say_notices(self) -> None:
+    def _publish_notices(self) -> None:
         while self.recording.notices:
             notice = self.recording.notices.popleft()
             self._life.event(notice.name, severity=notice.severity, **notice.numbers)

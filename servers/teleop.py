@@ -170,7 +170,7 @@ class Teleop:
         self._config, self._life, self._driver, self._watch = config, life, driver, watch
         self._command_format = driver.command_format
         self._driving = Driving(driver, Buttons(bound))
-        self._ear = DeviceSubscriber(watch, config.device, config.controls_from)
+        self._subscriber = DeviceSubscriber(watch, config.device, config.controls_from)
         self._robot = RobotSide(
             watch,
             self._command_format.robot,
@@ -199,7 +199,7 @@ class Teleop:
                 self._tick(dt_s)
                 self._life.report(**pace.health())
                 dt_s = pace.wait(is_leaving=self._leaving is not None)
-            self._say_farewell()
+            self._publish_farewell()
         except Exception as error:
             self._life.event("teleop-error", severity="error", reason=f"{type(error).__name__}: {error}")
             self._leave_blindly(pace)
@@ -217,16 +217,16 @@ class Teleop:
         now_ns = self._clock.monotonic_ns()
         if self._leaving is None and self._life.stopping:
             self._leaving = ExitBlend(self._command_format, self._config.leave_s)
-        heard = self._ear.hear()
+        heard = self._subscriber.poll()
         if not heard.why_not:
             self._heard_s = now_ns * 1e-9
-        self._robot.look(now_ns)
-        self._take_up()
+        self._robot.poll(now_ns)
+        self._resume_from_robot()
         why_blocked = (
             _ENDING if self._leaving is not None else self._robot.why_blocked or self._writer.why_not or heard.why_not
         )
-        driven = self._driving.step(heard.reading, dt_s, why_blocked=why_blocked)
-        self._tell(driven)
+        driven = self._driving.step(heard.sample, dt_s, why_blocked=why_blocked)
+        self._publish_events(driven)
         self._obey(driven.pressed)
         self._own_key.check(self._watch.latest(self._command_format.key))
         self._decide_to_speak(driven, now_ns)
@@ -240,11 +240,11 @@ class Teleop:
                                engaged=deadman.is_engaged, mode=self._driver.mode, reason=deadman.reason)  # fmt: skip
         self._report(why_blocked)
 
-    def _take_up(self) -> None:
+    def _resume_from_robot(self) -> None:
         """Before commands begin: take up the command that the robot follows, so that engaging starts from it."""
         used, known = self._robot.used, self._taken_up
         if not self._speaks and used is not None and not (known is not None and np.array_equal(used, known)):
-            self._driver.take_up(used)
+            self._driver.resume_from(used)
             self._taken_up = used
 
     def _decide_to_speak(self, driven: DrivingStep, now_ns: int) -> None:
@@ -271,12 +271,12 @@ class Teleop:
     def _then(self) -> str:
         return "the robot stays where it is" if self._command_format.holds_position else "the robot returns to standing"
 
-    def _say_farewell(self) -> None:
+    def _publish_farewell(self) -> None:
         if self._speaks:
             reason = "the server was asked to stop" if self._life.stopping else "the operator left"
             self._life.event("teleop-commands-end", reason=reason, then=self._then)
 
-    def _tell(self, driven: DrivingStep) -> None:
+    def _publish_events(self, driven: DrivingStep) -> None:
         mode = {"mode": self._driver.mode} if self._driver.mode else {}
         told: dict[str, Any] = {"device": self._config.device, "driver": self._driver.name} | mode
         if driven.mode:

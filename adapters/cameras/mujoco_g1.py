@@ -71,7 +71,9 @@ class MujocoCamera:
         self._eye: Eye | None = None
         try:
             self._eye = Eye(self._model, self._width, self._height)
-            self._eye.take(self._pose(self._model.qpos0[[*self._at.root_q, *self._at.q]]), camera)  # the first is slow
+            self._eye.capture(
+                self._pose(self._model.qpos0[[*self._at.root_q, *self._at.q]]), camera
+            )  # the first is slow
         except StationError as error:
             raise CameraError(f"camera {camera}: {error}") from None
 
@@ -89,7 +91,7 @@ class MujocoCamera:
         qpos = self._parsed(sample)
         if qpos is None or self._eye is None:
             return None
-        pixels = self._eye.take(self._pose(qpos), self._name)
+        pixels = self._eye.capture(self._pose(qpos), self._name)
         return Picture(self._encoder.rgb(pixels), _written_ns(sample))
 
     def why_silent(self) -> str:

@@ -126,7 +126,7 @@ class UvcCamera:
 
     def _drain(self) -> list[Frame]:
         """Return the pictures that the driver has, oldest first."""
-        return list(islice(iter(self._device.take, None), _BUFFERS))
+        return list(islice(iter(self._device.read_frame, None), _BUFFERS))
 
     def _newest(self, frames: list[Frame]) -> Picture | None:
         """Return the newest whole picture of some; count the others."""

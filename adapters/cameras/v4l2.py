@@ -48,7 +48,7 @@ def found(folder: Path = DEVICES) -> list[CaptureDevice]:
     seen: list[CaptureDevice] = []
     for path in sorted(folder.glob("video*"), key=lambda path: (len(path.name), path.name)):
         if path.is_char_device():
-            seen += _look(path)
+            seen += _inspect(path)
     return seen
 
 
@@ -90,7 +90,7 @@ def _there(cameras: Sequence[CaptureDevice]) -> str:
     return "there are " + ", ".join(map(str, cameras))
 
 
-def _look(path: Path) -> Iterator[CaptureDevice]:
+def _inspect(path: Path) -> Iterator[CaptureDevice]:
     try:
         with closing(open_device(path)) as device:
             if device.info.captures:  # the others give metadata

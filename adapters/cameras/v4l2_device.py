@@ -145,7 +145,7 @@ class VideoDevice:
             raise OSError(errno.EIO, os.strerror(errno.EIO))
         return bool(events)
 
-    def take(self) -> Frame | None:
+    def read_frame(self) -> Frame | None:
         """Return the oldest picture that is ready, and give its buffer back; None when none is."""
         try:
             buffer = self._call(calls.DQBUF, _buffer(0))

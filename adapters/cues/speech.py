@@ -90,7 +90,7 @@ class Speech:
         self._options = options
         self.program, self._path = _find(options.program)
 
-    def say(self, cue: Cue, hush: Hush) -> None:
+    def play(self, cue: Cue, hush: Hush) -> None:
         """Speak the words of a cue.
 
         Raises:

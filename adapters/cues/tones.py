@@ -55,7 +55,7 @@ class Tones:
             except self._error as error:
                 raise DeviceError(_no_output(options.device, f"{error}", words())) from None
 
-    def say(self, cue: Cue, hush: Hush) -> None:
+    def play(self, cue: Cue, hush: Hush) -> None:
         """Play the tune of a cue.
 
         Raises:

@@ -58,7 +58,7 @@ class Wav:
         self._sound.setparams((1, 2, RATE_HZ, 0, "NONE", ""))
         self._began_s = time.monotonic()
 
-    def say(self, cue: Cue, hush: Hush) -> None:
+    def play(self, cue: Cue, hush: Hush) -> None:
         """Write the tune of a cue where it is now, as long as it lasts.
 
         Raises:

@@ -118,9 +118,9 @@ class ArmDriver:
         """The target stays where it is while the operator moves nothing."""
         return True
 
-    def look(self, reading: OperatorSample) -> DriverInput:
+    def inspect(self, sample: OperatorSample) -> DriverInput:
         """Require a leader, a tracked hand, a twist or controls; to begin, a leader must be near the arm."""
-        found = self._input(reading)
+        found = self._input(sample)
         if isinstance(found, str):
             return DriverInput(None, found)
         if found.joints is None:
@@ -145,21 +145,21 @@ class ArmDriver:
             self._choice.joint = self._parts[self._mode].start
         return self._mode
 
-    def step(self, reading: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+    def step(self, sample: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
         """Go on for a period; without a snapshot the target stands."""
-        if reading is not None and self._mode != TOOL:
-            self._choice.step(reading.controls)
+        if sample is not None and self._mode != TOOL:
+            self._choice.step(sample.controls)
             self._mode = next(mode for mode, part in self._parts.items() if self._choice.joint in part)
         anchor = self._anchor
-        if snapshot is None or reading is None:
+        if snapshot is None or sample is None:
             self._anchor = None
         elif anchor is None or anchor.snapshot is not snapshot or anchor.mode != self._mode:
-            self._anchor = self._anchored(snapshot, reading)  # the command of this tick is the one before it
+            self._anchor = self._anchored(snapshot, sample)  # the command of this tick is the one before it
         else:
-            self._q = np.clip(self._moved(reading, anchor, dt_s), self._lower, self._upper)
+            self._q = np.clip(self._moved(sample, anchor, dt_s), self._lower, self._upper)
         return self._q.copy()
 
-    def take_up(self, command: Floats) -> None:
+    def resume_from(self, command: Floats) -> None:
         """Go on from where the arm stands; one that stands outside its soft limits may only come in."""
         self._q = np.array(command)
         self._lower = np.minimum(self._command_format.lower, self._q)
@@ -170,40 +170,40 @@ class ArmDriver:
         options = msgspec.to_builtins(self._options, enc_hook=str)
         return {"driver": self.name, **options, "modes": list(self._modes), "limits": self._limits}
 
-    def _input(self, reading: OperatorSample) -> ArmInput | str:
+    def _input(self, sample: OperatorSample) -> ArmInput | str:
         needs_head = self._options.heading == "head"
         return arm_input.of(
-            reading, self._options.hand, joints=len(self._joints), needs_head=needs_head, is_tool=self._mode == TOOL
+            sample, self._options.hand, joints=len(self._joints), needs_head=needs_head, is_tool=self._mode == TOOL
         )
 
-    def _anchored(self, snapshot: Snapshot[ArmInput, Floats], reading: OperatorSample) -> _Anchor:
-        found, pose = self._input(reading), None
+    def _anchored(self, snapshot: Snapshot[ArmInput, Floats], sample: OperatorSample) -> _Anchor:
+        found, pose = self._input(sample), None
         if self._mode == TOOL and self._tool is not None:
             self._tool.rest(self._q)
             pose = self._tool.pose(self._q)
         poses = found.poses if isinstance(found, ArmInput) and found.poses is not None else {}
         return _Anchor(snapshot, self._mode, poses, pose)
 
-    def _moved(self, reading: OperatorSample, anchor: _Anchor, dt_s: float) -> Floats:
+    def _moved(self, sample: OperatorSample, anchor: _Anchor, dt_s: float) -> Floats:
         """Return the joints after a period [s]; those of a sample that moves nothing, or holds nothing, stand."""
-        found, reach = self._input(reading), self._options.speed_rad_s * dt_s
+        found, reach = self._input(sample), self._options.speed_rad_s * dt_s
         if isinstance(found, str):
             return self._q
         if found.joints is not None:
             return self._q + np.clip(found.joints - self._q, -reach, reach)
         if self._tool is not None and anchor.tool is not None:
-            return self._moved_by_tool(self._tool, reading, found, anchor, dt_s)
+            return self._moved_by_tool(self._tool, sample, found, anchor, dt_s)
         way = np.zeros(len(self._joints))
-        if reading.twist is None:
-            way[self._choice.joint] = arm_input.jog(reading.controls)
+        if sample.twist is None:
+            way[self._choice.joint] = arm_input.jog(sample.controls)
         else:
             for joint in self._parts[self._mode]:
                 axis, sign = _TURNED_BY_TWIST.get(joint, (0, 0.0))
-                way[joint] = sign * min(max(float(reading.twist[axis]), -1.0), 1.0)
+                way[joint] = sign * min(max(float(sample.twist[axis]), -1.0), 1.0)
         return self._q + way * reach
 
     def _moved_by_tool(
-        self, tool: ArmTool, reading: OperatorSample, found: ArmInput, anchor: _Anchor, dt_s: float
+        self, tool: ArmTool, sample: OperatorSample, found: ArmInput, anchor: _Anchor, dt_s: float
     ) -> Floats:
         options, hand = self._options, self._options.hand
         assert anchor.tool is not None
@@ -215,7 +215,7 @@ class ArmDriver:
                 scale=options.scale, heading_rad=looks - options.facing_rad,
             )  # fmt: skip
             return tool.follow(self._q, goal, dt_s, self._lower, self._upper)
-        deflection = arm_input.tool_deflection(reading)
+        deflection = arm_input.tool_deflection(sample)
         axes = tool.pose(self._q).quat_wxyz if options.frame == "tool" else _about_z(options.facing_rad)
         return tool.twist(self._q, deflection, axes, dt_s, self._lower, self._upper)
 

@@ -48,27 +48,27 @@ class ArmInput:
     poses: Mapping[str, Pose] | None = None
 
 
-def of(reading: OperatorSample, hand: Side, *, joints: int, needs_head: bool, is_tool: bool) -> ArmInput | str:
+def of(sample: OperatorSample, hand: Side, *, joints: int, needs_head: bool, is_tool: bool) -> ArmInput | str:
     """Return what a sample asks of an arm, or what it lacks.
 
     Args:
-        reading: The sample.
+        sample: The sample.
         hand: The hand that may drive.
         joints: How many the arm has.
         needs_head: Whether the headset tells what is forward.
         is_tool: Whether the tool is driven, and not joints.
     """
-    if reading.joints is not None:
+    if sample.joints is not None:
         return (
             "a leader arm drives joints and not the tool; change the mode"
             if is_tool
-            else _leader(reading.joints, joints)
+            else _leader(sample.joints, joints)
         )
-    if is_tool and (reading.left is not None or reading.right is not None or reading.head is not None):
-        return _hand(reading, hand, needs_head=needs_head)
-    if reading.twist is not None:
-        return ArmInput("twist", is_tool) if np.isfinite(reading.twist).all() else "the device sends no numbers"
-    return ArmInput("controls", is_tool) if reading.controls else "the device sends nothing that moves an arm"
+    if is_tool and (sample.left is not None or sample.right is not None or sample.head is not None):
+        return _hand(sample, hand, needs_head=needs_head)
+    if sample.twist is not None:
+        return ArmInput("twist", is_tool) if np.isfinite(sample.twist).all() else "the device sends no numbers"
+    return ArmInput("controls", is_tool) if sample.controls else "the device sends nothing that moves an arm"
 
 
 def jump(before: ArmInput, now: ArmInput, joint_names: Sequence[str]) -> str:
@@ -86,11 +86,11 @@ def jump(before: ArmInput, now: ArmInput, joint_names: Sequence[str]) -> str:
     return deltas.jump(before.poses, now.poses) if before.poses and now.poses else ""
 
 
-def tool_deflection(reading: OperatorSample) -> Floats:
+def tool_deflection(sample: OperatorSample) -> Floats:
     """Return what a twist, or else sticks and keys ask of the tool: vx vy vz wx wy wz, -1 to 1, shape (6,)."""
-    if reading.twist is not None:
-        return np.clip(reading.twist, -1.0, 1.0)
-    return np.array([live(summed(reading.controls, signs)) for signs in _TOOL])
+    if sample.twist is not None:
+        return np.clip(sample.twist, -1.0, 1.0)
+    return np.array([live(summed(sample.controls, signs)) for signs in _TOOL])
 
 
 def jog(controls: Mapping[str, float]) -> float:
@@ -129,10 +129,10 @@ def _leader(joints: Floats, count: int) -> ArmInput | str:
     return ArmInput("leader", joints=joints[:count])
 
 
-def _hand(reading: OperatorSample, hand: Side, *, needs_head: bool) -> ArmInput | str:
-    found: dict[str, Pose | None] = {hand: reading.left if hand == "left" else reading.right}
+def _hand(sample: OperatorSample, hand: Side, *, needs_head: bool) -> ArmInput | str:
+    found: dict[str, Pose | None] = {hand: sample.left if hand == "left" else sample.right}
     if needs_head:
-        found["head"] = reading.head
+        found["head"] = sample.head
     flaws = [f"{name} {why_not}" for name, pose in found.items() if (why_not := deltas.why_not(pose))]
     return (
         "; ".join(flaws) if flaws else ArmInput("hand", True, poses={n: p for n, p in found.items() if p is not None})

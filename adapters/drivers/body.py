@@ -91,13 +91,13 @@ class BodyDriver:
         """Whether the robot has come to a stand."""
         return self._held is None and self._left_s <= 0.0
 
-    def look(self, reading: OperatorSample) -> DriverInput:
+    def inspect(self, sample: OperatorSample) -> DriverInput:
         """A body is needed, at a time of the device."""
-        if reading.body is None:
+        if sample.body is None:
             return DriverInput(None, "the body is not tracked")
-        if reading.capture_ns is None:
+        if sample.capture_ns is None:
             return DriverInput(None, "the device does not say when it saw the body")
-        return DriverInput(None, self._why_not) if self._why_not else DriverInput(reading.body)
+        return DriverInput(None, self._why_not) if self._why_not else DriverInput(sample.body)
 
     def jump(self, before: Body, now: Body) -> str:
         """Return what jumped, or ""."""
@@ -107,9 +107,9 @@ class BodyDriver:
         """There is but one."""
         return self.mode
 
-    def step(self, reading: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+    def step(self, sample: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
         """Go on for a period; without a snapshot the robot comes to a stand, arms as they are."""
-        self._see(reading)
+        self._see(sample)
         if snapshot is not self._held:
             self._held = snapshot
             if snapshot is not None:
@@ -119,15 +119,15 @@ class BodyDriver:
         self._left_s = max(self._left_s - dt_s, 0.0) if snapshot is None else 0.0
         if snapshot is None or self._live is None:
             return self._shaper.send(self._rest, dt_s)
-        if reading is not None:
-            self._fingers.step(reading.controls, dt_s)
-            if reading.body is not None:
-                self._neck.follow(reading.body.quats_wxyz[_CHEST], reading.body.quats_wxyz[_HEAD], dt_s)
+        if sample is not None:
+            self._fingers.step(sample.controls, dt_s)
+            if sample.body is not None:
+                self._neck.follow(sample.body.quats_wxyz[_CHEST], sample.body.quats_wxyz[_HEAD], dt_s)
         return self._shaper.send(self._live, dt_s)
 
-    def take_up(self, command: Floats) -> None:
+    def resume_from(self, command: Floats) -> None:
         """Continue from another writer's command; it holds until the operator engages."""
-        self._shaper.take_up(command)
+        self._shaper.resume_from(command)
         self._rest, self._left_s = self._shaper.sent.copy(), 0.0
 
     def facts(self) -> dict[str, Any]:
@@ -135,13 +135,13 @@ class BodyDriver:
         calibration = {"calibration": self._calibration} if self._calibration else {}
         return {"driver": self.name, "neck_scale": self._neck_scale, **calibration, "retarget": self._retarget.facts()}
 
-    def _see(self, reading: OperatorSample | None) -> None:
+    def _see(self, sample: OperatorSample | None) -> None:
         """Retarget while the operator is not engaged as well: what is blended into must be under way already."""
-        if reading is None or reading.body is None or reading.capture_ns is None:
+        if sample is None or sample.body is None or sample.capture_ns is None:
             self._why_not = ""
             return
         try:
-            reference = self._retarget.step(reading.body, reading.capture_ns)
+            reference = self._retarget.step(sample.body, sample.capture_ns)
         except StationError as error:  # told by the dead-man, which lets go
             self._why_not = str(error)
             return

@@ -45,9 +45,9 @@ class BodyOnLegs:
         """Return joints of the command that stands [rad]."""
         return self.shaper.sent[[HEAD + G1_29.index(name) for name in names]]
 
-    def take_up(self, command: Floats) -> None:
+    def resume_from(self, command: Floats) -> None:
         """Continue from another writer's command; the legs stand from now on."""
-        self.shaper.take_up(command)
+        self.shaper.resume_from(command)
         self.sticks, self._walker, self._has_begun = Sticks(), Walker(), False
 
     def begin(self) -> Floats:

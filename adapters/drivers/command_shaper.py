@@ -27,7 +27,7 @@ class CommandShaper:
         self._offset: Floats | None = None  # what was sent more than was wanted, when a way began; None before it does
         self._begun_s, self._lasts_s = 0.0, np.ones(len(self.sent))
 
-    def take_up(self, command: Floats) -> None:
+    def resume_from(self, command: Floats) -> None:
         """Take up another writer's command, shape (m,), and go on from it."""
         self.sent = np.clip(command, self.command_format.lower, self.command_format.upper)
         self.begin()

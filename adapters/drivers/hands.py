@@ -66,7 +66,7 @@ class HandsDriver:
         self._neck = Neck(self._options.neck_scale)
         self._held: Snapshot[Poses, Palms] | None = None
         self._walks = False
-        self.take_up(FORMAT.default)
+        self.resume_from(FORMAT.default)
 
     @property
     def command_format(self) -> CommandFormat:
@@ -93,11 +93,11 @@ class HandsDriver:
         """Whether the legs stand."""
         return self._body.is_standing
 
-    def look(self, reading: OperatorSample) -> DriverInput:
+    def inspect(self, sample: OperatorSample) -> DriverInput:
         """Both hands are needed, and the head where it tells what is forward."""
-        found: dict[str, Pose | None] = {side: getattr(reading, side) for side in self._options.sides}
+        found: dict[str, Pose | None] = {side: getattr(sample, side) for side in self._options.sides}
         if self._options.heading == "head":
-            found["head"] = reading.head
+            found["head"] = sample.head
         flaws = [f"{name} {why_not}" for name, pose in found.items() if (why_not := deltas.why_not(pose))]
         return DriverInput(None, "; ".join(flaws)) if flaws else DriverInput(found)
 
@@ -110,7 +110,7 @@ class HandsDriver:
         self._walks = not self._walks
         return self.mode
 
-    def step(self, reading: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+    def step(self, sample: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
         """Go on for a period; without a snapshot the arms stay and the legs come to a stand."""
         sticks, wish = self._body.sticks, self._body.sticks.rest()
         if snapshot is not self._held:  # engaged or let go in this tick: the arms stay where they are asked to be
@@ -118,40 +118,40 @@ class HandsDriver:
             self._ik.reset(self._ik.q)
             if snapshot is not None:
                 return self._body.begin()
-        elif snapshot is not None and reading is not None:
-            self._ik.step(self._goals(snapshot, reading), dt_s)
-            self._body.fingers.step(reading.controls, dt_s)
-            self._turn_neck(snapshot, reading, dt_s)
+        elif snapshot is not None and sample is not None:
+            self._ik.step(self._goals(snapshot, sample), dt_s)
+            self._body.fingers.step(sample.controls, dt_s)
+            self._turn_neck(snapshot, sample, dt_s)
             if self._walks:
-                wish = sticks.wish(reading.controls, dt_s)
+                wish = sticks.wish(sample.controls, dt_s)
         return self._body.send(wish, dt_s, named(self._ik.joint_names, self._ik.q))
 
-    def take_up(self, command: Floats) -> None:
+    def resume_from(self, command: Floats) -> None:
         """Start from a command that another writer gave, shape (m,)."""
-        self._body.take_up(command)
+        self._body.resume_from(command)
         self._ik.reset(self._body.joints(self._ik.joint_names))
 
     def facts(self) -> dict[str, Any]:
         """Name and options."""
         return {"driver": self.name, **msgspec.to_builtins(self._options)}
 
-    def _turn_neck(self, snapshot: Snapshot[Poses, Palms], reading: OperatorSample, dt_s: float) -> None:
+    def _turn_neck(self, snapshot: Snapshot[Poses, Palms], sample: OperatorSample, dt_s: float) -> None:
         """Turn the neck as far as the headset is turned away from forward; without a headset the neck stays."""
-        if reading.head is None or deltas.why_not(reading.head):
+        if sample.head is None or deltas.why_not(sample.head):
             return
         forward = rotations.from_rotation_vector(np.array([0.0, 0.0, self._heading_rad(snapshot)]))
-        self._neck.follow(forward, reading.head.quat_wxyz, dt_s)
+        self._neck.follow(forward, sample.head.quat_wxyz, dt_s)
 
     def _heading_rad(self, snapshot: Snapshot[Poses, Palms]) -> float:
         if self._options.heading == "world":
             return 0.0
         return float(rotations.roll_pitch_yaw(snapshot.start["head"].quat_wxyz)[2])
 
-    def _goals(self, snapshot: Snapshot[Poses, Palms], reading: OperatorSample) -> dict[Side, Pose]:
+    def _goals(self, snapshot: Snapshot[Poses, Palms], sample: OperatorSample) -> dict[Side, Pose]:
         heading = self._heading_rad(snapshot)
         goals: dict[Side, Pose] = {side: snapshot.target[side] for side in SIDES}
         for side in self._options.sides:
-            now: Pose = getattr(reading, side)
+            now: Pose = getattr(sample, side)
             goals[side] = deltas.followed(
                 snapshot.target[side], snapshot.start[side], now, scale=self._options.scale, heading_rad=heading
             )

@@ -35,7 +35,7 @@ class JogDriver:
         self._held: Snapshot[Any, Any] | None = None
         self._mode = MODES.index("right")
         self._goals = self._ik.palms
-        self.take_up(FORMAT.default)
+        self.resume_from(FORMAT.default)
 
     @property
     def command_format(self) -> CommandFormat:
@@ -62,11 +62,11 @@ class JogDriver:
         """Whether the legs stand."""
         return self._body.is_standing
 
-    def look(self, reading: OperatorSample) -> DriverInput:
+    def inspect(self, sample: OperatorSample) -> DriverInput:
         """A twist is needed."""
-        if reading.twist is None or not np.isfinite(reading.twist).all():
+        if sample.twist is None or not np.isfinite(sample.twist).all():
             return DriverInput(None, "the device sends no twist")
-        return DriverInput(reading.twist)
+        return DriverInput(sample.twist)
 
     def jump(self, before: Any, now: Any) -> str:
         """A twist may change as it likes."""
@@ -78,7 +78,7 @@ class JogDriver:
         self._goals = self._ik.palms
         return self.mode
 
-    def step(self, reading: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+    def step(self, sample: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
         """Go on for a period; without a snapshot everything comes to rest."""
         sticks, wish = self._body.sticks, self._body.sticks.rest()
         if snapshot is not self._held:
@@ -87,20 +87,20 @@ class JogDriver:
             self._goals = self._ik.palms
             if snapshot is not None:
                 return self._body.begin()
-        elif snapshot is not None and reading is not None and reading.twist is not None:
-            twist = np.clip(reading.twist, -1.0, 1.0)
+        elif snapshot is not None and sample is not None and sample.twist is not None:
+            twist = np.clip(sample.twist, -1.0, 1.0)
             if self.mode == "walk":
                 wish = sticks.deflected(twist[0], twist[1], twist[5], twist[2], dt_s)
             else:
                 side = SIDES[self._mode]
                 self._goals[side] = _led(_moved(self._goals[side], twist, dt_s), self._ik.palms[side])
             self._ik.step(self._goals, dt_s)
-            self._body.fingers.step(reading.controls, dt_s)
+            self._body.fingers.step(sample.controls, dt_s)
         return self._body.send(wish, dt_s, named(self._ik.joint_names, self._ik.q))
 
-    def take_up(self, command: Floats) -> None:
+    def resume_from(self, command: Floats) -> None:
         """Start from a command that another writer gave, shape (m,)."""
-        self._body.take_up(command)
+        self._body.resume_from(command)
         self._ik.reset(self._body.joints(self._ik.joint_names))
         self._goals = self._ik.palms
 

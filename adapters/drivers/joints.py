@@ -74,7 +74,7 @@ class JointsDriver:
         self._fastest = np.minimum(g1.velocity(names), FASTEST_RAD_S)
         self._held: Snapshot[Any, Any] | None = None
         self._caught_up = np.zeros(len(names), dtype=bool)
-        self.take_up(FORMAT.default)
+        self.resume_from(FORMAT.default)
 
     @property
     def command_format(self) -> CommandFormat:
@@ -96,10 +96,10 @@ class JointsDriver:
         """The legs always stand."""
         return self._body.is_standing
 
-    def look(self, reading: OperatorSample) -> DriverInput:
+    def inspect(self, sample: OperatorSample) -> DriverInput:
         """As many joints as configured are needed, each near the robot's for a beginning."""
         count = len(self._options.joints) + len(self._options.grippers)
-        joints = reading.joints
+        joints = sample.joints
         if joints is None:
             return DriverInput(None, "the leader sends no joints")
         if len(joints) != count or not np.isfinite(joints).all():
@@ -128,21 +128,21 @@ class JointsDriver:
         """There is but one."""
         return self.mode
 
-    def step(self, reading: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+    def step(self, sample: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
         """Go on for a period; without a snapshot the arms stay."""
         if snapshot is not self._held:
             self._held = snapshot
             self._caught_up[:] = False
             if snapshot is not None:
                 return self._body.begin()
-        elif snapshot is not None and reading is not None and reading.joints is not None:
-            self._follow(reading.joints, dt_s)
+        elif snapshot is not None and sample is not None and sample.joints is not None:
+            self._follow(sample.joints, dt_s)
         arms = named(ARMS, self._arms) | named(self._options.joints, self._q)
         return self._body.send(self._body.sticks.rest(), dt_s, arms)
 
-    def take_up(self, command: Floats) -> None:
+    def resume_from(self, command: Floats) -> None:
         """Start from a command that another writer gave, shape (m,)."""
-        self._body.take_up(command)
+        self._body.resume_from(command)
         self._q, self._arms = self._body.joints(self._options.joints), self._body.joints(ARMS)
 
     def facts(self) -> dict[str, Any]:

@@ -43,9 +43,9 @@ class WalkDriver:
         """Whether the legs stand."""
         return self._body.is_standing
 
-    def look(self, reading: OperatorSample) -> DriverInput:
+    def inspect(self, sample: OperatorSample) -> DriverInput:
         """Any controls will do."""
-        return DriverInput(reading.controls) if reading.controls else DriverInput(None, "the device sends no controls")
+        return DriverInput(sample.controls) if sample.controls else DriverInput(None, "the device sends no controls")
 
     def jump(self, before: Any, now: Any) -> str:
         """Sticks do not jump."""
@@ -55,21 +55,21 @@ class WalkDriver:
         """There is but one."""
         return self.mode
 
-    def step(self, reading: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+    def step(self, sample: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
         """Go on for a period; without a snapshot the legs come to a stand."""
         wish = self._body.sticks.rest()
         if snapshot is not self._held:
             self._held = snapshot
             if snapshot is not None:
                 return self._body.begin()
-        elif snapshot is not None and reading is not None:
-            wish = self._body.sticks.wish(reading.controls, dt_s)
-            self._body.fingers.step(reading.controls, dt_s)
+        elif snapshot is not None and sample is not None:
+            wish = self._body.sticks.wish(sample.controls, dt_s)
+            self._body.fingers.step(sample.controls, dt_s)
         return self._body.send(wish, dt_s)
 
-    def take_up(self, command: Floats) -> None:
+    def resume_from(self, command: Floats) -> None:
         """Start from a command that another writer gave, shape (m,)."""
-        self._body.take_up(command)
+        self._body.resume_from(command)
 
     def facts(self) -> dict[str, Any]:
         """Return the name."""

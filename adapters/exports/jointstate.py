@@ -62,8 +62,8 @@ def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
     return rows.made()
 
 
-def look(source: Source, plan: Plan) -> list[str]:
-    """Say whether an episode can be converted; see `ExportKind.look`."""
+def inspect(source: Source, plan: Plan) -> list[str]:
+    """Say whether an episode can be converted; see `ExportKind.inspect`."""
     _kinds(Rows(source, plan.keys), source, plan)
     return []
 

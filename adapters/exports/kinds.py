@@ -14,7 +14,7 @@ LEROBOT = ExportKind(
     convert=lerobot.convert,
     join=lerobot.join,
     columns=lerobot.columns,
-    look=lerobot.look,
+    inspect=lerobot.inspect,
     version=4,
 )
 CSV = ExportKind(
@@ -23,7 +23,7 @@ CSV = ExportKind(
     options=named_rows.QuickLookOptions,
     prepare=named_rows.prepare,
     convert=csv_tables.convert,
-    look=named_rows.look,
+    inspect=named_rows.inspect,
 )
 NPZ = ExportKind(
     name="npz",
@@ -31,7 +31,7 @@ NPZ = ExportKind(
     options=named_rows.QuickLookOptions,
     prepare=named_rows.prepare,
     convert=npz_arrays.convert,
-    look=named_rows.look,
+    inspect=named_rows.inspect,
 )
 JOINTSTATE_MCAP = ExportKind(
     name="jointstate-mcap",
@@ -39,5 +39,5 @@ JOINTSTATE_MCAP = ExportKind(
     options=named_rows.QuickLookOptions,
     prepare=named_rows.prepare,
     convert=jointstate.convert,
-    look=jointstate.look,
+    inspect=jointstate.inspect,
 )

@@ -66,8 +66,8 @@ def prepare(_sources: Sequence[Source], options: QuickLookOptions) -> Plan:
     return Plan(keys=options.keys)
 
 
-def look(source: Source, plan: Plan) -> list[str]:
-    """Say whether an episode can be converted; see `ExportKind.look`."""
+def inspect(source: Source, plan: Plan) -> list[str]:
+    """Say whether an episode can be converted; see `ExportKind.inspect`."""
     Rows(source, plan.keys)
     return []
 

@@ -77,11 +77,11 @@ class BodyMeasure:
         "standing": _UPRIGHT + "hanging, palms to the thighs",
     }
 
-    def why_not(self, reading: OperatorSample) -> str:
+    def why_not(self, sample: OperatorSample) -> str:
         """A body is needed, and when it was seen."""
-        if reading.body is None:
+        if sample.body is None:
             return "the body is not tracked; are the trackers on, and is body tracking started in the headset?"
-        return "" if reading.capture_ns is not None else "the device does not say when it saw the body"
+        return "" if sample.capture_ns is not None else "the device does not say when it saw the body"
 
     def file(self, operator: str) -> Path:
         """See `file_of`."""
@@ -91,7 +91,7 @@ class BodyMeasure:
         self, readings: Sequence[OperatorSample], operator: str, pose: str, *, device: str, source: str
     ) -> MeasurementResult:
         """Measure an operator; raises `adapters.retarget.calibration.NotCalibrated`."""
-        bodies = [reading.body for reading in readings if reading.body is not None]
+        bodies = [sample.body for sample in readings if sample.body is not None]
         found = calibration.calibrate(bodies, operator, _pose(pose), device=device, source=source)
         rows = [
             (part.name, f"{part.operator_m:.3f} m", f"{part.robot_m:.3f} m", f"{part.scale:.2f}")

@@ -40,7 +40,7 @@ class Camera:
         self._scene = mujoco.MjvScene(model, maxgeom=_GEOM_LIMIT)
         self._options = mujoco.MjvOption()
 
-    def take(self, data: mujoco.MjData, camera: str | None = None) -> Picture:
+    def capture(self, data: mujoco.MjData, camera: str | None = None) -> Picture:
         """Return a picture, shape (height, width, 3), RGB, uint8.
 
         Args:

@@ -279,7 +279,7 @@ class Station:
 
         def newer() -> list[Event]:
             self._clock.sleep(_LOOK_S)
-            return list(feed.take())
+            return list(feed.pop())
 
         return self._given_by(feed, newer, silent_s)
 

@@ -260,7 +260,7 @@ class Bus:
         if answers or not connection.owed:
             # One that was looked for in vain: while this process was paused, it did not look.
             if now_s - self._heard_s > _SILENT_S and self._looks_in_vain:
-                self.outages.note("bus-silent", _ns(self._heard_s))
+                self.outages.record("bus-silent", _ns(self._heard_s))
             self._heard_s, self._looks_in_vain = now_s, 0
         elif now_s - self._heard_s > _STALL_S:
             connection.close()
@@ -278,7 +278,7 @@ class Bus:
 
     def _end_refusals(self) -> None:
         log.info("bus %s: takes writes again; %d were refused", self.address, self._refused)
-        self.outages.note(
+        self.outages.record(
             "bus-refused", _ns(self._refused_s), refused=self._refused, reason=self._bare(self.last_error)
         )
         self._refused, self.last_error = 0, ""
@@ -312,7 +312,7 @@ class Bus:
                 self._connection, self.last_error, self._heard_s = fresh, "", self.clock.monotonic_s()
                 self.connections += 1
                 lost = self.lost_writes - lost_before
-                self.outages.note("bus-back", began_ns, lost_writes=lost, reason=reason)
+                self.outages.record("bus-back", began_ns, lost_writes=lost, reason=reason)
                 log.info("bus %s: back; %d writes were lost", self.address, lost)
             return
 

@@ -38,9 +38,9 @@ class Contracts:
         self._robots: dict[str, RobotDescription] = {}
         self._described: dict[str, Contract] = {}
         for facts in servers:
-            self.hear(facts)
+            self.add_facts(facts)
 
-    def hear(self, facts: Mapping[str, Any]) -> None:
+    def add_facts(self, facts: Mapping[str, Any]) -> None:
         """Take up what a server states, where that describes a robot."""
         if (robot := stated(facts)) is not None:
             self.describe(robot)

@@ -61,13 +61,13 @@ class MissedWrites(Generic[ValueT]):
         self._known: dict[str, ValueT] = {}
         self._differing: dict[str, ValueT] = {}
 
-    def note(self, values: Mapping[str, ValueT]) -> None:
+    def record_read(self, values: Mapping[str, ValueT]) -> None:
         """Record keys that were read because something was told of them, or as the first thing."""
         self._known.update(values)
         for key in values:
             self._differing.pop(key, None)
 
-    def look(self, values: Mapping[str, ValueT]) -> None:
+    def record_unasked(self, values: Mapping[str, ValueT]) -> None:
         """Record keys that were read unasked, before the question is put."""
         self._differing = {key: value for key, value in values.items() if value != self._known.get(key)}
 

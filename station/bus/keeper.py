@@ -137,10 +137,10 @@ class KeptServer:
                 self._short_lives += 1
                 continue
             self.restarts += 1
-            self._tell(f"bus server {how}; started again, pid {self.pid}; what it held is gone")
+            self._report(f"bus server {how}; started again, pid {self.pid}; what it held is gone")
             return
         self.error = BusError(f"bus {self.address}: its server {how}; it was started again in vain and is given up")
-        self._tell(str(self.error))
+        self._report(str(self.error))
         self._clock.wait(self._closed)
 
     @property
@@ -150,7 +150,7 @@ class KeptServer:
         delay_s: float = _FIRST_DELAY_S * 2 ** (self._short_lives - 2)
         return min(_LONGEST_DELAY_S, delay_s)
 
-    def _tell(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         log.warning("%s", text)
         if self._on_restart is not None:
             self._on_restart(text)

@@ -57,12 +57,12 @@ class Outages:
         self._held: deque[Outage] = deque(maxlen=_MOST)
         self._told: deque[Outage] = deque(maxlen=_REMEMBERED)
 
-    def note(self, kind: Kind, began_ns: int, **numbers: Any) -> None:
+    def record(self, kind: Kind, began_ns: int, **numbers: Any) -> None:
         """Note one that ends now."""
         with self._lock:
             self._held.append(Outage(kind, began_ns, self._clock.monotonic_ns(), numbers))
 
-    def take(self) -> list[Outage]:
+    def pop(self) -> list[Outage]:
         """Return those that have been over for a second, oldest first, each once.
 
         A watch that fell silent together with the whole bus, or with another watch, is not told of again.

@@ -54,7 +54,7 @@ class _Settings(msgspec.Struct, frozen=True):
         return [word for word in named if not _is_loopback(word)]
 
 
-def look(bus: Bus) -> Protection:
+def inspect(bus: Bus) -> Protection:
     """Look at a bus that we are logged in to; writes nothing."""
     settings = _settings(bus)
     if settings is not None and not settings.outside:

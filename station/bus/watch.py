@@ -44,7 +44,7 @@ _IDLE_S = 1.0  # a line that was silent for so long is probed
 _NOTICED_S = _IDLE_S + _TIMEOUT_S  # a server that is frozen for so long is given up
 _SOON_S = 0.001  # what is here already is taken before a server is given up
 _SLACK_S = 0.15  # a busy machine answers a probe, or asks it, so much later
-_ASKED = b"now"  # tells the answer of `_hear_all` from that of a probe
+_ASKED = b"now"  # tells the answer of `_drain` from that of a probe
 
 
 class Watch:
@@ -176,9 +176,9 @@ class Watch:
                 continue
             self._newest_ns, answered_ns, touched = self.clock.monotonic_ns(), self._answered_ns, Counter[str]()
             while message is not False:
-                self._note(message, touched)
+                self._on_message(message, touched)
                 message = events.buffered()
-            self._take(reader, touched)
+            self._read_touched(reader, touched)
             if self._answered_ns != answered_ns:
                 self._expect_told()
                 self._hearing.prove(self._asked_ns, self._answered_ns)
@@ -193,7 +193,7 @@ class Watch:
         is_owed = self._answered_ns < self._asked_ns
         if not is_owed and now_ns - self._asked_ns >= self._probe_s * 1e9:
             self._asked_ns, is_owed = now_ns, True
-            self._look(reader)
+            self._read_unasked(reader)
             events.send("PING")
         wait_s = _NOTICED_S - self._probe_s if is_owed else self._probe_s
         end_ns = self._asked_ns + round(wait_s * 1e9)
@@ -205,7 +205,7 @@ class Watch:
                 raise ConnectionLost(f"bus {events.address}: no answer in time where writes are told of") from None
             return None
 
-    def _look(self, reader: Connection) -> None:
+    def _read_unasked(self, reader: Connection) -> None:
         """Read everything unasked, before a question is put on the other line; expect that writes are to be told."""
         self._cut_ns = self._newest_ns
         reader.set_timeout(_NOTICED_S - self._probe_s)
@@ -214,11 +214,11 @@ class Watch:
         if missing_events(flags := flags_of(flags)):
             self._cut_ns = self._hearing.span.until_ns
             raise ConnectionLost(f"bus {self._address}: {taken_away(flags)}")
-        self._told.look(self._decoded(self._keys, values))
+        self._told.record_unasked(self._decoded(self._keys, values))
         self._cut_ns = None
 
     def _expect_told(self) -> None:
-        """Expect that all was told which `_look` has read, once the question after it is answered."""
+        """Expect that all was told which `_read_unasked` has read, once the question after it is answered."""
         if key := self._told.untold():
             self._cut_ns = self._hearing.span.until_ns
             raise ConnectionLost(
@@ -226,7 +226,7 @@ class Watch:
                 "for a moment, or flushed the bus"
             )
 
-    def _note(self, message: Any, touched: Counter[str]) -> None:
+    def _on_message(self, message: Any, touched: Counter[str]) -> None:
         """Record a message: that a key was written, or the answer to a probe."""
         if isinstance(message, list) and message[0] == b"message":
             touched[message[1].decode("utf-8", "surrogateescape")[len(self._prefix) :]] += 1
@@ -235,7 +235,7 @@ class Watch:
         else:
             raise ConnectionLost(f"bus {self._address}: {message!r} came where writes are told of")
 
-    def _hear_all(self, events: Connection, touched: Counter[str]) -> None:
+    def _drain(self, events: Connection, touched: Counter[str]) -> None:
         """Take in every message of what was written by now: all come before the answer to a question.
 
         Raises:
@@ -250,7 +250,7 @@ class Watch:
             is_probe_owed = self._answered_ns < self._asked_ns
             if message == [b"pong", _ASKED] or (isinstance(message, Exception) and not is_probe_owed):
                 return
-            self._note(message, touched)
+            self._on_message(message, touched)
 
     def _poll(self, reader: Connection) -> None:
         log.warning("bus %s: no keyspace notifications; polling every %.0f ms", self._address, _POLL_S * 1e3)
@@ -258,7 +258,7 @@ class Watch:
         everything = Counter(name for key in self._keys for name in (key, keys.stamp(key)))
         while not self.clock.wait(self._closed, _POLL_S):
             asked_ns = self.clock.monotonic_ns()
-            self._take(reader, everything)
+            self._read_touched(reader, everything)
             self._hearing.prove(asked_ns, self.clock.monotonic_ns())
 
     def _fill_at_start(self, reader: Connection) -> None:
@@ -271,14 +271,14 @@ class Watch:
                 if value is not None and (known is None or (known.value, known.stamp) != (value, mark)):
                     self._slots[key] = Sample(key, value, mark, None)
         if self._cut_ns is not None and self._outages is not None:
-            self._outages.note("watch-back", self._cut_ns, reason=self._last_error)
+            self._outages.record("watch-back", self._cut_ns, reason=self._last_error)
         self._cut_ns, self._began_ns = None, self.clock.monotonic_ns()
         self._hearing.begin(self._began_ns)
         self.connections += 1
         self.is_connected = True
         self._armed.set()
 
-    def _take(self, reader: Connection, touched: Counter[str]) -> None:
+    def _read_touched(self, reader: Connection, touched: Counter[str]) -> None:
         wanted = [key for key in self._keys if touched[key] or touched[keys.stamp(key)]]
         values = self._fetch(reader, wanted)
         now_ns = self.clock.monotonic_ns()
@@ -302,7 +302,7 @@ class Watch:
         if not wanted:
             return {}
         values = self._decoded(wanted, reader.send_packed(_read_request(wanted))[0])
-        self._told.note(values)
+        self._told.record_read(values)
         return values
 
     def _decoded(self, wanted: Sequence[str], values: Any) -> dict[str, Read]:

@@ -68,7 +68,7 @@ class _CameraLoop:
         self._picture_s = self._clock.monotonic_s()  # when the newest one came
         self._meter = _Meter(life)
         self._facts: dict[str, Any] = {}
-        self._take(open_camera())
+        self._capture(open_camera())
 
     def begin(self) -> None:
         """Count time from now on: what was taken before the server was active is old."""
@@ -86,7 +86,7 @@ class _CameraLoop:
             self._look_s = now_s + _AGAIN_S
             self._lose(self._camera.why_silent() or "it gives no pictures", now_s)
         age_ms = None if self._capture_ns is None else (self._clock.monotonic_ns() - self._capture_ns) * 1e-6
-        self._meter.look(now_s, self._published, self._bytes, self._drops, self._unsent, age_ms)
+        self._meter.update(now_s, self._published, self._bytes, self._drops, self._unsent, age_ms)
 
     def close(self) -> None:
         """Let go of the camera."""
@@ -117,11 +117,11 @@ class _CameraLoop:
             return
         self._look_s = now_s + _AGAIN_S
         try:
-            self._take(self._open())
+            self._capture(self._open())
         except CameraError as error:
             self._lose(str(error), now_s)
 
-    def _take(self, camera: Camera) -> None:
+    def _capture(self, camera: Camera) -> None:
         self._camera, facts = camera, camera.facts()
         if facts != self._facts:
             self._facts = facts
@@ -137,7 +137,7 @@ class _CameraLoop:
             return
         self._published += 1
         if self._camera is not None and self._facts.get("width") is None:
-            self._take(self._camera)  # a stream shows its size with its first picture
+            self._capture(self._camera)  # a stream shows its size with its first picture
         self._bytes += len(picture.jpeg)
         self._capture_ns = picture.capture_ns
 
@@ -177,7 +177,7 @@ class _Meter:
         """Start counting."""
         self._since_s, self._published, self._dropped = now_s, published, drops.total
 
-    def look(
+    def update(
         self, now_s: float, published: int, size: int, drops: Drops, unsent: int, age_ms: float | None
     ) -> None:  # fmt: skip
         """Report when a second is over."""
@@ -190,10 +190,10 @@ class _Meter:
             skipped=drops.skipped, torn=drops.torn, unsent=unsent, age_ms=None if age_ms is None else round(age_ms, 1),
             kilobytes=round((size - self._bytes) / count / 1e3, 1) if count else None,
         )  # fmt: skip
-        self._tell(now_s, dropped, drops, unsent)
+        self._publish(now_s, dropped, drops, unsent)
         self._since_s, self._published, self._bytes, self._dropped = now_s, published, size, dropped
 
-    def _tell(self, now_s: float, dropped: int, drops: Drops, unsent: int) -> None:
+    def _publish(self, now_s: float, dropped: int, drops: Drops, unsent: int) -> None:
         new = dropped - self._dropped
         if new:
             self._dropped_s = now_s

@@ -90,7 +90,7 @@ def fetch(names: Sequence[str], yes: bool, dry_run: bool) -> None:
     for order in orders:
         if order.missing:
             click.echo(f"{order.bundle.name}: fetched, {_count(order.missing)} into {order.folder}")
-        _tell_shadows(order)
+        _print_shadowed(order)
 
 
 def _show(order: FetchRequest, *, err: bool) -> None:
@@ -129,7 +129,7 @@ def _download(wants: Sequence[WantedFile]) -> None:
         fetching.download(wants, on_bytes=lambda count: progress.advance(task, count))
 
 
-def _tell_shadows(order: FetchRequest) -> None:
+def _print_shadowed(order: FetchRequest) -> None:
     shadows = [want for want in order.wants if want.shadow is not None]
     if shadows:
         first, more = shadows[0], f" and {len(shadows) - 1} more" if shadows[1:] else ""

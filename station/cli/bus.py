@@ -135,12 +135,12 @@ def _hash(option: str) -> tuple[str, str]:
 def info(bus: str | None, as_json: bool) -> None:
     """Tell which server a bus is, how it is set up, and who can reach it."""
     from station.bus.client import Bus
-    from station.bus.protection import look
+    from station.bus.protection import inspect
 
     with Bus(address_of(bus), name="cli", timeout_s=1.0) as line:
         text = line.call("INFO").decode()
         fields = dict(row.split(":", 1) for row in text.splitlines() if ":" in row)
-        protection = look(line)
+        protection = inspect(line)
     wanted = (
         "valkey_version", "redis_version", "process_id", "uptime_in_seconds", "connected_clients", "connected_slaves",
         "used_memory_human", "maxmemory_policy", "repl_backlog_size", "total_commands_processed",

@@ -122,10 +122,10 @@ def _started(device: str, server: str, sets: tuple[str, ...], line: Bus) -> Iter
         supervisor.activate(server)
         supervisor.wait_for(server, "active", _STARTS_WITHIN_S)
 
-        def look() -> None:
+        def poll() -> None:
             supervisor.wait_for(server, "active", _STARTS_WITHIN_S)  # at once; raises with its last words if it died
 
-        yield look
+        yield poll
     finally:
         supervisor.stop_all()
 

@@ -90,7 +90,7 @@ def _report(episode: Path, gl: str, data: Path | None) -> int:
     click.echo(story(found))
     click.echo()
     _draw(reader, episode, gl)
-    _say_what_next(data)
+    _print_next_steps(data)
     return 0 if found.is_equal and quality.verdict != "reject" else 1
 
 
@@ -128,7 +128,7 @@ def _made(name: str, path: Path, make: Callable[[Path], object]) -> None:
         click.echo(f"{name:<14} {path}")
 
 
-def _say_what_next(data: Path | None) -> None:
+def _print_next_steps(data: Path | None) -> None:
     where = "" if data is None else f" --data {data}"
     tries = {
         f"station view latest{where}": "look at it in Rerun, every curve by its name",

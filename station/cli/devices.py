@@ -68,8 +68,8 @@ def listing(as_json: bool) -> None:
 
     For each: the library that reads it, what can be seen of it now, and what it gives.
     """
-    found = [_look(name) for name in registry.names("device")]
-    found += [_look_at_camera(registry.find("camera", name)) for name in registry.names("camera")]
+    found = [_inspect(name) for name in registry.names("device")]
+    found += [_inspect_camera(registry.find("camera", name)) for name in registry.names("camera")]
     if as_json:
         click.echo(json.dumps(msgspec.to_builtins(found)))
         return
@@ -94,7 +94,7 @@ def _kind(name: str) -> DeviceKind:
     return kind
 
 
-def _look(name: str) -> _Found:
+def _inspect(name: str) -> _Found:
     """Look for a device; one whose package is broken is listed with that, and the others all the same."""
     seen, problem = list[str](), ""
     try:
@@ -119,7 +119,7 @@ def _loadable() -> Iterator[DeviceKind]:
             yield _kind(name)
 
 
-def _look_at_camera(kind: CameraKind) -> _Found:
+def _inspect_camera(kind: CameraKind) -> _Found:
     seen, problem = list[str](), ""
     try:
         seen += kind.plugged_in() if kind.plugged_in is not None else []
@@ -240,7 +240,7 @@ def _try_voice(kind: VoiceKind, words: str, sets: tuple[str, ...]) -> None:
     options = config.build(kind.options, config.overrides(sets, servers=None).get("", {}), where=f"voice {kind.name}")
     made = kind.make(options)
     try:
-        made.say(Cue(words=words, tune="begin"), threading.Event().wait)
+        made.play(Cue(words=words, tune="begin"), threading.Event().wait)
     finally:
         made.close()
 

@@ -47,7 +47,7 @@ def command(episodes: Sequence[str], is_all: bool, is_forced: bool, data: Path |
     if as_json:
         click.echo(msgspec.json.encode(done))
     elif done:
-        _tell_left_out(done)
+        _print_left_out(done)
     elif not failed:
         click.echo("no finished episode: nothing to enrich")
     raise SystemExit(1 if failed else 0)
@@ -93,7 +93,7 @@ def _bar(episode_id: str) -> Iterator[Progress]:
         yield lambda done, of: shown.update(task, completed=done, total=of)
 
 
-def _tell_left_out(done: Sequence[Enriched]) -> None:
+def _print_left_out(done: Sequence[Enriched]) -> None:
     """Say once what has no typed topic in any of the episodes, and why."""
     keys_of: dict[str, set[str]] = {}
     for found in done:

@@ -167,10 +167,10 @@ def _export(kind: ExportKind, chosen: Sequence[Any], options: Any, out: Path, wh
         lost = [
             SkippedEpisode(source=outcome.source, reason=outcome.reason) for outcome in seen if outcome.made is None
         ]
-        _tell_lost("failed", lost if len(lost) > 1 else [])  # of one alone the error tells
+        _print_skipped("failed", lost if len(lost) > 1 else [])  # of one alone the error tells
         raise
-    _tell_lost("failed", done.failed)
-    _tell_lost("left out", done.left_out)
+    _print_skipped("failed", done.failed)
+    _print_skipped("left out", done.left_out)
     for note in done.facts.get("notes", ()):
         click.echo(f"note: {printable(note)}", err=True)
     if as_json:
@@ -186,7 +186,7 @@ class _Interrupted(StationError):
     exit_code = 130
 
 
-def _tell_lost(what: str, lost: Sequence[SkippedEpisode]) -> None:
+def _print_skipped(what: str, lost: Sequence[SkippedEpisode]) -> None:
     for each in lost[:_TOLD]:
         click.echo(f"{what}: {printable(each.reason)}", err=True)
     if more := lost[_TOLD:]:

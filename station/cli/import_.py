@@ -92,10 +92,10 @@ def _orders(
 def _import(orders: Sequence[ImportJob], jobs: int, *, is_quiet: bool) -> list[Attempt[ImportJob, ImportResult]]:
     from station.export.jobs import map_episodes
     from station.export.progress import progress
-    from station.foreign.take_in import take_in
+    from station.foreign.take_in import import_recording
 
     with progress(len(orders), "import", is_quiet=is_quiet) as tell:
-        return map_episodes(take_in, orders, jobs=jobs, on_done=lambda each: tell(is_lost=each.result is None))
+        return map_episodes(import_recording, orders, jobs=jobs, on_done=lambda each: tell(is_lost=each.result is None))
 
 
 def _plain(attempt: Attempt[ImportJob, ImportResult]) -> dict[str, Any]:

@@ -53,7 +53,7 @@ class Keyboard:
         """Whether a person can type."""
         return self._before is not None
 
-    def take(self) -> str:
+    def pop(self) -> str:
         """Return the oldest key that nobody has taken, "" for none."""
         return self._keys.popleft() if self._keys else ""
 

@@ -95,11 +95,11 @@ def _motions(config: RigConfig, named: Sequence[str], *, holes: str, jobs: int, 
 
     done: list[Rehearsal] = []
 
-    def tell(result: Rehearsal) -> None:
+    def on_result(result: Rehearsal) -> None:
         done.append(result)
         click.echo(f"{len(done)}/{len(named)} {result.motion}", err=True)
 
-    results = rehearse_all(named, config, holes=holes, jobs=jobs, on_done=tell)
+    results = rehearse_all(named, config, holes=holes, jobs=jobs, on_done=on_result)
     if as_json:
         click.echo(json.dumps({"motions": msgspec.to_builtins(results)}))
     else:
@@ -118,7 +118,7 @@ def _suite(
         click.echo(f"left out, not on this machine: {', '.join(planned.missing)}", err=True)
     click.echo(f"{planned.runs} runs in {planned.processes} processes", err=True)
     with _Progress(planned.runs) as progress:
-        done = run.run(planned, progress.tell)
+        done = run.run(planned, progress.on_result)
     if as_json:
         click.echo(msgspec.json.encode(done))
     elif as_markdown:
@@ -147,7 +147,7 @@ class _Progress:
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
-    def tell(self, policy: str, outcome: Outcome) -> None:
+    def on_result(self, policy: str, outcome: Outcome) -> None:
         self._done += 1
         self._bar.advance(self._task)
         if outcome.falls:

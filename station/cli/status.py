@@ -38,7 +38,7 @@ def command(is_live: bool, bus: str | None, as_json: bool) -> None:
             with contextlib.suppress(KeyboardInterrupt):
                 _follow(line, as_json=as_json)
             return
-        found = status.look_once(line)
+        found = status.read_status_once(line)
     if as_json:
         click.echo(json.dumps(found.to_plain()))
     else:
@@ -60,7 +60,7 @@ def _follow(line: Bus, *, as_json: bool) -> None:
         if as_json or not console.is_terminal:
             while True:
                 time.sleep(1.0)
-                found = status.look(line, meter)
+                found = status.read_status(line, meter)
                 if as_json:
                     click.echo(json.dumps(found.to_plain()))
                 else:
@@ -68,4 +68,4 @@ def _follow(line: Bus, *, as_json: bool) -> None:
         with Live(console=console, auto_refresh=False, screen=True) as live:
             while True:
                 time.sleep(0.25)
-                live.update(status.render(status.look(line, meter), console.width), refresh=True)
+                live.update(status.render(status.read_status(line, meter), console.width), refresh=True)

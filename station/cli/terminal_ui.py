@@ -65,7 +65,7 @@ class TerminalUI:
         self._stop_key: StopKey | None = None
         self.estop_directly: Callable[[], None] = lambda: None
         self.look_for_dead: Callable[[], Mapping[str, str]] = dict
-        self._keyboard = Keyboard(self._act_at_once, self._look_after_stop, self._echo)
+        self._keyboard = Keyboard(self._act_at_once, self._watch_stop, self._echo)
         self._offered = ""
 
     @contextmanager
@@ -74,9 +74,9 @@ class TerminalUI:
         self._names, self._progress = names, ProgressReader(bus, names)
         try:
             with StopButton(bus.address, name="stop-key") as button, self._keyboard:
-                self._stop_key = StopKey(button, self._stop_directly, self.say)
+                self._stop_key = StopKey(button, self._stop_directly, self.report)
                 if self._keyboard.is_there and not self._console.is_terminal:
-                    self.say(HINT)
+                    self.report(HINT)
                 yield
         finally:
             self._stop_key = None
@@ -91,13 +91,13 @@ class TerminalUI:
     def offer(self, restart: str) -> None:
         """Show that a key starts some servers again, or no more."""
         self._offered = restart
-        while self._keyboard.take():  # what was typed before the offer does not take it
+        while self._keyboard.pop():  # what was typed before the offer does not take it
             pass
 
-    def take_restart(self) -> bool:
+    def pop_restart(self) -> bool:
         """Whether that key was pressed since the last call."""
         found = False
-        while key := self._keyboard.take():
+        while key := self._keyboard.pop():
             found = found or key in _AGAIN
         return found and bool(self._offered)
 
@@ -127,7 +127,7 @@ class TerminalUI:
         self._step = ""
         self._print(f"[red]✗[/] {plain(step)}  [red]{plain(reason)}[/]")
 
-    def say(self, text: str, severity: Severity = "info") -> None:
+    def report(self, text: str, severity: Severity = "info") -> None:
         """Print a line."""
         shown = text if len(text) <= _LONGEST or severity != "info" else text[:_LONGEST] + "…"
         self._print(f"{_MARKS[severity]} {plain(shown)}")
@@ -136,7 +136,7 @@ class TerminalUI:
         """Ask a person; without one at the terminal, and when interrupted, the answer is no."""
         self._end_footer()
         if not self._keyboard.is_there:
-            self.say("nobody is here to answer; use --yes in simulation", "error")
+            self.report("nobody is here to answer; use --yes in simulation", "error")
             return False
         answer = self._keyboard.ask(f"? {sentence} [y/N] ({HINT}): ", self._stop)
         if self._stop.is_set():
@@ -147,19 +147,19 @@ class TerminalUI:
         """Show how the run goes; the footer looks for itself, more often than it is told."""
         self._begin_footer()
         if self._is_brief and not self._console.is_terminal:
-            self._tell_progress()
+            self._print_progress()
 
-    def _tell_progress(self) -> None:
+    def _print_progress(self) -> None:
         """Print a line when something else is being played, and now and then."""
         now_s = time.monotonic()
         if self._progress is None or now_s - self._looked_s < _LOOK_S:
             return
         self._looked_s = now_s
-        seen = self._progress.look()
+        seen = self._progress.poll()
         what = progress_panel.doing(seen.motion) if seen.motion is not None else ""
         if what and (what != self._told or now_s - self._told_s >= _TELL_S):
             self._told, self._told_s = what, now_s
-            self.say(progress_panel.line(seen))
+            self.report(progress_panel.line(seen))
 
     def _print(self, text: str) -> None:
         self._console.print(text, soft_wrap=True)
@@ -176,7 +176,7 @@ class TerminalUI:
 
     def _progress_lines(self) -> Iterator[RenderableType]:
         try:
-            seen = self._progress.look() if self._progress is not None else None
+            seen = self._progress.poll() if self._progress is not None else None
         except BusError:  # the session tells of it
             seen = None
         if seen is None:
@@ -207,7 +207,7 @@ class TerminalUI:
     def _stop_directly(self) -> None:
         self.estop_directly()
 
-    def _look_after_stop(self) -> None:
+    def _watch_stop(self) -> None:
         if self._stop_key is not None:
             self._stop_key.try_again()
 
@@ -226,7 +226,7 @@ class _Log(logging.Handler):
 
     def __init__(self, face: TerminalUI) -> None:
         super().__init__()
-        self._face = face
+        self._ui = face
 
     def emit(self, record: logging.LogRecord) -> None:
         """Show a record."""
@@ -235,7 +235,7 @@ class _Log(logging.Handler):
         severity: Severity = (
             "error" if record.levelno >= logging.ERROR else "warning" if record.levelno >= logging.WARNING else "info"
         )
-        self._face.say(record.getMessage(), severity)
+        self._ui.report(record.getMessage(), severity)
 
 
 class StopKey:

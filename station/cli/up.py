@@ -75,7 +75,7 @@ def run(
     with (
         _stop_on_signals() as stop,
         TerminalUI(stop, is_brief=is_brief) as face,
-        found_or_started(named, on_restart=lambda text: face.say(text, "warning")) as address,
+        found_or_started(named, on_restart=lambda text: face.report(text, "warning")) as address,
     ):
         with Bus(address, name="supervisor", timeout_s=1.0) as line, face.watching(line, names):
             supervisor = Supervisor(line, log_folder(address), {"STATION_DATA": str(data.absolute())})
@@ -84,13 +84,13 @@ def run(
             try:
                 code = session.run(stop, for_s=for_s)
             except KeyboardInterrupt:
-                face.say("interrupted again: everything stops at once, without an order", "warning")
+                face.report("interrupted again: everything stops at once, without an order", "warning")
                 raise
             finally:
                 supervisor.stop_all()
         episode = Path(session.episode.path) if session.episode and session.episode.path else None
         if session.episode is not None:
-            face.say(f"recorded {_summary(session.episode)}; look at it with: station check {session.episode.path}")
+            face.report(f"recorded {_summary(session.episode)}; look at it with: station check {session.episode.path}")
         return code, episode
 
 

@@ -143,7 +143,7 @@ class ArmControl:
         """Leave the emergency stop; a simulated arm may be moved again, a real one needs arming."""
         if self.commanded.gate.state == "stopped":
             self.commanded.gate.reset(reason)
-            self.commanded.note("operator-reset", "warning", reason=reason)
+            self.commanded.add_event("operator-reset", "warning", reason=reason)
             if self.session.is_simulated:
                 self.commanded.arming.restart()
             else:
@@ -158,7 +158,7 @@ class ArmControl:
         """Leave a fault that the controller has no more; commands have to begin anew."""
         if self.commanded.gate.state == "faulted":
             self.commanded.gate.reset("the controller's faults are cleared")
-        self.commanded.note("controller-cleared", "warning", who=who)
+        self.commanded.add_event("controller-cleared", "warning", who=who)
 
     def arm(self, now_s: float, who: str = "") -> str:
         """Let targets go to the session; return why not, or ""."""
@@ -191,13 +191,13 @@ class ArmControl:
         gate.fault(state.fault)
         if state.fault not in self._faults_told and len(self._faults_told) < _MOST_TEXTS:
             self._faults_told.add(state.fault)
-            self.commanded.note("controller-fault", "error", reason=state.fault)
+            self.commanded.add_event("controller-fault", "error", reason=state.fault)
 
     def _see_to_readiness(self, state: ArmState, now_s: float) -> None:
         """Let arming go on; a command that runs meanwhile is not followed once the arm may move."""
         arming = self.commanded.arming
         if arming.state == "arming" and arming.stiffen(now_s) == 1.0:
-            self.commanded.note("armed", "warning")
+            self.commanded.add_event("armed", "warning")
         if arming.state == "disarmed":
             self.commanded.gate.insist_on_silence(_DISARMED)
         elif state.why_blocked:
@@ -209,7 +209,7 @@ class ArmControl:
             return
         reason = "the controller's session takes no more targets"
         self._end(reason)
-        self.commanded.note("engagement-lost", "error", reason=reason)
+        self.commanded.add_event("engagement-lost", "error", reason=reason)
 
     def _why_blocked(self, state: ArmState) -> str:
         if self.commanded.arming.state == "disarmed":
@@ -227,7 +227,7 @@ class ArmControl:
             return False
         self._refusal = self.session.send(target)
         if self._refusal and not self._was_refused:
-            self.commanded.note("target-refused", "error", reason=self._refusal)
+            self.commanded.add_event("target-refused", "error", reason=self._refusal)
         self._was_refused = bool(self._refusal)
         if self._refusal:
             return False
@@ -238,7 +238,7 @@ class ArmControl:
         """Engage; return whether it was granted."""
         if refusal := self.session.engage():
             self._refusal = refusal
-            self.commanded.note("engage-refused", "error", reason=refusal)
+            self.commanded.add_event("engage-refused", "error", reason=refusal)
             self._end(refusal)
             return False
         self._target, self._was_refused = state.q, False

@@ -62,7 +62,7 @@ class CommandArbiter:
         self._refused = 0
         self.obeyed = ""
 
-    def hear(self, writer: str, now_s: float, known_s: tuple[float, float] = (-math.inf, math.inf)) -> bool:
+    def on_write(self, writer: str, now_s: float, known_s: tuple[float, float] = (-math.inf, math.inf)) -> bool:
         """Record a write; return whether it is obeyed.
 
         Args:
@@ -80,7 +80,7 @@ class CommandArbiter:
                 self._hand_over(writer, "it began to write last")
         obeyed_s = self._heard[self.obeyed]
         self._is_unknown = known_s[0] > obeyed_s and now_s - obeyed_s > self._silent_after_s
-        self._note_rivals(writer, now_s)
+        self._record_rivals(writer, now_s)
         is_obeyed = writer == self.obeyed
         self._refused += not is_obeyed
         return is_obeyed
@@ -99,7 +99,7 @@ class CommandArbiter:
             if until_s - max(at_s, since_s) > self._silent_after_s:
                 self._silent.add(writer)
 
-    def take_news(self, now_s: float) -> tuple[News, ...]:
+    def pop_news(self, now_s: float) -> tuple[News, ...]:
         """Return what is new of the writers, each piece once."""
         others = [name for name, at_s in self._heard.items() if name != self.obeyed and now_s - at_s <= _APART_S]
         if self._competing and not others:
@@ -131,7 +131,7 @@ class CommandArbiter:
             self._news.append(News("handover", (self.obeyed, writer), writer, reason=reason))
         self.obeyed = writer
 
-    def _note_rivals(self, writer: str, now_s: float) -> None:
+    def _record_rivals(self, writer: str, now_s: float) -> None:
         found = self._rivals.see(writer, now_s)
         if found and (self._told_s is None or now_s - self._told_s >= _APART_S):
             self._competing, self._told_s = found, now_s

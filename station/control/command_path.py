@@ -97,8 +97,8 @@ class CommandPath:
         """
         sample = sample[0] if isinstance(sample, tuple) else sample
         validator, before = self.validator, self.validator.good
-        if validator.take(sample):
-            self._note_refusal()
+        if validator.update(sample):
+            self._report_refusal()
         if before is not None and validator.good is not None and before.source != validator.good.source:
             self.gate.change_hands(f"{spoken(validator.good.source)} commands in place of {spoken(before.source)}")
         refusal = self._rival if validator.refusal is None else f"{validator.refusal.kind}: {validator.refusal.text}"
@@ -110,9 +110,9 @@ class CommandPath:
         decision = self.gate.step(now_s, vector, age_s, delay_s=validator.delay_s, refusal=refusal, quiet=quiet)
         for change in decision.transitions:
             severity: Severity = "warning" if change.after in _ALARMING else "info"
-            self.note("gate", severity, **{"from": change.before, "to": change.after, "reason": change.reason})
-        for name, detail in self._slewing.note(decision.limited, now_s):
-            self.note(name, "warning", **detail)
+            self.add_event("gate", severity, **{"from": change.before, "to": change.after, "reason": change.reason})
+        for name, detail in self._slewing.on_tick(decision.limited, now_s):
+            self.add_event(name, "warning", **detail)
         return decision
 
     def stop(self, reason: str) -> None:
@@ -120,7 +120,7 @@ class CommandPath:
         if self.state != "stopped":
             for path in self.paths:
                 path.gate.stop(reason)
-            self.note("estop", "error", reason=reason)
+            self.add_event("estop", "error", reason=reason)
 
     def reset(self, reason: str) -> None:
         """Leave the stop, a fault, and any other state: wait for commands that begin anew."""
@@ -137,17 +137,17 @@ class CommandPath:
     def arm(self, now_s: float, who: str, refusal: str) -> str:
         """Begin to arm, unless there is a reason not to; return that reason, or ""."""
         if refusal:
-            self.note("arm-refused", "warning", who=who, reason=refusal)
+            self.add_event("arm-refused", "warning", who=who, reason=refusal)
         elif self.arming.state == "disarmed":
             self.arming.arm(now_s)
-            self.note("arming", "warning", who=who, ramp_s=self.arming.ramp_s)
+            self.add_event("arming", "warning", who=who, ramp_s=self.arming.ramp_s)
         return refusal
 
     def disarm(self, who: str = "") -> None:
         """Send nothing to the robot from the next step on."""
         if self.arming.state != "disarmed":
             self.arming.disarm()
-            self.note("disarmed", "warning", who=who)
+            self.add_event("disarmed", "warning", who=who)
 
     def status(self, decision: Decision) -> dict[str, Any]:
         """Return what a robot's `command_gate` tells of a step."""
@@ -171,7 +171,7 @@ class CommandPath:
         """Set the span in which every write was seen [s]; call before the step that it is about."""
         self._heard_s = since_s, until_s
 
-    def note(self, name: str, severity: Severity, **detail: Any) -> None:
+    def add_event(self, name: str, severity: Severity, **detail: Any) -> None:
         """Have something told with this step."""
         of_part = {"part": self.part} if self.part else {}
         self._step_events.append(StepEvent(name, severity, of_part | detail))
@@ -187,7 +187,7 @@ class CommandPath:
         came_s = 0.0 if self._rival else self.validator.quiet_s(now_s)
         return QuietTime(min(now_s - since_s, came_s), max(now_s - until_s, 0.0))
 
-    def _note_refusal(self) -> None:
+    def _report_refusal(self) -> None:
         """Say once that commands are refused, again when the reason changes, and once that they are good again."""
         refusal, validator = self.validator.refusal, self.validator
         kind = refusal.kind if refusal is not None else None
@@ -195,9 +195,9 @@ class CommandPath:
             return
         total = validator.refused.total()
         if refusal is not None:
-            self.note("refused-command", "warning", reason=f"{refusal.kind}: {refusal.text}", count=total)
+            self.add_event("refused-command", "warning", reason=f"{refusal.kind}: {refusal.text}", count=total)
         else:
-            self.note("command-good-again", "info", count=total)
+            self.add_event("command-good-again", "info", count=total)
         self._refusing = kind
 
 
@@ -264,7 +264,7 @@ class RateLimiting:
         self._elements: set[int] = set()
         self._last_s = 0.0
 
-    def note(self, limited: tuple[int, ...], now_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
+    def on_tick(self, limited: tuple[int, ...], now_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
         """Record a tick; yield name and detail of an event when slewing begins and when it has ended."""
         if limited:
             if not self._ticks:

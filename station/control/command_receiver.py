@@ -87,7 +87,7 @@ class CommandWatch(Watch):
         self.doubtful = 0
         super().__init__(address, wanted, outages=outages, probe_s=_PROBE_S)
 
-    def take(self) -> NewWrites:
+    def pop(self) -> NewWrites:
         """Return the writes since the last call; a loop that was paused finds those of the pause in them.
 
         Where they were too many to keep, the span of `heard` begins anew.
@@ -99,22 +99,22 @@ class CommandWatch(Watch):
 
     @property
     def has_stop_news(self) -> bool:
-        """Whether a stop or its release was written since the last `take_stop`."""
+        """Whether a stop or its release was written since the last `pop_stop`."""
         return self._stops.has_news
 
-    def take_stop(self) -> StopNews | None:
+    def pop_stop(self) -> StopNews | None:
         """Return what was asked on the key of the stop since the last call."""
         with self._changed:
-            return self._stops.take()
+            return self._stops.pop()
 
     def begin_stops(self) -> None:
         """Forget what was asked on the key of the stop until now; what it holds is in its slot."""
         with self._changed:
             self._stops.begin()
 
-    def _note(self, message: Any, touched: Counter[str]) -> None:
+    def _on_message(self, message: Any, touched: Counter[str]) -> None:
         before = touched[keys.ESTOP]
-        super()._note(message, touched)
+        super()._on_message(message, touched)
         if touched[keys.ESTOP] > before:
             self._stops.on_event(message[2])
 
@@ -127,13 +127,13 @@ class CommandWatch(Watch):
                 self._stops.on_cut(sample.value if sample else None, is_new=sample is not before)
                 self._hurry()
 
-    def _take(self, reader: Connection, touched: Counter[str]) -> None:
+    def _read_touched(self, reader: Connection, touched: Counter[str]) -> None:
         while touched and not self._closed.is_set():
             wanted = [key for key in self._keys if touched[key] or touched[keys.stamp(key)]]
             values = self._fetch(reader, wanted)
             later = self._told_meanwhile()
             if self._events is not None and self._must_know_all(values):
-                self._hear_all(self._events, later)
+                self._drain(self._events, later)
             told = touched + later
             native, every = told[keys.stamp(self._shared_key)], told[self._shared_key]
             self._is_doubtful = 0 < native < every
@@ -144,7 +144,7 @@ class CommandWatch(Watch):
                 for key, (value, mark) in values.items():
                     self._put(key, value, mark, now_ns, is_foreign=touched[key] > touched[keys.stamp(key)])
                 if self._shared_key in values and self._events is not None:  # a polled bus sends no notifications
-                    self._note_overwritten(values[self._shared_key][1], touched[keys.stamp(self._shared_key)], now_ns)
+                    self._record_overwritten(values[self._shared_key][1], touched[keys.stamp(self._shared_key)], now_ns)
                 self._changed.notify_all()
             touched = later
 
@@ -164,7 +164,7 @@ class CommandWatch(Watch):
         told: Counter[str] = Counter()
         events = self._events
         while events is not None and (message := events.poll()) is not False:
-            self._note(message, told)
+            self._on_message(message, told)
         return told
 
     def _put(self, key: str, value: bytes | None, mark: stamp.Stamp | None, now_ns: int, *, is_foreign: bool) -> None:
@@ -189,7 +189,7 @@ class CommandWatch(Watch):
             self._by_writer[writer] = sample
             self._arrive(Arrival(writer, now_ns, is_clear=True))
 
-    def _note_overwritten(self, mark: stamp.Stamp | None, told: int, now_ns: int) -> None:
+    def _record_overwritten(self, mark: stamp.Stamp | None, told: int, now_ns: int) -> None:
         """Count writers as alive whose write may have been overwritten before it was read.
 
         The sequence numbers of the writer whose value was read say how many of the notified native writes are its own.
@@ -252,13 +252,13 @@ class CommandReceiver:
 
     def has_come(self, now_s: float | None = None) -> bool:
         """Take up what came since the last call; return whether the obeyed writer wrote."""
-        before, newest, taken = self._command, self._watch.latest(self._key), self._watch.take()
+        before, newest, taken = self._command, self._watch.latest(self._key), self._watch.pop()
         self.heard_s = self._seconds(taken.heard, now_s)
         for writer, at_ns, is_clear in taken.arrivals:
             at_s = now_s if now_s is not None else at_ns * 1e-9
             if not is_clear:
                 self.writers.alive(writer, at_s)
-            elif not self.writers.hear(writer, at_s, self.heard_s):
+            elif not self.writers.on_write(writer, at_s, self.heard_s):
                 self._refused += 1
         self.writers.know(self.heard_s)
         if self.writers.obeyed in taken.newest:
@@ -272,7 +272,7 @@ class CommandReceiver:
             self.seen = newest
         return self._command is not before
 
-    def take_refused(self) -> int:
+    def pop_refused(self) -> int:
         """Return how many commands of other, or of unknown, writers came since the last call."""
         refused, self._refused = self._refused, 0
         return refused

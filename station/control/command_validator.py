@@ -123,7 +123,7 @@ class CommandValidator:
     _least_s: float = 0.0  # how old it must be by the time that has passed here
     _found_s: float | None = None  # when `sample` was first asked for, where it is not known when it came
 
-    def take(self, sample: CommandSample | None) -> bool:
+    def update(self, sample: CommandSample | None) -> bool:
         """Take up the newest sample; return whether it is one that was not seen before."""
         if sample is None or sample is self.sample:
             return False

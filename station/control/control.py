@@ -102,7 +102,7 @@ class ControlStep:
             if isinstance(command_format, PartedCommand)
             else CommandPath(command_format, config, self.arming)
         )
-        self._note = self.commanded.note
+        self._note = self.commanded.add_event
         self._reset_after_s, self._fell_at_s = reset_after_s, math.inf
         self._tick = self._falls = 0
         self._is_down = False
@@ -154,7 +154,7 @@ class ControlStep:
             observation=observation,
             action=action,
             sent=sent,
-            fall=self._note_fall(now_s),
+            fall=self._detect_fall(now_s),
             command_seq=good.seq if good else 0,
             timing_ns=(*stages, state.mono_ns, observed_ns, inferred_ns, sent_ns),
             step_events=self.commanded.taken(),
@@ -254,7 +254,7 @@ class ControlStep:
             return JointTargets(q, np.zeros_like(targets.kp), targets.kd)
         return targets
 
-    def _note_fall(self, now_s: float) -> Fall | None:
+    def _detect_fall(self, now_s: float) -> Fall | None:
         fall = self.robot.fallen()
         if fall is not None:
             if not self._is_down:

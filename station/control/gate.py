@@ -224,7 +224,7 @@ class Gate:
         """
         now_s = self._pass_time(now_s)
         self._limited = ()
-        self._silence.hear(quiet or QuietTime(age_s), self._passed_s)
+        self._silence.on_tick(quiet or QuietTime(age_s), self._passed_s)
         if self.why_not_follow:
             command, refusal = None, refusal or self.why_not_follow
         if command is None or command.shape != self._default.shape or not np.isfinite(command).all():
@@ -503,7 +503,7 @@ class ReengageInterlock:
         """Follow no command before there was a silence from now on, for a reason."""
         self._why, self._heard_s = why, None
 
-    def hear(self, quiet: QuietTime, passed_s: float) -> None:
+    def on_tick(self, quiet: QuietTime, passed_s: float) -> None:
         """Record a tick.
 
         Args:

@@ -83,7 +83,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         self._asked = {key: NewRequests(self._watch, key) for key in self._requests}
         self._said_s = -math.inf
         self._bus_is_lost = False
-        life.on_estop(self._hear_supervisor)
+        life.on_estop(self._on_supervisor_stop)
         life.on_bus_back(self._restate_stop)
 
     def __enter__(self) -> Self:
@@ -178,12 +178,12 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         """Do what an operator asks for; return whether something was newly asked."""
         is_told = self._obey_stop(now_s)
         for key, act in self._requests.items():
-            if (asked := self._asked[key].take()) is not None:
+            if (asked := self._asked[key].pop()) is not None:
                 act(asked)
         return self._obey_arm(now_s) or is_told
 
     def _obey_arm(self, now_s: float) -> bool:
-        if (asked := self._arm_asked.take()) is None:
+        if (asked := self._arm_asked.pop()) is None:
             return False
         try:
             request = parse(asked.data, ArmRequest, "an arm request")
@@ -210,7 +210,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         self._arm_done.put(request.id, self._arm_answer)
         return True
 
-    def _hear_supervisor(self) -> None:
+    def _on_supervisor_stop(self) -> None:
         self._is_stopped_past_bus = True
         self._watch.urgent.set()
 
@@ -224,12 +224,12 @@ class LowLevelLoop(Generic[StateT, RecordT]):
     def _obey_stop(self, now_s: float) -> bool:
         if self._is_stopped_past_bus:
             self._is_stopped_past_bus = False
-            before = self._watch.take_stop()  # what was written until now releases nothing
+            before = self._watch.pop_stop()  # what was written until now releases nothing
             self._stop("key in `station up`")
             if before is not None and (before.is_release_refused or not before.request.stop):
                 self._life.event("release-refused", severity="warning", reason=_TOO_EARLY)
             return True
-        news = self._watch.take_stop()
+        news = self._watch.pop_stop()
         if news is None:
             return False
         if news.request.stop:
@@ -245,18 +245,18 @@ class LowLevelLoop(Generic[StateT, RecordT]):
 
     def _act(self, state: StateT, command: Samples, now_s: float) -> None:
         for path, receiver in zip(self._paths, self._receivers, strict=True):
-            if refused := receiver.take_refused():
+            if refused := receiver.pop_refused():
                 path.refuse_rivals(refused, receiver.writers.refusal)
             path.heard_all(*receiver.heard_s)
         record = self._control.step(state, command, now_s)
         self._publish(self._result_values(record, self._arm_answer))
         for step_event in record.step_events:
-            self._say(step_event)
+            self._publish_step(step_event)
         for path, receiver in zip(self._paths, self._receivers, strict=True):
-            for news in receiver.writers.take_news(now_s):
-                self._tell_of_writers(path.command_format.key, news)
+            for news in receiver.writers.pop_news(now_s):
+                self._publish_writers(path.command_format.key, news)
 
-    def _tell_of_writers(self, key: str, news: News) -> None:
+    def _publish_writers(self, key: str, news: News) -> None:
         detail: dict[str, Any] = {"key": key, "writers": list(news.writers), "obeyed": spoken(news.obeyed)}
         if news.kind == "handover":
             self._life.event("command-handover", **detail, reason=news.reason)
@@ -275,7 +275,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             log.warning("bus lost: the loop goes on, commands are held and then left")
         self._bus_is_lost = is_lost
 
-    def _say(self, step_event: StepEvent) -> None:
+    def _publish_step(self, step_event: StepEvent) -> None:
         self._life.event(step_event.name, severity=step_event.severity, **step_event.detail)
 
     def _is_time_to_report(self) -> bool:

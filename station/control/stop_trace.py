@@ -80,14 +80,14 @@ class StopTrace:
         """Forget what came until now: for a robot that was not driven yet only what the key holds counts."""
         self._news = None
 
-    def take(self) -> StopNews | None:
+    def pop(self) -> StopNews | None:
         """Return what was asked since the last call; a stop goes before whatever came after it."""
         news, self._news = self._news, None
         return news
 
     @property
     def has_news(self) -> bool:
-        """Whether something was asked since the last `take`."""
+        """Whether something was asked since the last `pop`."""
         return self._news is not None
 
     @property

@@ -77,7 +77,7 @@ def enrich(reader: EpisodeReader, *, is_forced: bool = False, progress: Progress
         facts = source.facts(reader.episode_id, source.origins(before))
         if not is_forced and source.is_current(path, facts):
             return Enriched(state="current", episode_id=reader.episode_id, path=str(path))
-        survey = _look(reader)
+        survey = _survey(reader)
         with whole_file(path) as file:
             made = _Output(file, facts, survey)
             made.fill(reader, survey, progress)
@@ -116,7 +116,7 @@ class _Survey(NamedTuple):
     shapes: dict[str, Shape]
 
 
-def _look(reader: EpisodeReader) -> _Survey:
+def _survey(reader: EpisodeReader) -> _Survey:
     """Read the episode once: a schema must be written before the first message of it."""
     channels: dict[int, Channel] = {}
     shapes: dict[str, Shape] = {}

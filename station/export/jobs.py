@@ -80,17 +80,17 @@ def map_episodes(
     """
     work = _Guarded(fn)
 
-    def note(attempt: Attempt[T, R]) -> None:
+    def on_result(attempt: Attempt[T, R]) -> None:
         if attempt.is_disk_at_fault:
             raise DiskRefuses(attempt.error, attempt.item)
         if on_done is not None:
             on_done(attempt)
 
     if ray_address is None:
-        return side_by_side.run(work, items, jobs=jobs, on_done=note, on_death=_died)
+        return side_by_side.run(work, items, jobs=jobs, on_done=on_result, on_death=_died)
     from station.export import on_ray
 
-    return on_ray.run(work, items, address=ray_address, jobs=jobs, on_done=note, on_death=_died)
+    return on_ray.run(work, items, address=ray_address, jobs=jobs, on_done=on_result, on_death=_died)
 
 
 class _Guarded(Generic[T, R]):

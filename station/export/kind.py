@@ -87,7 +87,7 @@ class SkippedEpisode(msgspec.Struct, frozen=True, kw_only=True):
 
 Prepare = Callable[[Sequence[Source], Any], msgspec.Struct]
 Convert = Callable[[Source, Any, Path], ShardResult]
-Look = Callable[[Source, Any], Sequence[str]]
+Inspect = Callable[[Source, Any], Sequence[str]]
 Join = Callable[[Sequence[Shard], Sequence[SkippedEpisode], Any, Path], dict[str, Any]]
 
 
@@ -111,8 +111,8 @@ class ExportKind:
             ``notes`` among them is told. Never called without shards.
         columns: ``(plan) -> lines``, or None: a line for each column of the result that says what stands in it, for
             ``--dry-run``. Without it the keys of the plan are told, with names and units.
-        look: ``(source, plan) -> notes``, or None: for ``--dry-run``, all the checks of `convert` that need no output,
-            by the same code; raises the same `StationError`. Each note is a line on what the result would lack.
+        inspect: ``(source, plan) -> notes``, or None: for ``--dry-run``, all the checks of `convert` that need no
+            output, by the same code; raises the same `StationError`. Each note is a line on what the result would lack.
         version: Counted up when the same episode and plan give other bytes; then older shards are made anew.
     """
 
@@ -123,5 +123,5 @@ class ExportKind:
     convert: Convert
     join: Join | None = None
     columns: Callable[[Any], Sequence[str]] | None = None
-    look: Look | None = None
+    inspect: Inspect | None = None
     version: int = 1

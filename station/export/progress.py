@@ -41,11 +41,11 @@ def progress(total: int, what: str, *, is_quiet: bool = False) -> Iterator[Progr
     with Progress(*columns, console=console, transient=True, disable=is_quiet or not console.is_terminal) as shown:
         task = shown.add_task(what, total=total, lost="", rate="")
 
-        def tell(*, is_lost: bool = False) -> None:
+        def update(*, is_lost: bool = False) -> None:
             bar.done += 1
             bar.lost += is_lost
             elapsed_s = shown.tasks[0].elapsed or 0.0
             rate = f"{bar.done / elapsed_s:.1f}/s" if elapsed_s > 0 else ""
             shown.update(task, completed=bar.done, lost=f"{bar.lost} left out" if bar.lost else "", rate=rate)
 
-        yield tell
+        yield update

@@ -94,7 +94,7 @@ def export(
     """
     began_s, outcomes = time.monotonic(), list[shards.Outcome]()
 
-    def note(attempt: Attempt[shards.Task, shards.Outcome]) -> None:
+    def on_result(attempt: Attempt[shards.Task, shards.Outcome]) -> None:
         outcomes.append(_outcome(attempt))
         if on_done is not None:
             on_done(outcomes[-1])
@@ -108,7 +108,9 @@ def export(
             for source in sources
         ]  # fmt: skip
         try:
-            done = map_episodes(shards.make_shard, tasks, jobs=where.jobs, ray_address=where.ray_address, on_done=note)
+            done = map_episodes(
+                shards.make_shard, tasks, jobs=where.jobs, ray_address=where.ray_address, on_done=on_result
+            )
             facts = shards.finish(kind, plan, [_outcome(attempt) for attempt in done], work, out)
         except (DiskRefuses, OSError) as error:
             raise _full(error, out, sum(outcome.made is not None for outcome in outcomes), len(tasks)) from error
@@ -173,7 +175,7 @@ class _Fits:
 
     def __call__(self, source: Source) -> Sequence[str]:
         kind: ExportKind = registry.find("export", self._format)
-        return kind.look(source, self._plan) if kind.look is not None else ()
+        return kind.inspect(source, self._plan) if kind.inspect is not None else ()
 
 
 def _outcome(attempt: Attempt[shards.Task, shards.Outcome]) -> shards.Outcome:

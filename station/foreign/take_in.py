@@ -74,7 +74,7 @@ class ImportResult(msgspec.Struct, frozen=True, kw_only=True):
     odd: list[str] = []
 
 
-def take_in(order: ImportJob) -> ImportResult:
+def import_recording(order: ImportJob) -> ImportResult:
     """Make an episode of a recording; one that is there already stays as it is.
 
     Killed at any moment, it leaves nothing that could be taken for an episode; the next call does it anew. Several

@@ -30,7 +30,7 @@ class EventFeed:
         self._found: deque[Event] = deque(maxlen=_MOST)
         self._known: deque[tuple[str, int, str]] = deque(maxlen=_MOST)
         self._lock = threading.Lock()
-        self._look()
+        self._poll()
         self._found.clear()  # from before our time
         self._watch = bus.watch([keys.EVENT])
         self._closed = threading.Event()
@@ -44,7 +44,7 @@ class EventFeed:
                 self._known.append(mark)
                 self._found.append(event)
 
-    def take(self) -> Iterator[Event]:
+    def pop(self) -> Iterator[Event]:
         """Yield the events that came since the last call."""
         while self._found:
             yield self._found.popleft()
@@ -73,9 +73,9 @@ class EventFeed:
                     self.add(event)
             if self._clock.monotonic_s() - looked_s >= _LOOK_S:
                 looked_s = self._clock.monotonic_s()
-                self._look()
+                self._poll()
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         try:
             found = read_health(self._bus)
         except BusError:  # the owner of a feed watches the bus as well, and tells of its loss

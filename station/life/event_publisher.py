@@ -43,21 +43,21 @@ class EventPublisher:
         since_ns = self._clock.wall_ns() - round(RECENT_S * 1e9)
         return [event for event in tuple(self._recent) if event.wall_ns > since_ns]
 
-    def say(self, name: str, severity: Severity, **detail: Any) -> None:
-        """Say an event; where the bus does not take it, it is said again by `say_late`."""
+    def publish(self, name: str, severity: Severity, **detail: Any) -> None:
+        """Say an event; where the bus does not take it, it is said again by `publish_late`."""
         event = events.make(self._source, name, severity, self._clock.wall_ns(), **detail)
         self._recent.append(event)
         if not self._bus.publish({keys.EVENT: event.encode()}):
             self._unsaid.append(event)
         events.write_log(log, event)
 
-    def say_on_bus(self, name: str, severity: Severity, **detail: Any) -> None:
+    def publish_unlogged(self, name: str, severity: Severity, **detail: Any) -> None:
         """Publish an event that another process prints."""
         event = events.make(self._source, name, severity, self._clock.wall_ns(), **detail)
         self._recent.append(event)
         self._bus.publish({keys.EVENT: event.encode()})
 
-    def say_late(self) -> None:
+    def publish_late(self) -> None:
         """Publish the events that the bus did not take, now that it is back and its readers listen again."""
         while self._unsaid:
             event = self._unsaid[0]

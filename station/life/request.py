@@ -134,10 +134,10 @@ class NewRequests:
 
     @property
     def has_come(self) -> bool:
-        """Whether one came since the last `take`."""
+        """Whether one came since the last `pop`."""
         return self._watch.latest(self._key) is not self._seen
 
-    def take(self) -> Asked | None:
+    def pop(self) -> Asked | None:
         """Return the newest that came since the last call, else None."""
         sample = self._watch.latest(self._key)
         if sample is self._seen:

@@ -37,7 +37,7 @@ class Restarts:
         """Whether the death of a process was noted."""
         return self._noted == pid
 
-    def note(self, pid: int, lived_s: float) -> None:
+    def record(self, pid: int, lived_s: float) -> None:
         """Record a death, once per process."""
         self._noted = pid
         self.count += 1

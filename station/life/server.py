@@ -127,7 +127,7 @@ class Life:
             boot=stamp.boot_id(), source=bus.source, started_wall_ns=now_ns, wall_ns=now_ns,
             config_sha256=config_sha256,
         )  # fmt: skip
-        self._say()
+        self._publish()
         self._heart = self.clock.start(self._beat, "heartbeat")
 
     @property
@@ -170,11 +170,11 @@ class Life:
 
     def event(self, name: str, *, severity: Severity = "info", **detail: Any) -> None:
         """Say that something happened: on the bus, so that it stands in the episode, and in the log."""
-        self._publisher.say(name, severity, **detail)
+        self._publisher.publish(name, severity, **detail)
 
     def last_word(self, name: str, **detail: Any) -> None:
         """Say on the bus what ends this server; its starter prints the error itself."""
-        self._publisher.say_on_bus(name, "error", **detail)
+        self._publisher.publish_unlogged(name, "error", **detail)
 
     def report(self, **facts: Any) -> None:
         """Say with the next heartbeat how the server is doing: rate_hz, jitter_p50_ms, … or anything of its own."""
@@ -193,19 +193,19 @@ class Life:
 
     def _become(self, state: State) -> None:
         self._health.state = state
-        self._say()
+        self._publish()
 
     def _beat(self) -> None:
         connections = self.bus.connections
         while not self.clock.wait(self._ended, HEARTBEAT_S):
-            self._say()
-            if (now := self.bus.connections) != connections and self._say_again():
+            self._publish()
+            if (now := self.bus.connections) != connections and self._publish_again():
                 connections = now
-            for outage in self.bus.outages.take():
+            for outage in self.bus.outages.pop():
                 self.event(outage.kind, severity="warning", **outage.detail(self.clock.monotonic_ns()))
-                self._publisher.say_late()
+                self._publisher.publish_late()
 
-    def _say_again(self) -> bool:
+    def _publish_again(self) -> bool:
         """Say what a restarted bus has forgotten; return whether it was heard."""
         if self._configuration is not None:
             self.bus.publish({keys.server_config(self.name): self._configuration})
@@ -216,7 +216,7 @@ class Life:
             return False
         return True
 
-    def _say(self) -> None:
+    def _publish(self) -> None:
         self._health.wall_ns = self.clock.wall_ns()
         self._health.lost_writes = self.bus.lost_writes
         self._health.events = self._publisher.recent

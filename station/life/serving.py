@@ -21,7 +21,7 @@ from station.bus import address as addresses
 from station.bus import password_file
 from station.bus.address import PASSWORD_FILE_VARIABLE, USER_VARIABLE, BusAddress
 from station.bus.client import Bus
-from station.bus.protection import look
+from station.bus.protection import inspect
 from station.errors import BusError, Refused, StationError
 from station.life.server import Life, ServerKind, read_health
 
@@ -69,7 +69,7 @@ def _claim(bus: Bus, name: str) -> None:
 
 def _warn_of_strangers(bus: Bus) -> None:
     with contextlib.suppress(BusError):  # the bus is being lost: a later look will tell
-        protection = look(bus)
+        protection = inspect(bus)
         if protection.verdict == "open":
             log.warning("bus %s: %s", bus.address, protection.found)
 

@@ -92,9 +92,9 @@ class Requests:
         """Do what was newly asked for; call once per tick."""
         verbs = {"start": self._playback.start, "leave": self._playback.leave}
         for key, verb in self._signals.items():
-            if (signal := self._new[key].take()) is not None and signal.data == b"1":
+            if (signal := self._new[key].pop()) is not None and signal.data == b"1":
                 verbs[verb]()
-        if (asked := self._new[keys.MOTION_CONTROL].take()) is None:
+        if (asked := self._new[keys.MOTION_CONTROL].pop()) is None:
             return
         try:
             wanted = request.parse(asked.data, MotionControl, "a motion request")

@@ -56,7 +56,7 @@ class CueQueue:
         self._waiting.insert(before, (now_s, cue))
         return True
 
-    def take(self, now_s: float) -> Cue | None:
+    def pop(self, now_s: float) -> Cue | None:
         """Return the cue that is to be said now."""
         while self._waiting:
             put_s, cue = self._waiting.popleft()
@@ -113,7 +113,7 @@ class Speaker:
         with self._changed:
             return self._present is None and not len(self._queue)
 
-    def say(self, cue: Cue) -> None:
+    def play(self, cue: Cue) -> None:
         """Have a cue said; an urgent one breaks off one that is not."""
         with self._changed:
             if not self._queue.put(cue, self._clock.monotonic_s()):
@@ -124,7 +124,7 @@ class Speaker:
                 self.broken_off += 1
             self._changed.notify_all()
 
-    def take_flaw(self) -> str:
+    def pop_error(self) -> str:
         """Return why a cue could not be said since the last call, "" where all were; what lasts is told once."""
         with self._changed:
             why_not, self._untold = self._untold, ""
@@ -150,7 +150,7 @@ class Speaker:
     def _why_not_of(self, cue: Cue) -> str:
         """Say a cue; return why it could not be said, or ""."""
         try:
-            self._voice.say(cue, self._hush)
+            self._voice.play(cue, self._hush)
         except StationError as error:
             return str(error)
         except Exception as error:  # a fault in one voice, a third party's perhaps, must not silence an operator's ears
@@ -161,7 +161,7 @@ class Speaker:
     def _next(self) -> Cue | None:
         with self._changed:
             while not self._is_closed:
-                if (cue := self._queue.take(self._clock.monotonic_s())) is not None:
+                if (cue := self._queue.pop(self._clock.monotonic_s())) is not None:
                     self._present, self._is_hushed = cue, False
                     self.said += 1
                     return cue

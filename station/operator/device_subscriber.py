@@ -30,14 +30,14 @@ class DeviceSample:
     """What was heard in a tick.
 
     Attributes:
-        reading: The newest sample; None when there is none that may be used.
+        sample: The newest sample; None when there is none that may be used.
         why_not: Why there is none, or why it holds buttons only and is not to be driven by; else "".
-        sample: Count of samples by the device server's own counting, for the source of a command.
+        number: Count of samples by the device server's own counting, for the source of a command.
     """
 
-    reading: OperatorSample | None
+    sample: OperatorSample | None
     why_not: str = ""
-    sample: int = 0
+    number: int = 0
 
 
 class DeviceSubscriber:
@@ -58,16 +58,16 @@ class DeviceSubscriber:
         """Return the keys that must be watched."""
         return [key for name in (device, controls_from) if name for key in readings.watched_keys(name)]
 
-    def hear(self) -> DeviceSample:
+    def poll(self) -> DeviceSample:
         """Return what is known now; buttons of another device count while poses are lost too, the stop among them."""
-        heard = self._one.hear()
+        heard = self._one.poll()
         if self._other is None:
             return heard
-        other = self._other.hear()
-        if other.reading is None:
-            return DeviceSample(None, other.why_not, heard.sample)
-        reading = replace(heard.reading or OperatorSample(), controls=other.reading.controls)
-        return DeviceSample(reading, heard.why_not or other.why_not, heard.sample)
+        other = self._other.poll()
+        if other.sample is None:
+            return DeviceSample(None, other.why_not, heard.number)
+        sample = replace(heard.sample or OperatorSample(), controls=other.sample.controls)
+        return DeviceSample(sample, heard.why_not or other.why_not, heard.number)
 
 
 class _DeviceListener:
@@ -79,14 +79,14 @@ class _DeviceListener:
         self._status_key = self._keys[0]
         self._newest: tuple[Status, OperatorSample] | None = None
 
-    def hear(self) -> DeviceSample:
-        sample = self._watch.latest(self._status_key)
-        if sample is None:
+    def poll(self) -> DeviceSample:
+        told = self._watch.latest(self._status_key)
+        if told is None:
             return DeviceSample(None, f"nothing was ever heard of {self._device}; is its server started?")
-        age_s = sample.age_s(self._watch.clock.monotonic_ns())
+        age_s = told.age_s(self._watch.clock.monotonic_ns())
         if age_s > STALE_S:
-            told = "" if math.isinf(age_s) else f" for {age_s:.1f} s"
-            return DeviceSample(None, f"{self._device} is silent{told}")
+            since = "" if math.isinf(age_s) else f" for {age_s:.1f} s"
+            return DeviceSample(None, f"{self._device} is silent{since}")
         samples = {key: found for key in self._keys if (found := self._watch.latest(key)) is not None}
         try:
             status = readings.decode_status(self._device, samples)
@@ -95,14 +95,14 @@ class _DeviceListener:
             if status.state != "live":
                 why = f": {status.reason}" if status.reason else ""
                 return DeviceSample(None, f"{self._device} is {status.state}{why}", status.new)
-            reading, late = self._decoded(status, samples), self._why_late(sample)
-            return DeviceSample(OperatorSample(controls=reading.controls) if late else reading, late, status.new)
+            sample, late = self._decoded(status, samples), self._why_late(told)
+            return DeviceSample(OperatorSample(controls=sample.controls) if late else sample, late, status.new)
         except codec.BadValue as error:
             return DeviceSample(None, str(error))
 
-    def _why_late(self, sample: Sample) -> str:
-        is_late = sample.delay_s is not None and sample.delay_s > LATE_S
-        return f"samples of {self._device} come {sample.delay_s:.1f} s late" if is_late else ""
+    def _why_late(self, told: Sample) -> str:
+        is_late = told.delay_s is not None and told.delay_s > LATE_S
+        return f"samples of {self._device} come {told.delay_s:.1f} s late" if is_late else ""
 
     def _decoded(self, status: Status, samples: dict[str, Sample]) -> OperatorSample:
         """Return the sample, decoded once: a tick without a new one gives the same object."""

@@ -65,23 +65,23 @@ class Driver(Protocol):
         """Whether nothing moves by itself any more: a walk that was let go has come to a stand."""
         ...
 
-    def look(self, reading: OperatorSample) -> DriverInput:
+    def inspect(self, sample: OperatorSample) -> DriverInput:
         """Return what the sample holds for this driver; changes nothing."""
         ...
 
     def jump(self, before: Any, now: Any) -> str:
-        """Return what jumped between two inputs of `look`, or ""."""
+        """Return what jumped between two inputs of `inspect`, or ""."""
         ...
 
     def next_mode(self) -> str:
         """Go to the next mode, return its name."""
         ...
 
-    def step(self, reading: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+    def step(self, sample: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
         """Go on for a period [s].
 
         Args:
-            reading: The newest sample; None when there is none that may be used.
+            sample: The newest sample; None when there is none that may be used.
             snapshot: The dead-man's while it is engaged; a new object means newly engaged, and the command of that tick
                 is the one before it.
             dt_s: The period.
@@ -91,7 +91,7 @@ class Driver(Protocol):
         """
         ...
 
-    def take_up(self, command: Floats) -> None:
+    def resume_from(self, command: Floats) -> None:
         """Go on from a command that came from elsewhere, shape (m,); not while engaged."""
         ...
 

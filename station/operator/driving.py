@@ -82,32 +82,32 @@ class Driving:
         self.deadman: DeadMan[Any, Any] = DeadMan(driver.jump)
         self._buttons = buttons
 
-    def step(self, reading: OperatorSample | None, dt_s: float, *, why_blocked: str = "") -> DrivingStep:
+    def step(self, sample: OperatorSample | None, dt_s: float, *, why_blocked: str = "") -> DrivingStep:
         """Go on for a period.
 
         Args:
-            reading: The newest sample; None when it is stale, lost, or cannot be read.
+            sample: The newest sample; None when it is stale, lost, or cannot be read.
             dt_s: The period [s].
             why_blocked: Why driving is not allowed now (an emergency stop, a lost bus, stale data), or "".
         """
-        pressed = self._buttons.step(None if reading is None else reading.controls, dt_s)
+        pressed = self._buttons.step(None if sample is None else sample.controls, dt_s)
         before = self.driver.mode
         if "mode" in pressed.started:
             self.driver.next_mode()
-        look = _NOTHING if reading is None else self.driver.look(reading)
+        look = _NOTHING if sample is None else self.driver.inspect(sample)
         if "disarm" in pressed.started:
             why_blocked = "disarmed"
         if "estop" in pressed.started:
             why_blocked = "emergency stop"
         change = self.deadman.step(
-            None if reading is None else "engage" in pressed.held,
+            None if sample is None else "engage" in pressed.held,
             look.input,
             self.driver.target,
             toggled="start_pause" in pressed.started,
             why_blocked=why_blocked or look.why_not,
             why_not_engage=look.why_not_engage,
         )
-        command = self.driver.step(reading, self.deadman.snapshot, dt_s)
+        command = self.driver.step(sample, self.deadman.snapshot, dt_s)
         mode = self.driver.mode  # a driver may change it by other controls as well
         return DrivingStep(command, self.driver.auxiliary, pressed, change, mode if mode != before else "")
 
@@ -190,8 +190,8 @@ class CommandWriter:
             heard: The sample that it was made of.
             state: What else its source tells.
         """
-        capture_ns = heard.reading.capture_ns if heard.reading is not None else None
-        source = {**self._whose, **state, "sample": heard.sample, "capture_ns": capture_ns}
+        capture_ns = heard.sample.capture_ns if heard.sample is not None else None
+        source = {**self._whose, **state, "sample": heard.number, "capture_ns": capture_ns}
         beside = {key: codec.json_vector(value) for key, value in auxiliary.items()}
         self._publish(command, beside | {keys.command_source(self._command_format.robot): codec.json_object(source)})
 

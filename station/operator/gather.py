@@ -24,7 +24,7 @@ class Gatherer:
     def __init__(self, bus: Bus, device: str) -> None:
         self._device, self._clock = device, bus.clock
         self._watch = bus.watch(DeviceSubscriber.watched(device))
-        self._ear = DeviceSubscriber(self._watch, device)
+        self._subscriber = DeviceSubscriber(self._watch, device)
 
     def wait_for(
         self,
@@ -67,13 +67,13 @@ class Gatherer:
         found: list[OperatorSample] = []
         seen, ends_s, why = -1, self._clock.monotonic_s() + for_s, ""
         while self._clock.monotonic_s() < ends_s:
-            heard = self._ear.hear()
-            if heard.reading is None:
+            heard = self._subscriber.poll()
+            if heard.sample is None:
                 why = heard.why_not
-            elif heard.sample != seen:
-                seen = heard.sample
-                if not (lack := why_not(heard.reading)):
-                    found.append(heard.reading)
+            elif heard.number != seen:
+                seen = heard.number
+                if not (lack := why_not(heard.sample)):
+                    found.append(heard.sample)
                 why = lack or why
             self._clock.sleep(_LOOK_S)
         if not found:
@@ -91,5 +91,5 @@ class Gatherer:
         self.close()
 
     def _lack(self, why_not: Callable[[OperatorSample], str]) -> str:
-        heard = self._ear.hear()
-        return heard.why_not if heard.reading is None else why_not(heard.reading)
+        heard = self._subscriber.poll()
+        return heard.why_not if heard.sample is None else why_not(heard.sample)

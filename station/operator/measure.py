@@ -36,7 +36,7 @@ class OperatorMeasure(Protocol):
         """What the operator may be asked to do, by the name of the pose; the first one is the usual."""
         ...
 
-    def why_not(self, reading: OperatorSample) -> str:
+    def why_not(self, sample: OperatorSample) -> str:
         """Return why such a sample cannot be measured, or ""."""
         ...
 

@@ -138,7 +138,7 @@ class Phrases:
         """Return what is told of an event; None for nothing."""
         values = {"source": event.source, **event.detail}
         if (episode := values.get("episode_id")) is not None:
-            values["take"] = _take(str(episode))
+            values["take"] = _number_of(str(episode))
         phrase = self._phrase(event.name, values)
         if phrase is None or not (words := _filled(phrase.words, values)):
             return None
@@ -206,7 +206,7 @@ def _as_text(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _take(episode_id: str) -> str:
+def _number_of(episode_id: str) -> str:
     """Return the number at the end of an episode's name, or the name."""
     found = re.search(r"(\d+)$", episode_id)
     return str(int(found[1])) if found and len(found[1]) < 10 else episode_id

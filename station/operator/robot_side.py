@@ -66,7 +66,7 @@ class RobotSide:
         """Note that our commands have ended."""
         self._begun_ns = None
 
-    def look(self, now_ns: int) -> None:
+    def poll(self, now_ns: int) -> None:
         """Look at an instant [ns, monotonic]."""
         sample = self._watch.latest(self._gate_key)
         gate = _gate(sample)

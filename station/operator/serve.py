@@ -107,13 +107,13 @@ class _DeviceLoop:
 
     def tick(self, now_s: float) -> None:
         """Take what the device gives at a monotonic time [s] to the bus."""
-        reading = self._read(now_s)
+        sample = self._read(now_s)
         silence_s = self._freshness.silence_s(now_s)
-        is_new = self._freshness.step(now_s, reading)
+        is_new = self._freshness.step(now_s, sample)
         values: dict[str, bytes] = {}
-        if is_new and reading is not None:
-            self._newest, self._parts = reading, readings.parts(reading)
-            values = readings.encode(self._life.name, reading)
+        if is_new and sample is not None:
+            self._newest, self._parts = sample, readings.parts(sample)
+            values = readings.encode(self._life.name, sample)
         self._judge(now_s, silence_s)
         self._write(values)
 
@@ -157,9 +157,9 @@ class _DeviceLoop:
         if state != self._state or self._reason != self._told:
             if state != "lost":
                 self._look_s = 0.0  # ask why as soon as it is lost
-            self._tell(state, silence_s)
+            self._publish_state(state, silence_s)
 
-    def _tell(self, state: State, silence_s: float) -> None:
+    def _publish_state(self, state: State, silence_s: float) -> None:
         detail: dict[str, Any] = {"device": self._life.name, "new": self._freshness.new}
         if self._reason:
             detail["reason"] = self._reason
@@ -220,14 +220,14 @@ class Freshness:
         """Return the time since the newest sample [s]; infinite before the first."""
         return now_s - self._newest_s
 
-    def step(self, now_s: float, reading: OperatorSample | None) -> bool:
+    def step(self, now_s: float, sample: OperatorSample | None) -> bool:
         """Record what the device gave at a monotonic time [s]; return whether that is a new sample."""
-        is_new = reading is not None and (reading.capture_ns is None or reading.capture_ns != self.capture_ns)
+        is_new = sample is not None and (sample.capture_ns is None or sample.capture_ns != self.capture_ns)
         silence_s = self.silence_s(now_s)
         self._judge(silence_s)  # before the sample counts: a gap between two steps is a gap
-        if is_new and reading is not None:
+        if is_new and sample is not None:
             self.new += 1
-            self.capture_ns = reading.capture_ns
+            self.capture_ns = sample.capture_ns
             self._newest_s = now_s
             if silence_s > self._stale_after_s:
                 self._flowing_since_s = now_s

@@ -32,7 +32,7 @@ class SilenceMonitor:
         self._alive: set[str] = set()
         self._told: set[str] = set()
 
-    def hear(self, event: Event) -> None:
+    def on_event(self, event: Event) -> None:
         """Record a server that was already said to be gone."""
         if event.name in ("server-died", "server-silent", "server-given-up"):
             self._told.add(str(event.detail.get("server")))
@@ -47,7 +47,7 @@ class SilenceMonitor:
             if said.wall_ns != word:
                 is_new = name in self._heard
                 self._heard[name] = (said.wall_ns, now_s)
-                found += self._hear(said, is_new=is_new)
+                found += self._on_health(said, is_new=is_new)
             elif name in self._alive and now_s - heard_s > DEAD_AFTER_S:
                 self._alive.discard(name)
                 if name not in self._told:
@@ -60,7 +60,7 @@ class SilenceMonitor:
         self._heard.clear()
         self._alive.clear()
 
-    def _hear(self, said: Health, *, is_new: bool) -> list[Event]:
+    def _on_health(self, said: Health, *, is_new: bool) -> list[Event]:
         """Record a word; the first one may be old, and says only that there once was such a server."""
         if said.state == "finalized":
             self._alive.discard(said.name)
@@ -89,16 +89,16 @@ class StationMonitor:
         self._look_s = self._connected_s = self._clock.monotonic_s()
         self._is_lost = False
 
-    def take(self) -> Sequence[Event]:
+    def poll(self) -> Sequence[Event]:
         """Return what happened since the last call; never waits for the bus for long."""
         now_s = self._clock.monotonic_s()
-        found = list(self._feed.take())
+        found = list(self._feed.pop())
         for event in found:
-            self._silence_monitor.hear(event)
+            self._silence_monitor.on_event(event)
         found += self._stop()
         if now_s - self._look_s >= LOOK_S:
             self._look_s = now_s
-            found += self._look(now_s)
+            found += self._poll_servers(now_s)
         return found
 
     def close(self) -> None:
@@ -122,7 +122,7 @@ class StationMonitor:
         request = estop.read(sample.value)
         return [_event("estop", reason=request.reason)] if request.stop else []
 
-    def _look(self, now_s: float) -> list[Event]:
+    def _poll_servers(self, now_s: float) -> list[Event]:
         if self._watch.is_connected:
             self._connected_s = now_s
         if now_s - self._connected_s > _BUS_GONE_S:

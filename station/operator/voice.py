@@ -36,7 +36,7 @@ class Cue:
 class Voice(Protocol):
     """Says cues, one after the other, for a thread of its own."""
 
-    def say(self, cue: Cue, hush: Hush) -> None:
+    def play(self, cue: Cue, hush: Hush) -> None:
         """Say a cue to its end, or until `hush` says otherwise; `hush` is asked at least every tenth of a second.
 
         Raises:

@@ -117,7 +117,7 @@ class _StoryBuilder:
     def feed(self, message: Message) -> None:
         at_s = (message.log_ns - self._begin_ns) * 1e-9
         if message.topic == keys.EVENT:
-            self._note_event(at_s, codec.parse_facts(message.data))
+            self._add_event(at_s, codec.parse_facts(message.data))
         elif message.topic == self._source_key:
             self._phases.add(at_s, self._phase_of(codec.parse_facts(message.data)))
         else:
@@ -133,7 +133,7 @@ class _StoryBuilder:
         self._story.gate, self._story.phases = self._gate.named, self._phases.named
         self._story.tracks = self._tracker.result()
 
-    def _note_event(self, at_s: float, event: Mapping[str, Any]) -> None:
+    def _add_event(self, at_s: float, event: Mapping[str, Any]) -> None:
         self._story.events_in_all += 1
         if len(self._story.events) >= MOST_EVENTS:
             return

@@ -113,12 +113,12 @@ def run(planned: Plan, on_done: Callable[[str, Outcome], None] | None = None) ->
     order = [(rig, number) for rig in range(len(rigs)) for number in range(len(cases))]
     order.sort(key=lambda task: -cases[task[1]].seconds)
 
-    def tell(result: tuple[int, Outcome]) -> None:
+    def on_result(result: tuple[int, Outcome]) -> None:
         if on_done is not None:
             on_done(planned.label(result[0]), result[1])
 
     tasks = [(rig, cases[number], rigs[rig]) for rig, number in order]
-    done = side_by_side.run(_work, tasks, jobs=planned.processes, on_done=tell)
+    done = side_by_side.run(_work, tasks, jobs=planned.processes, on_done=on_result)
     found = {task: outcome for task, (_, outcome) in zip(order, done, strict=True)}
     outcomes = [[found[rig, number] for number in range(len(cases))] for rig in range(len(rigs))]
     policies = [

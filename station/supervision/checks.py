@@ -13,7 +13,7 @@ import msgspec
 
 from station import assets
 from station.bus.client import Bus
-from station.bus.protection import REMEDY, look
+from station.bus.protection import REMEDY, inspect
 from station.errors import NotReady
 
 _BYTES_PER_GB = 1e9
@@ -55,7 +55,7 @@ class BusCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         fields = dict(line.split(":", 1) for line in info.splitlines() if ":" in line)
         version = fields.get("valkey_version") or fields.get("redis_version", "?")
         found = f"{bus.address} answers in {elapsed_ms:.1f} ms (server {version})"
-        protection = look(bus)
+        protection = inspect(bus)
         if protection.verdict == "open" and not self.allow_open:
             raise NotReady(f"bus {bus.address}: {protection.found}; {REMEDY}")
         return found if protection.verdict == "closed" else f"{found}, {protection.found}"

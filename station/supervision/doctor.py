@@ -16,7 +16,7 @@ from station.arms import remedy_of
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.bus.protection import REMEDY, look
+from station.bus.protection import REMEDY, inspect
 from station.bus.sample import Sample
 from station.bus.server_options import LARGEST_VALUE
 from station.bus.watch import Watch
@@ -302,7 +302,7 @@ class Finding(msgspec.Struct, frozen=True):
 
 def bus_access(bus: Bus) -> Finding:
     """Look at which clients can reach a bus."""
-    protection = look(bus)
+    protection = inspect(bus)
     level: Literal["ok", "warning", "broken"] = (
         "ok" if protection.verdict == "closed" else "broken" if protection.verdict == "open" else "warning"
     )

@@ -35,7 +35,7 @@ class ExitPolicy:
 
     def __init__(self, runbook: Runbook, supervisor: Supervisor, face: SessionUI, *, is_unattended: bool) -> None:
         self._steps = {step.start: step for step in runbook.servers}
-        self._supervisor, self._face = supervisor, face
+        self._supervisor, self._ui = supervisor, face
         self._asks = face.is_attended and not is_unattended
         self._dead: dict[str, str] = {}  # how, by name
         self._silent: set[str] = set()
@@ -47,7 +47,7 @@ class ExitPolicy:
         """Whether a server is dead now that was not started again."""
         return bool(self._dead)
 
-    def look(
+    def check(
         self, health: Sequence[Health] | None, latched: Callable[[], LatchedStop | None] = lambda: None
     ) -> tuple[str, int] | None:
         """See what has died; return why the station should end, and an exit code, or None.
@@ -66,51 +66,51 @@ class ExitPolicy:
             what = f"{how}; its last words: {self._supervisor.last_words(name)}"
             self._starting.discard(name)
             if not self._asks or step.if_it_dies == "end":
-                self._supervisor.tell(_DIED, "error", server=name, reason=what)
+                self._supervisor.publish(_DIED, "error", server=name, reason=what)
                 return f"server {name!r} {what}", 1
             self._dead[name] = how
-            self._tell(name, what, _DIED)
+            self._publish(name, what, _DIED)
         if health is None:
             self._heard.clear()  # no server could be heard: their time begins anew when the bus is back
         else:
-            self._look_for_silent(health)
-        if (self._dead or self._silent) and self._face.take_restart():
+            self._check_silent(health)
+        if (self._dead or self._silent) and self._ui.pop_restart():
             if (stop := latched()) is not None:
-                self._face.say(f"{stop}; until then nothing starts", "error")
+                self._ui.report(f"{stop}; until then nothing starts", "error")
             else:
                 self._start_again()
         return None
 
-    def _look_for_silent(self, health: Sequence[Health]) -> None:
+    def _check_silent(self, health: Sequence[Health]) -> None:
         now_s = self._supervisor.clock.monotonic_s()
         for said in health:
             if said.name not in self._steps or said.name in self._dead:
                 continue
             if self._heard.get(said.name, (0, 0.0))[0] != said.wall_ns:
                 self._heard[said.name] = said.wall_ns, now_s
-                self._hear(said)
+                self._on_health(said)
             elif now_s - self._heard[said.name][1] > SILENT_S and said.name not in self._silent | self._starting:
                 self._silent.add(said.name)
-                self._tell(said.name, f"lives, but has said nothing for {SILENT_S:g} s (frozen?)", "server-silent")
+                self._publish(said.name, f"lives, but has said nothing for {SILENT_S:g} s (frozen?)", "server-silent")
 
-    def _hear(self, said: Health) -> None:
+    def _on_health(self, said: Health) -> None:
         if said.name in self._silent:
             self._silent.discard(said.name)
             self._offer()
-            self._supervisor.tell("server-back", "info", server=said.name)
+            self._supervisor.publish("server-back", "info", server=said.name)
         if said.name in self._starting and said.state == "active":
             self._starting.discard(said.name)
-            self._supervisor.tell("server-active", "info", server=said.name, pid=said.pid)
+            self._supervisor.publish("server-active", "info", server=said.name, pid=said.pid)
 
-    def _tell(self, name: str, what: str, event: str) -> None:
+    def _publish(self, name: str, what: str, event: str) -> None:
         keys = "; r starts it again, Ctrl-C takes the station down" if self._asks else ""
-        self._supervisor.tell(event, "error", server=name, reason=what)
+        self._supervisor.publish(event, "error", server=name, reason=what)
         self._offer()  # before it is said: a key that is pressed at the sight of the line counts
-        self._face.say(f"server {name!r} {what}{keys}", "error")
+        self._ui.report(f"server {name!r} {what}{keys}", "error")
 
     def _offer(self) -> None:
         if self._asks:
-            self._face.offer(", ".join(sorted({*self._dead, *self._silent})))
+            self._ui.offer(", ".join(sorted({*self._dead, *self._silent})))
 
     def _start_again(self) -> None:
         for name in sorted({*self._dead, *self._silent}):
@@ -118,6 +118,6 @@ class ExitPolicy:
             self._silent.discard(name)
             self._heard.pop(name, None)
             self._starting.add(name)
-            self._supervisor.tell("server-restarted", "warning", server=name, reason=how, who=getpass.getuser())
+            self._supervisor.publish("server-restarted", "warning", server=name, reason=how, who=getpass.getuser())
             self._supervisor.start_again(name)
         self._offer()

@@ -88,12 +88,12 @@ class Session:
             raise ConfigError(
                 f"runbook {runbook.name} starts no recorder; add the step `- start: recorder`, or leave out --record"
             )
-        self._runbook, self._bus, self._supervisor, self._face = runbook, bus, supervisor, face
+        self._runbook, self._bus, self._supervisor, self._ui = runbook, bus, supervisor, face
         self._clock = bus.clock
         self._data, self._recording, self._is_unattended = data, recording, is_unattended
         self._is_recording = False
         self._bus_lost_s: float | None = None
-        self._deaths = ExitPolicy(runbook, supervisor, face, is_unattended=is_unattended)
+        self._exit_policy = ExitPolicy(runbook, supervisor, face, is_unattended=is_unattended)
         self.answers: list[Answer] = []
         self.episode: RecordAnswer | None = None
 
@@ -105,7 +105,7 @@ class Session:
         """
         self._refuse_a_second_station()
         if (line := left_open.offer(self._data)) is not None:
-            self._face.say(line, "warning")
+            self._ui.report(line, "warning")
         with EventFeed(self._bus) as feed, StopMemory(self._bus, NAME) as memory:
             if (latched := memory.latched()) is not None:
                 raise Refused(f"{latched}, then start again")
@@ -115,11 +115,11 @@ class Session:
             except StationError as error:
                 is_asked = stop.is_set()
                 reason, code = (f"stopped: {error}", _INTERRUPTED) if is_asked else (f"failed: {error}", 1)
-            self._tell(feed)
-            self._face.say(reason, "error" if code == 1 else "info")
-            code = self._take_down(code)
+            self._print_events(feed)
+            self._ui.report(reason, "error" if code == 1 else "info")
+            code = self._stop_servers(code)
             if (latched := memory.latched()) is not None:
-                self._face.say(f"{latched}; until then nothing starts", "warning")
+                self._ui.report(f"{latched}; until then nothing starts", "warning")
             return code
 
     def _refuse_a_second_station(self) -> None:
@@ -138,18 +138,18 @@ class Session:
         for step in self._runbook.steps:
             if stop.is_set():
                 raise NotReady("asked to stop before everything had started")
-            self._take(step, memory, stop)
-            self._tell(feed)
+            self._run_step(step, memory, stop)
+            self._print_events(feed)
 
-    def _take(self, step: Step, memory: StopMemory, stop: threading.Event) -> None:
-        self._face.begin(str(step))
+    def _run_step(self, step: Step, memory: StopMemory, stop: threading.Event) -> None:
+        self._ui.begin(str(step))
         try:
             self._hold(memory, stop)
             result = self._result(step, memory, stop)
         except StationError:
-            self._face.failed(self._to_blame(step), "stopped" if stop.is_set() else "failed")
+            self._ui.failed(self._to_blame(step), "stopped" if stop.is_set() else "failed")
             raise
-        self._face.done(str(step), result)
+        self._ui.done(str(step), result)
         if isinstance(step, StartStep) and step.start == _RECORDER and self._recording is not None:
             self._record(self._recording, stop)
 
@@ -165,23 +165,23 @@ class Session:
         latched = memory.latched()
         if latched is None:
             return False
-        if self._is_unattended or not self._face.is_attended:
+        if self._is_unattended or not self._ui.is_attended:
             raise NotReady(str(latched))
-        self._face.say(f"{latched}; until then nothing goes on", "error")
+        self._ui.report(f"{latched}; until then nothing goes on", "error")
         while memory.latched() is not None:
             if self._clock.wait(stop, _LOOK_S):
                 raise NotReady("asked to stop while the emergency stop was latched")
-        self._face.say("the emergency stop is released", "warning")
+        self._ui.report("the emergency stop is released", "warning")
         return True
 
     def _result(self, step: Step, memory: StopMemory, stop: threading.Event) -> str:
         if isinstance(step, StartStep):
             return self._start(step, stop)
         if isinstance(step, CheckStep):
-            return self._note(step, step.what.run(self._bus, self._data, stop), who="station")
+            return self._record_answer(step, step.what.run(self._bus, self._data, stop), who="station")
         if isinstance(step, ConfirmStep):
             return self._confirm(step, memory, stop)
-        return self._note(step, "shown", who="station")
+        return self._record_answer(step, "shown", who="station")
 
     def _start(self, step: StartStep, stop: threading.Event) -> str:
         if step.start not in self._supervisor.children:
@@ -198,14 +198,14 @@ class Session:
 
     def _confirm(self, step: ConfirmStep, memory: StopMemory, stop: threading.Event) -> str:
         if self._is_unattended:
-            return self._note(step, "yes (unattended)", who=_UNATTENDED)
+            return self._record_answer(step, "yes (unattended)", who=_UNATTENDED)
         while True:
-            if not self._face.confirm(step.confirm):
+            if not self._ui.confirm(step.confirm):
                 raise NotReady(f"not confirmed: {step.confirm}")
             if not self._hold(memory, stop):  # what was confirmed before a stop has to be seen again after it
-                return self._note(step, "yes", who=getpass.getuser())
+                return self._record_answer(step, "yes", who=getpass.getuser())
 
-    def _note(self, step: CheckStep | ConfirmStep | NoteStep, answer: str, *, who: str) -> str:
+    def _record_answer(self, step: CheckStep | ConfirmStep | NoteStep, answer: str, *, who: str) -> str:
         self.answers.append(
             Answer(
                 step=str(step), answer=answer, who=who, wall_ns=self._clock.wall_ns(), is_unattended=who == _UNATTENDED
@@ -225,7 +225,7 @@ class Session:
         }
         self.episode = remote.ask(self._bus, "start", runbook=runbook, **msgspec.to_builtins(recording))
         self._is_recording = True
-        self._face.say(f"recording {self.episode.path}")
+        self._ui.report(f"recording {self.episode.path}")
 
     def _watch_over(
         self, feed: EventFeed, memory: StopMemory, stop: threading.Event, for_s: float | None
@@ -233,45 +233,45 @@ class Session:
         """Show how the station is doing until it should end; return why, and an exit code."""
         deadline = None if for_s is None else self._clock.monotonic_s() + for_s
         while not self._clock.wait(stop, _LOOK_S):
-            self._tell(feed)
-            health = self._look()
+            self._print_events(feed)
+            health = self._poll_health()
             self._restate_stop(memory)
-            if (end := self._deaths.look(health, memory.latched)) is not None:
+            if (end := self._exit_policy.check(health, memory.latched)) is not None:
                 return end
             if deadline is not None and self._clock.monotonic_s() > deadline:
-                return f"{for_s:g} s are over", int(self._deaths.are_open)
+                return f"{for_s:g} s are over", int(self._exit_policy.are_open)
             if self._bus_lost_s is not None and self._clock.monotonic_s() - self._bus_lost_s > _BUS_GONE_S:
                 return f"the bus {self._bus.address} has been gone for {_BUS_GONE_S:.0f} s", 1
-        return "stopped", int(self._deaths.are_open)
+        return "stopped", int(self._exit_policy.are_open)
 
-    def _tell(self, feed: EventFeed) -> None:
+    def _print_events(self, feed: EventFeed) -> None:
         for event in self._supervisor.publisher.recent:
             feed.add(event)
-        for event in feed.take():
+        for event in feed.pop():
             if event.name not in _TOLD_OTHERWISE:
-                self._face.say(f"{event.source}: {event}", event.severity)
+                self._ui.report(f"{event.source}: {event}", event.severity)
 
     def _restate_stop(self, memory: StopMemory) -> None:
         with contextlib.suppress(BusError):  # it is gone again; the next look tries again
-            if reason := memory.look():
-                self._supervisor.tell("estop-restated", "warning", reason=reason)
+            if reason := memory.poll():
+                self._supervisor.publish("estop-restated", "warning", reason=reason)
 
-    def _look(self) -> list[Health] | None:
+    def _poll_health(self) -> list[Health] | None:
         """Show the servers' health and return it; None while the bus is gone."""
         try:
             health = read_health(self._bus)
         except BusError as error:
             if self._bus_lost_s is None:
                 self._bus_lost_s = self._clock.monotonic_s()
-                self._face.say(f"{error}; the servers hold their robots; waiting for it to come back", "error")
+                self._ui.report(f"{error}; the servers hold their robots; waiting for it to come back", "error")
             return None
-        self._face.show(health)
+        self._ui.show(health)
         if self._bus_lost_s is not None:
-            self._face.say(f"the bus is back after {self._clock.monotonic_s() - self._bus_lost_s:.1f} s", "warning")
+            self._ui.report(f"the bus is back after {self._clock.monotonic_s() - self._bus_lost_s:.1f} s", "warning")
             self._bus_lost_s = None
         return health
 
-    def _take_down(self, code: int) -> int:
+    def _stop_servers(self, code: int) -> int:
         """Stop the servers, newest first or as the runbook has it; the episode is closed before its recorder."""
         newest_first = tuple(step.start for step in reversed(self._runbook.servers))
         order: Sequence[str] = self._runbook.stop_order if code == 1 else newest_first
@@ -286,25 +286,23 @@ class Session:
         """Stop a server; return whether it ended cleanly."""
         step, began_s = f"stop {name}", self._clock.monotonic_s()
         has_ended = name in self._supervisor.ended()
-        self._face.begin(step)
+        self._ui.begin(step)
         code = self._supervisor.stop(name)
         is_clean = code in (0, -signal.SIGTERM)  # one that is stopped while it loads dies of our signal, and may
         if not is_clean:
-            self._face.failed(step, f"{'already ' * has_ended}{how_it_ended(code)}")
+            self._ui.failed(step, f"{'already ' * has_ended}{how_it_ended(code)}")
         else:
-            self._face.done(
-                step, "already ended" if has_ended else f"after {self._clock.monotonic_s() - began_s:.1f} s"
-            )
+            self._ui.done(step, "already ended" if has_ended else f"after {self._clock.monotonic_s() - began_s:.1f} s")
         return is_clean
 
     def _finish_episode(self) -> None:
         self._is_recording = False
         if _RECORDER in self._supervisor.ended() or not self._bus.is_connected:
             gone = "bus" if not self._bus.is_connected else "recorder"
-            self._face.say(f"the {gone} is gone: the episode ends where it was last written to disk", "error")
+            self._ui.report(f"the {gone} is gone: the episode ends where it was last written to disk", "error")
             return
-        self._face.begin("close the episode")
+        self._ui.begin("close the episode")
         try:
             self.episode = remote.ask(self._bus, "stop")
         except StationError as error:
-            self._face.say(f"the episode was not closed here: {error}", "warning")
+            self._ui.report(f"the episode was not closed here: {error}", "warning")

@@ -28,7 +28,7 @@ class SessionUI(Protocol):
         """A step has failed."""
         ...
 
-    def say(self, text: str, severity: Severity = "info") -> None:
+    def report(self, text: str, severity: Severity = "info") -> None:
         """Something happened."""
         ...
 
@@ -40,7 +40,7 @@ class SessionUI(Protocol):
         """Offer to start some servers again, by their names; "" takes the offer back."""
         ...
 
-    def take_restart(self) -> bool:
+    def pop_restart(self) -> bool:
         """Whether a person has taken the offer since the last call."""
         ...
 

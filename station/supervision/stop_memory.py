@@ -31,7 +31,7 @@ class StopMemory:
         self._keeper = StopKeeper(bus.address)
         self._kept: Sample | None = None
 
-    def look(self) -> str:
+    def poll(self) -> str:
         """Keep a new stop in the file; say one again that the bus has forgotten, and return its reason, else "".
 
         Raises:
@@ -62,7 +62,7 @@ class StopMemory:
 
     @property
     def has_forgetful_bus(self) -> bool:
-        """Whether the bus went away and is back since the last `look` that was heard: it may be another one."""
+        """Whether the bus went away and is back since the last `poll` that was heard: it may be another one."""
         return self._watch.connections != self._connections
 
     @property

@@ -88,7 +88,7 @@ class Supervisor:
         with self._lock:
             self.children[name] = Child(name, process, go, log, self.clock.monotonic_s(), arguments, restarts)
         if restarts is not None and self._nurse is None:
-            self._nurse = self.clock.start(self._look_after, "supervisor")
+            self._nurse = self.clock.start(self._restart_dead, "supervisor")
 
     def _launch(self, arguments: list[str], log: Path, restarts: int) -> tuple[subprocess.Popen[bytes], int]:
         reading, writing = os.pipe()
@@ -162,21 +162,21 @@ class Supervisor:
         code = child.process.poll()
         return child.restarts is not None and child.is_wanted and code is not None and child.restarts.allow(code)
 
-    def _look_after(self) -> None:
+    def _restart_dead(self) -> None:
         """Start again what died and may."""
         while not self.clock.wait(self._closed, _NURSE_S):
             with self._lock:
                 for child in list(self.children.values()):
                     if child.restarts is not None and child.is_wanted:
-                        self._look_at(child, child.restarts)
+                        self._check_child(child, child.restarts)
 
-    def _look_at(self, child: Child, restarts: Restarts) -> None:
+    def _check_child(self, child: Child, restarts: Restarts) -> None:
         code, now_s = child.process.poll(), self.clock.monotonic_s()
         if code is None:
             return
         if not restarts.has_noted(child.process.pid):
-            restarts.note(child.process.pid, now_s - child.started_s)
-            self._tell(child, restarts, code)
+            restarts.record(child.process.pid, now_s - child.started_s)
+            self._publish_exit(child, restarts, code)
             child.started_s = now_s
         if restarts.allow(code) and now_s - child.started_s >= restarts.delay_s:
             os.close(child.go)
@@ -185,18 +185,18 @@ class Supervisor:
             with contextlib.suppress(BrokenPipeError):
                 os.write(child.go, b"go\n")
 
-    def _tell(self, child: Child, restarts: Restarts, code: int) -> None:
+    def _publish_exit(self, child: Child, restarts: Restarts, code: int) -> None:
         """Say as an event what happened to a child, and what becomes of it."""
         how = how_it_ended(code)
         if restarts.allow(code):
-            self.tell("server-restarted", "warning", server=child.name, reason=how, restarts=restarts.count,
+            self.publish("server-restarted", "warning", server=child.name, reason=how, restarts=restarts.count,
                       delay_s=restarts.delay_s)  # fmt: skip
         else:
-            self.tell("server-given-up", "error", server=child.name, reason=restarts.why(how))
+            self.publish("server-given-up", "error", server=child.name, reason=restarts.why(how))
 
-    def tell(self, name: str, severity: Severity, **detail: Any) -> None:
+    def publish(self, name: str, severity: Severity, **detail: Any) -> None:
         """Say as an event, so that it stands in the episode, what happened to the servers."""
-        self.publisher.say_on_bus(name, severity, **detail)
+        self.publisher.publish_unlogged(name, severity, **detail)
 
     def start_again(self, name: str) -> None:
         """Start a child once more, as it was configured, in place of one that died or is frozen.

@@ -25,7 +25,7 @@ RATE_HZ = 25.0
 
 
 class LiveView:
-    """Draws what a bus says now; call `look` at any rate.
+    """Draws what a bus says now; call `poll` at any rate.
 
     Args:
         bus: The station's.
@@ -62,7 +62,7 @@ class LiveView:
         self._began_s = self.clock.monotonic_s()
         self._prepare()
 
-    def look(self) -> int:
+    def poll(self) -> int:
         """Draw what is new since the last look; return how many keys that were."""
         self._recording.set_time(layout.TIMELINE, duration=self.clock.monotonic_s() - self._began_s)
         wanted = (*self._contracts, *self._shown, keys.EVENT)
@@ -72,7 +72,7 @@ class LiveView:
             curves.log_values(self._recording, found.contract, found.values[0])
         if numbers:
             self._pose()
-        self._tell(fresh)
+        self._draw_changes(fresh)
         return len(fresh)
 
     def close(self) -> None:
@@ -143,7 +143,7 @@ class LiveView:
         positions, quats = self._model.poses(posture.root, posture.joints, posture.q)
         scene.log_pose(self._recording, root, self._model, positions[0], quats[0])
 
-    def _tell(self, fresh: dict[str, Sample]) -> None:
+    def _draw_changes(self, fresh: dict[str, Sample]) -> None:
         if keys.EVENT in fresh and (event := codec.parse_facts(fresh[keys.EVENT].value)):
             self._recording.log(layout.EVENTS, rr.TextLog(line(event), level=level(event)))
         for key, (entity, state_of) in self._shown.items():
@@ -158,7 +158,7 @@ def run(view: LiveView, stop: threading.Event, *, rate_hz: float = RATE_HZ) -> N
     rate = Rate(rate_hz, view.clock)
     while not stop.is_set():
         rate.wait()
-        view.look()
+        view.poll()
 
 
 def _present_robot(bus: Bus, known: Contracts) -> str:

@@ -101,7 +101,7 @@ class ProgressReader:
         self._latency_s: deque[float] = deque(maxlen=_MEDIAN_OF)
         self._last_timing = b""
 
-    def look(self) -> Progress:
+    def poll(self) -> Progress:
         """Return how things are now.
 
         Raises:
@@ -139,7 +139,7 @@ class ProgressReader:
             return None
         if sample is not None and sample.value != self._last_timing:
             self._last_timing = sample.value
-            self._take(sample.value)
+            self._add_timing(sample.value)
         stated = facts[health.name].get("policy")
         return PolicyProgress(
             name=str(stated.get("name", "")) if isinstance(stated, Mapping) else "",
@@ -148,7 +148,7 @@ class ProgressReader:
             latency_s=statistics.median(self._latency_s) if self._latency_s else None,
         )
 
-    def _take(self, data: bytes) -> None:
+    def _add_timing(self, data: bytes) -> None:
         try:
             instants = codec.parse_json_vector(data)[_FIRST_STAGE:]
         except codec.BadValue:

@@ -55,7 +55,7 @@ class Status(msgspec.Struct, frozen=True):
         return {"address": self.address, "stop": stop, "servers": servers, "keys": msgspec.to_builtins(self.keys)}
 
 
-def look(bus: Bus, meter: RateMeter) -> Status:
+def read_status(bus: Bus, meter: RateMeter) -> Status:
     """Return the status of a station whose writes a meter has been counting."""
     rates, described = meter.rates(), Contracts(read_configurations(bus))
     found = []
@@ -74,11 +74,11 @@ def look(bus: Bus, meter: RateMeter) -> Status:
     return Status(str(bus.address), read_health(bus), by_role, stop_file.latched(bus))
 
 
-def look_once(bus: Bus, seconds: float = _LOOK_S) -> Status:
+def read_status_once(bus: Bus, seconds: float = _LOOK_S) -> Status:
     """Count for a moment and return the status."""
     with RateMeter(bus.address) as meter:
         bus.clock.sleep(seconds)
-        return look(bus, meter)
+        return read_status(bus, meter)
 
 
 _KEYS = (

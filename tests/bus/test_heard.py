@@ -50,34 +50,34 @@ def test_no_span_reaches_over_a_server_that_was_frozen_for_longer_than_the_gap(
 
 def test_a_key_that_is_read_unasked_and_differs_was_not_told_of_unless_it_is_read_again_before_the_answer() -> None:
     told = MissedWrites[int]()
-    told.note({"a": 1, "b": 1})
-    told.look({"a": 1, "b": 1})
+    told.record_read({"a": 1, "b": 1})
+    told.record_unasked({"a": 1, "b": 1})
     assert not told.untold()
-    told.look({"a": 2, "b": 3})
-    told.note({"a": 4})
+    told.record_unasked({"a": 2, "b": 3})
+    told.record_read({"a": 4})
     assert told.untold() == "b"
-    told.note({"b": 3})
+    told.record_read({"b": 3})
     assert not told.untold()
 
 
 def write_or_hear(steps: list[str]) -> str:
     """Play a server that tells of every write, as late as it likes but before an answer; return what is untold."""
     told, value, pending, asked = MissedWrites[int](), 0, False, False
-    told.note({"k": value})
+    told.record_read({"k": value})
     for step in steps:
         if step == "write":
             value, pending = value + 1, True
         elif step == "hear" and pending:
             pending = False
-            told.note({"k": value})
+            told.record_read({"k": value})
         elif step == "look" and not asked:
             asked = True
-            told.look({"k": value})
+            told.record_unasked({"k": value})
         elif step == "answer" and asked:
             asked = False
             if pending:
                 pending = False
-                told.note({"k": value})
+                told.record_read({"k": value})
             if key := told.untold():
                 return key
     return ""

@@ -52,7 +52,7 @@ def test_who_switches_notifications_off_for_all_is_found_and_what_was_not_told_i
         assert set(line.call("CONFIG", "GET", SWITCH[2])[1].decode()) == set("Ex" + OURS)
         line.call("SET", "k", b"again")
         wait_until(lambda: (found := watch.latest("k")) is not None and found.value == b"again")
-        wait_until(lambda: any("notify-keyspace-events" in one.numbers["reason"] for one in outages.take()))
+        wait_until(lambda: any("notify-keyspace-events" in one.numbers["reason"] for one in outages.pop()))
     (record,) = [record for record in warnings(caplog) if "notify-keyspace-events" in record.message]
     assert "set notify-keyspace-events to 'xE'" in record.message
     assert f"have it keep {OURS}" in record.message

@@ -52,12 +52,12 @@ def test_a_frozen_server_is_a_silence_of_that_length(bus_server: BusAddress) -> 
         wait_until(lambda: bus.publish({"k": b"1"}) and time.monotonic() - began > 0.8)
         os.kill(pid, signal.SIGCONT)
         wait_until(lambda: bus.publish({"k": b"1"}) and not bus.is_late)
-        (found,) = bus.outages.take()
+        (found,) = bus.outages.pop()
         assert found.kind == "bus-silent"
         detail = found.detail(time.monotonic_ns())
         assert detail["seconds"] > 0.7
         assert detail["began_ago_s"] >= detail["seconds"]
-        assert (bus.lost_writes, bus.connections, bus.outages.take()) == (0, 1, [])
+        assert (bus.lost_writes, bus.connections, bus.outages.pop()) == (0, 1, [])
 
 
 def test_a_writer_that_was_frozen_itself_does_not_blame_the_server(bus_server: BusAddress) -> None:
@@ -70,7 +70,7 @@ def test_a_writer_that_was_frozen_itself_does_not_blame_the_server(bus_server: B
         "bus = Bus(parse(sys.argv[1]), name='g1', timeout_s=5.0)\n"
         "print('up', flush=True)\n"
         "while bus.publish({'k': b'1'}) and not select.select([sys.stdin], [], [], 0.0)[0]: pass\n"
-        "print([found.kind for found in bus.outages.take()])\n"
+        "print([found.kind for found in bus.outages.pop()])\n"
     )
     command = [sys.executable, "-c", code, bus_server.url]
     with (
@@ -97,7 +97,7 @@ def test_a_cut_connection_costs_the_write_that_met_the_cut_and_is_there_again_fo
             assert not bus.publish({"a": b"1", "b": b"2"})
             wait_until(lambda: bus.is_connected)
             assert bus.publish({"a": b"1", "b": b"2"})
-        found = bus.outages.take()
+        found = bus.outages.pop()
         assert [one.kind for one in found] == ["bus-back"] * 3
         assert [one.numbers["lost_writes"] for one in found] == [2] * 3
         assert all(str(bus_server) not in one.numbers["reason"] for one in found)
@@ -108,7 +108,7 @@ def test_only_the_line_of_a_watch_is_cut_and_told_of(bus_server: BusAddress) -> 
     with Bus(bus_server, name="g1", timeout_s=5.0) as bus, bus.watch(["k"]) as watch:
         kill_clients(bus_server, "pubsub")
         wait_until(lambda: watch.connections == 2)
-        assert [found.kind for found in bus.outages.take()] == ["watch-back"]
+        assert [found.kind for found in bus.outages.pop()] == ["watch-back"]
         bus.publish({"k": b"1"})
         assert watch.wait("k", after=None, timeout_s=30) is not None
 
@@ -123,7 +123,7 @@ def test_what_a_server_refuses_is_counted_and_its_end_is_told(bus_server: BusAdd
             bus.call("REPLICAOF", "NO", "ONE")
             assert bus.publish({"a": b"1"})
             assert bus.last_error == ""
-            (found,) = bus.outages.take()
+            (found,) = bus.outages.pop()
             assert (found.kind, found.numbers["refused"]) == ("bus-refused", 3)
             assert found.numbers["reason"].startswith("refuses writes: READONLY")
 
@@ -182,7 +182,7 @@ def test_a_half_open_connection_is_given_up_and_another_is_made(
         wait_until(lambda: watch.connections == 2)
         assert bus.publish({"k": b"3"})
         wait_until(lambda: (found := watch.latest("k")) is not None and found.value == b"3")
-        assert [found.kind for found in bus.outages.take() if found.kind != "bus-silent"] == ["bus-back"]
+        assert [found.kind for found in bus.outages.pop() if found.kind != "bus-silent"] == ["bus-back"]
 
 
 def test_a_lossless_tap_is_lost_with_a_half_open_connection_and_goes_on_where_it_was(bus_server: BusAddress) -> None:
@@ -214,33 +214,33 @@ def test_a_connection_over_a_network_is_kept_alive_by_the_kernel(tmp_path: Path)
 def test_a_watch_that_fell_silent_together_with_the_bus_is_not_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
     now_ns = 1_000
     found = Outages(cast(Clock, SimpleNamespace(monotonic_ns=lambda: now_ns)))
-    found.note("watch-back", 0)
-    found.note("bus-silent", 0)
-    found.note("watch-back", 0)
-    assert [one.kind for one in found.take()] == ["bus-silent"]
+    found.record("watch-back", 0)
+    found.record("bus-silent", 0)
+    found.record("watch-back", 0)
+    assert [one.kind for one in found.pop()] == ["bus-silent"]
     now_ns = 2_000
-    found.note("watch-back", 0)
-    assert found.take() == [], "nor when it came back later than the bus was told of"
+    found.record("watch-back", 0)
+    assert found.pop() == [], "nor when it came back later than the bus was told of"
     now_ns = 3_000
-    found.note("watch-back", 2_900)
+    found.record("watch-back", 2_900)
     now_ns = 4_000
-    found.note("watch-back", 2_000)
-    assert [one.kind for one in found.take()] == ["watch-back"], "two watches of one process"
+    found.record("watch-back", 2_000)
+    assert [one.kind for one in found.pop()] == ["watch-back"], "two watches of one process"
 
 
 def test_it_waits_until_a_recorder_hears_it_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(outage, "_SETTLE_NS", 10**15)
     found = Outages()
-    found.note("bus-back", time.monotonic_ns())
-    assert found.take() == []
+    found.record("bus-back", time.monotonic_ns())
+    assert found.pop() == []
     monkeypatch.setattr(outage, "_SETTLE_NS", 0)
-    assert len(found.take()) == 1
-    assert found.take() == []
+    assert len(found.pop()) == 1
+    assert found.pop() == []
 
 
 def test_a_process_that_nobody_asks_remembers_no_more_than_a_hundred() -> None:
     found = Outages()
     for _ in range(1000):
-        found.note("bus-back", 0)
-    assert len(found.take()) == 100
+        found.record("bus-back", 0)
+    assert len(found.pop()) == 100
     assert Outage("bus-back", 0, 10**9, {"x": 1}).detail(2 * 10**9).keys() == {"seconds", "began_ago_s", "x"}

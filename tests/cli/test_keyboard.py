@@ -21,4 +21,4 @@ def test_what_was_typed_before_a_question_is_no_answer_to_it() -> None:
     for key in "y\r":
         keyboard.press(key)
     assert keyboard.ask("Go? ", threading.Event()) == ""
-    assert [keyboard.take(), keyboard.take()] == ["y", "\r"]
+    assert [keyboard.pop(), keyboard.pop()] == ["y", "\r"]

@@ -21,8 +21,8 @@ def hear(writers: CommandArbiter, story: list[tuple[str, float]]) -> tuple[list[
     obeyed: list[bool] = []
     told: list[News] = []
     for writer, at_s in story:
-        obeyed.append(writers.hear(writer, at_s))
-        told += writers.take_news(at_s)
+        obeyed.append(writers.on_write(writer, at_s))
+        told += writers.pop_news(at_s)
     return obeyed, told
 
 
@@ -43,8 +43,8 @@ def test_slow_writers_are_told_within_200_ms() -> None:
     story = [("a", tick * 0.1) for tick in range(20)] + [("b", 1.05 + tick * 0.1) for tick in range(10)]
     writers = CommandArbiter()
     for writer, at_s in sorted(story, key=lambda item: item[1]):
-        writers.hear(writer, at_s)
-        if writers.take_news(at_s):
+        writers.on_write(writer, at_s)
+        if writers.pop_news(at_s):
             assert at_s - 1.05 <= 0.2
             return
     raise AssertionError("never told")
@@ -65,15 +65,15 @@ def test_who_stood_still_himself_has_heard_no_silence(rule: Rule) -> None:
     known_s = (-math.inf, 1.0)
     for tick in range(51):
         for name in "ba":
-            writers.hear(name, tick * DT, known_s)
-    first, _ = writers.obeyed, writers.take_news(1.0)
-    assert not writers.hear("ab"[first == "a"], 3.0, known_s), "two seconds of which nothing is known"
+            writers.on_write(name, tick * DT, known_s)
+    first, _ = writers.obeyed, writers.pop_news(1.0)
+    assert not writers.on_write("ab"[first == "a"], 3.0, known_s), "two seconds of which nothing is known"
     known_s = (3.01, 3.2)
-    assert not writers.hear("ab"[first == "a"], 3.25, known_s), "now it is known of a fifth of a second"
-    assert writers.hear(first, 3.26, known_s)
-    assert all(news.kind != "handover" for news in writers.take_news(3.26))
+    assert not writers.on_write("ab"[first == "a"], 3.25, known_s), "now it is known of a fifth of a second"
+    assert writers.on_write(first, 3.26, known_s)
+    assert all(news.kind != "handover" for news in writers.pop_news(3.26))
     known_s = (3.01, 3.6)
-    assert writers.hear("ab"[first == "a"], 3.61, known_s), "0.34 s of which it is known"
+    assert writers.on_write("ab"[first == "a"], 3.61, known_s), "0.34 s of which it is known"
 
 
 def test_the_end_of_the_contest_is_told_with_the_number_of_refused_writes() -> None:
@@ -95,54 +95,54 @@ def test_the_newest_is_obeyed_from_its_first_write_where_that_is_the_rule() -> N
 def test_who_begins_right_after_the_bus_stood_still_is_obeyed_where_that_is_the_rule() -> None:
     writers = CommandArbiter("newest")
     for name, at_s in (("b", 0.0), ("a", 0.5)):
-        writers.hear(name, at_s, (-1.0, at_s))
+        writers.on_write(name, at_s, (-1.0, at_s))
     for tick in range(50):
-        writers.hear("a", 0.5 + tick * DT, (-1.0, 0.5 + tick * DT))
+        writers.on_write("a", 0.5 + tick * DT, (-1.0, 0.5 + tick * DT))
     assert writers.obeyed == "a"
-    assert writers.hear("b", 2.1, (2.0, 2.05)), "it let go before that, and was heard to"
-    assert not writers.hear("a", 2.12, (2.0, 2.05))
-    assert writers.hear("b", 2.14, (2.0, 2.05)), "and a, who has not let go, takes nothing back"
+    assert writers.on_write("b", 2.1, (2.0, 2.05)), "it let go before that, and was heard to"
+    assert not writers.on_write("a", 2.12, (2.0, 2.05))
+    assert writers.on_write("b", 2.14, (2.0, 2.05)), "and a, who has not let go, takes nothing back"
 
 
 def test_a_silence_that_was_heard_is_not_forgotten_when_the_bus_stands_still_afterwards() -> None:
     for knows in (True, False):
         writers = CommandArbiter()
-        writers.hear("a", 0.0, (-1.0, 0.0))
+        writers.on_write("a", 0.0, (-1.0, 0.0))
         if knows:
             writers.know((-1.0, 0.4))
-        assert writers.hear("b", 2.1, (2.0, 2.05)) == knows
+        assert writers.on_write("b", 2.1, (2.0, 2.05)) == knows
     writers = CommandArbiter()
-    writers.hear("a", 0.0, (-1.0, 0.0))
+    writers.on_write("a", 0.0, (-1.0, 0.0))
     writers.know((-1.0, 0.4))
-    assert writers.hear("a", 2.0, (1.9, 2.0))
-    assert not writers.hear("b", 2.1, (1.9, 2.1)), "he writes again"
+    assert writers.on_write("a", 2.0, (1.9, 2.0))
+    assert not writers.on_write("b", 2.1, (1.9, 2.1)), "he writes again"
 
 
 def test_who_lives_is_not_silent_though_nothing_else_is_known_of_his_writes() -> None:
     writers = CommandArbiter()
-    writers.hear("a", 0.0)
+    writers.on_write("a", 0.0)
     for tick in range(50):
         writers.alive("a", tick * DT)
-        assert not writers.hear("b", tick * DT)
+        assert not writers.on_write("b", tick * DT)
     writers = CommandArbiter("newest")
-    writers.hear("a", 0.0)
+    writers.on_write("a", 0.0)
     writers.alive("b", 0.5)
-    assert writers.hear("b", 0.51), "of a stranger it is nothing, nor of one who let go: his first write begins"
+    assert writers.on_write("b", 0.51), "of a stranger it is nothing, nor of one who let go: his first write begins"
     for tick in range(50):
-        writers.hear("b", 0.52 + tick * DT)
+        writers.on_write("b", 0.52 + tick * DT)
     writers.alive("a", 1.6)
-    assert writers.hear("a", 1.61)
+    assert writers.on_write("a", 1.61)
 
 
 def test_a_refusal_says_where_a_bus_that_stands_still_keeps_silence_from_being_known() -> None:
     writers = CommandArbiter()
     for name in "ab":
-        writers.hear(name, 0.0, (-1.0, 0.0))
+        writers.on_write(name, 0.0, (-1.0, 0.0))
     assert writers.refusal == f"{spoken('a')} is obeyed until it has been silent for 300 ms"
-    assert not writers.hear("b", 0.6, (0.5, 0.6))
+    assert not writers.on_write("b", 0.6, (0.5, 0.6))
     assert writers.refusal == f"the bus stands still too often to know whether {spoken('a')} is silent"
-    writers.hear("a", 0.7, (0.5, 0.7))
-    writers.hear("b", 0.71, (0.5, 0.7))
+    writers.on_write("a", 0.7, (0.5, 0.7))
+    writers.on_write("b", 0.71, (0.5, 0.7))
     assert writers.refusal == f"{spoken('a')} is obeyed until it has been silent for 300 ms"
 
 
@@ -161,7 +161,7 @@ def test_at_most_one_is_obeyed_and_hands_change_only_after_silence(steps: list[t
     for writer, wait_s in steps:
         now_s += wait_s
         before = writers.obeyed
-        is_obeyed = writers.hear(writer, now_s)
+        is_obeyed = writers.on_write(writer, now_s)
         assert is_obeyed == (writer == writers.obeyed)
         if before and writers.obeyed != before:
             assert now_s - last_s[before] > 0.3

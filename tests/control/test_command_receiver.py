@@ -47,12 +47,12 @@ def test_a_write_whose_writer_cannot_be_told_is_left_out_and_counts_as_refused(
         write_both_at_once(line)
         wait_until(lambda count=count: watch.doubtful == count)  # type: ignore[misc]
         assert receiver.newest() is None
-        assert receiver.take_refused() == 1, "something came, and be it nobody's"
-        assert receiver.take_refused() == 0
+        assert receiver.pop_refused() == 1, "something came, and be it nobody's"
+        assert receiver.pop_refused() == 0
         assert receiver.writers.refusal == "two write, and which of them wrote it cannot be told"
     line.call("SET", KEY, b"foreign")
     wait_until(lambda: (command := receiver.newest()) is not None and command.value == b"foreign")
-    assert receiver.take_refused() == 0
+    assert receiver.pop_refused() == 0
 
 
 def write(line: Connection, name: str, seq: int) -> None:
@@ -94,7 +94,7 @@ def test_a_loop_that_stood_still_hands_over_between_no_two_who_wrote_all_the_tim
     assert receiver.writers.obeyed == f"{obeyed}.1.b.n"
     assert command is not None
     assert command.value == f"{obeyed} {seq}".encode()
-    assert receiver.take_refused() == seq - (rule == "newest")
+    assert receiver.pop_refused() == seq - (rule == "newest")
 
 
 def test_of_more_writes_than_it_can_keep_nothing_is_known(
@@ -105,7 +105,7 @@ def test_of_more_writes_than_it_can_keep_nothing_is_known(
         before_ns = time.monotonic_ns()
         write(line, "a", seq)
         wait_for(watch, f"a {seq}")
-    taken = watch.take()
+    taken = watch.pop()
     assert [arrival.writer for arrival in taken.arrivals] == ["a.1.b.n"]
     assert taken.heard.since_ns > before_ns
 

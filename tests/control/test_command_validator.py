@@ -92,27 +92,27 @@ def test_the_validator_keeps_the_newest_good_command_and_counts_each_refused_sam
     validator = CommandValidator(FORMAT)
     good = CommandSample(_text(), arrived_s=1.0)
     bad = CommandSample(b"[1]", arrived_s=1.1)
-    assert validator.take(good)
-    assert not validator.take(good)
-    assert validator.take(bad)
-    assert not validator.take(bad)
+    assert validator.update(good)
+    assert not validator.update(good)
+    assert validator.update(bad)
+    assert not validator.update(bad)
     assert validator.good is good
     assert validator.refused == {"wrong-length": 1}
     assert validator.age_s(1.5) == pytest.approx(0.5)
-    assert validator.take(CommandSample(_text(), arrived_s=1.6))
+    assert validator.update(CommandSample(_text(), arrived_s=1.6))
     assert validator.refusal is None
 
 
 def test_a_command_of_unknown_arrival_is_infinitely_old() -> None:
     validator = CommandValidator(FORMAT)
     assert validator.age_s(5.0) == math.inf
-    validator.take(CommandSample(_text(), arrived_s=None))
+    validator.update(CommandSample(_text(), arrived_s=None))
     assert validator.age_s(5.0) == math.inf
 
 
 def test_a_clock_that_jumps_back_makes_no_command_young_again() -> None:
     validator = CommandValidator(FORMAT)
-    validator.take(CommandSample(_text(), arrived_s=10.0))
+    validator.update(CommandSample(_text(), arrived_s=10.0))
     assert validator.age_s(10.0) == 0.0
     assert validator.age_s(10.25) == pytest.approx(0.25)
     assert validator.age_s(4.0) == pytest.approx(0.25)
@@ -123,41 +123,41 @@ def test_a_clock_that_jumps_back_makes_no_command_young_again() -> None:
 
 def test_a_command_that_comes_a_moment_after_the_clock_was_read_is_fresh() -> None:
     validator = CommandValidator(FORMAT)
-    validator.take(CommandSample(_text(), arrived_s=10.0005))
+    validator.update(CommandSample(_text(), arrived_s=10.0005))
     assert validator.age_s(10.0) == pytest.approx(-0.0005)
 
 
 @pytest.mark.parametrize("arrived_s", [math.nan, math.inf, -math.inf])
 def test_a_command_whose_arrival_is_no_number_is_infinitely_old(arrived_s: float) -> None:
     validator = CommandValidator(FORMAT)
-    validator.take(CommandSample(_text(), arrived_s=arrived_s))
+    validator.update(CommandSample(_text(), arrived_s=arrived_s))
     assert validator.age_s(5.0) == math.inf
 
 
 def test_refusing_is_what_it_does_now_and_not_what_it_did_once() -> None:
     validator = CommandValidator(FORMAT)
     assert not validator.is_refusing(1.0, within_s=0.3)
-    validator.take(CommandSample(b"[1]", arrived_s=1.0))
+    validator.update(CommandSample(b"[1]", arrived_s=1.0))
     assert validator.is_refusing(1.2, within_s=0.3)
     assert not validator.is_refusing(1.4, within_s=0.3)
-    validator.take(CommandSample(b"[1]", arrived_s=None))
+    validator.update(CommandSample(b"[1]", arrived_s=None))
     assert not validator.is_refusing(1.0, within_s=0.3)
 
 
 def test_it_is_quiet_for_as_long_as_nothing_came_good_or_bad() -> None:
     validator = CommandValidator(FORMAT)
     assert validator.quiet_s(1.0) == math.inf
-    validator.take(CommandSample(_text(), arrived_s=1.0))
-    validator.take(CommandSample(b"[1]", arrived_s=1.5))
+    validator.update(CommandSample(_text(), arrived_s=1.0))
+    validator.update(CommandSample(b"[1]", arrived_s=1.5))
     assert validator.quiet_s(2.0) == pytest.approx(0.5)
 
 
 def test_a_command_of_unknown_arrival_that_is_found_later_may_have_come_just_now() -> None:
     validator = CommandValidator(FORMAT)
-    validator.take(CommandSample(_text(), arrived_s=1.0))
-    validator.take(CommandSample(_text(), arrived_s=None))
+    validator.update(CommandSample(_text(), arrived_s=1.0))
+    validator.update(CommandSample(_text(), arrived_s=None))
     assert validator.quiet_s(math.nan) == 0.0
     assert validator.quiet_s(9.0) == 0.0
     assert validator.quiet_s(9.25) == pytest.approx(0.25)
-    validator.take(CommandSample(_text(), arrived_s=None))
+    validator.update(CommandSample(_text(), arrived_s=None))
     assert validator.quiet_s(9.5) == 0.0

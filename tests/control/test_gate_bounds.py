@@ -78,7 +78,7 @@ class WritersAndClocks(RuleBasedStateMachine):
 
     # -- what comes ----------------------------------------------------------------------------------------------
     def send(self, value: bytes, writer: str, arrived_s: float | None) -> None:
-        if self.writers.hear(writer, self.now_s):
+        if self.writers.on_write(writer, self.now_s):
             self.sample = CommandSample(value, arrived_s, source=writer)
 
     who = st.sampled_from(["a.1.x.1", "b.2.x.2", FOREIGN])
@@ -167,7 +167,7 @@ class WritersAndClocks(RuleBasedStateMachine):
 
     def step(self, now_s: float) -> Decision:
         validator, good = self.validator, self.validator.good
-        validator.take(self.sample)
+        validator.update(self.sample)
         if validator.good is not good:
             self.quiet_s = 0.0
             if good is not None and validator.good is not None and validator.good.source != good.source:
@@ -294,7 +294,7 @@ def passed_through(motion: Motion, command_format: CommandFormat, gate: Gate) ->
     )
     while not playback.is_done:
         frame = playback.step(DT if tick else 0.0)
-        validator.take(CommandSample(codec.json_vector(frame.command), arrived_s=tick * DT))
+        validator.update(CommandSample(codec.json_vector(frame.command), arrived_s=tick * DT))
         made.append(gate.step(tick * DT, validator.vector, validator.age_s(tick * DT)))
         tick += 1
     return made

@@ -35,7 +35,7 @@ def insisted() -> ReengageInterlock:
 def ticks_until_kept(silence: ReengageInterlock, age_s: float, passed_s: float = TICK_S) -> int:
     """How many ticks of nothing new it takes; the age of what came last is `age_s` in the first of them."""
     for tick in range(1000):
-        silence.hear(QuietTime(age_s + tick * passed_s), passed_s)
+        silence.on_tick(QuietTime(age_s + tick * passed_s), passed_s)
         if not silence.missing:
             return tick
     raise AssertionError("silence was never kept")
@@ -57,37 +57,37 @@ def test_silence_from_before_it_was_insisted_on_does_not_count() -> None:
 
 def test_a_stalled_process_has_heard_no_silence() -> None:
     silence = insisted()
-    silence.hear(QuietTime(0.0), TICK_S)
-    silence.hear(QuietTime(5.0), 0.1)  # five seconds later, of which a tick counts for a tenth
+    silence.on_tick(QuietTime(0.0), TICK_S)
+    silence.on_tick(QuietTime(5.0), 0.1)  # five seconds later, of which a tick counts for a tenth
     assert silence.missing
-    silence.hear(QuietTime(0.0), TICK_S)  # what came meanwhile
+    silence.on_tick(QuietTime(0.0), TICK_S)  # what came meanwhile
     assert ticks_until_kept(silence, TICK_S) == 75
 
 
 def test_what_nobody_knows_of_is_no_silence() -> None:
     silence = insisted()
     for tick in range(1000):  # the bus is frozen
-        silence.hear(QuietTime(math.inf, unheard_s=tick * TICK_S), TICK_S)
-    silence.hear(QuietTime(math.inf, math.nan), TICK_S)
+        silence.on_tick(QuietTime(math.inf, unheard_s=tick * TICK_S), TICK_S)
+    silence.on_tick(QuietTime(math.inf, math.nan), TICK_S)
     assert silence.missing
-    silence.hear(QuietTime(0.0), TICK_S)  # it is back, and hears from now on
+    silence.on_tick(QuietTime(0.0), TICK_S)  # it is back, and hears from now on
     assert ticks_until_kept(silence, TICK_S) == 75
 
 
 def test_a_silence_is_kept_once_it_is_known_that_it_was_one() -> None:
     silence = insisted()
     for tick in range(77):
-        silence.hear(QuietTime(math.inf, unheard_s=0.01), TICK_S)
+        silence.on_tick(QuietTime(math.inf, unheard_s=0.01), TICK_S)
         assert silence.missing, tick
     for _ in range(2):
-        silence.hear(QuietTime(math.inf, unheard_s=0.01), TICK_S)
+        silence.on_tick(QuietTime(math.inf, unheard_s=0.01), TICK_S)
     assert not silence.missing
 
 
 def test_what_comes_ends_a_silence_and_one_from_the_future_is_something_that_came() -> None:
     silence = insisted()
     for age_s in (0.2, 0.29, -0.5, math.nan):
-        silence.hear(QuietTime(age_s), 0.1)
+        silence.on_tick(QuietTime(age_s), 0.1)
     assert silence.missing
 
 

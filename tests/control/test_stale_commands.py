@@ -60,7 +60,7 @@ class VirtualWatch:
     def latest(self, key: str) -> Sample | None:
         return self._slot
 
-    def take(self) -> NewWrites:
+    def pop(self) -> NewWrites:
         taken = NewWrites(HeardSpan(START_NS, self.now_ns), self._arrivals, self._newest)
         self._arrivals, self._newest = [], {}
         return taken

@@ -57,7 +57,7 @@ def test_a_stop_that_is_hidden_at_once_is_a_stop(
             wait_until(lambda: watch.is_connected)
             line.pipeline(requests)
             wait_until(watch.urgent.is_set)
-            news = watch.take_stop()
+            news = watch.pop_stop()
             assert news is not None, how
             assert news.request.stop, how
 
@@ -66,14 +66,14 @@ def test_a_release_and_a_deletion_alone_are_no_stop(bus_server: BusAddress, line
     with CommandWatch(bus_server, [KEY, "command"], key="command") as watch:
         wait_until(lambda: watch.is_connected)
         line.call("SET", KEY, STOP)
-        wait_until(lambda: (news := watch.take_stop()) and news.request.stop)
+        wait_until(lambda: (news := watch.pop_stop()) and news.request.stop)
         for release in (RELEASE, b'{"stop": false, "arm": true}', RELEASE):
             line.call("SET", KEY, release)
-            wait_until(lambda: (news := watch.take_stop()) and not news.request.stop)
+            wait_until(lambda: (news := watch.pop_stop()) and not news.request.stop)
         for request in (["EXPIRE", KEY, "100"], ["PERSIST", KEY], ["DEL", KEY], ["FLUSHALL"], ["SET", "command", "1"]):
             line.call(*request)
         wait_until(lambda: watch.latest("command"))
-        assert watch.take_stop() is None
+        assert watch.pop_stop() is None
 
 
 @pytest.mark.parametrize("again", [RELEASE, b'{"stop": false}'])
@@ -87,7 +87,7 @@ def test_what_is_written_while_the_watch_is_cut_off_is_a_stop_whatever_it_is(
         network.cut()
         line.pipeline([["SET", KEY, STOP], ["SET", KEY, again]])
         network.mend()
-        wait_until(lambda: (news := watch.take_stop()) and news.request.stop and news.is_release_refused)
+        wait_until(lambda: (news := watch.pop_stop()) and news.request.stop and news.is_release_refused)
 
 
 def test_a_stop_goes_before_a_release_that_comes_before_it_is_acted_on() -> None:
@@ -95,7 +95,7 @@ def test_a_stop_goes_before_a_release_that_comes_before_it_is_acted_on() -> None
     for value in (STOP, RELEASE):
         trace.on_event(b"set")
         trace.on_read(value, is_new=True)
-    news = trace.take()
+    news = trace.pop()
     assert news is not None
     assert (news.request.stop, news.is_release_refused) == (True, True)
     assert not trace.has_news
@@ -118,7 +118,7 @@ def test_no_stop_is_lost_whatever_is_written_and_whenever_it_is_read(
             continue
         trace.on_read(value, is_new=written is not None)
         if is_taken:
-            news = trace.take()
+            news = trace.pop()
             if is_owed:
                 assert news is not None
                 assert news.request.stop

@@ -12,7 +12,7 @@ from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.tap import Write
 from station.episode.recorder.writer import EpisodeWriter
-from station.episode.storage.anchor import take_anchor
+from station.episode.storage.anchor import read_anchor
 from station.episode.storage.manifest import Manifest
 from tests.episode.synthetic import EpisodeBuilder, walk
 from tests.episode.writes import Native
@@ -57,7 +57,7 @@ def filmed(folder: Path, pictures: list[bytes], capture_ns: list[int | None]) ->
     writes: list[Write] = [
         camera.write(key, picture, capture_ns=taken) for picture, taken in zip(pictures, capture_ns, strict=True)
     ]
-    writer = EpisodeWriter(folder, anchor=take_anchor(), manifest=Manifest(episode_id=folder.name))
+    writer = EpisodeWriter(folder, anchor=read_anchor(), manifest=Manifest(episode_id=folder.name))
     writer.put(writes)
     writer.finish(lambda totals: Manifest(episode_id=folder.name, state="finished", streams=totals.streams))
     assert writer.wait(DEADLINE_S)

@@ -10,7 +10,7 @@ from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
 from station.bus.tap import Write
 from station.episode.recorder.writer import EpisodeWriter
-from station.episode.storage.anchor import Anchor, take_anchor
+from station.episode.storage.anchor import Anchor, read_anchor
 from station.episode.storage.manifest import Manifest, Task, Timing
 from station.episode.storage.progress import WriterOptions
 from station.episode.writing.closing import close_manifest
@@ -31,7 +31,7 @@ class Scene:
     """A robot and two cameras; every write has a number and arrives after the one before it."""
 
     def __init__(self) -> None:
-        self.anchor: Anchor = take_anchor()
+        self.anchor: Anchor = read_anchor()
         self._g1, self._camera = Native(), Native("camera")
         self._now_ns, self._number = self.anchor.mono_ns, 0
 

@@ -21,6 +21,6 @@ def recorded(data: Path, writes: Iterable[Write] = (), *, task: str = "walk") ->
         recording.feed([write._replace(mono_ns=time.monotonic_ns())])
     recording.feed([cli.request("stop")])
     assert recording.close(60.0)
-    answers = {answer.id: answer for answer in recording.answers.take()}
+    answers = {answer.id: answer for answer in recording.answers.pop()}
     assert answers["stop"].ok, answers["stop"].reason
     return Path(answers["stop"].path or "")

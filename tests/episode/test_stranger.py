@@ -19,7 +19,7 @@ from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader, open_episode
 from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.recording import Recording
-from station.episode.recorder.resume import take_up, unfinished
+from station.episode.recorder.resume import reopen, unfinished
 from station.view import plots
 from station.view.run import read_run
 from tests import strider
@@ -139,7 +139,7 @@ def test_a_recorder_that_takes_an_episode_up_again_still_knows_its_robot(reader:
     killed(folder, [foreign("before", b"1")], servers={"walker": strider.facts()})
     found = unfinished(folder, BUS)
     assert found is not None
-    taken = take_up(found, RecordingOptions(data=tmp_path), place=found.point.position, is_exact=True)
+    taken = reopen(found, RecordingOptions(data=tmp_path), place=found.point.position, is_exact=True)
     taken.take.writer.put([foreign(FEET, b"[1.0, 2.0]")], position=Position("id", 10_000, 0))
     finish(taken.take.writer)
     again = open_episode(folder)

@@ -21,7 +21,7 @@ from station.bus import codec
 from station.bus.tap import Write
 from station.episode.reading.reader import EpisodeReader, open_episode
 from station.episode.recorder.writer import EpisodeWriter
-from station.episode.storage.anchor import take_anchor
+from station.episode.storage.anchor import read_anchor
 from station.episode.storage.left_open import left_open, offer
 from station.episode.storage.manifest import Manifest, Task, Timing, load_manifest, save_manifest
 from station.episode.storage.progress import WriterOptions
@@ -40,7 +40,7 @@ class Episode:
     """A small real episode: the bytes of its file, where its chunks lie, and what each message holds."""
 
     def __init__(self, folder: Path) -> None:
-        self.anchor = take_anchor()
+        self.anchor = read_anchor()
         timing = Timing(anchor=self.anchor, started="2026-11-21T10:00:00+00:00")
         self.manifest = Manifest(episode_id=folder.name, task=Task(name="walk"), timing=timing)
         writer = EpisodeWriter(
@@ -172,7 +172,7 @@ def test_without_a_manifest_the_one_at_the_head_of_the_file_will_do(episode: Epi
 
 def test_what_is_no_recording_is_refused_and_left_alone(tmp_path: Path) -> None:
     (tmp_path / "signals.mcap.active").write_bytes(b"something else entirely")
-    save_manifest(Manifest(episode_id="e", timing=Timing(anchor=take_anchor())), tmp_path)
+    save_manifest(Manifest(episode_id="e", timing=Timing(anchor=read_anchor())), tmp_path)
     with pytest.raises(EpisodeError, match="not an MCAP file"):
         repair(tmp_path)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["manifest.yaml", "signals.mcap.active"]
@@ -181,7 +181,7 @@ def test_what_is_no_recording_is_refused_and_left_alone(tmp_path: Path) -> None:
 def test_an_episode_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
     folder = tmp_path / "walk" / "e"
     folder.mkdir(parents=True)
-    writer = EpisodeWriter(folder, anchor=take_anchor(), manifest=Manifest(episode_id="e"))
+    writer = EpisodeWriter(folder, anchor=read_anchor(), manifest=Manifest(episode_id="e"))
     writer.put([Write("k", b"1", None, time.monotonic_ns())])
     wait_until(lambda: writer.state == "open")
     assert left_open(tmp_path) == []

@@ -22,7 +22,7 @@ from station.episode.reading.reader import open_episode
 from station.episode.storage.folder import find_episodes
 from station.errors import BadFile
 from station.export.jobs import map_episodes
-from station.foreign.take_in import ImportJob, ImportResult, take_in
+from station.foreign.take_in import ImportJob, ImportResult, import_recording
 from tests.foreign.recorded import PERIOD_MS, STARTED_MS, document, jpeg, record
 from tests.waiting import DEADLINE_S, wait_until
 
@@ -34,7 +34,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def taken(folder: Path, data: Path, **more: str) -> ImportResult:
-    return take_in(ImportJob(format="twist2", path=str(folder), data=str(data), **more))
+    return import_recording(ImportJob(format="twist2", path=str(folder), data=str(data), **more))
 
 
 def test_every_value_and_picture_is_in_the_episode_at_its_time(tmp_path: Path) -> None:
@@ -192,6 +192,6 @@ def test_two_processes_that_take_in_the_same_recording_make_one_episode_of_it(tm
 def test_a_data_folder_that_cannot_be_made_is_told_in_a_line(tmp_path: Path) -> None:
     (tmp_path / "data").write_text("a file")
     order = ImportJob(format="twist2", path=str(record(tmp_path / "episode_0000")), data=str(tmp_path / "data"))
-    (attempt,) = map_episodes(take_in, [order], jobs=1)
+    (attempt,) = map_episodes(import_recording, [order], jobs=1)
     assert attempt.error.startswith(f"{tmp_path}/data/.importing-")
     assert attempt.error.endswith(": Not a directory")

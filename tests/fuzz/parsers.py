@@ -153,7 +153,7 @@ def health(name: str = "g1", role: str = "low-level") -> bytes:
 
 def _command(command_format: Any, data: bytes) -> None:
     validator = CommandValidator(command_format)
-    validator.take(CommandSample(data, 1.0))
+    validator.update(CommandSample(data, 1.0))
     validator.is_refusing(1.0, 1.0)
     if validator.vector is not None:
         assert np.isfinite(validator.vector).all()
@@ -211,7 +211,7 @@ def _event(data: bytes) -> None:
     late = events.late(event, NOW_NS)
     codec.json_object([event, late])
     Phrases().cue(event)
-    SilenceMonitor().hear(event)
+    SilenceMonitor().on_event(event)
     foxglove.log(event, NOW_NS)
     str(event)
 
@@ -254,7 +254,7 @@ def _progress(key: str, data: bytes) -> None:
         keys.command_source(ROBOT): dumped(SOURCE), keys.command_gate(ROBOT): dumped(GATE),
         keys.policy_timing(ROBOT): TIMING, keys.sim_qpos(ROBOT): codec.f64(qpos), keys.RECORDER: dumped(RECORDER),
     } | {key: data})  # fmt: skip
-    seen = ProgressReader(shelf, ("g1", "motion")).look()
+    seen = ProgressReader(shelf, ("g1", "motion")).poll()
     _shown(progress_panel.panel(seen, ("g1", "motion", "recorder")))
     progress_panel.line(seen)
 
@@ -335,18 +335,18 @@ def _manifest() -> Manifest:
 def _heard(key: str, data: bytes) -> None:
     listens = servers_seen.ServersSeen()
     manifest = _manifest()
-    listens.hear(keys.server("g1"), health(), STAMP, 1)
-    listens.hear(keys.server_config("g1"), dumped(CONFIG), STAMP, 1)
-    listens.hear(key, data, STAMP, 2)
+    listens.record(keys.server("g1"), health(), STAMP, 1)
+    listens.record(keys.server_config("g1"), dumped(CONFIG), STAMP, 1)
+    listens.record(key, data, STAMP, 2)
     listens.missing_configuration(3)
     listens.fill(manifest)
-    servers_seen.note_motion(manifest, keys.command_source(ROBOT), data)
+    servers_seen.add_motion(manifest, keys.command_source(ROBOT), data)
     dump_manifest(manifest)
 
 
 def _noted(data: bytes) -> None:
     manifest = _manifest()
-    summary.note_event(manifest, data, 1.0)
+    summary.add_event(manifest, data, 1.0)
     dump_manifest(manifest)
 
 
@@ -356,7 +356,7 @@ def _record_request(data: bytes) -> None:
     request = parse_request(data)
     manifest = _manifest()
     manifest.operator, manifest.runbook = request.who(), request.runbook
-    summary.note_mark(manifest, request.label, 1.0, request.success)
+    summary.add_mark(manifest, request.label, 1.0, request.success)
     dump_manifest(manifest)
 
 
@@ -384,12 +384,12 @@ _SAMPLE = readings.encode("pico", _READING) | readings.encode_status("pico", _ST
 def _device(key: str, data: bytes) -> None:
     """What teleoperation makes of a device's sample with one of its parts replaced; for every device alike."""
     ear = DeviceSubscriber(Shelf(_SAMPLE | {key: data}), "pico")  # type: ignore[arg-type]
-    heard_of = ear.hear()
-    codec.json_object({"why_not": heard_of.why_not, "sample": heard_of.sample})
-    if heard_of.reading is not None:
-        for array in readings._arrays(heard_of.reading).values():
+    heard_of = ear.poll()
+    codec.json_object({"why_not": heard_of.why_not, "sample": heard_of.number})
+    if heard_of.sample is not None:
+        for array in readings._arrays(heard_of.sample).values():
             assert np.isfinite(array @ array.T).all(), "too large to calculate with"
-        assert all(np.isfinite(value * value) for value in heard_of.reading.controls.values())
+        assert all(np.isfinite(value * value) for value in heard_of.sample.controls.values())
 
 
 def _robot_side(key: str, data: bytes) -> None:
@@ -398,7 +398,7 @@ def _robot_side(key: str, data: bytes) -> None:
     } | {key: data})  # fmt: skip
     side = RobotSide(shelf, ROBOT, 35)  # type: ignore[arg-type]
     for _ in range(2):
-        side.look(time.monotonic_ns())
+        side.poll(time.monotonic_ns())
         side.begin(time.monotonic_ns())
     codec.json_object({"why_not": side.why_blocked, "left": side.left, "arming": side.arming})
     if side.used is not None:

@@ -70,14 +70,14 @@ def test_a_station_says_a_stop_again_that_its_bus_has_forgotten_and_a_released_o
         bus.publish({keys.ESTOP: b'{"stop": true, "reason": "smoke"}'})
         soon(lambda: memory.is_stopped)
         os.kill(kept.pid, signal.SIGKILL)
-        soon(lambda: memory.look() == "smoke")
+        soon(lambda: memory.poll() == "smoke")
         assert read(bus.get(keys.ESTOP) or b"").reason == "smoke"
         bus.publish({keys.ESTOP: b'{"stop": false}'})
         soon(lambda: not memory.is_stopped)
         wait_until(lambda: kept.restarts == 1)
         os.kill(kept.pid, signal.SIGKILL)
         soon(lambda: memory.has_forgetful_bus)
-        assert memory.look() == ""
+        assert memory.poll() == ""
         soon(lambda: bus.call("EXISTS", keys.ESTOP) == 0)
 
 

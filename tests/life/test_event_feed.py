@@ -32,11 +32,11 @@ def test_a_feed_misses_no_event_however_fast_several_servers_speak(
         for name, event in said:
             lives[name].event(event)
         found: list[tuple[str, str]] = []
-        wait_until(lambda: found.extend((event.source, event.name) for event in feed.take()) or len(found) >= len(said))
+        wait_until(lambda: found.extend((event.source, event.name) for event in feed.pop()) or len(found) >= len(said))
         for life in lives.values():
             life.end("over")
         wait_until(lambda: all(health.state == "finalized" for health in read_health(lines["a"])))
-        found.extend((event.source, event.name) for event in feed.take())
+        found.extend((event.source, event.name) for event in feed.pop())
         assert sorted(found) == sorted(said)
 
 
@@ -46,6 +46,6 @@ def test_a_feed_yields_each_event_once_and_survives_junk(bus_server: BusAddress)
         for name in ("one", "two", "three"):
             bus.call("SET", keys.EVENT, b'{"name": "\xff"}')
             bus.publish({keys.EVENT: events.make("a", name).encode()})
-            wait_until(lambda: found.extend(event.name for event in feed.take()) or len(found) > 0)
+            wait_until(lambda: found.extend(event.name for event in feed.pop()) or len(found) > 0)
             assert found.pop() == name
-        assert list(feed.take()) == []
+        assert list(feed.pop()) == []

@@ -48,7 +48,7 @@ def test_one_that_another_has_overwritten_is_written_again_and_known_to_be_overt
             overtaken: dict[str, bool] = {}
 
             def both_came() -> bool:
-                if (asked := new.take()) is not None:
+                if (asked := new.pop()) is not None:
                     wanted = request.parse(asked.data, Request, "one")
                     overtaken[wanted.id] = done.begin(asked.first_ns(wanted.late_s))
                 return len(overtaken) == 2

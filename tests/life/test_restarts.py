@@ -9,7 +9,7 @@ def lived(restarts: Restarts, *lives_s: float) -> list[float]:
     """Let a server die after each of some lives; return how long each next start is put off."""
     delays = []
     for life_s in lives_s:
-        restarts.note(1000 + restarts.count, life_s)
+        restarts.record(1000 + restarts.count, life_s)
         delays.append(restarts.delay_s)
     return delays
 

@@ -21,7 +21,7 @@ def cue(words: str, about: str = "", *, urgent: bool = False) -> Cue:
 
 def taken(queue: CueQueue, now_s: float = 0.0) -> list[str]:
     found = []
-    while (one := queue.take(now_s)) is not None:
+    while (one := queue.pop(now_s)) is not None:
         found.append(one.words)
     return found
 
@@ -91,7 +91,7 @@ class Slow:
         self.is_closed = False
         self.fails = fails
 
-    def say(self, cue: Cue, hush: Hush) -> None:
+    def play(self, cue: Cue, hush: Hush) -> None:
         self.began.append(cue.words)
         while not self.on.is_set():
             if hush(0.01):
@@ -107,12 +107,12 @@ class Slow:
 def test_an_urgent_cue_breaks_off_what_is_being_said_but_no_urgent_one() -> None:
     voice = Slow()
     speaker = Speaker(voice)
-    speaker.say(cue("recording take 7"))
+    speaker.play(cue("recording take 7"))
     wait_until(lambda: voice.began == ["recording take 7"])
-    speaker.say(cue("marked"))
-    speaker.say(cue("emergency stop", urgent=True))
+    speaker.play(cue("marked"))
+    speaker.play(cue("emergency stop", urgent=True))
     wait_until(lambda: voice.began == ["recording take 7", "emergency stop"])
-    speaker.say(cue("pico lost", urgent=True))
+    speaker.play(cue("pico lost", urgent=True))
     assert (speaker.broken_off, voice.ended) == (1, [])
     voice.on.set()
     wait_until(lambda: speaker.is_idle)
@@ -124,10 +124,10 @@ def test_an_urgent_cue_breaks_off_what_is_being_said_but_no_urgent_one() -> None
 def test_a_thousand_cues_to_a_voice_that_hangs_hold_nobody_up_and_are_counted() -> None:
     voice = Slow()
     speaker = Speaker(voice)
-    speaker.say(cue("first"))
+    speaker.play(cue("first"))
     wait_until(lambda: voice.began)
     for number in range(1000):
-        speaker.say(cue(f"{number}"))
+        speaker.play(cue(f"{number}"))
     assert speaker.dropped == 1000 - MOST_WAITING
     speaker.close()
     assert voice.is_closed
@@ -158,6 +158,6 @@ def test_a_voice_that_fails_however_it_fails_is_tried_again_with_the_next_cue(fa
 
 def spoken(speaker: Speaker, words: str) -> str:
     """Have something said to its end; return why it could not be."""
-    speaker.say(cue(words))
+    speaker.play(cue(words))
     wait_until(lambda: speaker.is_idle)
-    return speaker.take_flaw()
+    return speaker.pop_error()

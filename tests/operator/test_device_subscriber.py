@@ -25,22 +25,22 @@ class Devices:
     def __init__(self, bus: Bus, device: str, controls_from: str = "") -> None:
         self.bus, self.counts = bus, dict.fromkeys((device, controls_from), 0)
         self.watch = bus.watch(DeviceSubscriber.watched(device, controls_from))
-        self.ear = DeviceSubscriber(self.watch, device, controls_from)
+        self.subscriber = DeviceSubscriber(self.watch, device, controls_from)
 
-    def say(self, device: str, reading: OperatorSample | None, state: readings.State = "live") -> None:
+    def say(self, device: str, sample: OperatorSample | None, state: readings.State = "live") -> None:
         """Write a sample, or a status alone, and see that it was heard."""
-        self.counts[device] += reading is not None
-        parts = readings.parts(reading) if reading is not None else ()
+        self.counts[device] += sample is not None
+        parts = readings.parts(sample) if sample is not None else ()
         status = Status(state=state, reason="so", new=self.counts[device], parts=parts)
-        values = readings.encode(device, reading) if reading is not None else {}
+        values = readings.encode(device, sample) if sample is not None else {}
         self.bus.publish(values | readings.encode_status(device, status))
         self.bus.clock.sleep(HEARD_S)
 
     def hear_of(self, said: Mapping[str, tuple[OperatorSample, readings.State]]) -> DeviceSample:
         """Say something and hear it."""
-        for device, (reading, state) in said.items():
-            self.say(device, reading, state)
-        return self.ear.hear()
+        for device, (sample, state) in said.items():
+            self.say(device, sample, state)
+        return self.subscriber.poll()
 
 
 @pytest.fixture
@@ -74,26 +74,26 @@ JOINTS = OperatorSample(joints=np.arange(3.0))
 
 
 def test_device_that_never_spoke_is_asked_for(one: Devices) -> None:
-    assert one.ear.hear().why_not == "nothing was ever heard of pico; is its server started?"
+    assert one.subscriber.poll().why_not == "nothing was ever heard of pico; is its server started?"
 
 
 def test_live_sample_is_heard_until_its_server_falls_silent(one: Devices) -> None:
     heard = one.hear_of({"pico": (PRESSED, "live")})
     assert heard.why_not == ""
-    assert heard.reading is not None
-    assert heard.reading.controls == {"left_bumper": 1.0}
-    assert heard.sample >= 1
+    assert heard.sample is not None
+    assert heard.sample.controls == {"left_bumper": 1.0}
+    assert heard.number >= 1
     one.bus.clock.sleep(STALE_S - 2 * HEARD_S)
-    assert one.ear.hear().reading is not None
+    assert one.subscriber.poll().sample is not None
     one.bus.clock.sleep(2 * HEARD_S)
-    assert one.ear.hear().reading is None
-    assert "pico is silent" in one.ear.hear().why_not
+    assert one.subscriber.poll().sample is None
+    assert "pico is silent" in one.subscriber.poll().why_not
 
 
 def test_device_that_is_not_live_by_its_own_word_gives_nothing(one: Devices) -> None:
     one.say("pico", PRESSED, "stale")
-    assert one.ear.hear().reading is None
-    assert one.ear.hear().why_not.startswith("pico is s")
+    assert one.subscriber.poll().sample is None
+    assert one.subscriber.poll().why_not.startswith("pico is s")
 
 
 @pytest.mark.parametrize(("late_s", "boot", "is_of_use"), [(2.0, "", False), (0.1, "", True), (2.0, "0badb007", True)])
@@ -110,11 +110,11 @@ def test_samples_that_a_frozen_line_kept_drive_nobody_but_their_buttons_count(
     mark = stamp.Stamp(1, written_ns, 0, source).encode()
     one.bus.call("MSET", *(word for key, value in values.items() for word in (key, value, keys.stamp(key), mark)))
     one.bus.clock.sleep(HEARD_S)
-    heard = one.ear.hear()
-    reading = heard.reading
-    assert reading is not None
-    assert reading.controls == {"left_bumper": 1.0}
-    assert (reading.joints is not None) == is_of_use
+    heard = one.subscriber.poll()
+    sample = heard.sample
+    assert sample is not None
+    assert sample.controls == {"left_bumper": 1.0}
+    assert (sample.joints is not None) == is_of_use
     assert (not heard.why_not) == is_of_use
     assert is_of_use or heard.why_not.startswith("samples of pico come 2.")
 
@@ -122,19 +122,19 @@ def test_samples_that_a_frozen_line_kept_drive_nobody_but_their_buttons_count(
 def test_value_that_is_none_is_a_flaw_and_no_crash(one: Devices) -> None:
     one.bus.publish({readings.watched_keys("pico")[0]: b"{}"})
     one.bus.clock.sleep(HEARD_S)
-    assert one.ear.hear().reading is None
-    assert one.ear.hear().why_not
+    assert one.subscriber.poll().sample is None
+    assert one.subscriber.poll().why_not
 
 
 def test_buttons_of_another_device_count_also_while_poses_are_lost(two: Devices) -> None:
     heard = two.hear_of({"gello": (JOINTS, "lost"), "gamepad": (PRESSED, "live")})
-    assert heard.reading is not None
-    assert heard.reading.controls == {"left_bumper": 1.0}
-    assert heard.reading.joints is None
+    assert heard.sample is not None
+    assert heard.sample.controls == {"left_bumper": 1.0}
+    assert heard.sample.joints is None
     assert heard.why_not.startswith("gello is ")
 
 
 def test_poses_without_the_device_that_has_the_buttons_are_of_no_use(two: Devices) -> None:
     two.say("gello", JOINTS)
-    assert two.ear.hear().reading is None
-    assert "gamepad" in two.ear.hear().why_not
+    assert two.subscriber.poll().sample is None
+    assert "gamepad" in two.subscriber.poll().why_not

@@ -32,10 +32,10 @@ class Slider:
         self.mode = "slow"
         self.auxiliary: Mapping[str, Floats] = {}
 
-    def look(self, reading: OperatorSample) -> DriverInput:
-        if reading.twist is None:
+    def inspect(self, sample: OperatorSample) -> DriverInput:
+        if sample.twist is None:
             return DriverInput(None, "nothing to slide")
-        x = float(reading.twist[0])
+        x = float(sample.twist[0])
         return DriverInput(x, why_not_engage="too far" if abs(x) > 3.0 else "")
 
     def jump(self, before: float, now: float) -> str:
@@ -45,13 +45,13 @@ class Slider:
         self.mode = "fast" if self.mode == "slow" else "slow"
         return self.mode
 
-    def step(self, reading: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
-        if reading is not None and snapshot is not None:
-            assert reading.twist is not None
-            self.target = snapshot.target + float(reading.twist[0]) - snapshot.start
+    def step(self, sample: OperatorSample | None, snapshot: Snapshot[Any, Any] | None, dt_s: float) -> Floats:
+        if sample is not None and snapshot is not None:
+            assert sample.twist is not None
+            self.target = snapshot.target + float(sample.twist[0]) - snapshot.start
         return np.array([self.target])
 
-    def take_up(self, command: Floats) -> None:
+    def resume_from(self, command: Floats) -> None:
         self.target = float(command[0])
 
     def facts(self) -> dict[str, Any]:

@@ -43,7 +43,7 @@ class Side:
         """Look so much later than the gate spoke, however long the machine took to come here."""
         sample = self.watch.latest(keys.command_gate(ROBOT))
         now_ns = sample.arrived_ns if sample is not None else None
-        self.robot.look((now_ns or time.monotonic_ns()) + int(later_s * SECOND))
+        self.robot.poll((now_ns or time.monotonic_ns()) + int(later_s * SECOND))
         return self.robot
 
 

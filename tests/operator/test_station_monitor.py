@@ -43,8 +43,8 @@ def test_a_server_that_says_farewell_or_whose_end_was_told_is_no_news() -> None:
     silence = SilenceMonitor()
     silence.step([health("g1", 1), health("motion", 1), health("pico", 1)], 0.0)
     silence.step([health("g1", 2), health("motion", 2), health("pico", 2)], 0.5)
-    silence.hear(events.make("supervisor", "server-died", "error", server="g1"))
-    silence.hear(events.make("pico", "server-crashed", "error", reason="x"))
+    silence.on_event(events.make("supervisor", "server-died", "error", server="g1"))
+    silence.on_event(events.make("pico", "server-crashed", "error", reason="x"))
     found = silence.step([health("g1", 2), health("motion", 3, "finalized"), health("pico", 2)], 1.0)
     assert found + silence.step([health("g1", 2), health("motion", 3, "finalized"), health("pico", 2)], 9.0) == []
 
@@ -69,14 +69,14 @@ def test_a_stop_of_a_stock_script_is_heard_where_no_robot_is_there_to_say_so(net
     with Bus(network.address(), name="test", timeout_s=1.0) as bus:
         bus.call("SET", keys.ESTOP, b"1")
         with StationMonitor(bus) as monitor:
-            assert list(monitor.take()) == [], "it was pressed before our time"
+            assert list(monitor.poll()) == [], "it was pressed before our time"
             bus.call("SET", keys.ESTOP, json.dumps({"stop": False, "who": "ada"}))
             bus.publish({keys.EVENT: events.make("g1", "operator-reset", "warning", 0).encode()})
             network.clock.sleep(0.05)
-            heard += monitor.take()
+            heard += monitor.poll()
             bus.call("SET", keys.ESTOP, b"stop!")
             network.clock.sleep(0.05)
-            heard += monitor.take()
+            heard += monitor.poll()
     assert [event.name for event in heard] == ["operator-reset", "estop"]
 
 
@@ -88,7 +88,7 @@ def test_a_bus_that_goes_for_long_and_comes_back_is_told_by_nobody_else(
 
     def hear(seconds: float) -> None:
         for _ in range(round(seconds / 0.05)):
-            heard.extend(event.name for event in monitor.take())
+            heard.extend(event.name for event in monitor.poll())
             network.clock.sleep(0.05)
 
     with Bus(network.address(), name="test", timeout_s=1.0) as bus, StationMonitor(bus) as monitor:

@@ -18,7 +18,7 @@ from station.bus import password_file
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import Connection
-from station.bus.protection import look
+from station.bus.protection import inspect
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.errors import BusError, ConfigError, NotReady
 from station.supervision.checks import BusCheck
@@ -127,7 +127,7 @@ def test_start_of_an_open_bus_tells_where_the_password_is_and_what_does_not_work
         password = file.read_text().strip()
         assert len(password) >= 32
         with Bus(None, name="own", timeout_s=5.0) as bus:  # found by itself, password and all
-            assert look(bus).verdict == "closed"
+            assert inspect(bus).verdict == "closed"
         process.send_signal(signal.SIGINT)
         assert process.wait(60) == 0
     said = "".join(lines)
@@ -158,7 +158,7 @@ def test_an_unprotected_bus_fails_the_check_and_is_broken_to_the_doctor(
         assert bus_access(bus).level == "broken"
         assert bus.names() == []  # looking has written nothing
         bus.call("CONFIG", "SET", "protected-mode", "yes")
-        assert look(bus).verdict == "closed"
+        assert inspect(bus).verdict == "closed"
 
 
 def test_a_server_warns_of_an_open_bus_and_a_command_of_a_password_among_its_arguments(unprotected: BusAddress) -> None:
@@ -187,7 +187,7 @@ def test_a_bus_whose_settings_may_not_be_read_is_unknown_unless_it_asks_for_a_pa
 ) -> None:
     with Bus(unprotected, name="check", timeout_s=5.0) as bus:
         bus.call("ACL", "SETUSER", "default", "-config")
-        assert look(bus).verdict == "unknown"
+        assert inspect(bus).verdict == "unknown"
         assert bus_access(bus).level == "warning"
 
 

@@ -41,7 +41,7 @@ def answer_to(desk: RequestHandler, number: str) -> ControllerAnswer:
     found: list[ControllerAnswer] = []
 
     def look() -> bool:
-        answer = desk.look()
+        answer = desk.poll()
         if answer is not None and answer.id == number:
             found.append(answer)
         return bool(found)
@@ -59,12 +59,12 @@ def test_a_clear_that_fails_in_a_way_that_nobody_foresaw_is_told_and_another_may
 
     with monkeypatch.context() as broken:
         broken.setattr(arm.bridge, "clear_faults", fail)
-        desk.hear(request("clear", "a"))
+        desk.on_request(request("clear", "a"))
         refused = answer_to(desk, "a").refused
     assert refused.startswith(f"clearing failed: {kind.__name__}: ")
     assert "\n" not in refused
     assert "clear-refused" in [step_event.name for step_event in arm.step(None).step_events]
-    desk.hear(request("clear", "b"))
+    desk.on_request(request("clear", "b"))
     assert answer_to(desk, "b").refused == ""
 
 
@@ -75,7 +75,7 @@ def test_a_clear_for_which_the_system_has_no_thread_is_told(
         raise RuntimeError("can't start new thread")
 
     monkeypatch.setattr(threading.Thread, "start", none_left)
-    desk.hear(request("clear", "a"))
+    desk.on_request(request("clear", "a"))
     assert "can't start new thread" in answer_to(desk, "a").refused
 
 
@@ -90,8 +90,8 @@ def test_a_second_clear_is_refused_while_the_first_goes_on_and_both_are_answered
         return clear(deadline_s)
 
     monkeypatch.setattr(arm.bridge, "clear_faults", wait_and_clear)
-    desk.hear(request("clear", "a"))
-    desk.hear(request("clear", "b"))
+    desk.on_request(request("clear", "a"))
+    desk.on_request(request("clear", "b"))
     assert answer_to(desk, "b").refused == "its faults are being cleared already"
     go_on.set()
     assert answer_to(desk, "a").refused == ""
@@ -108,17 +108,17 @@ def test_a_request_that_is_written_again_is_answered_again_and_done_once(
 
     monkeypatch.setattr(arm.session, "throttle", noted)
     for number in range(1, 60):
-        desk.hear(request("throttle", str(number), throttle=number))
+        desk.on_request(request("throttle", str(number), throttle=number))
     for number in (1, 30, 59):
-        desk.hear(request("throttle", str(number), throttle=number))
+        desk.on_request(request("throttle", str(number), throttle=number))
         assert answer_to(desk, str(number)).refused == ""
     assert done == list(range(1, 60))
     wait_until(lambda: arm.step(None) is not None and arm.bridge.get_state().throttle == 59)
 
 
 def test_a_request_that_was_overtaken_by_another_is_refused(arm: DrivenArm, desk: RequestHandler) -> None:
-    desk.hear(request("throttle", "later", throttle=5))
-    desk.hear(request("throttle", "first", throttle=2, late_s=0.5))
+    desk.on_request(request("throttle", "later", throttle=5))
+    desk.on_request(request("throttle", "first", throttle=2, late_s=0.5))
     assert answer_to(desk, "first").refused == OVERTAKEN
     wait_until(lambda: arm.step(None) is not None and arm.bridge.get_state().throttle == 5)
 
@@ -135,18 +135,18 @@ def test_a_clear_that_is_written_again_while_it_goes_on_is_no_second_one(
 
     monkeypatch.setattr(arm.bridge, "clear_faults", wait_and_clear)
     for _ in range(3):
-        desk.hear(request("clear", "a"))
-    assert desk.look() is None
+        desk.on_request(request("clear", "a"))
+    assert desk.poll() is None
     go_on.set()
     assert answer_to(desk, "a").refused == ""
-    desk.hear(request("clear", "a"))
+    desk.on_request(request("clear", "a"))
     assert answer_to(desk, "a").refused == ""
     assert len(clears) == 1
 
 
 def test_a_clear_ends_driving_and_who_drove_has_to_let_go(arm: DrivenArm, desk: RequestHandler) -> None:
     arm.drive(20)
-    desk.hear(request("clear", "a"))
+    desk.on_request(request("clear", "a"))
     record = arm.drive(1)
     assert record.decision.state == "waiting"
     assert record.decision.reason == "the controller's faults are being cleared; let go, then engage anew"
@@ -159,8 +159,8 @@ def test_a_clear_ends_driving_and_who_drove_has_to_let_go(arm: DrivenArm, desk: 
 
 def test_requests_to_another_arm_and_what_is_none_are_not_answered(desk: RequestHandler) -> None:
     for data in (b"hello", codec.json_object(ControllerRequest(action="clear", id="a", robot="kassow_other"))):
-        desk.hear(Asked(data, 1))
-    assert desk.look() is None
+        desk.on_request(Asked(data, 1))
+    assert desk.poll() is None
 
 
 @pytest.mark.parametrize("ticks", [0, 251, 1 << 31, -(1 << 31) - 1, (1 << 63) - 1])
@@ -168,6 +168,6 @@ def test_a_throttle_that_is_no_number_of_ticks_is_refused_however_large_it_is(
     arm: DrivenArm, desk: RequestHandler, ticks: int
 ) -> None:
     before = arm.bridge.get_state().throttle
-    desk.hear(request("throttle", "a", throttle=ticks))
+    desk.on_request(request("throttle", "a", throttle=ticks))
     assert "throttle" in answer_to(desk, "a").refused
     assert arm.bridge.get_state().throttle == before

@@ -42,7 +42,7 @@ class Person:
     def failed(self, step: str, reason: str) -> None:
         self.told.append(f"failed {step}: {reason}")
 
-    def say(self, text: str, severity: Severity = "info") -> None:
+    def report(self, text: str, severity: Severity = "info") -> None:
         self.told.append(f"{severity} {text}")
 
     def confirm(self, sentence: str) -> bool:
@@ -53,7 +53,7 @@ class Person:
     def offer(self, restart: str) -> None:
         self.offered, self.wants_restart = restart, False  # a key that was pressed before does not count
 
-    def take_restart(self) -> bool:
+    def pop_restart(self) -> bool:
         wanted, self.wants_restart = self.wants_restart, False
         return wanted
 

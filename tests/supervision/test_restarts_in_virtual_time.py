@@ -49,7 +49,7 @@ class Bench:
 
     def close(self) -> None:
         self.supervisor.stop_all()
-        self._events = list(self.told.take())
+        self._events = list(self.told.pop())
         self.told.close()
         self.bus.close()
 

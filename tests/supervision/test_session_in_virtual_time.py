@@ -114,15 +114,15 @@ def test_one_that_lives_and_says_nothing_is_told_of_after_three_seconds_and_when
         place.person.is_attended = True
         place.processes.scripts["cues"] = lambda life: Script(silent_after_s=4.0 if life == 0 else None)
         heard_s: list[float] = []
-        say = place.person.say
+        report = place.person.report
 
         def note(text: str, severity: str = "info") -> None:
             if "has said nothing for 3 s" in text:
                 heard_s.append(place.clock.monotonic_s())
                 place.person.wants_restart = True
-            say(text, severity)  # type: ignore[arg-type]
+            report(text, severity)  # type: ignore[arg-type]
 
-        place.person.say = note  # type: ignore[method-assign, assignment]
+        place.person.report = note  # type: ignore[method-assign, assignment]
         assert place.run(15.0) == 0
     first, second = place.processes.of("cues")
     assert first.go_s is not None

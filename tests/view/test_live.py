@@ -50,15 +50,15 @@ def test_newest_values_are_drawn_once_each(bus: Bus, tmp_path: Path) -> None:
     with LiveView(bus, recording, robot_model=tiny(tmp_path)) as view:
         assert view.robot == ROBOT
         wait_until(lambda: view._watch.is_connected)
-        assert view.look() == 4
-        assert view.look() == 0
+        assert view.poll() == 4
+        assert view.poll() == 0
         publish(bus, height=0.75)
         bus.publish({keys.EVENT: events.make("g1", "mark", label="here").encode()})
         drawn = 0
 
         def everything_was_drawn() -> bool:
             nonlocal drawn
-            drawn += view.look()
+            drawn += view.poll()
             return drawn == 5
 
         wait_until(everything_was_drawn)
@@ -82,7 +82,7 @@ def test_value_that_does_not_fit_its_contract_is_passed_over(bus: Bus, tmp_path:
     bus.publish({twist_keys.action_body(): b"[1, 2", twist_keys.state_body(ROBOT): codec.json_vector([0.0] * 127)})
     with LiveView(bus, recording, robot_model=tiny(tmp_path)) as view:
         wait_until(lambda: view._watch.is_connected)
-        view.look()
+        view.poll()
     recording.flush()
     recording.disconnect()
     recorded = Recorded(tmp_path / "live.rrd")
@@ -103,7 +103,7 @@ def test_an_arm_is_found_and_drawn_with_its_target_in_its_place(bus: Bus, tmp_pa
     bus.publish(arms.values(arms.START, asked=arms.START + 0.1) | told)
     with LiveView(bus, recording) as view:
         assert (view.robot, view.warnings) == (arms.ROBOT, [])
-        wait_until(view.look)
+        wait_until(view.poll)
     recording.flush()
     recording.disconnect()
     recorded = Recorded(tmp_path / "live.rrd")
@@ -123,7 +123,7 @@ def test_a_second_arm_of_a_model_that_nobody_has_drawn_is_shown_by_its_curves(bu
     with LiveView(bus, recording) as view:
         assert view.robot == "kassow_kr1805_left"
         assert view.warnings[0].startswith("the robot is not drawn: builtin:kassow_kr1805_left.xml")
-        wait_until(view.look)
+        wait_until(view.poll)
     recording.flush()
     recording.disconnect()
     assert Recorded(tmp_path / "live.rrd").rows(f"curves/state/{key}/angle") == 1

@@ -79,7 +79,7 @@ def shown(progress: Progress, step: str = "", died: dict[str, str] | None = None
 def test_a_run_is_told_from_motion_to_recorder(bus: Bus) -> None:
     assert len(TIMING_STAGES) == 6
     play(bus)
-    seen = ProgressReader(bus, NAMES).look()
+    seen = ProgressReader(bus, NAMES).poll()
     assert seen.motion is not None
     assert (seen.motion.name, seen.motion.clip, seen.motion.duration_s) == ("tour", "bow", 20.0)
     assert seen.robot is not None
@@ -97,22 +97,22 @@ def test_a_run_is_told_from_motion_to_recorder(bus: Bus) -> None:
 
 def test_whether_an_operator_drives_and_why_not(bus: Bus) -> None:
     say(bus, "motion", "active", engaged=False, why_not="the leader is too far\x1b[2J", mode="walk")
-    seen = ProgressReader(bus, NAMES).look()
+    seen = ProgressReader(bus, NAMES).poll()
     assert "operator  not engaged (walk): the leader is too far" in shown(seen)
     assert "\x1b" not in shown(seen)
     say(bus, "motion", "active", engaged=True, why_not="", mode="")
-    assert "operator  engaged" in shown(ProgressReader(bus, NAMES).look())
+    assert "operator  engaged" in shown(ProgressReader(bus, NAMES).poll())
 
 
 def test_a_plain_line_says_it_in_words(bus: Bus) -> None:
     play(bus, tilt_rad=1.2)
-    line = progress_panel.line(ProgressReader(bus, NAMES).look())
+    line = progress_panel.line(ProgressReader(bus, NAMES).poll())
     assert line == "tour: bow, 7.5 of 20.0 s; fallen, leans 69°, base at 0.75 m; 12 345 messages"
 
 
 def test_a_blend_is_called_by_its_phase(bus: Bus) -> None:
     play(bus, phase="entering")
-    seen = ProgressReader(bus, NAMES).look()
+    seen = ProgressReader(bus, NAMES).poll()
     assert seen.motion is not None
     assert progress_panel.doing(seen.motion) == "tour: entering"
 
@@ -120,7 +120,7 @@ def test_a_blend_is_called_by_its_phase(bus: Bus) -> None:
 def test_while_servers_come_up_their_states_are_shown(bus: Bus) -> None:
     say(bus, "g1", "unconfigured")
     say(bus, "motion", "inactive")
-    seen = ProgressReader(bus, NAMES).look()
+    seen = ProgressReader(bus, NAMES).poll()
     assert (seen.motion, seen.robot, seen.policy, seen.recorder) == (None, None, None, None)
     assert progress_panel.line(seen) == ""
     text = shown(seen, step="start g1")
@@ -130,21 +130,21 @@ def test_while_servers_come_up_their_states_are_shown(bus: Bus) -> None:
 
 def test_a_server_that_died_is_not_said_to_be_starting(bus: Bus) -> None:
     say(bus, "g1", "active")
-    text = shown(ProgressReader(bus, NAMES).look(), died={"motion": "was killed by SIGKILL"})
+    text = shown(ProgressReader(bus, NAMES).poll(), died={"motion": "was killed by SIGKILL"})
     assert "g1 running   recorder starting   motion died" in text
     assert "died: was killed by SIGKILL" in text
 
 
 def test_what_is_on_the_bus_of_others_is_not_shown(bus: Bus) -> None:
     play(bus)
-    assert ProgressReader(bus, ["other"]).look().motion is None
+    assert ProgressReader(bus, ["other"]).poll().motion is None
 
 
 def test_values_that_fit_no_contract_are_passed_over(bus: Bus) -> None:
     play(bus)
     bus.publish({keys.sim_qpos(ROBOT): b"short", keys.policy_timing(ROBOT): b"{}", keys.command_source(ROBOT): b"[",
                  keys.RECORDER: b"no json"})  # fmt: skip
-    seen = ProgressReader(bus, NAMES).look()
+    seen = ProgressReader(bus, NAMES).poll()
     assert seen.robot is None
     assert seen.recorder is None
     assert seen.policy is not None
@@ -158,8 +158,8 @@ def test_an_arm_shows_its_gate_its_profile_and_its_rates_and_why_it_is_faulted(b
            "send_hz": 124.6}  # fmt: skip
     bus.publish({keys.server_config("g1"): codec.json_object({"robot": KR810_ROBOT})})
     say(bus, "g1", "active", **arm)
-    progress = ProgressReader(bus, NAMES).look()
+    progress = ProgressReader(bus, NAMES).poll()
     assert progress.policy is None
     assert "tracking   sim, speed125   250 heartbeats/s   125 targets/s" in shown(progress)
     say(bus, "g1", "active", **arm | {"gate": "faulted", "gate_reason": "safety 1010: torque deviation"})
-    assert "faulted: safety 1010: torque deviation" in shown(ProgressReader(bus, NAMES).look())
+    assert "faulted: safety 1010: torque deviation" in shown(ProgressReader(bus, NAMES).poll())

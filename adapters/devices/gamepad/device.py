@@ -52,7 +52,7 @@ class Gamepad:
             raise DeviceError(self._lost)
         for event in self._events():
             if getattr(event, "instance_id", None) == self._id:
-                self._take(event)
+                self._on_event(event)
         shown = dict(self._state)
         for control in self._tapped:
             shown[control] = 1.0
@@ -111,18 +111,18 @@ class Gamepad:
         axes = [f"axis_{number}" for number in range(joystick.get_numaxes())]
         return dict.fromkeys([*axes, *hats, *(f"button_{number}" for number in range(joystick.get_numbuttons()))], 0.0)
 
-    def _take(self, event: Any) -> None:
+    def _on_event(self, event: Any) -> None:
         pygame = self._pygame
         if event.type in (pygame.JOYDEVICEREMOVED, pygame.CONTROLLERDEVICEREMOVED):
             self._lose("gone; plug it in again, or wake it")
         elif self._lost:
             return
         elif self._pad.is_mapped:
-            self._take_mapped(event)
+            self._on_mapped_event(event)
         else:
-            self._take_numbered(event)
+            self._on_numbered_event(event)
 
-    def _take_mapped(self, event: Any) -> None:
+    def _on_mapped_event(self, event: Any) -> None:
         pygame = self._pygame
         if event.type == pygame.CONTROLLERAXISMOTION and event.axis < len(names.AXES):
             self._state[names.AXES[event.axis]] = names.axis(event.axis, event.value)
@@ -130,7 +130,7 @@ class Gamepad:
         if is_button and event.button < len(names.BUTTONS):
             self._press(names.BUTTONS[event.button], event.type == pygame.CONTROLLERBUTTONDOWN)
 
-    def _take_numbered(self, event: Any) -> None:
+    def _on_numbered_event(self, event: Any) -> None:
         pygame = self._pygame
         if event.type == pygame.JOYAXISMOTION:
             self._state[f"axis_{event.axis}"] = max(-1.0, min(1.0, event.value))

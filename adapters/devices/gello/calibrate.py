@@ -46,7 +46,7 @@ _PAUSE_S = 0.01
 class Console(Protocol):
     """The person at the leader."""
 
-    def say(self, line: str) -> None:
+    def show(self, line: str) -> None:
         """Tell something."""
         ...
 
@@ -99,7 +99,7 @@ def calibrate_port(
     bus = MotorBus(port, baud, clock)
     try:
         if advice := ports.latency_advice(port):
-            console.say(advice)
+            console.show(advice)
         return calibrate(bus, ports.serial_of(port), plan, console, folder or calibrations.default_folder())
     finally:
         bus.close()
@@ -119,7 +119,7 @@ def calibrate(bus: MotorBus, serial: str, plan: Plan, console: Console, folder: 
     gripper = _find_gripper(bus, ids[-1], models[ids[-1]], console) if plan.has_gripper else None
     made = Calibration(serial=serial, arm=plan.arm, date=calibrations.today(), joints=joints, gripper=gripper)
     file = calibrations.save(folder, made)
-    console.say(f"leader {serial} is calibrated as the {plan.arm} arm: {file}")
+    console.show(f"leader {serial} is calibrated as the {plan.arm} arm: {file}")
     return file
 
 
@@ -133,7 +133,7 @@ def _servos(bus: MotorBus, plan: Plan, console: Console) -> dict[int, int]:
             f"{bus.port}: {len(models)} servos answer at {bus.baud} baud ({listed}), expected {wanted}; "
             "see to cables, power, ids that are given twice, and baud:"
         )
-    console.say(f"servos: {listed}")
+    console.show(f"servos: {listed}")
     return models
 
 
@@ -147,9 +147,9 @@ def _find_signs(bus: MotorBus, ids: Sequence[int], plan: Plan, console: Console)
             moved = math.remainder(_measure(bus, ids, console)[index] - before, math.tau)
             if abs(moved) > _MOVED_RAD:
                 break
-            console.say(f"{name}: servo {ids[index]} has moved by {math.degrees(moved):+.0f}° only; once more")
+            console.show(f"{name}: servo {ids[index]} has moved by {math.degrees(moved):+.0f}° only; once more")
         signs.append(1 if moved > 0 else -1)
-        console.say(f"{name}: servo {ids[index]} turns {'with' if moved > 0 else 'against'} the joint")
+        console.show(f"{name}: servo {ids[index]} turns {'with' if moved > 0 else 'against'} the joint")
     return tuple(signs)
 
 
@@ -165,13 +165,13 @@ def _find_offsets(
         found = [(servo - offset) * sign for servo, offset, sign in zip(servos, offsets, signs, strict=False)]
         off = [q - wanted for q, wanted in zip(found, plan.pose_rad, strict=True)]
         for name, offset, each in zip(plan.joint_names, offsets, off, strict=True):
-            console.say(f"{name}: offset {offset / calibrations.QUARTER:+.0f} quarter turns, "
+            console.show(f"{name}: offset {offset / calibrations.QUARTER:+.0f} quarter turns, "
                         f"{math.degrees(each):+.1f}° from the pose")  # fmt: skip
         far = [name for name, each in zip(plan.joint_names, off, strict=True) if abs(each) > FAR_OFF_RAD]
         if not far:
             break
         limit = f"{math.degrees(FAR_OFF_RAD):.0f}°"
-        console.say(f"{', '.join(far)}: more than {limit} from the pose, so the quarter turn is doubtful; once more")
+        console.show(f"{', '.join(far)}: more than {limit} from the pose, so the quarter turn is doubtful; once more")
     return tuple(
         JointCalibration(id=id_, name=name, model=models[id_], offset_rad=offset, sign=sign, reference_rad=q)
         for id_, name, offset, sign, q in zip(
@@ -188,8 +188,8 @@ def _find_gripper(bus: MotorBus, id_: int, model: int, console: Console) -> Grip
         closed = opened + math.remainder(float(_measure(bus, [id_], console)[0]) - opened, math.tau)
         if abs(closed - opened) >= LEAST_TRAVEL_RAD:
             break
-        console.say(f"the trigger has moved by {math.degrees(closed - opened):+.0f}° only; once more")
-    console.say(f"gripper: {math.degrees(closed - opened):+.0f}° from open to closed")
+        console.show(f"the trigger has moved by {math.degrees(closed - opened):+.0f}° only; once more")
+    console.show(f"gripper: {math.degrees(closed - opened):+.0f}° from open to closed")
     return GripperCalibration(id=id_, model=model, open_rad=opened, closed_rad=closed)
 
 

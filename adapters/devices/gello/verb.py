@@ -59,7 +59,7 @@ def command(
     if not sys.stdin.isatty():
         raise UsageError("devices calibrate gello: there is no terminal to ask in; it needs somebody at the leader")
     terminal = _Terminal()
-    _tell_replaced(chosen, calibrations, terminal)
+    _print_replaced(chosen, calibrations, terminal)
     calibrate_port(chosen, plan, terminal, baud=baud, folder=calibrations)
 
 
@@ -73,7 +73,7 @@ def _only_port() -> str:
 class _Terminal:
     """The person at the leader, who sits at a terminal too."""
 
-    def say(self, line: str) -> None:
+    def show(self, line: str) -> None:
         click.echo(line)
 
     def ask(self, question: str) -> str:
@@ -87,10 +87,10 @@ class _Terminal:
         return answer
 
 
-def _tell_replaced(port: str, folder: Path | None, terminal: _Terminal) -> None:
+def _print_replaced(port: str, folder: Path | None, terminal: _Terminal) -> None:
     file = calibrations.file_of(folder or calibrations.default_folder(), ports.serial_of(port))
     if file.exists():
-        terminal.say(f"{file} is there and will be replaced at the end")
+        terminal.show(f"{file} is there and will be replaced at the end")
 
 
 def _signs(text: str) -> tuple[int, ...]:

@@ -76,7 +76,7 @@ class Keyboard:
             raise DeviceError(self._lost)
         now_s = self._clock()
         try:
-            pressed = self._take(now_s)
+            pressed = self._read_keys(now_s)
         except OSError:
             self._lost = f"{self._tty}: the terminal was closed; {_HOW}"
             self._held_until_s, pressed = dict.fromkeys(self._held_until_s, -math.inf), []
@@ -105,7 +105,7 @@ class Keyboard:
                 termios.tcsetattr(terminal, termios.TCSANOW, self._before)
         os.close(terminal)
 
-    def _take(self, now_s: float) -> list[str]:
+    def _read_keys(self, now_s: float) -> list[str]:
         """Take in all that was typed; raises OSError for a terminal that is gone."""
         data = b""
         while select.select([self._terminal], [], [], 0.0)[0]:

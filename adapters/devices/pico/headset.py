@@ -84,7 +84,7 @@ class Headset:
     ) -> None:
         self._clock = clock
         self._sdk = _import_sdk()
-        _take()
+        _reserve()
         self._address, self._port = address, port
         self._patience_s = patience_s
         self._next_look_s, self._looks = math.inf, 0  # whether there is a service, though nothing comes
@@ -255,7 +255,7 @@ def _import_sdk() -> Any:
         ) from error
 
 
-def _take() -> None:
+def _reserve() -> None:
     global _in_use  # noqa: PLW0603  # the library itself is one per process
     if _in_use:
         raise DeviceError("this process has a Pico headset already; the library allows one, so close that first")

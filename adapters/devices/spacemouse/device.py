@@ -109,12 +109,12 @@ class Spacemouse:
             report = interface.read(_REPORT_BYTES)
             if not report:
                 break
-            count += self._deflection.take(bytes(report))
+            count += self._deflection.update(bytes(report))
         self._reports += count
         return count
 
     def _reading(self) -> OperatorSample:
-        buttons = self._deflection.take_pressed()
+        buttons = self._deflection.pop_pressed()
         return OperatorSample(
             twist=self._twist(),
             controls={f"button_{bit}": float(buttons >> bit & 1) for bit in self._mouse.model.buttons},

@@ -32,7 +32,7 @@ class Deflection:
 
     Attributes:
         buttons: Bit field of the buttons that are pressed.
-        pressed: And of those that were pressed since `take_pressed`, be they let go by now.
+        pressed: And of those that were pressed since `pop_pressed`, be they let go by now.
         odd_reports: Reports that were too short for their id.
     """
 
@@ -47,7 +47,7 @@ class Deflection:
         """Whether the cap is at rest."""
         return not self._raw.any()
 
-    def take(self, report: bytes) -> bool:
+    def update(self, report: bytes) -> bool:
         """Take in one report; False for one that is neither of motion nor of buttons, such as the battery's."""
         kind = report[0] if report else 0
         if kind == _MOTION and len(report) >= _SIX.size:
@@ -72,7 +72,7 @@ class Deflection:
         self.centre()
         self.buttons = self.pressed = 0
 
-    def take_pressed(self) -> int:
+    def pop_pressed(self) -> int:
         """Return the bit field of the buttons that are or were pressed since the last call: a tap is never missed."""
         pressed, self.pressed = self.pressed | self.buttons, 0
         return pressed

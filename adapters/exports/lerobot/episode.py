@@ -92,7 +92,7 @@ def provenance(reader: EpisodeReader) -> dict[str, Any]:
     }
 
 
-def look(source: Source, plan: Plan) -> list[str]:
+def inspect(source: Source, plan: Plan) -> list[str]:
     """Do all that `convert` does but for video and files; return what the data set would lack of the episode.
 
     Raises:

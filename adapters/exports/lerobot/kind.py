@@ -77,11 +77,11 @@ def columns(plan: Plan) -> list[str]:
     ]
 
 
-def look(source: Source, plan: Plan) -> list[str]:
-    """Say whether an episode fits; see `ExportKind.look`."""
+def inspect(source: Source, plan: Plan) -> list[str]:
+    """Say whether an episode fits; see `ExportKind.inspect`."""
     from adapters.exports.lerobot import episode
 
-    return episode.look(source, plan)
+    return episode.inspect(source, plan)
 
 
 def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:

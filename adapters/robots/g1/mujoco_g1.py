@@ -172,7 +172,7 @@ class MujocoG1:
             if self._camera is not None:
                 self._camera.close()
             self._camera = Camera(self._model, width, height)
-        return self._camera.take(self._data, camera)
+        return self._camera.capture(self._data, camera)
 
     def close(self) -> None:
         """Close the window and the camera; a second call does nothing."""

@@ -89,7 +89,7 @@ class NotificationTap:
         deadline = self._clock.monotonic_s() + timeout_s
         writes, self._waiting = self._waiting, []
         while not writes:
-            writes = self._take(self._wait_for_events(max(0.0, deadline - self._clock.monotonic_s())))
+            writes = self._read_writes(self._wait_for_events(max(0.0, deadline - self._clock.monotonic_s())))
             if self._clock.monotonic_s() >= deadline:
                 break
         return writes
@@ -113,7 +113,7 @@ class NotificationTap:
         deadline = self._clock.monotonic_s() + _ARM_TIMEOUT_S
         while self._clock.monotonic_s() < deadline:
             events = self._wait_for_events(0.05)
-            self._waiting += self._take(events)
+            self._waiting += self._read_writes(events)
             if any(key == PROBE for key, _ in events) and self._values.call("GET", PROBE) == token:
                 return
         raise TapRefused(f"bus {self._address} sends no keyspace notifications ({refusal or 'none came back'})")
@@ -154,7 +154,7 @@ class NotificationTap:
             self.close()
             raise ConnectionLost(f"bus {self._address}: {taken_away(flags)}")
 
-    def _take(self, events: list[tuple[bytes, bytes]]) -> list[Write]:
+    def _read_writes(self, events: list[tuple[bytes, bytes]]) -> list[Write]:
         events = [(key, what) for key, what in events if what not in _NO_CHANGE and key != PROBE]
         removed = {key for key, what in events if what in _REMOVED}
         foreign = self._foreign(events)

@@ -67,7 +67,7 @@ class PollTap:
         while not writes:
             self._clock.sleep(max(0.0, min(self._next_look, deadline) - self._clock.monotonic_s()))
             if self._clock.monotonic_s() >= self._next_look:
-                writes = self._look()
+                writes = self._poll()
             if self._clock.monotonic_s() >= deadline:
                 break
         return writes
@@ -84,18 +84,18 @@ class PollTap:
         self._connection.close()
 
     def _arm(self) -> None:
-        self._look()  # what is there already is not new
+        self._poll()  # what is there already is not new
         token = write_probe(self._connection)
         self._next_scan = 0.0
         deadline = self._clock.monotonic_s() + _ARM_TIMEOUT_S
         while self._clock.monotonic_s() < deadline:
-            self._waiting += self._look()
+            self._waiting += self._poll()
             if PROBE in self._keys and self._connection.call("GET", PROBE) == token:
                 return
             self._clock.sleep(self._period_s)
         raise BusError(f"bus {self._address}: the probe key was written but is not among the keys that SCAN lists")
 
-    def _look(self) -> list[Write]:
+    def _poll(self) -> list[Write]:
         now = self._clock.monotonic_s()
         self._next_look = max(self._next_look + self._period_s, now)
         if now >= self._next_scan:

@@ -204,9 +204,9 @@ class Stream:
         """Tell of a change that cannot be shown: it does not carry the whole value, and what was there is unknown."""
         self._values.forget(db, key)
         if db == self._db:
-            self._tell(command[0].upper(), key, "what its key holds now is not in it; write with SET instead")
+            self._report(command[0].upper(), key, "what its key holds now is not in it; write with SET instead")
 
-    def _tell(self, what: bytes, key: bytes, why: str) -> None:
+    def _report(self, what: bytes, key: bytes, why: str) -> None:
         said = not_mirrored(what, key)
         self._writes.append(said.write(self._now_ns))
         if what not in self._reported and len(self._reported) < _MOST_REPORTS:
@@ -227,7 +227,7 @@ class Stream:
             self._on_probe(value)
             return
         if len(key) > _LONGEST_KEY:
-            self._tell(b"SET", key, f"a key of {len(key)} bytes; {_LONGEST_KEY} are the most that is kept")
+            self._report(b"SET", key, f"a key of {len(key)} bytes; {_LONGEST_KEY} are the most that is kept")
             return
         name = self._names.get(key)
         if name is None:

@@ -60,13 +60,13 @@ class AlignmentMeter:
     def feed(self, step: Step, gate: str) -> None:
         """Take a step, and the state that the gate was in."""
         if gate in MOVING:
-            self._take_timing(step)
+            self._add_timing(step)
         (number, seen), self._last = self._last, (step.number, step.state_number)
         is_next = step.number == number + 1
         if gate != _TRACKING or not is_next or not 0 <= step.state_number - seen <= 1:
             self._shifts.cut()
         if gate == _TRACKING and not (is_next and step.state_number == seen):
-            self._take_joints(step)
+            self._add_joints(step)
 
     def result(self) -> Alignment:
         """Return how commands lay beside states."""
@@ -86,7 +86,7 @@ class AlignmentMeter:
             lag_correlation=correlation,
         )
 
-    def _take_timing(self, step: Step) -> None:
+    def _add_timing(self, step: Step) -> None:
         row = timing_row(step.values.get(keys.policy_timing(self.robot)))
         if row is None:
             return
@@ -100,7 +100,7 @@ class AlignmentMeter:
             self._skipped += min(max(0, sequence - self._sequence - 1), _LARGEST)
         self._sequence = sequence
 
-    def _take_joints(self, step: Step) -> None:
+    def _add_joints(self, step: Step) -> None:
         vectors = []
         for (key, names), columns in zip(self._names.items(), self._pairs, strict=True):
             data = step.values.get(key)

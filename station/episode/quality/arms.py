@@ -65,7 +65,7 @@ class _Sessions:
     counted: Floats = field(default_factory=lambda: np.zeros(_COUNTERS))
     times: Floats = field(default_factory=lambda: np.full(len(_NAMES) - _COUNTERS, np.nan))
 
-    def take(self, values: Floats) -> bool:
+    def update(self, values: Floats) -> bool:
         """Take the newest counters and latencies; return whether another session has begun."""
         is_another = bool((values < self.newest)[:_COUNTERS].any())
         if is_another:
@@ -107,11 +107,11 @@ class ArmMeter:
             self._moved += message.data != self._target
             self._target = message.data
         elif message.topic == keys.state_controller(self.robot):
-            self._take_word(message.data)
+            self._add_session(message.data)
         elif message.topic == keys.state_counters(self.robot) and len(message.data) == 8 * len(_NAMES):
             values = codec.parse_f64(message.data)
             if ((values >= 0) & (values <= _LARGEST))[:_COUNTERS].all():
-                self._take_counters(message.channel.source, message.publish_ns, values)
+                self._add_counters(message.channel.source, message.publish_ns, values)
 
     def result(self) -> ArmQuality | None:
         """Return what the sessions were like; None where nothing was counted."""
@@ -140,12 +140,12 @@ class ArmMeter:
             period_max_s=_known(last["period_max"]),
         )
 
-    def _take_counters(self, source: str, at_ns: int, values: Floats) -> None:
+    def _add_counters(self, source: str, at_ns: int, values: Floats) -> None:
         sessions = self._sessions.get(source)
         if sessions is None:  # the first may have counted before the episode began
             since = np.zeros(_COUNTERS) if self._sessions else values[:_COUNTERS]
             sessions = self._sessions[source] = _Sessions(since, values)
-        is_another = sessions.take(values) or source != self._source
+        is_another = sessions.update(values) or source != self._source
         self._source = source
         if is_another or self._span is None:
             self._span, self._targets, self._moved = (at_ns, values), 0, 0
@@ -165,7 +165,7 @@ class ArmMeter:
             rate.sends += float(grown[_NAMES.index("stream_j_sends")])
         self._span, self._targets, self._moved = (at_ns, values), 0, 0
 
-    def _take_word(self, data: bytes) -> None:
+    def _add_session(self, data: bytes) -> None:
         if not (word := codec.parse_facts(data)):  # not one of ours; the counters say the rest
             return
         self._backend = str(word.get("backend", ""))[:40]

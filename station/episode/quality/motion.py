@@ -70,7 +70,7 @@ class MotionMeter:
         self._robot, self._state_key, self._command_key = robot, state_key, command_key
         self._stillness = [Stillness(), Stillness()]
         self._jerk, self._command_jerk, self._ends = Jerk(), Jerk(), Ends(description)
-        self._sides = {state_key: _Blocks(self._take_state), command_key: _Blocks(self._take_command)}
+        self._sides = {state_key: _Blocks(self._add_state), command_key: _Blocks(self._add_command)}
         self._sides.pop("", None)
 
     def feed(self, message: Message) -> None:
@@ -110,12 +110,12 @@ class MotionMeter:
             beyond_limit_rad=self._ends.beyond_rad,
         )
 
-    def _take_state(self, times: Ints, joints: tuple[str, ...], q: Floats) -> None:
+    def _add_state(self, times: Ints, joints: tuple[str, ...], q: Floats) -> None:
         self._stillness[0].feed(times, q)
         self._jerk.feed(times, joints, q)
         self._ends.feed(joints, q)
 
-    def _take_command(self, times: Ints, joints: tuple[str, ...], q: Floats) -> None:
+    def _add_command(self, times: Ints, joints: tuple[str, ...], q: Floats) -> None:
         self._stillness[1].feed(times, q)
         self._command_jerk.feed(times, joints, q)
 
@@ -296,9 +296,9 @@ class Jerk:
         fits = (spans.max(axis=1) <= _GAP * median) & (spans.min(axis=1) > 0)
         with np.errstate(all="ignore"):  # of numbers that no robot writes nothing finite comes, and it is left out
             jerk = np.abs(sliding_window_view(q, points, axis=0) @ self._weights) / spans.mean(axis=1)[:, None] ** 3
-        self._note(jerk[fits & np.isfinite(jerk).all(axis=1)], joints)
+        self._add(jerk[fits & np.isfinite(jerk).all(axis=1)], joints)
 
-    def _note(self, jerk: Floats, joints: tuple[str, ...]) -> None:
+    def _add(self, jerk: Floats, joints: tuple[str, ...]) -> None:
         if not len(jerk):
             return
         greatest = jerk.max(axis=1)

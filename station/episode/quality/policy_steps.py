@@ -75,8 +75,8 @@ class StepMeter:
         for name in ("clamped", "refused"):
             if isinstance(gate.get(name), int):
                 self._counts[name] = max(self._counts.get(name, 0), gate[name])
-        self._take_timing(step)
-        self._take_pose(step)
+        self._add_timing(step)
+        self._add_pose(step)
         if self._gates[-1] == _TRACKING and self._is_playing(step):
             self._compare(step)
         return self._gates[-1]
@@ -122,12 +122,12 @@ class StepMeter:
                 return falls.from_pose(self.robot, times_s, tilt)
         return []
 
-    def _take_timing(self, step: Step) -> None:
+    def _add_timing(self, step: Step) -> None:
         if (numbers := timing_row(step.values.get(keys.policy_timing(self.robot)))) is not None:
             self._timings.extend(numbers)
             self._timed.append(len(self._gates) - 1)
 
-    def _take_pose(self, step: Step) -> None:
+    def _add_pose(self, step: Step) -> None:
         for key in (keys.sim_qpos(self.robot), keys.robot_state(self.robot)):
             data = step.values.get(key)
             if data and len(data) == 8 * len(self._layouts.get(key, ())):

@@ -63,7 +63,7 @@ def count_streams(reader: EpisodeReader) -> list[Stream]:
             channel = counted[found.id] = Channel(
                 found.id, found.topic, found.source, found.encoding, found.file, found.contract
             )
-        channel.note(message.sequence, message.log_ns)
+        channel.count_message(message.sequence, message.log_ns)
         start_ns = message.log_ns if start_ns is None else start_ns
     streams = streams_of(counted.values(), reader.drops(), start_ns or 0, reader.contract)
     return sorted(streams, key=lambda stream: (stream.key, stream.writer, stream.source))

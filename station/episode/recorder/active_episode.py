@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 from station.bus import keys
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage.anchor import iso
-from station.episode.storage.manifest import Hole, Manifest, note_hole
+from station.episode.storage.manifest import Hole, Manifest, add_hole
 from station.episode.storage.progress import Totals
 from station.episode.storage.request import RecordAnswer, RecorderState
 from station.episode.writing.closing import close_manifest
-from station.episode.writing.servers_seen import is_motion, note_motion
-from station.episode.writing.summary import note_event, note_mark, note_not_mirrored
+from station.episode.writing.servers_seen import add_motion, is_motion
+from station.episode.writing.summary import add_event, add_mark, count_not_mirrored
 
 if TYPE_CHECKING:
     from station.bus.tap import Position, Write
@@ -57,7 +57,7 @@ class ActiveEpisode:
         if preroll and not self.manifest.timing.preroll_s:
             self.manifest.timing.preroll_s = max(0.0, -self._at_s(preroll[0].mono_ns))
         for write in preroll:
-            self.note(write)
+            self.add_to_manifest(write)
         self.writer.put(preroll, is_live=False, is_whole=False, is_held=True)
 
     def put(
@@ -66,28 +66,28 @@ class ActiveEpisode:
         """Put in what arrived, as `EpisodeWriter.put`; return how many writes had to be dropped."""
         return self.writer.put(writes, position=position, is_whole=is_whole, is_live=is_live)
 
-    def note(self, write: Write) -> None:
+    def add_to_manifest(self, write: Write) -> None:
         """Take from an event, a command's source, or a word of the tap what belongs into the manifest."""
         if write.value is None:
             return
         if write.key == keys.EVENT:
-            note_event(self.manifest, write.value, self._at_s(write.mono_ns))
+            add_event(self.manifest, write.value, self._at_s(write.mono_ns))
             self._is_dirty = True
         elif write.key == keys.NOT_MIRRORED:
-            note_not_mirrored(self.manifest.recorder, write.value)
+            count_not_mirrored(self.manifest.recorder, write.value)
             self._is_dirty = True
         elif is_motion(write.key):
-            self._is_dirty |= note_motion(self.manifest, write.key, write.value)
+            self._is_dirty |= add_motion(self.manifest, write.key, write.value)
 
     def mark(self, label: str, mono_ns: int, success: bool | None) -> bool:
         """Mark an instant; False when there are too many marks already."""
-        is_noted = note_mark(self.manifest, label, self._at_s(mono_ns), success)
+        is_noted = add_mark(self.manifest, label, self._at_s(mono_ns), success)
         self._is_dirty |= is_noted
         return is_noted
 
     def hole(self, from_ns: int, to_ns: int, reason: str) -> None:
         """Note that writes between two instants [ns, monotonic] may be missing."""
-        note_hole(self.manifest, Hole(from_s=self._at_s(from_ns), to_s=self._at_s(to_ns), reason=reason))
+        add_hole(self.manifest, Hole(from_s=self._at_s(from_ns), to_s=self._at_s(to_ns), reason=reason))
         self.writer.save_manifest(self.manifest)  # the file does not tell of it: safe before what follows
 
     def touch(self) -> None:

@@ -15,7 +15,7 @@ from station.episode.recorder.disk_space import DiskSpace
 from station.episode.recorder.latched import believed
 from station.episode.recorder.options import Notice, RecordingOptions
 from station.episode.recorder.writer import EpisodeWriter
-from station.episode.storage.anchor import Anchor, iso, take_anchor
+from station.episode.storage.anchor import Anchor, iso, read_anchor
 from station.episode.storage.folder import new_folder
 from station.episode.storage.manifest import Manifest, Recorder, Task, Timing, save_manifest
 from station.episode.storage.manifest_copy import manifest_to_change
@@ -73,7 +73,7 @@ class Answers:
         """Return the oldest answer that is to be published, or None."""
         return self._due.popleft() if self._due else None
 
-    def take(self) -> list[RecordAnswer]:
+    def pop(self) -> list[RecordAnswer]:
         """Return what is to be published, oldest first; it is then taken as published."""
         due = list(self._due)
         self._due.clear()
@@ -115,14 +115,14 @@ class RecorderController:
         self._awaited = ""  # id of a start request that is to come once more, with what came before and behind it
         self._ignored_until = ""  # id of a start request, see `ignore_until`
         self._reserved: tuple[str, Path] | None = None  # likewise, with the folder
-        self._take: ActiveEpisode | None = None
+        self._active: ActiveEpisode | None = None
         self._closing: list[ActiveEpisode] = []
         self._last_folder: Path | None = None
         self._last_error = ""
 
     def poll(self) -> None:
         """Look after everything that does not come with a write: answers that became due, disks that failed."""
-        take = self._take
+        take = self._active
         if take is not None:
             take.save_if_due()
             self._answer_start(take)
@@ -132,7 +132,7 @@ class RecorderController:
                 self._give_up(take)
             elif self.room.is_used_up:
                 self._end_in_time(take)
-        size = self._take.writer.size if self._take is not None else None
+        size = self._active.writer.size if self._active is not None else None
         for news in self.room.follow(size):
             self._notice(news.name, news.severity, **self._which(), **news.numbers)
         for closing in [closing for closing in self._closing if closing.is_over]:
@@ -140,7 +140,7 @@ class RecorderController:
             self._answer_start(closing)
             self._answer_end(closing)
 
-    def take_up(self, take: ActiveEpisode, requests: Sequence[str], *, awaited: str = "") -> None:
+    def resume(self, take: ActiveEpisode, requests: Sequence[str], *, awaited: str = "") -> None:
         """Go on with an episode whose recorder died.
 
         Args:
@@ -149,7 +149,7 @@ class RecorderController:
             awaited: Id of its start request where the file does not hold that yet: the stream is to bring it again,
                 with the pre-roll before it.
         """
-        self._take, self._awaited = take, awaited
+        self._active, self._awaited = take, awaited
         self._heard.contracts = take.writer.contracts
         self._heard.fill(take.manifest)
         for asker in requests:
@@ -172,8 +172,8 @@ class RecorderController:
 
     def finish(self, ended_by: str) -> None:
         """End the present episode, if there is one."""
-        if self._take is not None:
-            self._end(self._take, ended_by, self.clock.monotonic_ns())
+        if self._active is not None:
+            self._end(self._active, ended_by, self.clock.monotonic_ns())
 
     def close(self, timeout_s: float = 10.0) -> bool:
         """End the present episode and wait until every file is closed; return whether all are."""
@@ -187,7 +187,7 @@ class RecorderController:
 
     def state(self) -> RecorderState:
         """Return what the recorder is doing now."""
-        take = self._take
+        take = self._active
         if take is None:
             found = RecorderState(state="idle", backend=self.tap.backend, error=self._last_error)
         else:
@@ -213,8 +213,8 @@ class RecorderController:
             self.answers.give(RecordAnswer(id=asker or "", ok=False, reason=str(error)))
 
     def _start(self, request: RecordRequest, mono_ns: int) -> None:
-        if self._take is not None:
-            raise Refused(f"already recording {self._take.episode_id}; stop it first")
+        if self._active is not None:
+            raise Refused(f"already recording {self._active.episode_id}; stop it first")
         if len(self._closing) >= _MOST_CLOSING:
             raise Refused(
                 f"{len(self._closing)} episodes are still being closed: the disk does not keep up; wait for it"
@@ -229,7 +229,7 @@ class RecorderController:
         else:
             folder = new_folder(self.options.data, task, self._heard.robot_in_names)
         self._reserved = None
-        now = take_anchor(self.clock)
+        now = read_anchor(self.clock)
         anchor = Anchor(wall_ns=now.at(mono_ns), mono_ns=mono_ns, boot=now.boot)
         manifest = Manifest(
             episode_id=folder.name,
@@ -248,8 +248,8 @@ class RecorderController:
             place=self._ring.place(mono_ns) if preroll else self._position, contracts=self._heard.contracts,
             clock=self.clock,
         )  # fmt: skip
-        self._take = ActiveEpisode(writer, manifest, start_id=request.id)
-        self._take.begin(preroll)
+        self._active = ActiveEpisode(writer, manifest, start_id=request.id)
+        self._active.begin(preroll)
         self.room.begin()
         self._last_error = ""
 
@@ -268,8 +268,8 @@ class RecorderController:
         self.answers.give(take.answer(request.id))
 
     def _discard(self, request: RecordRequest, mono_ns: int) -> None:
-        if self._take is not None:
-            take = self._take
+        if self._active is not None:
+            take = self._active
             take.manifest.quality_flags.discarded = True
             if request.label:
                 take.mark(f"discarded: {request.label}", mono_ns, None)
@@ -291,13 +291,13 @@ class RecorderController:
         return RecordAnswer(id=asker, ok=True, episode_id=folder.name, path=str(folder))
 
     def _present(self, action: str) -> ActiveEpisode:
-        if self._take is None:
+        if self._active is None:
             why = f"the last one ended by itself: {self._last_error}" if self._last_error else _NONE
             raise Refused(f"nothing to {action}: {why}; `station record start` begins one")
-        return self._take
+        return self._active
 
     def _end(self, take: ActiveEpisode, ended_by: str, mono_ns: int) -> None:
-        self._take = None
+        self._active = None
         self._closing.append(take)
         take.finish(ended_by, mono_ns)
 
@@ -308,7 +308,7 @@ class RecorderController:
         self._end(take, "disk-full", self.clock.monotonic_ns())
 
     def _give_up(self, take: ActiveEpisode) -> None:
-        self._take = None
+        self._active = None
         self._last_folder, self._last_error = take.folder, take.writer.error
         self._notice("record-failed", "error", episode_id=take.episode_id, reason=take.writer.error)
 
@@ -341,7 +341,7 @@ class RecorderController:
                 self.answers.give(take.answer(asker, reason=str(error)))
 
     def _which(self) -> dict[str, Any]:
-        return {"episode_id": self._take.episode_id} if self._take is not None else {}
+        return {"episode_id": self._active.episode_id} if self._active is not None else {}
 
     def _notice(self, name: str, severity: Severity, **numbers: Any) -> None:
         self.notices.append(Notice(name, severity, numbers))

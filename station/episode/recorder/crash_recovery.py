@@ -20,7 +20,7 @@ from station.episode.recorder.resume import (
     last_requests,
     newest_closed,
     newest_start_ns,
-    take_up,
+    reopen,
     unfinished,
 )
 from station.episode.storage.left_open import (
@@ -79,7 +79,7 @@ class CrashRecovery:
         self._done: ResumePoint | None = None  # of the last one, if we closed it: what was asked behind it comes again
         self._unborn: UnopenedEpisode | None = None  # an episode that was asked for, and of which nothing is there
         self._was_killed = life.bus.get(keys.RECORDER) is not None  # one that ends by itself takes its word away
-        self._look()
+        self._find()
 
     @property
     def position(self) -> Position | None:
@@ -142,7 +142,7 @@ class CrashRecovery:
             else:
                 remove_not_begun(self._unborn.folder)
         elif self._found is not None and (is_exact or self._found.age_s(self._clock.monotonic_ns()) <= self._take_up_s):
-            written_ns = self._take_up(self._found, recording, tap, is_exact=is_exact)
+            written_ns = self._resume(self._found, recording, tap, is_exact=is_exact)
         if (line := offer(self._options.data)) is not None:
             self._life.event("episodes-left-open", severity="warning", reason=line)
         return written_ns
@@ -170,7 +170,7 @@ class CrashRecovery:
         else:
             recording.seed(keys.RECORD, request.value, None)
 
-    def _look(self) -> None:
+    def _find(self) -> None:
         data, restarts = self._options.data, os.environ.get(RESTARTS_VARIABLE)
         unopened = self._unborn_in(data)
         left: list[Unfinished] = []
@@ -226,7 +226,7 @@ class CrashRecovery:
             recording.placed(tap.position())
             recording.ignore_until(found.point.start_id, found.folder)
         else:
-            written_ns = self._take_up(found, recording, tap, is_exact=True)
+            written_ns = self._resume(found, recording, tap, is_exact=True)
         written_ns = written_ns or _began_ns(found)
         pace = CatchingUp(tap, self._clock.monotonic_s())
         try:
@@ -249,14 +249,14 @@ class CrashRecovery:
         recording.ignore_until("", found.folder)
         recording.finish("killed")
 
-    def _take_up(self, found: Unfinished, recording: Recording, tap: Tap, *, is_exact: bool) -> int:
+    def _resume(self, found: Unfinished, recording: Recording, tap: Tap, *, is_exact: bool) -> int:
         place = found.point.position if is_exact else tap.position()
         try:
-            taken = take_up(found, self._options, place=place, is_exact=is_exact, clock=self._clock)
+            taken = reopen(found, self._options, place=place, is_exact=is_exact, clock=self._clock)
         except (EpisodeError, OSError) as error:
             self._life.event("episode-not-taken-up", severity="error", episode_id=found.folder.name, reason=str(error))
             return 0
-        recording.take_up(taken.take, taken.requests, awaited=taken.awaited)
+        recording.resume(taken.take, taken.requests, awaited=taken.awaited)
         note = taken.take.manifest.recovery[-1]
         self._life.event(
             "recorder-resumed", severity="warning", episode_id=found.folder.name, by=note["by"],

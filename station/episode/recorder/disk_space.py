@@ -38,7 +38,7 @@ class Meter:
         self._span_s = span_s
         self._points: deque[tuple[float, int]] = deque()
 
-    def note(self, at_s: float, count: int) -> None:
+    def update(self, at_s: float, count: int) -> None:
         """Say how much there is now."""
         self._points.append((at_s, count))
         while self.seconds > self._span_s and len(self._points) > 2:
@@ -70,7 +70,7 @@ class DiskSpace:
         self._options, self._clock = options, clock
         self._space = FreeSpace(options.data, clock)
         self._bus, self._file = Meter(_BUS_SPAN_S), Meter(_FILE_SPAN_S)
-        self._bus.note(self._clock.monotonic_s(), 0)
+        self._bus.update(self._clock.monotonic_s(), 0)
         self._bus_bytes = 0
         self._seen = self._space.look.number
         self._warned_min: float | None = None
@@ -80,7 +80,7 @@ class DiskSpace:
         """Stop looking."""
         self._space.close()
 
-    def note(self, writes: Sequence[Write]) -> None:
+    def count(self, writes: Sequence[Write]) -> None:
         """Count what was just written on the bus."""
         self._bus_bytes += sum(_RECORD_BYTES + len(write[1]) if write[1] is not None else 0 for write in writes)
 
@@ -130,7 +130,7 @@ class DiskSpace:
         if size is None:
             self._file = Meter(_FILE_SPAN_S)
         else:
-            self._file.note(look.at_s, size)
+            self._file.update(look.at_s, size)
             notices += self._warning()
         return notices
 
@@ -169,7 +169,7 @@ class DiskSpace:
 
     def _measure(self, look: DiskReading) -> None:
         self._seen = look.number
-        self._bus.note(self._clock.monotonic_s(), self._bus_bytes)
+        self._bus.update(self._clock.monotonic_s(), self._bus_bytes)
 
     def _warning(self) -> list[Notice]:
         """Warn below the limit, and again at each half of what was said; say when all is well again."""
@@ -222,7 +222,7 @@ class FreeSpace:
         self._wake = threading.Condition()
         self._is_asked = self._is_closed = False
         self._began_s: float | None = None  # of the look that is being taken
-        self.look = self._take(1)
+        self.look = self._read(1)
         clock.start(self._watch, "free space")
 
     def fresh(self, timeout_s: float) -> DiskReading:
@@ -254,13 +254,13 @@ class FreeSpace:
                     return
                 self._is_asked = False
             self._began_s = self._clock.monotonic_s()
-            look = self._take(self.look.number + 1)
+            look = self._read(self.look.number + 1)
             self._began_s = None
             with self._wake:
                 self.look = look
                 self._wake.notify_all()
 
-    def _take(self, number: int) -> DiskReading:
+    def _read(self, number: int) -> DiskReading:
         try:
             # Without its disk the folder would be made on the one beneath, and hidden when the disk comes back.
             is_mounted = os.path.ismount(self._mount)

@@ -95,7 +95,7 @@ class WriteQueue:
         drops = self._put_some(batch)
         return drops if drops.total else None
 
-    def take(self, most_bytes: int) -> list[Batch]:
+    def pop(self, most_bytes: int) -> list[Batch]:
         """Return the oldest batches, as many as hold so many bytes, at least one; say `done` after each."""
         found: list[Batch] = []
         size = 0
@@ -137,7 +137,7 @@ class WriteQueue:
             size = len(write[1]) if write[1] is not None else 0
             bulky = is_bulky(write[0], size)
             if not (self._admits(write[0], size) if bulky else self._fits(size) or self._evict(size, batch, evicted)):
-                lost.note(write, is_bulky=bulky)
+                lost.count(write, is_bulky=bulky)
                 continue
             batch.writes.append(write)
             batch.size += size
@@ -197,7 +197,7 @@ def _without_bulky(batch: Batch) -> Drops:
     for write in batch.writes:
         bytes_ = len(write[1]) if write[1] is not None else 0
         if is_bulky(write[0], bytes_):
-            drops.note(write, is_bulky=True)
+            drops.count(write, is_bulky=True)
         else:
             kept.append(write)
             size += bytes_

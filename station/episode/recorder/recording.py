@@ -39,7 +39,7 @@ class Recording(RecorderController):
         if key == keys.RECORD:
             self.answers.is_new(request_id(value))
         elif self._heard.is_of_interest(key):
-            self._heard.hear(key, value, stamp, self.clock.monotonic_ns())
+            self._heard.record(key, value, stamp, self.clock.monotonic_ns())
 
     def latched(self, states: Sequence[Write]) -> None:
         """Take states into the pre-roll that were written before the tap was open; see `recorder.latched`."""
@@ -118,7 +118,7 @@ class Recording(RecorderController):
 
     def _behind_the_start(self, writes: Sequence[Write]) -> Sequence[Write]:
         """Put what leads up to the awaited start into its episode, as its pre-roll; return what comes behind."""
-        take = self._take
+        take = self._active
         found = next((n for n, w in enumerate(writes) if w.key == keys.RECORD and self._is_awaited(w)), None)
         before = writes if found is None else writes[: found + 1]
         if take is not None:
@@ -136,13 +136,13 @@ class Recording(RecorderController):
         """Say that writes between two instants [ns, monotonic] may be missing."""
         self._ring.clear()
         self._awaited = self._ignored_until = ""  # a start that was to come once more is among them
-        if self._take is not None:
-            self._take.hole(from_ns, to_ns, reason)
+        if self._active is not None:
+            self._active.hole(from_ns, to_ns, reason)
 
     @property
     def is_recording(self) -> bool:
         """Whether there is an episode now."""
-        return self._take is not None
+        return self._active is not None
 
     @property
     def is_ignoring(self) -> bool:
@@ -152,20 +152,20 @@ class Recording(RecorderController):
     @property
     def load(self) -> float:
         """How full the queue before the disk is, 0..1; from a half on images are dropped."""
-        return self._take.writer.load if self._take is not None else 0.0
+        return self._active.writer.load if self._active is not None else 0.0
 
     def retapped(self, backend: str, is_lossless: bool) -> None:
         """Say that another tap is in use from now on."""
-        for recorder in [self.tap, *([self._take.manifest.recorder] if self._take else [])]:
+        for recorder in [self.tap, *([self._active.manifest.recorder] if self._active else [])]:
             recorder.backend = _then(recorder.backend, backend)
             recorder.is_lossless &= is_lossless
         self.tap.backend, self.tap.is_lossless = backend, is_lossless
 
     def unseen_keys(self, count: int) -> None:
         """Say how many keys there are that the tap cannot look at."""
-        if self._take is not None and self._take.manifest.recorder.unseen_keys != count:
-            self._take.manifest.recorder.unseen_keys = count
-            self._take.touch()
+        if self._active is not None and self._active.manifest.recorder.unseen_keys != count:
+            self._active.manifest.recorder.unseen_keys = count
+            self._active.touch()
 
     def _handler(self, key: str) -> Callable[[Write], None] | None:
         try:
@@ -180,27 +180,27 @@ class Recording(RecorderController):
         if key == keys.RECORD:
             return self._request
         if key in (keys.EVENT, keys.NOT_MIRRORED) or is_motion(key):
-            return self._note
-        return self._hear if self._heard.is_of_interest(key) else None
+            return self._add_to_manifest
+        return self._on_facts if self._heard.is_of_interest(key) else None
 
     def _advance(
         self, writes: Sequence[Write], position: Position | None, *, is_whole: bool = True, is_live: bool = True
     ) -> None:
         self._ring.add(writes, self._position)
-        if self._take is not None:
-            self._take.put(writes, position, is_whole=is_whole, is_live=is_live)
+        if self._active is not None:
+            self._active.put(writes, position, is_whole=is_whole, is_live=is_live)
 
-    def _note(self, write: Write) -> None:
-        if self._take is not None:
-            self._take.note(write)
+    def _add_to_manifest(self, write: Write) -> None:
+        if self._active is not None:
+            self._active.add_to_manifest(write)
 
-    def _hear(self, write: Write) -> None:
+    def _on_facts(self, write: Write) -> None:
         if write.value is None:
             return
-        self._heard.hear(write.key, write.value, write.stamp, write.mono_ns)
-        if self._take is not None and write.key.startswith(keys.CONFIG_PREFIX):
-            self._heard.fill(self._take.manifest)
-            self._take.touch()
+        self._heard.record(write.key, write.value, write.stamp, write.mono_ns)
+        if self._active is not None and write.key.startswith(keys.CONFIG_PREFIX):
+            self._heard.fill(self._active.manifest)
+            self._active.touch()
 
 
 def _then(told: str, backend: str) -> str:

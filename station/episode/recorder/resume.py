@@ -19,9 +19,9 @@ from station.episode.recorder.active_episode import ActiveEpisode
 from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage import layout
-from station.episode.storage.anchor import Anchor, iso, take_anchor
+from station.episode.storage.anchor import Anchor, iso, read_anchor
 from station.episode.storage.left_open import remove_temporary
-from station.episode.storage.manifest import Hole, Manifest, facts_of, note_hole, note_recovery
+from station.episode.storage.manifest import Hole, Manifest, add_hole, add_recovery, facts_of
 from station.episode.storage.manifest_copy import find_manifest
 from station.episode.storage.progress import ResumePoint, Totals, load_resume_point
 from station.episode.storage.records import metadata_at_head, parse_chunk, read_chunk, walk
@@ -83,7 +83,7 @@ def unfinished(folder: Path, bus: str) -> Unfinished | None:
     return Unfinished(folder, point, manifest)
 
 
-def take_up(
+def reopen(
     found: Unfinished, options: RecordingOptions, *, place: Position | None, is_exact: bool, clock: Clock = SYSTEM
 ) -> ResumedEpisode:
     """Open an unfinished episode behind what is safe of it.
@@ -113,8 +113,8 @@ def take_up(
         (files.signals.episode_summary, files.totals()) if files else (EpisodeSummary(point.anchor), Totals())
     )
     episode_summary.apply(manifest, totals.first_ns)
-    _note(found, size, totals, from_ns=files.signals.last_log_ns if files else 0, is_exact=is_exact,
-          now=take_anchor(clock))  # fmt: skip
+    _record_recovery(found, size, totals, from_ns=files.signals.last_log_ns if files else 0, is_exact=is_exact,
+          now=read_anchor(clock))  # fmt: skip
     writer = EpisodeWriter(
         folder, anchor=point.anchor, manifest=manifest, options=options.writer, start_id=point.start_id, place=place,
         reopened=files, clock=clock,
@@ -127,7 +127,7 @@ def take_up(
     )
 
 
-def _note(found: Unfinished, size: int, kept: Totals, *, from_ns: int, is_exact: bool, now: Anchor) -> None:
+def _record_recovery(found: Unfinished, size: int, kept: Totals, *, from_ns: int, is_exact: bool, now: Anchor) -> None:
     """Write into the manifest that the episode was taken up again, and how.
 
     A hole begins where the signals end, at `from_ns`: what was flushed of them last, no picture is missing before.
@@ -145,10 +145,10 @@ def _note(found: Unfinished, size: int, kept: Totals, *, from_ns: int, is_exact:
         "kept_bytes": kept.bytes,
         "read_again_bytes" if is_exact else "cut_bytes": max(0, size - kept.bytes),
     }
-    note_recovery(manifest, note)
+    add_recovery(manifest, note)
     if not is_exact:
         last_s = (from_ns - point.anchor.wall_ns) * 1e-9 if from_ns else 0.0
-        note_hole(manifest, Hole(from_s=round(last_s, 6), to_s=round(now_s, 6), reason=HOLE))
+        add_hole(manifest, Hole(from_s=round(last_s, 6), to_s=round(now_s, 6), reason=HOLE))
 
 
 def newest_start_ns(data: Path) -> int:

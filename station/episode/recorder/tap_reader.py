@@ -64,7 +64,7 @@ class TapReader:
             self._known_ns = self._written_ns or recovery.start_ns
         self._preroll_s = options.preroll_s
         if not tap.resumed:
-            self._look_back()
+            self._read_earlier_states()
         recovery.see_to_request(self.recording, is_in_stream=bool(tap.resumed))
 
     def step(self) -> None:
@@ -103,7 +103,7 @@ class TapReader:
         writes = as_written(writes, self._written_ns) if is_late else writes
         self._written_ns = writes[-1].mono_ns
         if not is_late:  # what waited comes all at once, and says nothing of the rate
-            self.recording.room.note(writes)
+            self.recording.room.count(writes)
         self.recording.feed(writes, self.tap.position(), is_live=not is_late)
 
     def _read(self) -> list[Write]:
@@ -130,7 +130,7 @@ class TapReader:
                 return True
         return False
 
-    def _look_back(self) -> None:
+    def _read_earlier_states(self) -> None:
         """Have states that were written before the tap was open in the pre-roll, unless the tap brings them as well."""
         states = latched(self._life.bus, self._preroll_s) if self._preroll_s else []
         if not states:
@@ -160,7 +160,7 @@ class TapReader:
         """Learn after a hole what was said in it: servers that came up, and a request that waits for its answer."""
         with contextlib.suppress(BusError):  # gone again; the next hole brings us back here
             self._seed()
-            self._look_back()
+            self._read_earlier_states()
             if (value := self._life.bus.get(keys.RECORD)) is not None:
                 self.recording.missed(Write(keys.RECORD, value, None, self._clock.monotonic_ns()))
 

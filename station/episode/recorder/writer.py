@@ -121,7 +121,7 @@ class EpisodeWriter:
                 return 0
             self.dropped += drops.total
         for is_bulky, spell in self._spells.items():
-            spell.note(drops.only(is_bulky=is_bulky), self.clock.monotonic_s())
+            spell.add(drops.only(is_bulky=is_bulky), self.clock.monotonic_s())
         return drops.total
 
     def news(self) -> Iterator[tuple[str, Severity, dict[str, Any]]]:
@@ -191,7 +191,7 @@ class EpisodeWriter:
 
     def _open(self) -> None:
         if self._files is None:
-            self._ledger.note(
+            self._ledger.record(
                 self._position, None
             )  # before all else: no recorder goes on with what is there without it
         manifest = self._next_manifest()
@@ -201,7 +201,7 @@ class EpisodeWriter:
             self._files.contracts = self.contracts
         else:
             self.state = "open"
-        self._ledger.note(self._position, self._files)
+        self._ledger.record(self._position, self._files)
 
     def _work(self) -> None:
         """Write batches until asked to finish; flush by size, by time, and once after the first batch."""
@@ -232,12 +232,12 @@ class EpisodeWriter:
         with self._wake:
             self._queue.done(batch)
         if batch.is_live and batch.writes:
-            self.lag.note(self.clock.monotonic_ns() - batch.writes[0][3])
+            self.lag.add(self.clock.monotonic_ns() - batch.writes[0][3])
 
     def _flush(self, files: EpisodeFiles) -> float:
         """Bring everything to the disk and say so in the ledger; return when the next flush is due."""
         files.sync()
-        self._ledger.note(self._position, files)
+        self._ledger.record(self._position, files)
         return self.clock.monotonic_s() + self._options.flush_s
 
     def _close(self) -> None:
@@ -271,7 +271,7 @@ class EpisodeWriter:
         if self._queue.writes < _HURRY_WRITES and self._closing is None:
             self.clock.sleep(_LINGER_S)
         with self._wake:
-            return self._queue.take(self._options.flush_bytes), self._closing is not None and not self._queue
+            return self._queue.pop(self._options.flush_bytes), self._closing is not None and not self._queue
 
     @property
     def _has_work(self) -> bool:
@@ -326,7 +326,7 @@ class Ledger:
         self._start_id = start_id
         self._due = self._clock.monotonic_s() + EVERY_S
 
-    def note(self, position: Position | None, files: EpisodeFiles | None) -> None:
+    def record(self, position: Position | None, files: EpisodeFiles | None) -> None:
         """Say how far the files are safe, right after a flush; None for files that are not there yet.
 
         Raises:

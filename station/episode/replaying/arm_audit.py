@@ -86,11 +86,11 @@ def audit_arm(reader: EpisodeReader, robot: str) -> ArmAudit:
     joiner = StepJoiner(robot, context={keys.state_controller(robot)})
     for message in reader.messages({*joiner.topics, command_format.key}):
         if message.topic == command_format.key:
-            run.hear(message)
+            run.on_command(message)
         elif (step := joiner.feed(message)) is not None:
-            run.take(step)
+            run.on_step(step)
     for step in joiner.finish():
-        run.take(step)
+        run.on_step(step)
     return run.found
 
 
@@ -131,13 +131,13 @@ class _Run:
         bounds = Bounds.of(self.command_format, self.config.rate_factor)
         self._gate = Gate(self.command_format.default, self.config, bounds, holds_position=True)
 
-    def hear(self, message: Message) -> None:
+    def on_command(self, message: Message) -> None:
         """Remember a command."""
         self._commands.setdefault(message.sequence, []).append(message)
         if len(self._commands) > _REMEMBERED:
             self._commands.popitem(last=False)
 
-    def take(self, step: Step) -> None:
+    def on_step(self, step: Step) -> None:
         """Compare one tick."""
         found, robot = self.found, self.found.robot
         found.steps += 1

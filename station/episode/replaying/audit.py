@@ -128,7 +128,7 @@ def audit(
     run = _Run(policy, suspect.robot, reader.contract(keys.robot_state(suspect.robot)))
     families = (keys.policy_obs, keys.policy_action, keys.command_used)
     for step in steps.iterate(reader, suspect.robot, results=families):
-        run.take(step)
+        run.on_step(step)
     seconds = time.perf_counter() - began
     spec, actions = policy.spec, run.actions
     recorded_s = (run.last_ns - run.first_ns) * 1e-9
@@ -176,7 +176,7 @@ class _Run:
         command_format: CommandFormat = registry.find("command", self.policy.spec.command)
         self._command_size = len(command_format.default)
 
-    def take(self, step: Step) -> None:
+    def on_step(self, step: Step) -> None:
         """Compare one step."""
         number, self._count = self._count, self._count + 1
         self.first_ns = self.first_ns or step.at_ns

@@ -126,7 +126,7 @@ def to_bus(
     if not speed > 0.0:
         raise UsageError(f"speed {speed}: expected a positive number, 1 for the recorded speed")
     with Bus(address, name=SOURCE, timeout_s=_TIMEOUT_S) as bus:
-        target = look_at(bus)
+        target = inspect(bus)
         chosen = roles_for(target, roles, allow_live=allow_live, speed=speed)
         report = Replay(
             episode_id=reader.episode_id,
@@ -264,7 +264,7 @@ class Target:
         return not (self.robots or self.commanders or self.others)
 
 
-def look_at(bus: Bus) -> Target:
+def inspect(bus: Bus) -> Target:
     """Return what lives on a bus: by heartbeats, and by what stock scripts without one write within a moment."""
     alive = [health for health in read_health(bus) if health.is_alive and not _is_replayed(bus, health)]
     written = _written_now(bus)

@@ -139,14 +139,14 @@ def _compare(reader: EpisodeReader, control: ControlStep, rig: Rig, report: Resi
     began = time.perf_counter()
     for message in reader.messages(joiner.topics | {key, keys.EVENT}):
         if message.topic == key:
-            run.hear(message)
+            run.on_command(message)
         elif message.topic == keys.EVENT and run.ends_with(message):
             break
         step = joiner.feed(message)
         if step is not None:
-            run.take(step)
+            run.on_step(step)
     for step in joiner.finish():
-        run.take(step)
+        run.on_step(step)
     report.seconds = time.perf_counter() - began
     report.speed_x_realtime = (report.steps + report.warm_up_steps) * rig.period_s / max(report.seconds, 1e-9)
 
@@ -163,7 +163,7 @@ class _Run:
     _sample: CommandSample | None = None
     _count: int = 0
 
-    def hear(self, message: Message) -> None:
+    def on_command(self, message: Message) -> None:
         """Take up a recorded command."""
         if not message.channel.is_native:
             self._foreign = message.data
@@ -180,7 +180,7 @@ class _Run:
             self.report.ended_by = str(name)
         return name in _ENDS
 
-    def take(self, step: Step) -> None:
+    def on_step(self, step: Step) -> None:
         """Run one step on what the recorded one was given, and compare the states before it."""
         timing = timing_row(step.values.get(keys.policy_timing(self.report.robot)))
         if timing is None:
@@ -190,7 +190,7 @@ class _Run:
         now_s = self._now_s(timing, codec.parse_facts(step.values.get(keys.command_gate(self.report.robot))))
         state = self.control.sense()
         record = self.control.step(state, self._heard(timing, now_s), now_s)
-        self._note(step, record)
+        self._compare(step, record)
         self._count += 1
 
     def _now_s(self, timing: list[int], gate: Mapping[str, Any]) -> float:
@@ -228,7 +228,7 @@ class _Run:
             )
         return self._sample
 
-    def _note(self, step: Step, record: StepRecord) -> None:
+    def _compare(self, step: Step, record: StepRecord) -> None:
         report, robot = self.report, self.report.robot
         report.fell = report.fell or record.fall is not None
         gate = codec.parse_facts(step.values.get(keys.command_gate(robot)))

@@ -33,7 +33,7 @@ class Anchor(msgspec.Struct, frozen=True):
         return self.wall_ns + mono_ns - self.mono_ns
 
 
-def take_anchor(clock: Clock = SYSTEM) -> Anchor:
+def read_anchor(clock: Clock = SYSTEM) -> Anchor:
     """Read both clocks, the wall clock between two readings of the monotonic one."""
     before = clock.monotonic_ns()
     wall = clock.wall_ns()

@@ -53,7 +53,7 @@ class Channel:
         self.count = self.lost = self.repeated = self.last_sequence = 0
         self.first_ns = self.last_ns = self.longest_gap_ns = 0
 
-    def note(self, sequence: int, log_ns: int) -> int:
+    def count_message(self, sequence: int, log_ns: int) -> int:
         """Count one message; return how many sequence numbers before it are missing."""
         lost = 0
         if self.count:

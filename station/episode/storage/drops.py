@@ -50,7 +50,7 @@ class Drops:
         for one in known:
             self._add(*one)
 
-    def note(self, write: Write, *, is_bulky: bool) -> None:
+    def count(self, write: Write, *, is_bulky: bool) -> None:
         """Count one write."""
         source = source_of(write.stamp) if write.value is not None else None
         self._add(topic_of(write.key), source or "", 1, int(is_bulky))
@@ -151,7 +151,7 @@ class DropPeriods:
         self._is_said = False
         self._began_s = self._last_s = 0.0
 
-    def note(self, drops: Drops, now_s: float) -> None:
+    def add(self, drops: Drops, now_s: float) -> None:
         """Take in what was dropped just now [s, monotonic], if anything was."""
         if not drops.total:
             return

@@ -47,11 +47,11 @@ __all__ = [
     "Stream",
     "Task",
     "Timing",
+    "add_hole",
+    "add_recovery",
     "dump_manifest",
     "facts_of",
     "load_manifest",
-    "note_hole",
-    "note_recovery",
     "parse_manifest",
     "save_manifest",
     "snapshot",
@@ -120,7 +120,7 @@ class Manifest(msgspec.Struct, kw_only=True):
     foreign: dict[str, Any] = {}
 
 
-def note_hole(manifest: Manifest, hole: Hole) -> None:
+def add_hole(manifest: Manifest, hole: Hole) -> None:
     """Put a hole into a manifest; of a bus that comes and goes for days, one long hole stands for all further ones."""
     if len(manifest.holes) < MAX_HOLES:
         manifest.holes.append(hole)
@@ -135,7 +135,7 @@ def words_of_shortened(shortened: Mapping[str, int]) -> str:
     return f"cut or left out of the manifest as too long or too many, whole in the signals: {sections}"
 
 
-def note_recovery(manifest: Manifest, note: dict[str, Any]) -> None:
+def add_recovery(manifest: Manifest, note: dict[str, Any]) -> None:
     """Put a note into a manifest that the episode was taken up again or repaired."""
     manifest.recovery.append(note)
     manifest.recovery_not_listed += max(0, len(manifest.recovery) - MAX_RECOVERY)

@@ -106,7 +106,7 @@ def _walk(file: BinaryIO, path: Path) -> Contents:
         if end > size or opcode == 0:  # zeros are what a file system leaves of blocks it never wrote
             return found._replace(cut_at=position)
         try:
-            profile = _take(file, opcode, length, position, found)
+            profile = _read_record(file, opcode, length, position, found)
         except _BROKEN:
             return found._replace(cut_at=position)
         found = found if profile is None else found._replace(profile=profile)
@@ -129,7 +129,7 @@ def _without_damaged_end(file: BinaryIO, found: Contents) -> Contents:
     return found
 
 
-def _take(file: BinaryIO, opcode: int, length: int, position: int, found: Contents) -> str | None:
+def _read_record(file: BinaryIO, opcode: int, length: int, position: int, found: Contents) -> str | None:
     """Read one record where it is of use; returns the profile when it is the header."""
     if opcode == Opcode.CHUNK:
         start_ns, end_ns, *_ = _CHUNK.unpack(file.read(_CHUNK.size))

@@ -113,10 +113,10 @@ class Index:
         for channel, count in counts.items():
             self._counts[channel] += count
 
-    def take(self, file: BinaryIO, place: Place) -> None:
+    def on_record(self, file: BinaryIO, place: Place) -> None:
         """Note a record of a file that is gone through."""
         if place.opcode == Opcode.CHUNK:
-            self._take_chunk(file, place)
+            self._add_chunk(file, place)
         elif place.opcode == Opcode.MESSAGE_INDEX and self._open is not None:
             channel, length = _INDEX.unpack(file.read(_INDEX.size))
             self._counts[channel] += length // _ENTRY_SIZE
@@ -147,7 +147,7 @@ class Index:
         data_end: bytes = builder.end()
         return data_end + self._summary(schemas, channels, size + len(data_end)) + MAGIC
 
-    def _take_chunk(self, file: BinaryIO, place: Place) -> None:
+    def _add_chunk(self, file: BinaryIO, place: Place) -> None:
         self._end_chunk()
         start_ns, end_ns, size, _, name_length = _CHUNK.unpack(file.read(_CHUNK.size))
         compression = file.read(name_length).decode("ascii", "replace")
@@ -210,7 +210,7 @@ def closing_bytes(path: Path, schemas: Sequence[Schema], channels: Sequence[Chan
     index, size = Index(), path.stat().st_size
     with path.open("rb") as file:
         for place in whole_records(file, size):
-            index.take(file, place)
+            index.on_record(file, place)
     return index.closing_bytes(schemas, channels, size)
 
 

@@ -99,7 +99,7 @@ class ChunkWriter:
             places[channel] = self._disk.tell()
             self._disk.write(_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)))
             self._disk.write(bytes(entries))
-        self._note_chunk(
+        self._index_chunk(
             ChunkIndex(
                 message_start_time=self._first_ns, message_end_time=self._last_ns, chunk_start_offset=offset,
                 chunk_length=9 + length, message_index_offsets=places,
@@ -111,7 +111,7 @@ class ChunkWriter:
         self._entries, self._size = {}, 0
         self._first_ns, self._last_ns = 1 << 63, 0
 
-    def _note_chunk(self, chunk: ChunkIndex, counts: dict[int, int]) -> None:
+    def _index_chunk(self, chunk: ChunkIndex, counts: dict[int, int]) -> None:
         if not self.is_indexed:
             return
         self._index.add(chunk, counts)
@@ -130,7 +130,7 @@ class ChunkWriter:
             )  # fmt: skip
         self._disk.write(record)
 
-    def note(self, name: str, facts: dict[str, str]) -> None:
+    def write_metadata(self, name: str, facts: dict[str, str]) -> None:
         """Write a metadata record before the open chunk."""
         record = _record(Metadata(name=name, metadata=facts))
         if self.is_indexed:

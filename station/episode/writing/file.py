@@ -81,8 +81,8 @@ class EpisodeFile:
         """
         made = cls(Disk(path), anchor, names, drops, is_new=True)
         made._writer.start(layout.PROFILE)
-        made._writer.note(layout.ANCHOR_RECORD, {name: str(value) for name, value in asdict(anchor).items()})
-        made._writer.note(layout.EPISODE_RECORD, dict(facts))
+        made._writer.write_metadata(layout.ANCHOR_RECORD, {name: str(value) for name, value in asdict(anchor).items()})
+        made._writer.write_metadata(layout.EPISODE_RECORD, dict(facts))
         if manifest:
             made._attach(manifest)
         made._register(layout.STAMPS_TOPIC, layout.TEXT, _BOOKKEEPING)
@@ -108,7 +108,7 @@ class EpisodeFile:
         """
         recount = Recount(anchor, checkpoint, names.final)
         start, known = (checkpoint.size, checkpoint.channels) if checkpoint else (len(MAGIC), [])
-        found = salvage(path, recount.take, size=size, start=start, channels=[one.record for one in known])
+        found = salvage(path, recount.count, size=size, start=start, channels=[one.record for one in known])
         if size is not None and (found.kept_to != size or found.missing_indexes):
             raise EpisodeError(f"{path}: damaged at byte {found.kept_to} of {size} that were safe")
         made = cls(Disk(path, keep=found.kept_to), anchor, names, drops, is_new=False)
@@ -173,9 +173,9 @@ class EpisodeFile:
         self.pending_bytes = 0
         self._synced_messages = self.messages
 
-    def note(self, name: str, facts: Mapping[str, str]) -> None:
+    def write_metadata(self, name: str, facts: Mapping[str, str]) -> None:
         """Put a record of facts before the open chunk."""
-        self._writer.note(name, dict(facts))
+        self._writer.write_metadata(name, dict(facts))
 
     def finish(self, summary: Mapping[str, str], manifest: bytes = b"") -> None:
         """Close the last chunk, add the summary and, where there is one, the closed manifest, and write the index.
@@ -186,7 +186,7 @@ class EpisodeFile:
         self.sync()
         if manifest:
             self._attach(manifest)
-        self._writer.note(layout.SUMMARY_RECORD, dict(summary))
+        self._writer.write_metadata(layout.SUMMARY_RECORD, dict(summary))
         if self._writer.is_indexed:
             self._writer.finish(self._schemas, self._records)
         else:
@@ -229,7 +229,7 @@ class EpisodeFile:
             channel = self._new_channel(key, "", encoding)
             if channel is None:
                 self.refused += 1
-                self.drops.note(Write(key, value, None, 0), is_bulky=False)
+                self.drops.count(Write(key, value, None, 0), is_bulky=False)
                 return
             self._foreign[key, value is None] = channel
         self._put(channel, channel.last_sequence + 1, value or b"", log_ns, log_ns)
@@ -238,7 +238,7 @@ class EpisodeFile:
         self, channel: Channel, sequence: int, value: bytes, log_ns: int, publish_ns: int, stamp: bytes | None = None
     ) -> None:
         before_ns = channel.last_ns
-        if (lost := channel.note(sequence, log_ns)) and len(self.gaps) < MOST_GAPS:
+        if (lost := channel.count_message(sequence, log_ns)) and len(self.gaps) < MOST_GAPS:
             self.gaps.append(Gap(before_ns, log_ns, lost))
         number = sequence & _SEQUENCE_MASK
         if channel.encoding == layout.PROTOBUF:
@@ -247,7 +247,7 @@ class EpisodeFile:
         else:
             self._writer.add(channel.id, number, log_ns, publish_ns, value)
         if channel.id in self._told:
-            self.episode_summary.note(channel.key, value, log_ns)
+            self.episode_summary.on_value(channel.key, value, log_ns)
         self.messages += 1
         self.pending_bytes += len(value) + 64
 
@@ -334,16 +334,16 @@ class Recount:
             self.channels = {one.id: one.channel(file) for one in known.channels if one.id != STAMPS_NUMBER}
             self.gaps, self.messages, self.last_log_ns = known.gaps, known.messages, known.last_log_ns
 
-    def take(self, message: RawMessage, record: mcap.records.Channel) -> None:
+    def count(self, message: RawMessage, record: mcap.records.Channel) -> None:
         """Count a message."""
         self.last_log_ns = message.log_ns
-        self.episode_summary.take(message, record)
+        self.episode_summary.on_message(message, record)
         channel = self.channels.get(message.channel_id)
         if channel is None:
             if record.topic == layout.STAMPS_TOPIC:
                 return
             channel = self.channels[message.channel_id] = channel_from(record, self._file)
         before_ns = channel.last_ns
-        if (lost := channel.note(message.sequence, message.log_ns)) and len(self.gaps) < MOST_GAPS:
+        if (lost := channel.count_message(message.sequence, message.log_ns)) and len(self.gaps) < MOST_GAPS:
             self.gaps.append(Gap(before_ns, message.log_ns, lost))
         self.messages += 1

@@ -204,7 +204,7 @@ class EpisodeFiles:
                 self.cameras.sync()
         finally:
             if self.drops.total > self._noted_drops and time.monotonic() >= self._drops_due:
-                self._note_drops()
+                self._write_drops()
             self.signals.sync()
 
     def finish(self, manifest: bytes, summary: Mapping[str, str]) -> None:
@@ -219,7 +219,7 @@ class EpisodeFiles:
         # Each file is waited for twice: its messages, then its end. So after a power cut a file that has an end is
         # whole, and one without is cut at its last whole chunk. The names follow once both ends are safe.
         if self.drops.total > self._noted_drops:
-            self._note_drops()
+            self._write_drops()
         self.sync()
         if self.cameras is not None:
             self.cameras.finish({"messages": str(self.cameras.messages)})
@@ -243,8 +243,8 @@ class EpisodeFiles:
         sync_folder(self._folder)
         return self.cameras
 
-    def _note_drops(self) -> None:
-        self.signals.note(layout.DROPPED_RECORD, drops_record(self.drops))
+    def _write_drops(self) -> None:
+        self.signals.write_metadata(layout.DROPPED_RECORD, drops_record(self.drops))
         self._noted_drops, self._drops_due = self.drops.total, time.monotonic() + _DROPS_EVERY_S
 
 
@@ -255,7 +255,7 @@ class Lag:
         self._newest_ns: deque[int] = deque(maxlen=_WINDOW)
         self.longest_ns = 0
 
-    def note(self, duration_ns: int) -> None:
+    def add(self, duration_ns: int) -> None:
         """Add one duration [ns]."""
         self._newest_ns.append(duration_ns)
         self.longest_ns = max(self.longest_ns, duration_ns)

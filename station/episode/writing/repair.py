@@ -21,10 +21,10 @@ from station.episode.storage.folder import signals_file
 from station.episode.storage.left_open import is_left_open, not_begun, remove_not_begun, remove_temporary
 from station.episode.storage.manifest import (
     Manifest,
+    add_recovery,
     dump_manifest,
     facts_of,
     load_manifest,
-    note_recovery,
     parse_manifest,
     save_manifest,
 )
@@ -123,11 +123,11 @@ def close_whole(folder: Path) -> Repaired | None:
     if anchor is None:
         return None
     requests = EpisodeSummary(anchor)
-    if not salvage(file, requests.take).is_finished or not _are_cameras_whole(cameras, manifest):
+    if not salvage(file, requests.on_message).is_finished or not _are_cameras_whole(cameras, manifest):
         return None
     is_open = is_left_open(folder) or not _is_closed(folder, manifest)
     if is_open:
-        _say_last_words(folder, manifest)
+        _finish_repair(folder, manifest)
     return Repaired(
         state="closed" if is_open else "whole", episode_id=manifest.episode_id or folder.name, path=str(folder),
         messages=manifest.recorder.messages, seconds=manifest.timing.duration_s, requests=requests.told.requests,
@@ -138,7 +138,7 @@ def _are_cameras_whole(cameras: Path | None, manifest: Manifest) -> bool:
     """Whether the file of pictures lacks nothing, or is not there because there were none."""
     if cameras is None:
         return not any(stream.count for stream in manifest.streams if stream.file == layout.CAMERAS)
-    return look_over(cameras, layout.CAMERAS_NAMES).is_finished
+    return scan(cameras, layout.CAMERAS_NAMES).is_finished
 
 
 def _is_closed(folder: Path, inside: Manifest) -> bool:
@@ -151,7 +151,7 @@ def _is_closed(folder: Path, inside: Manifest) -> bool:
     return beside.state != "recording" and told >= known
 
 
-def _say_last_words(folder: Path, manifest: Manifest) -> None:
+def _finish_repair(folder: Path, manifest: Manifest) -> None:
     for names in reversed(_FILES):
         if (folder / names.active).exists() and not (folder / names.final).exists():
             (folder / names.active).rename(folder / names.final)
@@ -245,7 +245,7 @@ def _close(mended: Sequence[RepairedFile], anchor: Anchor, manifest: Manifest, p
         "cut_messages": done.cut_messages,
         "cuts": [{"file": cut.file, "at": cut.at, "bytes": cut.bytes, "seconds": cut.seconds} for cut in cuts],
     }
-    note_recovery(manifest, note)
+    add_recovery(manifest, note)
     manifest.quality = {}  # of the torn files
     close_manifest(manifest, anchor, totals)
     files.finish(dump_manifest(manifest), summary_record(totals))
@@ -366,7 +366,7 @@ def mend(
     """
     copy.unlink(missing_ok=True)
     with copy.open("xb") as output:
-        salvaged = look_over(source, names, output)
+        salvaged = scan(source, names, output)
     opened = _opened(copy, names, anchor, manifest, drops)
     if names is layout.CAMERAS_NAMES and opened is not None and not opened.messages:
         opened.close()
@@ -387,7 +387,7 @@ def _opened(copy: Path, names: layout.Names, anchor: Anchor, manifest: Manifest,
     return EpisodeFile.create(copy, anchor, facts_of(manifest), manifest=dump_manifest(manifest))
 
 
-def look_over(source: Path, names: layout.Names, output: BinaryIO | None = None) -> SalvageResult:
+def scan(source: Path, names: layout.Names, output: BinaryIO | None = None) -> SalvageResult:
     """Go through a file for its wholeness alone; nothing is whole of pictures that are no MCAP file at all.
 
     Raises:
@@ -395,12 +395,12 @@ def look_over(source: Path, names: layout.Names, output: BinaryIO | None = None)
         EpisodeError: it is that of the signals, and no MCAP file.
     """
     try:
-        return salvage(source, _take_no_note, output=output)
+        return salvage(source, _ignore, output=output)
     except EpisodeError:
         if names is not layout.CAMERAS_NAMES:
             raise
         return SalvageResult({}, {}, 0, b"", is_finished=False)  # the signals are worth saving all the same
 
 
-def _take_no_note(_message: RawMessage, _channel: mcap.records.Channel) -> None:
+def _ignore(_message: RawMessage, _channel: mcap.records.Channel) -> None:
     pass

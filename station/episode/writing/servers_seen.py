@@ -57,12 +57,12 @@ class ServersSeen:
         self._left_out = 0  # configurations of more servers than a manifest lists
 
     def is_of_interest(self, key: str) -> bool:
-        """Whether `hear` wants the values of a key; also takes note of the key itself."""
+        """Whether `record` wants the values of a key; also takes note of the key itself."""
         if self.contracts.get(key) is not None:
             self._robots_seen.update(robot for robot in self._stock if key.endswith(f"_{robot}"))
         return key.startswith((keys.SERVER_PREFIX, keys.CONFIG_PREFIX, _SOURCE_PREFIX))
 
-    def hear(self, key: str, value: bytes, stamp: bytes | None, mono_ns: int) -> None:
+    def record(self, key: str, value: bytes, stamp: bytes | None, mono_ns: int) -> None:
         """Record one value; one that is not a JSON object says nothing."""
         stated = statement(value, LARGEST_CONFIGURATION)
         decoded = stamps.decode(stamp) if stamp is not None else None
@@ -80,7 +80,7 @@ class ServersSeen:
             self._servers[key.removeprefix(keys.SERVER_PREFIX)] = server
         elif key.startswith(keys.CONFIG_PREFIX):
             self._configurations[key.removeprefix(keys.CONFIG_PREFIX)] = Configuration(source, facts, count)
-            self.contracts.hear(facts)
+            self.contracts.add_facts(facts)
 
     def missing_configuration(self, now_ns: int) -> str | None:
         """Return why recording may not start: a low-level server that lives and has not said what it runs."""
@@ -156,7 +156,7 @@ def count_shortened(manifest: Counts, section: str, count: int) -> None:
         manifest.shortened[section] = manifest.shortened.get(section, 0) + count
 
 
-def note_motion(manifest: HasMotions, key: str, value: bytes) -> bool:
+def add_motion(manifest: HasMotions, key: str, value: bytes) -> bool:
     """Add what a ``command_source`` key says, once per motion file; return whether that changed the manifest."""
     stated = statement(value, _LARGEST_MOTION)
     if stated is None:

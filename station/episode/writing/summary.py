@@ -24,9 +24,9 @@ from station.episode.writing.checkpoint import SummaryState
 from station.episode.writing.servers_seen import (
     LARGEST_CONFIGURATION,
     MAX_SERVERS,
+    add_motion,
     count_shortened,
     is_motion,
-    note_motion,
     statement,
 )
 from station.errors import Refused
@@ -42,7 +42,7 @@ _TOLD = ("events", "marks", "motions")  # sections that follow from the messages
 _EVENT_FIELDS = ("name", "severity", "source", "wall_ns", "detail")
 
 
-def note_event(manifest: Manifest | SummaryState, value: bytes, at_s: float) -> None:
+def add_event(manifest: Manifest | SummaryState, value: bytes, at_s: float) -> None:
     """Put an event into a manifest; `at_s` is its arrival from the start of the episode [s]."""
     stated = statement(value, _LARGEST_EVENT)
     facts = stated.value if stated else {"name": "undecodable", "severity": "warning"}
@@ -71,7 +71,7 @@ def note_event(manifest: Manifest | SummaryState, value: bytes, at_s: float) -> 
     count_shortened(manifest, "events", in_it + (not is_short) + name.cuts + severity.cuts + source.cuts)
 
 
-def note_mark(manifest: Manifest | SummaryState, label: str, at_s: float, success: bool | None) -> bool:
+def add_mark(manifest: Manifest | SummaryState, label: str, at_s: float, success: bool | None) -> bool:
     """Put a mark into a manifest; False when there are too many already."""
     if len(manifest.marks) >= manifests.MAX_MARKS:
         return False
@@ -83,7 +83,7 @@ def note_mark(manifest: Manifest | SummaryState, label: str, at_s: float, succes
     return True
 
 
-def note_not_mirrored(account: Recorder | SummaryState, value: bytes) -> None:
+def count_not_mirrored(account: Recorder | SummaryState, value: bytes) -> None:
     """Count what a tap said of writes that it could not show."""
     said = not_mirrored.decode(value) or not_mirrored.NotMirrored("?", "")
     account.not_mirrored += said.count
@@ -105,25 +105,25 @@ class EpisodeSummary:
         self._anchor = anchor
         self._wanted: dict[int, bool] = {}
 
-    def take(self, message: RawMessage, channel: Channel) -> None:
+    def on_message(self, message: RawMessage, channel: Channel) -> None:
         """Take in one message."""
         wanted = self._wanted.get(message.channel_id)
         if wanted is None:
             wanted = self._wanted[message.channel_id] = is_told(channel.topic, channel.message_encoding)
         if wanted:
-            self.note(channel.topic, message.data, message.log_ns)
+            self.on_value(channel.topic, message.data, message.log_ns)
 
-    def note(self, key: str, value: bytes, log_ns: int) -> None:
+    def on_value(self, key: str, value: bytes, log_ns: int) -> None:
         """Take in the value of a key that `is_told`."""
         at_s = round((log_ns - self._anchor.wall_ns) * 1e-9, 6)
         if key == keys.EVENT:
-            note_event(self.told, value, at_s)
+            add_event(self.told, value, at_s)
         elif key == keys.RECORD:
             self._request(value, at_s)
         elif key == keys.NOT_MIRRORED:
-            note_not_mirrored(self.told, value)
+            count_not_mirrored(self.told, value)
         elif is_motion(key):
-            note_motion(self.told, key, value)
+            add_motion(self.told, key, value)
         elif (stated := statement(value, LARGEST_CONFIGURATION)) is not None:
             name = key.removeprefix(keys.CONFIG_PREFIX)
             if name in self.told.servers or len(self.told.servers) < MAX_SERVERS:
@@ -159,7 +159,7 @@ class EpisodeSummary:
         except Refused:  # it was refused then as well
             return
         if request.action == "mark":
-            note_mark(self.told, request.label, at_s, request.success)
+            add_mark(self.told, request.label, at_s, request.success)
         elif request.action in ("stop", "discard"):
             self._end(request, at_s)
 
@@ -171,7 +171,7 @@ class EpisodeSummary:
         if request.action == "discard":
             flags.discarded = True
             if request.label:
-                note_mark(self.told, f"discarded: {request.label}", at_s, None)
+                add_mark(self.told, f"discarded: {request.label}", at_s, None)
 
 
 def is_told(key: str, encoding: str) -> bool:

@@ -41,14 +41,14 @@ def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_each_program_is_called_in_its_own_way(path: Path, program: str, arguments: list[str]) -> None:
     log = put(path, program)
     voice = Speech(SpeechOptions(voice="en-us", words_per_minute=200))
-    voice.say(TAKE, NEVER)
+    voice.play(TAKE, NEVER)
     assert voice.program == program
     assert calls(log) == [arguments]
 
 
 def test_words_are_one_argument_whatever_is_in_them(path: Path) -> None:
     log = put(path, "espeak-ng")
-    Speech(SpeechOptions()).say(Cue(words="a; touch /tmp/x $(id) `id` && b"), NEVER)
+    Speech(SpeechOptions()).play(Cue(words="a; touch /tmp/x $(id) `id` && b"), NEVER)
     assert calls(log)[0][-1] == "a; touch /tmp/x $(id) `id` && b"
 
 
@@ -58,20 +58,20 @@ def test_a_cue_that_is_broken_off_ends_its_program(path: Path, program: str, mon
     then = f'if "--cancel" not in sys.argv:\n    {FOR_EVER}'
     log = put(path, program, then=then)
     voice = Speech(SpeechOptions())
-    voice.say(TAKE, lambda wait_s: NEVER(wait_s) or bool(calls(log)))
+    voice.play(TAKE, lambda wait_s: NEVER(wait_s) or bool(calls(log)))
     assert calls(log)[1:] == ([["--cancel"]] if program == "spd-say" else [])
 
 
 def test_a_program_that_fails_is_told_with_its_last_words(path: Path) -> None:
     put(path, "espeak-ng", then='sys.exit("no such voice\\n\\n")')
     with pytest.raises(DeviceError, match=r"^espeak-ng ended with exit code 1: no such voice$"):
-        Speech(SpeechOptions()).say(TAKE, NEVER)
+        Speech(SpeechOptions()).play(TAKE, NEVER)
 
 
 def test_a_program_that_does_not_let_itself_be_broken_off_is_told(path: Path) -> None:
     log = put(path, "spd-say", then=FOR_EVER)
     with pytest.raises(DeviceError, match=r"^`spd-say --cancel` has not ended within 1 s; does its sound service run"):
-        Speech(SpeechOptions()).say(TAKE, lambda wait_s: NEVER(wait_s) or bool(calls(log)))
+        Speech(SpeechOptions()).play(TAKE, lambda wait_s: NEVER(wait_s) or bool(calls(log)))
 
 
 def test_a_program_that_vanishes_is_told(path: Path) -> None:
@@ -79,7 +79,7 @@ def test_a_program_that_vanishes_is_told(path: Path) -> None:
     voice = Speech(SpeechOptions())
     (path / "espeak-ng").unlink()
     with pytest.raises(DeviceError, match="cannot be run: No such file or directory"):
-        voice.say(TAKE, NEVER)
+        voice.play(TAKE, NEVER)
 
 
 def test_a_machine_without_any_says_what_to_install(path: Path) -> None:

@@ -38,7 +38,7 @@ def played(card: Path) -> tunes.Samples:
 
 def test_the_tune_reaches_the_card_sample_by_sample(card: Path) -> None:
     voice = Tones(TonesOptions(volume=0.25))
-    voice.say(Cue(words="recording take 7", tune="begin"), threading.Event().wait)
+    voice.play(Cue(words="recording take 7", tune="begin"), threading.Event().wait)
     voice.close()
     heard, meant = played(card), tunes.samples("begin", RATE_HZ, 0.25)
     assert len(heard) == pytest.approx(len(meant), abs=20)
@@ -54,9 +54,9 @@ def test_a_cue_is_broken_off_within_a_moment(card: Path) -> None:
         time.sleep(wait_s)
         return card.exists() and len(played(card)) > 0
 
-    voice.say(Cue(words="emergency stop", tune="alarm"), hush)
+    voice.play(Cue(words="emergency stop", tune="alarm"), hush)
     before = len(played(card))
-    voice.say(Cue(words="engaged", tune="up"), said.wait)
+    voice.play(Cue(words="engaged", tune="up"), said.wait)
     wait_until(lambda: len(played(card)) > before)
     voice.close()
     assert before < 0.8 * len(tunes.samples("alarm", RATE_HZ))
@@ -67,7 +67,7 @@ def test_an_output_that_is_gone_is_told_with_each_cue(card: Path) -> None:
     pygame.mixer.quit()
     for _ in range(2):
         with pytest.raises(DeviceError, match=r"^the sound output fails \(mixer not initialized\); plug it in again"):
-            voice.say(Cue(words="engaged", tune="up"), threading.Event().wait)
+            voice.play(Cue(words="engaged", tune="up"), threading.Event().wait)
     voice.close()
 
 

@@ -32,9 +32,9 @@ def labels(file: Path) -> list[tuple[float, float, str]]:
 
 def test_each_cue_stands_at_its_time_with_its_words(tmp_path: Path) -> None:
     voice = Wav(WavOptions(file=tmp_path / "cues.wav"))
-    voice.say(Cue(words="engaged", tune="up"), NEVER)
+    voice.play(Cue(words="engaged", tune="up"), NEVER)
     threading.Event().wait(0.3)
-    voice.say(Cue(words="emergency stop", tune="alarm"), NEVER)
+    voice.play(Cue(words="emergency stop", tune="alarm"), NEVER)
     samples, told = read(voice.file), labels(voice.labels)  # whole before it is closed: a killed server leaves it so
     voice.close()
     assert [words for _, _, words in told] == ["engaged", "emergency stop"]
@@ -49,7 +49,7 @@ def test_each_cue_stands_at_its_time_with_its_words(tmp_path: Path) -> None:
 
 def test_what_is_broken_off_ends_there(tmp_path: Path) -> None:
     voice = Wav(WavOptions(file=tmp_path / "cues.wav"))
-    voice.say(Cue(words="emergency stop", tune="alarm"), lambda _wait_s: True)
+    voice.play(Cue(words="emergency stop", tune="alarm"), lambda _wait_s: True)
     voice.close()
     assert 0 < len(read(voice.file)) < len(tunes.samples("alarm", RATE_HZ)) / 10 + RATE_HZ
 

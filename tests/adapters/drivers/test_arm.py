@@ -42,13 +42,13 @@ def tool(**options: object) -> ArmDriver:
 
 def made(name: str, options: ArmOptions) -> ArmDriver:
     driver = ArmDriver(name, options, "tool" if name == "arm-tcp" else "joints")
-    driver.take_up(DOWN)
+    driver.resume_from(DOWN)
     return driver
 
 
 def follow(driver: ArmDriver, readings: list[OperatorSample]) -> Floats:
     """Engage with the first sample and follow the others; return the commands, shape (n, 7)."""
-    snapshot = Snapshot(driver.look(readings[0]).input, driver.target)
+    snapshot = Snapshot(driver.inspect(readings[0]).input, driver.target)
     return np.array([driver.step(reading, snapshot, TICK_S) for reading in readings])
 
 
@@ -127,7 +127,7 @@ def test_the_mode_button_goes_from_the_base_to_the_wrist_to_the_tool_and_round()
 
 def test_changing_the_mode_while_driving_jumps_nowhere_and_what_moves_then_is_the_tool() -> None:
     driver = joints()
-    snapshot = Snapshot(driver.look(twist()).input, driver.target)
+    snapshot = Snapshot(driver.inspect(twist()).input, driver.target)
     commands = []
     for tick in range(300):
         if tick in (100, 101):
@@ -186,7 +186,7 @@ def test_a_cap_that_is_let_go_stops_the_tool_in_the_same_tick() -> None:
 
 def at_the_end_of_its_reach() -> tuple[ArmDriver, Snapshot]:
     driver = tool(tool_mps=0.3, speed_rad_s=1.0)
-    snapshot = Snapshot(driver.look(twist()).input, driver.target)
+    snapshot = Snapshot(driver.inspect(twist()).input, driver.target)
     for _ in range(1000):
         driver.step(twist(1.0), snapshot, TICK_S)
     return driver, snapshot
@@ -214,7 +214,7 @@ def test_what_one_axis_of_the_cap_cannot_do_does_not_keep_the_others_from_it() -
 
 def test_a_tool_that_goes_round_and_round_brings_its_elbow_back() -> None:
     driver = tool(tool_mps=1.0, speed_rad_s=3.0)
-    snapshot = Snapshot(driver.look(twist()).input, driver.target)
+    snapshot = Snapshot(driver.inspect(twist()).input, driver.target)
     for angle in np.linspace(0.0, 8.0 * math.pi, 801):
         cap = twist(-math.sin(2.0 * angle), math.cos(angle), -0.8 * math.sin(angle))
         q = driver.step(cap, snapshot, TICK_S)
@@ -259,7 +259,7 @@ def test_a_leader_that_is_near_is_followed_no_faster_than_told() -> None:
 
 
 def test_a_leader_that_is_far_away_may_not_begin_and_is_told_what_to_move_where() -> None:
-    look = joints().look(OperatorSample(joints=np.append(DOWN + 0.9 * np.eye(7)[3] - 1.0 * np.eye(7)[0], 0.5)))
+    look = joints().inspect(OperatorSample(joints=np.append(DOWN + 0.9 * np.eye(7)[3] - 1.0 * np.eye(7)[0], 0.5)))
     assert look.why_not_engage == "leader is too far from the arm; move it (rad): joint_1 by +1.00, joint_4 by -0.90"
 
 
@@ -280,17 +280,17 @@ def test_a_leader_that_is_far_away_may_not_begin_and_is_told_what_to_move_where(
     ],
 )
 def test_what_does_not_fit_is_refused(reading: OperatorSample, mode: str, why_not: str) -> None:
-    look = (tool() if mode == TOOL else joints()).look(reading)
+    look = (tool() if mode == TOOL else joints()).inspect(reading)
     assert look.input is None
     assert look.why_not.startswith(why_not)
 
 
 def test_what_jumps_or_is_lost_is_told() -> None:
     driver = tool()
-    here, there = driver.look(hand(0.0, 0.0, 0.0)).input, driver.look(hand(0.5, 0.0, 0.0)).input
+    here, there = driver.inspect(hand(0.0, 0.0, 0.0)).input, driver.inspect(hand(0.5, 0.0, 0.0)).input
     assert driver.jump(here, there).startswith("right jumped 0.50 m")
-    assert driver.jump(here, driver.look(pressed()).input) == "the device sends controls and no hand any more"
-    leads = [joints().look(OperatorSample(joints=q)).input for q in (DOWN, DOWN + 2 * np.pi * np.eye(7)[2])]
+    assert driver.jump(here, driver.inspect(pressed()).input) == "the device sends controls and no hand any more"
+    leads = [joints().inspect(OperatorSample(joints=q)).input for q in (DOWN, DOWN + 2 * np.pi * np.eye(7)[2])]
     assert driver.jump(*leads) == "joint_3 of the leader jumped 6.28 rad between two samples (limit 0.8)"
 
 
@@ -298,7 +298,7 @@ def test_an_arm_that_stands_beyond_its_soft_limits_is_not_pulled_in_and_goes_no_
     outside = DOWN.copy()
     outside[1] = math.radians(-69.0)
     driver = joints()
-    driver.take_up(outside)
+    driver.resume_from(outside)
     assert follow(driver, held(twist(-1.0), 0.2))[-1] == pytest.approx(outside, abs=0.0)
     assert follow(driver, held(twist(1.0), 0.2))[-1][1] > outside[1] + 0.05
 
@@ -416,13 +416,13 @@ def test_a_leader_of_six_joints_and_a_gripper_leads_it_and_one_of_another_number
     leader = OperatorSample(joints=np.array([0.1, -0.1, 0.1, 0.0, 0.1, 0.0, 0.7]))
     assert follow(six, held(leader, 2.0))[-1] == pytest.approx([0.1, -0.1, 0.1, 0.0, 0.1, 0.0])
     assert (
-        six.look(OperatorSample(joints=np.zeros(8))).why_not
+        six.inspect(OperatorSample(joints=np.zeros(8))).why_not
         == "the leader sends 8 values, expected 6 joints, and a gripper or none"
     )
-    far = six.look(OperatorSample(joints=np.array([0.1, -0.1, 0.1, 0.0, 0.1, 1.5])))
+    far = six.inspect(OperatorSample(joints=np.array([0.1, -0.1, 0.1, 0.0, 0.1, 1.5])))
     assert far.why_not_engage == "leader is too far from the arm; move it (rad): flange by -1.50"
     jump = six.jump(
-        six.look(leader).input, six.look(OperatorSample(joints=np.array([0.1, 0.9, 0.1, 0.0, 0.1, 0.0]))).input
+        six.inspect(leader).input, six.inspect(OperatorSample(joints=np.array([0.1, 0.9, 0.1, 0.0, 0.1, 0.0]))).input
     )
     assert jump.startswith("shoulder of the leader jumped 1.00 rad")
 

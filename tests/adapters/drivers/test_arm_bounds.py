@@ -76,7 +76,7 @@ class Pilot:
     """Somebody at the controls, and what must hold in every tick."""
 
     def __init__(self, driver: ArmDriver, q: Floats) -> None:
-        driver.take_up(q)
+        driver.resume_from(q)
         self.driving = Driving(driver, Buttons(button_map("pico", {"engage": "left_grip"})))
         self.command = q
         self.tick(OperatorSample())
@@ -133,7 +133,7 @@ def test_the_first_command_after_engaging_is_where_the_arm_stands_also_where_it_
     for _ in range(5):
         pilot.tick(OperatorSample(twist=np.ones(6)))
     elsewhere = np.random.default_rng(seed).uniform(FORMAT.lower, FORMAT.upper)
-    driver.take_up(elsewhere)  # by hand, or by another server
+    driver.resume_from(elsewhere)  # by hand, or by another server
     pilot.command = elsewhere
     pilot.tick(OperatorSample(twist=np.ones(6)), "left_grip")
     assert pilot.driving.deadman.is_engaged

@@ -59,7 +59,7 @@ def test_let_go_on_a_walk_it_stands_after_200_ms_while_its_legs_are_blended() ->
     walking = FORMAT.default + 0.1
     walking[list(FORMAT.velocities)] = 0.9, 0.1, 0.4
     follow(driver, ENTER_S, engaged=True)
-    driver.take_up(walking)
+    driver.resume_from(walking)
     follow(driver, TICK_S, engaged=True)
     left = follow(driver, LEAVE_S + 0.1, engaged=False)
     stands = round(VELOCITY_FADE_S / TICK_S)
@@ -71,16 +71,16 @@ def test_let_go_on_a_walk_it_stands_after_200_ms_while_its_legs_are_blended() ->
 
 def test_a_body_that_cannot_be_is_told_in_the_next_tick_and_moves_nothing() -> None:
     driver = BodyDriver(Blind())
-    assert driver.look(body(0.0)).why_not == ""
+    assert driver.inspect(body(0.0)).why_not == ""
     command = driver.step(body(0.0), None, TICK_S)
     assert command == pytest.approx(FORMAT.default, abs=0.0)
-    assert driver.look(body(0.01)).why_not == "left_foot is 3.2 m away from the pelvis"
+    assert driver.inspect(body(0.01)).why_not == "left_foot is 3.2 m away from the pelvis"
 
 
 def test_a_device_that_does_not_track_or_tell_the_time_is_told() -> None:
     driver = BodyDriver(Shadow())
-    assert driver.look(replace(body(0.0), body=None)).why_not == "the body is not tracked"
-    assert driver.look(replace(body(0.0), capture_ns=None)).why_not == "the device does not say when it saw the body"
+    assert driver.inspect(replace(body(0.0), body=None)).why_not == "the body is not tracked"
+    assert driver.inspect(replace(body(0.0), capture_ns=None)).why_not == "the device does not say when it saw the body"
 
 
 def test_a_manifest_is_told_what_the_retargeting_is_set_to() -> None:

@@ -35,7 +35,7 @@ def test_whatever_is_wanted_ranges_and_rates_are_kept(wishes: list[tuple[int, in
 
 def test_the_first_command_is_the_one_that_stands_and_a_second_later_all_is_as_wanted() -> None:
     shaper = CommandShaper(FORMAT)
-    shaper.take_up(np.clip(wild(1), FORMAT.lower, FORMAT.upper))
+    shaper.resume_from(np.clip(wild(1), FORMAT.lower, FORMAT.upper))
     standing, wanted = shaper.sent, np.array(FORMAT.default)
     assert shaper.send(wanted, TICK_S) == pytest.approx(standing, abs=0.0)
     assert shaper.send(wanted, TICK_S) == pytest.approx(standing, abs=1e-3)
@@ -46,5 +46,5 @@ def test_the_first_command_is_the_one_that_stands_and_a_second_later_all_is_as_w
 
 def test_a_command_out_of_range_is_taken_up_at_the_end_of_it() -> None:
     shaper = CommandShaper(FORMAT)
-    shaper.take_up(FORMAT.upper + 5.0)
+    shaper.resume_from(FORMAT.upper + 5.0)
     assert shaper.sent == pytest.approx(FORMAT.upper)

@@ -32,7 +32,7 @@ class Wheel:
         self.time_s = 0.0
 
     def engage(self) -> None:
-        self.snapshot = Snapshot(self.driver.look(self.reading()).input, self.driver.target)
+        self.snapshot = Snapshot(self.driver.inspect(self.reading()).input, self.driver.target)
         before = self.command
         self.tick()
         assert np.abs(self.command - before).max() <= 1e-6
@@ -63,7 +63,7 @@ def test_the_command_that_was_taken_up_stands_until_somebody_engages(pair: tuple
     assert wheel.command == pytest.approx(FORMAT.default, abs=0.0)
     other = np.array(FORMAT.default)
     other[[2, 20, 23]] = 0.7, 0.2, 0.5
-    wheel.driver.take_up(other)
+    wheel.driver.resume_from(other)
     wheel.command = other
     wheel.run(0.3)
     assert wheel.command == pytest.approx(other, abs=0.0)
@@ -108,8 +108,8 @@ def test_silence_is_survived(pair: tuple[Driver, Operator]) -> None:
 
 def test_a_sample_without_what_it_needs_is_none(pair: tuple[Driver, Operator]) -> None:
     driver, operator = pair
-    assert driver.look(operator(0.0)).why_not == ""
-    look = driver.look(OperatorSample())
+    assert driver.inspect(operator(0.0)).why_not == ""
+    look = driver.inspect(OperatorSample())
     assert look.input is None
     assert look.why_not
     assert "\n" not in look.why_not

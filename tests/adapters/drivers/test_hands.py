@@ -24,7 +24,7 @@ START = replace(hands(0.0), controls={})
 
 def engaged(options: HandsOptions | None = None, reading: OperatorSample = START) -> tuple[HandsDriver, Snapshot]:
     driver = HandsDriver(options)
-    snapshot = Snapshot(driver.look(reading).input, driver.target)
+    snapshot = Snapshot(driver.inspect(reading).input, driver.target)
     driver.step(reading, snapshot, TICK_S)
     return driver, snapshot
 
@@ -64,7 +64,7 @@ def test_an_operator_who_faces_left_reaches_forward_by_reaching_left() -> None:
 
 def test_one_hand_drives_one_palm_and_the_other_is_not_asked_for() -> None:
     alone = replace(START, left=None)
-    assert HandsDriver().look(alone).why_not == "left is not tracked"
+    assert HandsDriver().inspect(alone).why_not == "left is not tracked"
     driver, snapshot = engaged(HandsOptions(sides=("right",)), alone)
     for _ in range(100):
         driver.step(replace(alone, right=moved(alone.right, 0.05, 0.0, 0.1)), snapshot, TICK_S)
@@ -74,7 +74,7 @@ def test_one_hand_drives_one_palm_and_the_other_is_not_asked_for() -> None:
 
 def test_poses_of_zeros_before_data_are_refused() -> None:
     nothing = Pose(np.zeros(3), np.zeros(4))
-    assert HandsDriver().look(replace(START, right=nothing)).why_not == "right has no orientation yet"
+    assert HandsDriver().inspect(replace(START, right=nothing)).why_not == "right has no orientation yet"
 
 
 def test_sticks_walk_only_in_the_mode_for_it() -> None:
@@ -132,7 +132,7 @@ def test_arms_that_were_let_go_in_mid_swing_do_not_swing_on_when_they_are_taken_
         reading = replace(START, left=moved(START.left, 0.01 * tick, 0.0, 0.01 * tick))
         driver.step(reading, snapshot, TICK_S)
     driver.step(reading, None, TICK_S)
-    again = Snapshot(driver.look(reading).input, driver.target)
+    again = Snapshot(driver.inspect(reading).input, driver.target)
     for _ in range(4):
         driver.step(reading, again, TICK_S)
     assert driver.target["left"].position == pytest.approx(again.target["left"].position, abs=1e-3)

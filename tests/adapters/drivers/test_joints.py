@@ -30,7 +30,7 @@ def test_a_leader_that_is_far_away_may_not_begin_and_is_told_what_to_move_where(
     leader = STANDING.copy()
     leader[3] += APART_RAD + 0.1
     leader[0] -= 1.0
-    look = JointsDriver().look(OperatorSample(joints=leader))
+    look = JointsDriver().inspect(OperatorSample(joints=leader))
     assert look.why_not_engage == (
         "leader is too far from the robot; move it (rad): left_shoulder_pitch by +1.00, left_elbow by -0.90"
     )
@@ -40,7 +40,7 @@ def test_a_leader_that_is_far_away_may_not_begin_and_is_told_what_to_move_where(
 
 
 def test_a_leader_that_is_near_may_begin() -> None:
-    assert JointsDriver().look(OperatorSample(joints=STANDING + 0.7)).why_not_engage == ""
+    assert JointsDriver().inspect(OperatorSample(joints=STANDING + 0.7)).why_not_engage == ""
 
 
 def test_the_robot_goes_gently_to_its_leader_and_then_follows_at_once() -> None:
@@ -84,7 +84,7 @@ def test_values_after_the_joints_close_the_hands() -> None:
     ],
 )
 def test_a_leader_that_does_not_fit_is_refused(joints: Floats | None, why_not: str) -> None:
-    assert JointsDriver().look(OperatorSample(joints=joints)).why_not == why_not
+    assert JointsDriver().inspect(OperatorSample(joints=joints)).why_not == why_not
 
 
 def test_a_joint_that_comes_back_a_turn_off_is_a_jump() -> None:

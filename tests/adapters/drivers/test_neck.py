@@ -74,7 +74,7 @@ def test_a_headset_turns_the_neck_while_hands_drive_and_it_stays_when_they_let_g
     facing = replace(hands(0.0), controls={}, head=Pose(np.zeros(3), turned(left=1.0)))
     looking = replace(facing, head=Pose(np.zeros(3), turned(left=0.7)))
     driver = HandsDriver(HandsOptions(heading="head"))
-    snapshot = Snapshot(driver.look(facing).input, driver.target)
+    snapshot = Snapshot(driver.inspect(facing).input, driver.target)
     for _ in range(100):
         driver.step(looking, snapshot, TICK_S)
     held = driver.auxiliary[twist_keys.action_neck()]

@@ -89,7 +89,7 @@ def test_a_repair_and_a_discard_do_the_same(tmp_path: Path) -> None:
     recording = Recording(RecordingOptions(data=tmp_path, min_free_mb=0.0), backend="replication", is_lossless=True)
     recording.feed([Native("record").request("start", task="walk"), Native("record").request("stop")])
     assert recording.close(60.0)
-    last = Path(recording.answers.take()[-1].path or "")
+    last = Path(recording.answers.pop()[-1].path or "")
     (last / layout.MANIFEST).write_text("task: 3")
     recording.feed([Native("record").request("discard")])
     assert load_manifest(last).quality_flags.discarded

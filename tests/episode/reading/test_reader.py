@@ -13,7 +13,7 @@ from station.bus import codec, keys
 from station.bus.tap import Write
 from station.episode.reading.reader import EpisodeReader, open_episode
 from station.episode.recorder.writer import EpisodeWriter
-from station.episode.storage.anchor import take_anchor
+from station.episode.storage.anchor import read_anchor
 from station.episode.storage.manifest import Manifest, dump_manifest
 from station.episode.storage.progress import WriterOptions
 from station.errors import EpisodeError
@@ -29,7 +29,7 @@ def record(folder: Path, *batches: list[Write], finish: bool = True) -> Path:
     """Write batches, one flush each, and return the file."""
     folder.mkdir(parents=True, exist_ok=True)
     writer = EpisodeWriter(
-        folder, anchor=take_anchor(), manifest=Manifest(episode_id=folder.name), options=WriterOptions(flush_bytes=1)
+        folder, anchor=read_anchor(), manifest=Manifest(episode_id=folder.name), options=WriterOptions(flush_bytes=1)
     )
     written = 0
     for batch in batches:

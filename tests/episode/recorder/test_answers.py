@@ -14,7 +14,7 @@ def test_an_answer_is_published_once_and_again_when_its_request_comes_again() ->
     answers.give(DONE)
     assert (answers.next(), answers.next()) == (DONE, None)
     assert not answers.is_new("1")
-    assert answers.take() == [DONE]
+    assert answers.pop() == [DONE]
 
 
 def test_a_request_that_is_still_worked_on_gets_no_second_answer() -> None:
@@ -29,4 +29,4 @@ def test_answers_come_in_the_order_in_which_they_were_given() -> None:
     others = [RecordAnswer(id=str(number), ok=False) for number in range(3)]
     for one in others:
         answers.give(one)
-    assert answers.take() == others
+    assert answers.pop() == others

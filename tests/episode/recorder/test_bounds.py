@@ -19,20 +19,20 @@ from station.episode.recorder.controller import Answers
 from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.recording import Recording
 from station.episode.recorder.writer import EpisodeWriter
-from station.episode.storage.anchor import take_anchor
-from station.episode.storage.manifest import MAX_STREAMS, Manifest, Timing, dump_manifest, note_recovery, parse_manifest
+from station.episode.storage.anchor import read_anchor
+from station.episode.storage.manifest import MAX_STREAMS, Manifest, Timing, add_recovery, dump_manifest, parse_manifest
 from station.episode.storage.progress import Totals, WriterOptions
 from station.episode.storage.request import RecordAnswer
 from station.episode.storage.tail import Index
 from station.episode.writing import chunks
 from station.episode.writing.closing import close_manifest
-from station.episode.writing.summary import EpisodeSummary, note_event
+from station.episode.writing.summary import EpisodeSummary, add_event
 from tests.episode.writes import Native, foreign
 from tests.waiting import wait_until
 
 
 def writer_in(folder: Path) -> tuple[EpisodeWriter, Manifest]:
-    anchor = take_anchor()
+    anchor = read_anchor()
     manifest = Manifest(episode_id=folder.name, timing=Timing(anchor=anchor))
     return EpisodeWriter(folder, anchor=anchor, manifest=manifest), manifest
 
@@ -70,21 +70,21 @@ def test_of_a_flood_of_requests_the_newest_are_answered_and_told(tmp_path: Path)
     cli = Native("record")
     recording.feed([cli.request("mark", f"m{n}") for n in range(5_000)])
     assert len(recording.notices) < 1_000
-    assert recording.answers.take()[-1].id == "m4999"
+    assert recording.answers.pop()[-1].id == "m4999"
     answers = Answers()
     for n in range(5_000):
         answers.give(RecordAnswer(id=str(n), ok=True))
-    assert len(answers.take()) < 1_000
+    assert len(answers.pop()) < 1_000
     recording.close()
 
 
 def test_what_a_file_tells_of_requests_and_servers_is_bounded() -> None:
-    episode_summary = EpisodeSummary(take_anchor())
-    at_ns = take_anchor().wall_ns + 1
+    episode_summary = EpisodeSummary(read_anchor())
+    at_ns = read_anchor().wall_ns + 1
     for n in range(2_000):
-        episode_summary.note(keys.RECORD, json.dumps({"id": f"m{n}", "action": "mark"}).encode(), at_ns)
-        episode_summary.note(keys.server_config(f"s{n}"), b'{"role": "low-level"}', at_ns)
-        episode_summary.note(keys.EVENT, b'{"name": "e"}', at_ns)
+        episode_summary.on_value(keys.RECORD, json.dumps({"id": f"m{n}", "action": "mark"}).encode(), at_ns)
+        episode_summary.on_value(keys.server_config(f"s{n}"), b'{"role": "low-level"}', at_ns)
+        episode_summary.on_value(keys.EVENT, b'{"name": "e"}', at_ns)
     assert len(episode_summary.told.requests) < 1_000
     assert episode_summary.told.requests[-1] == "m1999"
     assert len(episode_summary.told.servers) < 1_000
@@ -94,8 +94,8 @@ def test_what_a_file_tells_of_requests_and_servers_is_bounded() -> None:
 def test_events_that_hold_thousands_of_numbers_leave_a_manifest_that_can_be_read() -> None:
     manifest, event = Manifest(), json.dumps({"name": "e", "detail": {"numbers": [1] * 2_000}}).encode()
     for _ in range(600):
-        note_event(manifest, event, 1.0)
-    note_event(manifest, b'{"name": "small", "detail": {"n": 1}}', 1.0)
+        add_event(manifest, event, 1.0)
+    add_event(manifest, b'{"name": "small", "detail": {"n": 1}}', 1.0)
     found = parse_manifest(dump_manifest(manifest), "it")
     assert (len(found.events), found.events_not_listed) == (500, 101)
     assert found.events[0].numbers == {"bytes": len(event)}
@@ -117,7 +117,7 @@ def test_a_bus_that_comes_and_goes_without_end_leaves_one_long_last_hole(tmp_pat
 def test_a_recorder_that_is_killed_without_end_leaves_the_newest_notes_and_a_count() -> None:
     manifest = Manifest()
     for number in range(1_200):
-        note_recovery(manifest, {"kind": "resumed", "away_s": number})
+        add_recovery(manifest, {"kind": "resumed", "away_s": number})
     found = parse_manifest(dump_manifest(manifest), "it")
     assert (len(found.recovery), found.recovery_not_listed) == (500, 700)
     assert found.recovery[-1]["away_s"] == 1_199
@@ -130,7 +130,7 @@ def test_taps_that_change_without_end_are_told_with_the_first_and_the_last(tmp_p
     for _ in range(500):
         recording.retapped("notifications", is_lossless=False)
         recording.retapped("replication", is_lossless=True)
-    take = recording._take
+    take = recording._active
     assert take is not None
     told = take.manifest.recorder.backend
     assert told.startswith("replication, then notifications, then ")
@@ -144,7 +144,7 @@ def test_an_index_that_grows_large_is_read_from_the_file_at_the_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(chunks, "_LARGEST_INDEX", 5_000)
-    anchor = take_anchor()
+    anchor = read_anchor()
     manifest = Manifest(episode_id=tmp_path.name, timing=Timing(anchor=anchor))
     writer = EpisodeWriter(tmp_path, anchor=anchor, manifest=manifest, options=WriterOptions(flush_bytes=5_000))
     for number in range(200):
@@ -182,7 +182,7 @@ def test_no_more_episodes_begin_than_the_disk_closes(tmp_path: Path, count: int)
     )
     cli = Native("record")
     recording.feed([cli.request(action, f"{action}{n}") for n in range(count) for action in ("start", "stop")])
-    refused = [answer for answer in recording.answers.take() if not answer.ok]
+    refused = [answer for answer in recording.answers.pop() if not answer.ok]
     assert refused[0].id == f"start{count - 1}"
     assert "still being closed" in refused[0].reason
     recording.close()

@@ -81,22 +81,22 @@ def test_a_meter_shows_the_rate_of_its_span_and_forgets_what_was_before() -> Non
     meter = Meter(10.0)
     assert meter.bytes_per_s == 0
     for second in range(31):
-        meter.note(float(second), 100 * min(second, 10) + 7 * second)
+        meter.update(float(second), 100 * min(second, 10) + 7 * second)
     assert meter.bytes_per_s == pytest.approx(7)
     assert meter.seconds <= 11
 
 
 def test_what_came_within_less_than_a_second_is_not_blown_up_to_a_rate() -> None:
     meter = Meter(10.0)
-    meter.note(0.0, 0)
-    meter.note(0.01, 500)
+    meter.update(0.0, 0)
+    meter.update(0.01, 500)
     assert meter.bytes_per_s == 500
 
 
 def test_an_episode_begins_where_its_planned_time_fits_beside_what_stays_free(make: Make, disk: FakeDisk) -> None:
     one = make(min_free_mb=500)
     assert one.refusal(3600) is None  # nothing is written, so nothing is needed
-    one.note(written(10, 100_000 - 64))
+    one.count(written(10, 100_000 - 64))
     disk.free = 559 * MB
     reason = one.refusal(60)
     assert reason is not None
@@ -110,12 +110,12 @@ def test_an_episode_begins_where_its_planned_time_fits_beside_what_stays_free(ma
 def test_without_a_plan_a_minute_must_fit_and_a_lab_with_3_gb_and_no_camera_records(make: Make, disk: FakeDisk) -> None:
     one = make()
     disk.free = 3000 * MB
-    one.note(written(1000, 300))
+    one.count(written(1000, 300))
     assert one.refusal(None) is None
-    one.note(written(1000, 60_000))
+    one.count(written(1000, 60_000))
     assert "(60 s at " in (one.refusal(None) or "")
     other = make(planned_s=5)
-    other.note(written(1000, 60_000))
+    other.count(written(1000, 60_000))
     assert other.refusal(None) is None
 
 
@@ -182,7 +182,7 @@ def test_minutes_left_come_from_the_bus_until_the_file_has_grown_for_a_while(
     make: Make, disk: FakeDisk, clock: VirtualClock
 ) -> None:
     one = make(min_free_mb=400)
-    one.note(written(10, MB - 64))
+    one.count(written(10, MB - 64))
     assert one.refusal(0) is None  # which measures
     assert one.minutes_left == pytest.approx(600 / 10 / 60, rel=0.02)
     one.begin()

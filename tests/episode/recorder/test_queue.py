@@ -34,7 +34,7 @@ def bulky(found: Write) -> bool:
 
 
 def waiting(queue: WriteQueue) -> list[Write]:
-    return [found for batch in copy.deepcopy(queue).take(1 << 60) for found in batch.writes]
+    return [found for batch in copy.deepcopy(queue).pop(1 << 60) for found in batch.writes]
 
 
 @settings(max_examples=examples(200), deadline=None)
@@ -53,7 +53,7 @@ def test_for_any_batches_and_any_pace_it_is_bounded_keeps_the_order_and_loses_co
             if (drops := queue.put(Batch(tuple(writes), position=Position("id", number)))) is not None:
                 told.add(drops)
         else:
-            for batch in queue.take(argument):  # type: ignore[arg-type]
+            for batch in queue.pop(argument):  # type: ignore[arg-type]
                 written += batch.writes
                 counted.add(batch.drops or Drops())
                 queue.done(batch)
@@ -93,7 +93,7 @@ def test_a_disk_of_20_mb_a_second_under_300_mb_of_images_keeps_every_signal_and_
         drops = queue.put(Batch([Write(BODY, b"x" * 180, None, 0) for _ in range(100)] + cameras))
         dropped_signals += drops.total - drops.bulky if drops else 0
         if step % 40 == 39:  # a flush of 8 MB takes 0.4 s
-            for batch in queue.take(8 * MB):
+            for batch in queue.pop(8 * MB):
                 signals += sum(found.key == BODY for found in batch.writes)
                 frames += [found.mono_ns for found in batch.writes if found.key == "camera_1"]
                 queue.done(batch)
@@ -117,7 +117,7 @@ def test_signals_alone_are_dropped_and_counted_beyond_the_bytes_of_the_queue() -
 def test_a_single_value_as_large_as_the_queue_is_taken_when_nothing_else_waits() -> None:
     queue = WriteQueue(10, 100 * KB)
     assert queue.put(Batch([write("cloud", 100 * KB)])) is None or queue.writes == 1
-    (batch,) = queue.take(1)
+    (batch,) = queue.pop(1)
     queue.done(batch)
     drops = queue.put(Batch([write("cloud", 101 * KB), write("small", 10)]))
     assert drops is not None
@@ -138,7 +138,7 @@ def test_a_flood_that_is_dropped_leaves_no_batches_behind_only_their_counts_and_
     queue = WriteQueue(1, 100 * KB)
     for number in range(10_000):
         queue.put(Batch([write(f"key{number}", 10)], position=Position("id", number)))
-    (batch,) = queue.take(1 << 60)
+    (batch,) = queue.pop(1 << 60)
     assert (len(batch.writes), batch.position) == (1, Position("id", 9_999))
     assert batch.drops is not None
     assert batch.drops.total == 9_999

@@ -18,7 +18,7 @@ from station.episode.recorder.active_episode import ActiveEpisode
 from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.recording import Recording
 from station.episode.recorder.writer import EpisodeWriter
-from station.episode.storage.anchor import take_anchor
+from station.episode.storage.anchor import read_anchor
 from station.episode.storage.folder import new_folder
 from station.episode.storage.manifest import Manifest, load_manifest
 from station.episode.storage.progress import WriterOptions
@@ -308,8 +308,8 @@ def test_a_start_that_a_hole_has_swallowed_is_not_waited_for(make: Make, tmp_pat
 def test_an_episode_whose_start_a_hole_has_swallowed_goes_on_and_can_be_ended(make: Make, tmp_path: Path) -> None:
     recording, cli = make(), Native("record")
     folder, manifest = new_folder(tmp_path, "walk", "g1"), Manifest(episode_id="e")
-    take = ActiveEpisode(EpisodeWriter(folder, anchor=take_anchor(), manifest=manifest), manifest, start_id="swallowed")
-    recording.take_up(take, [], awaited="swallowed")
+    take = ActiveEpisode(EpisodeWriter(folder, anchor=read_anchor(), manifest=manifest), manifest, start_id="swallowed")
+    recording.resume(take, [], awaited="swallowed")
     recording.hole(0, time.monotonic_ns(), "the tap was lost")
     recording.feed([Native().write(BODY, b"[0]"), cli.request("stop")])
     found = {item.id: item.ok for item in (answer(recording) for _ in range(2))}
@@ -320,8 +320,8 @@ def test_an_episode_whose_start_a_hole_has_swallowed_goes_on_and_can_be_ended(ma
 def test_a_request_that_the_recorder_before_has_done_is_answered_and_not_done_again(make: Make, tmp_path: Path) -> None:
     recording, cli = make(), Native("record")
     folder, manifest = new_folder(tmp_path, "walk", "g1"), Manifest(episode_id="e")
-    take = ActiveEpisode(EpisodeWriter(folder, anchor=take_anchor(), manifest=manifest), manifest, start_id=None)
-    recording.take_up(take, ["marked"])
+    take = ActiveEpisode(EpisodeWriter(folder, anchor=read_anchor(), manifest=manifest), manifest, start_id=None)
+    recording.resume(take, ["marked"])
     recording.feed([cli.request("mark", "marked", label="again")])
     assert (answer(recording).id, manifest.marks) == ("marked", [])
 

@@ -18,10 +18,10 @@ from station.bus import stamp as stamps
 from station.bus.tap import Position, Write
 from station.episode.reading.reader import open_episode
 from station.episode.recorder.options import RecordingOptions
-from station.episode.recorder.resume import as_written, newest_written_ns, take_up, unfinished
+from station.episode.recorder.resume import as_written, newest_written_ns, reopen, unfinished
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage import layout
-from station.episode.storage.anchor import Anchor, take_anchor
+from station.episode.storage.anchor import Anchor, read_anchor
 from station.episode.storage.left_open import left_open
 from station.episode.storage.manifest import Manifest, Task, Timing
 from station.episode.storage.progress import WriterOptions, load_resume_point
@@ -53,7 +53,7 @@ def killed(folder: Path, writes: list[Write], servers: Mapping[str, Any] | None 
     if child:
         os.waitpid(child, 0)
         return
-    clock, start_ns = take_anchor(), writes[0].mono_ns - 1_000_000_000
+    clock, start_ns = read_anchor(), writes[0].mono_ns - 1_000_000_000
     anchor = Anchor(wall_ns=clock.at(start_ns), mono_ns=start_ns, boot=clock.boot)
     manifest = Manifest(episode_id=folder.name, task=Task(name="walk"), timing=Timing(anchor=anchor))
     manifest.recorder.bus, manifest.servers = BUS, dict(servers or {})
@@ -91,7 +91,7 @@ def test_what_goes_on_behind_the_last_flush_is_one_episode(data: Path) -> None:
     found = unfinished(folder, BUS)
     assert found is not None
     assert found.point.position == Position("id", (len(writes) + 9) // 10 * 10, 0)
-    taken = take_up(found, RecordingOptions(data=data), place=found.point.position, is_exact=True)
+    taken = reopen(found, RecordingOptions(data=data), place=found.point.position, is_exact=True)
     manifest = taken.take.manifest
     assert taken.requests == [*(f"m{n}" for n in range(0, 40, 10)), "start"]
     assert [mark.label for mark in manifest.marks] == [f"at {n}" for n in range(0, 40, 10)]
@@ -121,7 +121,7 @@ def test_without_the_server_every_whole_chunk_is_kept_and_the_hole_is_written(da
     (folder / layout.RESUME).write_bytes(msgspec.json.encode(earlier))  # as if killed before it was written again
     found = unfinished(folder, BUS)
     assert found is not None
-    taken = take_up(found, RecordingOptions(data=data), place=Position("other", 5, 0), is_exact=False)
+    taken = reopen(found, RecordingOptions(data=data), place=Position("other", 5, 0), is_exact=False)
     (hole,) = taken.take.manifest.holes
     assert hole.to_s is not None
     assert hole.from_s < hole.to_s
@@ -164,7 +164,7 @@ def test_a_checkpoint_is_saved_now_and_then(data: Path, monkeypatch: pytest.Monk
     folder.mkdir(parents=True)
     assert EVERY_S <= 10.0
     monkeypatch.setattr("station.episode.recorder.writer.EVERY_S", 0.0)
-    writer = EpisodeWriter(folder, anchor=take_anchor(), manifest=Manifest(episode_id="e"))
+    writer = EpisodeWriter(folder, anchor=read_anchor(), manifest=Manifest(episode_id="e"))
     writer.put(written(Native(), 3))
     wait_until((folder / layout.CHECKPOINT).exists)
     finish(writer)
@@ -186,7 +186,7 @@ def spoilt(change: Callable[[Path], object], folder: Path) -> bool:
         (lambda folder: (folder / layout.MANIFEST).unlink(), True),  # there is one at the head of the signals
         (lambda folder: _replace(folder / layout.MANIFEST, "state: recording", "state: failed"), False),
         (lambda folder: _replace(folder / layout.MANIFEST, BUS, "unix:///elsewhere"), False),
-        (lambda folder: _replace(folder / layout.RESUME, take_anchor().boot, "00000000"), False),
+        (lambda folder: _replace(folder / layout.RESUME, read_anchor().boot, "00000000"), False),
     ],
 )
 @pytest.mark.usefixtures("processes")

@@ -12,7 +12,7 @@ import pytest
 from station.bus.tap import Position, Write
 from station.episode.reading.reader import open_episode
 from station.episode.recorder.options import RecordingOptions
-from station.episode.recorder.resume import take_up, unfinished
+from station.episode.recorder.resume import reopen, unfinished
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage import layout
 from station.episode.storage.left_open import left_open
@@ -51,7 +51,7 @@ def go_on(folder: Path, later: list[Write], *, is_exact: bool) -> None:
     """Take an episode up, write more, and close it."""
     found = unfinished(folder, BUS)
     assert found is not None
-    taken = take_up(found, RecordingOptions(data=folder.parent), place=found.point.position, is_exact=is_exact)
+    taken = reopen(found, RecordingOptions(data=folder.parent), place=found.point.position, is_exact=is_exact)
     assert left_open(folder.parent.parent) == []
     taken.take.writer.put(later, position=Position("id", 10_000, 0))
     taken.take.finish("stop", later[-1].mono_ns)

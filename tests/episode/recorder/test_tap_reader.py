@@ -31,7 +31,7 @@ from station.episode.recorder.latched import latched, not_among
 from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.tap_reader import TapReader
 from station.episode.recorder.writer import Ledger
-from station.episode.storage.anchor import Anchor, take_anchor
+from station.episode.storage.anchor import Anchor, read_anchor
 from station.episode.storage.left_open import left_open
 from station.episode.storage.manifest import Hole, Manifest, Timing, load_manifest, save_manifest
 from station.episode.storage.progress import load_resume_point
@@ -81,7 +81,7 @@ def ask(tap_reader: TapReader, g1: Bus, action: str, *, but: str = "") -> str:
     def answered() -> bool:
         tap_reader.step()
         tap_reader.recording.poll()
-        found.extend(answer for answer in tap_reader.recording.answers.take() if answer.id != but)
+        found.extend(answer for answer in tap_reader.recording.answers.pop() if answer.id != but)
         return bool(found)
 
     wait_until(answered)
@@ -352,10 +352,10 @@ def begun_recording(address: BusAddress, data: Path) -> Path:
     """Leave what a recorder leaves that was killed when the first manifest was written, and not one message."""
     folder = data / "walk" / "2026-11-21-g1-walk-0001"
     folder.mkdir(parents=True)
-    tap, clock = open_tap(address), take_anchor()
+    tap, clock = open_tap(address), read_anchor()
     start_ns = clock.mono_ns - int(STARTED_S * 1e9)
     anchor = Anchor(wall_ns=clock.at(start_ns), mono_ns=start_ns, boot=clock.boot)
-    Ledger(folder, folder.name, anchor, "start").note(tap.position(), None)
+    Ledger(folder, folder.name, anchor, "start").record(tap.position(), None)
     tap.close()
     manifest = Manifest(episode_id=folder.name, timing=Timing(anchor=anchor))
     manifest.recorder.bus = str(address)

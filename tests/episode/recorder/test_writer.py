@@ -18,7 +18,7 @@ from station.bus.tap import Position, Write
 from station.contract import Contract
 from station.episode.reading.reader import open_episode
 from station.episode.recorder.writer import EpisodeWriter
-from station.episode.storage.anchor import Anchor, take_anchor
+from station.episode.storage.anchor import Anchor, read_anchor
 from station.episode.storage.manifest import Manifest, Task, load_manifest
 from station.episode.storage.progress import Totals, WriterOptions, load_resume_point
 from station.episode.storage.records import MAGIC
@@ -29,7 +29,7 @@ from tests.waiting import wait_until
 BODY = twist_keys.action_body()
 CAMERA = keys.camera_image("head")
 CLOSING = (("sync", False), ("sync", True), ("rename", True))  # what is done, and whether the file has its end by then
-ANCHOR = Anchor(wall_ns=1_795_000_000_000_000_000, mono_ns=time.monotonic_ns(), boot=take_anchor().boot)
+ANCHOR = Anchor(wall_ns=1_795_000_000_000_000_000, mono_ns=time.monotonic_ns(), boot=read_anchor().boot)
 
 
 def writer_in(folder: Path, **options: float) -> EpisodeWriter:

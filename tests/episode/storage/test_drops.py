@@ -14,10 +14,10 @@ from station.episode.quality.check import check
 from station.episode.reading.reader import open_episode
 from station.episode.reading.show import count_streams
 from station.episode.recorder.options import RecordingOptions
-from station.episode.recorder.resume import take_up, unfinished
+from station.episode.recorder.resume import reopen, unfinished
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage import layout
-from station.episode.storage.anchor import Anchor, take_anchor
+from station.episode.storage.anchor import Anchor, read_anchor
 from station.episode.storage.drops import DropPeriods, Drops
 from station.episode.storage.manifest import Manifest, Task, Timing
 from station.episode.storage.progress import WriterOptions, load_resume_point
@@ -34,7 +34,7 @@ SMALL_QUEUE = WriterOptions(queue_bytes=1_000_000, flush_s=0.02)
 
 def writer_in(folder: Path, options: WriterOptions = SMALL_QUEUE) -> tuple[EpisodeWriter, Manifest]:
     folder.mkdir(parents=True, exist_ok=True)
-    anchor: Anchor = take_anchor()
+    anchor: Anchor = read_anchor()
     manifest = Manifest(episode_id=folder.name, task=Task(name="walk"), timing=Timing(anchor=anchor))
     manifest.recorder.bus, manifest.recorder.is_lossless = BUS, True
     return EpisodeWriter(folder, anchor=anchor, manifest=manifest, options=options, start_id="s"), manifest
@@ -129,7 +129,7 @@ def test_after_a_kill_the_counts_go_on(tmp_path: Path, *, is_exact: bool) -> Non
     first = Drops(found.point.drops)
     assert found.point.dropped == first.total > 10
     options = RecordingOptions(data=tmp_path, writer=SMALL_QUEUE)
-    taken = take_up(found, options, place=found.point.position, is_exact=is_exact)
+    taken = reopen(found, options, place=found.point.position, is_exact=is_exact)
     second = taken.take.writer.put(after)
     assert taken.take.writer.dropped == first.total + second
     finish(taken.take.writer, taken.take.manifest)
@@ -166,8 +166,8 @@ def test_that_writes_are_dropped_is_said_when_it_begins_and_when_it_has_ended() 
     for tenth in range(100):
         drops = Drops()
         if 10 <= tenth < 50:
-            drops.note(image, is_bulky=True)
-        spell.note(drops, tenth / 10)
+            drops.count(image, is_bulky=True)
+        spell.add(drops, tenth / 10)
         said += [(tenth, name, numbers) for name, _, numbers in spell.poll(tenth / 10)]
     assert [(at, name) for at, name, _ in said] == [(10, "images-dropped"), (70, "images-dropped")]
     assert said[0][2] == {"dropped": 1, "keys": {"camera_left": 1}}

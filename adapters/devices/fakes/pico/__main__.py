@@ -21,7 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run it; return the exit code."""
     options = _parser().parse_args(arguments)
 
-    def tell(service: PicoService, go: threading.Event, stop: threading.Event) -> None:
+    def announce(service: PicoService, go: threading.Event, stop: threading.Event) -> None:
         sys.stdout.write(f"listening {service.port}\n")
         sys.stdout.flush()
         if options.as_child:
@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             go.set()
 
     try:
-        run(options.file, options.port, start_s=options.start_s, on_listening=tell)
+        run(options.file, options.port, start_s=options.start_s, on_listening=announce)
     except StationError as error:
         sys.stderr.write(f"{error}\n")
         return error.exit_code

@@ -55,7 +55,7 @@ def run(
 def run_for_person(file: Path, port: int) -> None:
     """Play a script until Ctrl-C and say what goes on; raises as `run`."""
 
-    def tell(service: PicoService, go: threading.Event, _stop: threading.Event) -> None:
+    def announce(service: PicoService, go: threading.Event, _stop: threading.Event) -> None:
         setting = "" if service.port == DEFAULT_PORT else f" with --set pico.port={service.port}"
         click.echo(
             f"a fake headset at 127.0.0.1:{service.port} waits for a pico server{setting}; Ctrl-C takes it away",
@@ -63,7 +63,7 @@ def run_for_person(file: Path, port: int) -> None:
         )
         go.set()
 
-    def tell_begin() -> None:
+    def announce_begin() -> None:
         click.echo(f"a server is there: {file} begins", err=True)
 
-    run(file, port, on_listening=tell, on_begin=tell_begin)
+    run(file, port, on_listening=announce, on_begin=announce_begin)

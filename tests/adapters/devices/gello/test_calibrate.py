@@ -37,7 +37,7 @@ class Person:
             return round(math.radians(200.0 - 42.0 * self.gripper) / RAD_PER_TICK)
         return round((OFFSETS[index] + TURNS[index] * self.joints[index]) / RAD_PER_TICK)
 
-    def say(self, line: str) -> None:
+    def show(self, line: str) -> None:
         self.said.append(line)
 
     def ask(self, question: str) -> str:

@@ -17,7 +17,7 @@ TWISTS = st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6).map(np.array)
 def after(*reports: bytes) -> Deflection:
     deflection = Deflection()
     for report in reports:
-        assert deflection.take(report)
+        assert deflection.update(report)
     return deflection
 
 
@@ -45,19 +45,19 @@ def test_a_strong_hand_is_cut_to_full_deflection() -> None:
 @pytest.mark.parametrize("report", [b"", b"\x17\x64", b"\x01\x00", b"\x02\x01\x02\x03", b"\x03", b"\x09" * 64])
 def test_a_report_that_is_something_else_or_short_changes_nothing(report: bytes) -> None:
     deflection = after(struct.pack("<B3h", 1, 0, -350, 0))
-    assert not deflection.take(report)
+    assert not deflection.update(report)
     assert deflection.twist().tolist() == [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 
 
 def test_a_tap_that_is_over_by_now_is_seen_once() -> None:
     deflection = after(encode_buttons([1, 26]), encode_buttons([]))
-    assert deflection.take_pressed() == 1 << 1 | 1 << 26
-    assert deflection.take_pressed() == 0
+    assert deflection.pop_pressed() == 1 << 1 | 1 << 26
+    assert deflection.pop_pressed() == 0
 
 
 def test_a_button_that_is_held_stays_pressed() -> None:
     deflection = after(encode_buttons([0]))
-    assert [deflection.take_pressed() for _ in range(3)] == [1, 1, 1]
+    assert [deflection.pop_pressed() for _ in range(3)] == [1, 1, 1]
 
 
 @given(twist=TWISTS, in_one=st.booleans())
