@@ -209,7 +209,7 @@ class RequestHandler:
         self._done = DoneRequests[ControllerAnswer]()
 
     def on_request(self, asked: Asked) -> None:
-        """Take up what came on the key of requests."""
+        """Do what came on the key of requests."""
         try:
             request = parse(asked.data, ControllerRequest, "a request to a controller")
         except Refused as error:
@@ -233,7 +233,7 @@ class RequestHandler:
             self._begin_clearing(request)
 
     def poll(self) -> ControllerAnswer | None:
-        """Take up what is done by now; return the newest answer."""
+        """Answer what is done by now; return the newest answer."""
         if self._clearing is not None and not self._cleared.empty():
             request, refusal = self._cleared.get()
             self._clearing = None

@@ -143,7 +143,7 @@ class _Recorder:
         }
 
     def step(self) -> None:
-        """Take in what arrived, and say what is due."""
+        """Read what arrived, and publish what is due."""
         self._tap_reader.step()
         self.recording.poll()
         self._speak()

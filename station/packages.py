@@ -46,7 +46,7 @@ class Foreign(NamedTuple):
 
 
 def expect_ours() -> None:
-    """Look, without importing anything, whether Python would import our packages and no others.
+    """Check, without importing anything, whether Python would import our packages and no others.
 
     Raises:
         StationError: another package hides one of ours.

@@ -201,7 +201,7 @@ class Policy(Protocol):
         ...
 
     def restore(self, observation: Floats32) -> None:
-        """Take up the history that a recorded observation shows, as if that step had just been observed."""
+        """Restore the history that a recorded observation shows, as if that step had just been observed."""
         ...
 
 

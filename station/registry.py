@@ -70,7 +70,7 @@ def is_ours(kind: Kind, name: str) -> bool:
 
 
 def outdated() -> str:
-    """Say what of ours cannot be found by name, because the installation is older than the code; "" for nothing."""
+    """Return what of ours cannot be found by name, because the installation is older than the code; "" for nothing."""
     kinds = [kind for kind in get_args(Kind) if not any(is_ours(kind, name) for name in names(kind))]
     if not kinds:
         return ""

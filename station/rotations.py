@@ -44,7 +44,7 @@ def inverse(quat_wxyz: ArrayLike) -> Floats:
 
 
 def rotate(quat_wxyz: ArrayLike, vector: ArrayLike) -> Floats:
-    """Take vectors (..., 3) from the body frame into the world frame."""
+    """Rotate vectors (..., 3) from the body frame into the world frame."""
     w, x, y, z = _parts(quat_wxyz)
     a, b, c = _parts(vector)
     # v + 2 w (u x v) + 2 u x (u x v), with u the vector part: no matrix and no second product is needed.
@@ -53,7 +53,7 @@ def rotate(quat_wxyz: ArrayLike, vector: ArrayLike) -> Floats:
 
 
 def rotate_inverse(quat_wxyz: ArrayLike, vector: ArrayLike) -> Floats:
-    """Take vectors (..., 3) from the world frame into the body frame."""
+    """Rotate vectors (..., 3) from the world frame into the body frame."""
     return rotate(inverse(quat_wxyz), vector)
 
 

@@ -194,7 +194,7 @@ def _answer(child: _Child[T]) -> Any:
 
 
 def _ending(code: int | None) -> str:
-    """Say how a process ended; one that is killed without a word most often took more memory than there is."""
+    """Return how a process ended; one that is killed without a word most often took more memory than there is."""
     if code == -signal.SIGKILL:
         return "signal SIGKILL (is there enough memory? fewer --jobs take less)"
     return f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"

@@ -112,7 +112,7 @@ def open_device(path: Path) -> VideoDevice:
 
 
 def why(error: OSError, path: Path) -> str:
-    """Say what an error of a call means, and what to do."""
+    """Return what an error of a call means, and what to do."""
     if error.errno in (errno.EACCES, errno.EPERM):
         group = _group(path)
         return f"permission denied; add yourself to the group {group} and log in again: sudo usermod -aG {group} $USER"

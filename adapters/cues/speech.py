@@ -144,7 +144,7 @@ class Speech:
 
 
 def missing() -> str:
-    """Say what this machine lacks for speech; "" for nothing."""
+    """Return what this machine lacks for speech; "" for nothing."""
     try:
         _find("")
     except DeviceError as error:

@@ -87,7 +87,7 @@ class Tones:
 
 
 def missing() -> str:
-    """Say what this machine lacks for tones; "" for nothing."""
+    """Return what this machine lacks for tones; "" for nothing."""
     try:
         Tones(TonesOptions()).close()
     except DeviceError as error:

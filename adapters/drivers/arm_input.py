@@ -113,7 +113,7 @@ class Choice:
         self._was = 0.0  # where the stick stood: what is held was counted
 
     def step(self, controls: Mapping[str, float]) -> None:
-        """Look at the controls."""
+        """Read the controls."""
         for index in range(self._joints):
             if controls.get(f"key_{index + 1}", 0.0) > _CHOSEN:
                 self.joint = index

@@ -74,7 +74,7 @@ class ArmTool:
         return self._go(q, self._follower.step(goal, dt_s), dt_s, lower, upper)
 
     def follow(self, q: Floats, goal: Pose, dt_s: float, lower: Floats, upper: Floats) -> Floats:
-        """Take the tool towards a pose in the frame of the base for a period [s]; return the joints like `twist`."""
+        """Move the tool towards a pose in the frame of the base for a period [s]; return the joints like `twist`."""
         asked = self._follower.step(goal, dt_s)
         moved = self._go(q, asked, dt_s, lower, upper)
         self._follower.reset(_led(asked, self.pose(moved)))

@@ -28,7 +28,7 @@ class CommandShaper:
         self._begun_s, self._lasts_s = 0.0, np.ones(len(self.sent))
 
     def resume_from(self, command: Floats) -> None:
-        """Take up another writer's command, shape (m,), and go on from it."""
+        """Go on from another writer's command, shape (m,)."""
         self.sent = np.clip(command, self.command_format.lower, self.command_format.upper)
         self.begin()
 

@@ -63,7 +63,7 @@ def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
 
 
 def inspect(source: Source, plan: Plan) -> list[str]:
-    """Say whether an episode can be converted; see `ExportKind.inspect`."""
+    """Check whether an episode can be converted; see `ExportKind.inspect`."""
     _kinds(Rows(source, plan.keys), source, plan)
     return []
 

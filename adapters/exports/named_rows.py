@@ -67,7 +67,7 @@ def prepare(_sources: Sequence[Source], options: QuickLookOptions) -> Plan:
 
 
 def inspect(source: Source, plan: Plan) -> list[str]:
-    """Say whether an episode can be converted; see `ExportKind.inspect`."""
+    """Check whether an episode can be converted; see `ExportKind.inspect`."""
     Rows(source, plan.keys)
     return []
 

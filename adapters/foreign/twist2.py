@@ -117,7 +117,7 @@ def _never(document: Document) -> Iterator[str]:
 
 
 def _odd(document: Document) -> Iterator[str]:
-    """Say what looks wrong, field by field."""
+    """Yield what looks wrong, field by field."""
     entries = len(document.data)
     for name in (*VECTORS, *TIMES, PICTURE):
         values = [entry.get(name) for entry in document.data]

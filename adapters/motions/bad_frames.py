@@ -86,7 +86,7 @@ def mend(motion: RawMotion, *, holes: Holes = "refuse", limits: Limits = Limits(
 
 
 def _valid_frames(motion: RawMotion) -> tuple[NDArray[np.bool_], list[Finding]]:
-    """Tell which frames are good by themselves."""
+    """Return which frames are good by themselves."""
     findings = []
     tables = (
         ("root position", motion.root_pos),
@@ -124,7 +124,7 @@ def _greatest(limits: Limits) -> Floats:
 
 
 def _good_steps(motion: RawMotion, valid: NDArray[np.bool_], limits: Limits) -> tuple[NDArray[np.bool_], list[Finding]]:
-    """Tell which steps from a frame to the next are possible, shape (n - 1,)."""
+    """Return which steps from a frame to the next are possible, shape (n - 1,)."""
     steps = valid[:-1] & valid[1:]
     starts = np.flatnonzero(steps)
     if not len(starts):

@@ -121,7 +121,7 @@ class TwistPolicy:
         return JointTargets(targets, self._spec.kp, self._spec.kd)
 
     def restore(self, observation: Floats32) -> None:
-        """Take up the history that a recorded observation, shape (1155,), shows; see `Twist2Policy.restore`."""
+        """Restore the history that a recorded observation, shape (1155,), shows; see `Twist2Policy.restore`."""
         self._history.fill(observation[FRAME:])
         self._history.push(observation[:FRAME])
         self._restored = np.array(observation, dtype=np.float32)

@@ -125,7 +125,7 @@ class Twist2Policy(FramePolicy):
         return observation
 
     def restore(self, observation: Floats32) -> None:
-        """Take up the history that a recorded observation, shape (1432,), shows.
+        """Restore the history that a recorded observation, shape (1432,), shows.
 
         The next step needs the nine newest past frames, this step's frame, and this step's output; the last is not in
         the observation and is inferred from it, unless the caller does so with `act`.

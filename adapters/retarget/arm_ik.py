@@ -86,7 +86,7 @@ class ArmIk:
         return {side: self._pose(side) for side in SIDES}
 
     def reset(self, q: Floats) -> None:
-        """Take up joints, in the order of `joint_names` [rad]; those out of range go to its end."""
+        """Start from joints, in the order of `joint_names` [rad]; those out of range go to its end."""
         inside = np.clip(q, self._lower, self._upper)
         self._set(inside)
         self._speed = np.zeros(len(inside))

@@ -24,22 +24,22 @@ T.flags.writeable = False
 
 
 def positions_to_flu(positions: ArrayLike) -> Floats:
-    """Take positions (..., 3) from right, up, back to forward, left, up; the unit stays."""
+    """Rotate positions (..., 3) from right, up, back to forward, left, up; the unit stays."""
     return np.asarray(np.asarray(positions, dtype=np.float64) @ T.T)
 
 
 def positions_from_flu(positions: ArrayLike) -> Floats:
-    """Take positions (..., 3) the other way."""
+    """Rotate positions (..., 3) the other way."""
     return np.asarray(np.asarray(positions, dtype=np.float64) @ T)
 
 
 def rotations_to_flu(rotations: ArrayLike) -> Floats:
-    """Take rotation matrices (..., 3, 3) from right, up, back to forward, left, up."""
+    """Rotate rotation matrices (..., 3, 3) from right, up, back to forward, left, up."""
     return np.asarray(T @ np.asarray(rotations, dtype=np.float64) @ T.T)
 
 
 def quats_to_flu(quats_wxyz: ArrayLike) -> Floats:
-    """Take quaternions (..., 4) from right, up, back to forward, left, up.
+    """Rotate quaternions (..., 4) from right, up, back to forward, left, up.
 
     The vector part turns with T and w stays: right because T is proper; a mirror would need a minus.
     """
@@ -48,7 +48,7 @@ def quats_to_flu(quats_wxyz: ArrayLike) -> Floats:
 
 
 def quats_from_flu(quats_wxyz: ArrayLike) -> Floats:
-    """Take quaternions (..., 4) the other way."""
+    """Rotate quaternions (..., 4) the other way."""
     quats = np.asarray(quats_wxyz, dtype=np.float64)
     return np.concatenate([quats[..., :1], positions_from_flu(quats[..., 1:])], axis=-1)
 

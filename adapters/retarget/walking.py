@@ -141,7 +141,7 @@ class Walker:
         return self._reference
 
     def _lean(self, dt_s: float, upper: Mapping[str, float] | None) -> None:
-        """Take up where waist and arms shall be, and let the pelvis follow the weight that they move."""
+        """Set where waist and arms shall be, and let the pelvis follow the weight that they move."""
         self._asked = dict(upper or {})
         shift = np.zeros(2)
         if upper is not None:

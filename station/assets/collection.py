@@ -45,7 +45,7 @@ class PinnedFile(_Strict, frozen=True, kw_only=True):
             raise ValueError(f"size_bytes of {self.path}: expected more than 0, got {self.size_bytes}")
 
     def problem(self, path: Path, *, whole: bool = True) -> str:
-        """Say what is wrong with a copy of this file, in a few words; "" when nothing is.
+        """Return what is wrong with a copy of this file, in a few words; "" when nothing is.
 
         Args:
             path: The copy.

@@ -89,7 +89,7 @@ def orders(names: Sequence[str]) -> list[FetchRequest]:
 
 
 def order(name: str, known: Collection, bundle: Bundle) -> FetchRequest:
-    """Look which files of a bundle are here, whole and unchanged.
+    """Find which files of a bundle are here, whole and unchanged.
 
     Args:
         name: Name of the collection.
@@ -213,7 +213,7 @@ class _Came:
             raise BadFile(f"{self._url}: sha256 {came[:12]}… came, {self._file.sha256[:12]}… is pinned; {_OTHER}")
 
     def broken_off(self) -> str:
-        """Say how much came."""
+        """Report how much came."""
         return f"broke off after {self.count} of {self._file.size_bytes} bytes"
 
 

@@ -159,7 +159,7 @@ class Bus:
         return not refused
 
     def catch_up(self) -> bool:
-        """Take in the answers that have come, without waiting; return whether none is owed any more.
+        """Read the answers that have come, without waiting; return whether none is owed any more.
 
         For a writer that would rather drop a value than have it wait in line behind earlier ones.
         """
@@ -284,7 +284,7 @@ class Bus:
         self._refused, self.last_error = 0, ""
 
     def _lose(self, error: BusError) -> None:
-        """Note a lost connection, and look for it in the background; called with the lock held."""
+        """Record a lost connection, and reconnect in the background; called with the lock held."""
         began_s = self._heard_s if self._unanswered else self.clock.monotonic_s()
         lost = sum(self._unanswered)  # the server may have taken some: counted as lost, to be honest
         before = self.lost_writes

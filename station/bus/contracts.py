@@ -34,19 +34,19 @@ class Contracts:
     """Contracts of the robots that were described to it, and of all that is known without that."""
 
     def __init__(self, servers: Iterable[Mapping[str, Any]] = ()) -> None:
-        """Take up what servers state, each in its ``station:config:<server>``."""
+        """Add what servers declare, each in its ``station:config:<server>``."""
         self._robots: dict[str, RobotDescription] = {}
         self._described: dict[str, Contract] = {}
         for facts in servers:
             self.add_facts(facts)
 
     def add_facts(self, facts: Mapping[str, Any]) -> None:
-        """Take up what a server states, where that describes a robot."""
+        """Add what a server declares, where that describes a robot."""
         if (robot := stated(facts)) is not None:
             self.describe(robot)
 
     def describe(self, robot: RobotDescription) -> None:
-        """Take up what a robot says of itself, in place of what it said before; of `MOST_ROBOTS` and no more."""
+        """Add the description of a robot, in place of its earlier one; of `MOST_ROBOTS` and no more."""
         before = self._robots.get(robot.name)
         if before == robot or (before is None and len(self._robots) >= MOST_ROBOTS):
             return
@@ -196,7 +196,7 @@ def _of_another(robot: str) -> dict[str, Contract]:
 
 @lru_cache(maxsize=_REMEMBERED)
 def _of_families(key: str) -> Contract | None:
-    """Look among the robots that are listed, then for a robot whose name is the end of the key."""
+    """Search the robots that are listed, then for a robot whose name is the end of the key."""
     if (listed := _of_listed().get(key)) is not None or keys.is_stamp(key):
         return listed
     parts = key.split("_")

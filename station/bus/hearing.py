@@ -36,7 +36,7 @@ class HearingProof:
         self.span = HeardSpan(0, 0)
 
     def begin(self, now_ns: int) -> None:
-        """Hear from now on: everything that is written later will be told."""
+        """Listen from now on: every later write will be told."""
         self.span = HeardSpan(now_ns, now_ns)
 
     def prove(self, asked_ns: int, now_ns: int) -> None:

@@ -58,7 +58,7 @@ class Outages:
         self._told: deque[Outage] = deque(maxlen=_REMEMBERED)
 
     def record(self, kind: Kind, began_ns: int, **numbers: Any) -> None:
-        """Note one that ends now."""
+        """Record one that ends now."""
         with self._lock:
             self._held.append(Outage(kind, began_ns, self._clock.monotonic_ns(), numbers))
 

@@ -55,7 +55,7 @@ class _Settings(msgspec.Struct, frozen=True):
 
 
 def inspect(bus: Bus) -> Protection:
-    """Look at a bus that we are logged in to; writes nothing."""
+    """Return how a bus that we are logged in to is protected; writes nothing."""
     settings = _settings(bus)
     if settings is not None and not settings.outside:
         where = "a unix socket" if settings.port == "0" and settings.tls_port in ("0", "") else "loopback addresses"

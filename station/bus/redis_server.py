@@ -158,7 +158,7 @@ def _identity(path: Path) -> tuple[int, int]:
 
 
 def _leave_password(options: ServerOptions) -> None:
-    """Tell this user's other processes the password of the server that is about to start, or that it has none."""
+    """Store the password of the server that is about to start, or that it has none, for this user's other processes."""
     if options.socket is None:
         return
     file = password_file.beside(options.socket)

@@ -236,7 +236,7 @@ class Watch:
             raise ConnectionLost(f"bus {self._address}: {message!r} came where writes are told of")
 
     def _drain(self, events: Connection, touched: Counter[str]) -> None:
-        """Take in every message of what was written by now: all come before the answer to a question.
+        """Read every message of what was written by now: all come before the answer to a question.
 
         Raises:
             ConnectionLost: no answer in time.
@@ -262,7 +262,7 @@ class Watch:
             self._hearing.prove(asked_ns, self.clock.monotonic_ns())
 
     def _fill_at_start(self, reader: Connection) -> None:
-        """Take up what is there already, as of unknown age; after a lost connection keep what we had."""
+        """Read what is there already, as of unknown age; after a lost connection keep what we had."""
         values = self._fetch(reader, self._keys)
         with self._changed:
             for key, (value, mark) in values.items():

@@ -133,7 +133,7 @@ def _hash(option: str) -> tuple[str, str]:
 @bus_option
 @json_option
 def info(bus: str | None, as_json: bool) -> None:
-    """Tell which server a bus is, how it is set up, and who can reach it."""
+    """Show which server a bus is, how it is set up, and who can reach it."""
     from station.bus.client import Bus
     from station.bus.protection import inspect
 

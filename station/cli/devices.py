@@ -95,7 +95,7 @@ def _kind(name: str) -> DeviceKind:
 
 
 def _inspect(name: str) -> _Found:
-    """Look for a device; one whose package is broken is listed with that, and the others all the same."""
+    """Search for a device; one whose package is broken is listed with that, and the others all the same."""
     seen, problem = list[str](), ""
     try:
         kind = _kind(name)
@@ -234,7 +234,7 @@ def _voice_row(found: dict[str, str]) -> Sequence[str]:
 
 
 def _try_voice(kind: VoiceKind, words: str, sets: tuple[str, ...]) -> None:
-    """Say something, as the cues server would."""
+    """Play a cue, as the cues server would."""
     from station import config
 
     options = config.build(kind.options, config.overrides(sets, servers=None).get("", {}), where=f"voice {kind.name}")

@@ -16,7 +16,7 @@ _MARKS = {"ok": "[green]✓[/]", "warning": "[yellow]![/]", "broken": "[red]✗[
 @bus_option
 @json_option
 def command(bus: str | None, as_json: bool) -> None:
-    """Look at every link from command to motor; exit code 1 when something is broken."""
+    """Check every link from command to motor; exit code 1 when something is broken."""
     from rich.console import Console
 
     from station.cli.tables import plain

@@ -94,7 +94,7 @@ def _bar(episode_id: str) -> Iterator[Progress]:
 
 
 def _print_left_out(done: Sequence[Enriched]) -> None:
-    """Say once what has no typed topic in any of the episodes, and why."""
+    """Print once what has no typed topic in any of the episodes, and why."""
     keys_of: dict[str, set[str]] = {}
     for found in done:
         for key, reason in found.left_out.items():

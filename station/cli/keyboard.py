@@ -108,7 +108,7 @@ class Keyboard:
             os.close(wake)
 
     def press(self, key: str) -> None:
-        """Take a key that was typed; called in the keyboard's thread."""
+        """Add a key that was typed; called in the keyboard's thread."""
         typed = self._typed
         if self._act_at_once(key, bool(typed)):
             return

@@ -89,7 +89,7 @@ def _print_interruptions(console: Console, quality: Quality) -> None:
 
 
 def _summary(found: list[Interruption]) -> str:
-    """Say in a line what the interruptions were, and what they cost."""
+    """Return in a line what the interruptions were, and what they cost."""
     words = []
     for kind, (one, several) in _KINDS.items():
         items = [item for item in found if item.kind == kind]

@@ -48,7 +48,7 @@ def command(is_live: bool, bus: str | None, as_json: bool) -> None:
 
 
 def _follow(line: Bus, *, as_json: bool) -> None:
-    """Look again and again; a bus that goes away ends it."""
+    """Show the status again and again; a bus that goes away ends it."""
     from rich.console import Console
     from rich.live import Live
 

@@ -100,7 +100,7 @@ def _died(supervisor: Supervisor) -> dict[str, str]:
 
 
 def _summary(episode: RecordAnswer) -> str:
-    """Say in words what the recorder counted; of an episode that it did not close it says nothing."""
+    """Return in words what the recorder counted; of an episode that it did not close it knows nothing."""
     counted = episode.summary
     shown = f"{episode.episode_id}"
     if counted:

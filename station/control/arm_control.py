@@ -181,7 +181,7 @@ class ArmControl:
         return self.session.health()
 
     def _see_to_fault(self, state: ArmState) -> None:
-        """Say what the controller says now, since its remedy is what an operator does; tell each text of it once."""
+        """Hold the arm while its controller has a fault; publish each text of it once: it says what to do."""
         gate = self.commanded.gate
         if not state.fault or gate.state == "stopped":
             return

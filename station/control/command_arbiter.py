@@ -43,7 +43,7 @@ class News:
 
 
 class CommandArbiter:
-    """Told of each write; says whether it is obeyed.
+    """Decides of each write whether it is obeyed.
 
     Args:
         rule: Which writer to obey.

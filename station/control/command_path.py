@@ -88,7 +88,7 @@ class CommandPath:
         return self.gate.reason
 
     def decide(self, sample: Samples, now_s: float, *, why_blocked: str = "") -> Decision:
-        """Take up the newest command and return what the gate lets through.
+        """Read the newest command and return what the gate lets through.
 
         Args:
             sample: The newest write of the command key, good or bad; the same object as long as nothing new came.
@@ -188,7 +188,7 @@ class CommandPath:
         return QuietTime(min(now_s - since_s, came_s), max(now_s - until_s, 0.0))
 
     def _report_refusal(self) -> None:
-        """Say once that commands are refused, again when the reason changes, and once that they are good again."""
+        """Publish once that commands are refused, again when the reason changes, and once that they are good again."""
         refusal, validator = self.validator.refusal, self.validator
         kind = refusal.kind if refusal is not None else None
         if kind == self._refusing:

@@ -251,7 +251,7 @@ class CommandReceiver:
         return self._command
 
     def has_come(self, now_s: float | None = None) -> bool:
-        """Take up what came since the last call; return whether the obeyed writer wrote."""
+        """Receive what came since the last call; return whether the obeyed writer wrote."""
         before, newest, taken = self._command, self._watch.latest(self._key), self._watch.pop()
         self.heard_s = self._seconds(taken.heard, now_s)
         for writer, at_ns, is_clear in taken.arrivals:

@@ -124,7 +124,7 @@ class CommandValidator:
     _found_s: float | None = None  # when `sample` was first asked for, where it is not known when it came
 
     def update(self, sample: CommandSample | None) -> bool:
-        """Take up the newest sample; return whether it is one that was not seen before."""
+        """Set the newest sample; return whether it is one that was not seen before."""
         if sample is None or sample is self.sample:
             return False
         self.sample, self._found_s = sample, None

@@ -195,7 +195,7 @@ class ControlStep:
         return {"falls": self._falls}
 
     def _see_to_rest(self, state: RobotState) -> None:
-        """Tell the gate where a robot, or a part, that stays rests.
+        """Tell the gate where a robot, or a part, that holds its position rests.
 
         It rests where it was asked to be, not where it is: a joint that sags a little under its load, and were asked to
         be there, would sag on. While it is disarmed no command is followed, and the commander has to begin anew.

@@ -253,7 +253,7 @@ class Gate:
         self._silence.insist(why)
 
     def rest(self, where: Floats, bounds: Bounds | None = None) -> None:
-        """Say where a robot that stays is, shape (m,), before each `step`; and new bounds, where they have changed."""
+        """Set where a robot that holds its position is, shape (m,), before each `step`; and new bounds, if any."""
         self._default = np.array(where, dtype=np.float64)
         self._bounds = bounds or self._bounds
         if self._state in ("waiting", *LATCHED):

@@ -215,7 +215,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         self._watch.urgent.set()
 
     def _restate_stop(self) -> None:
-        """Tell a bus that has forgotten it that we are stopped, for servers that start only now."""
+        """Restate on a bus that has forgotten it that we are stopped, for servers that start only now."""
         gate = self._paths[0].gate
         if gate.state == "stopped" and estop.restate(self._life.bus, gate.reason, self._life.name):
             self._keeper.latch(gate.reason)

@@ -65,7 +65,7 @@ class PartedPath(CommandPath):
         return "; ".join(f"{path.part} {path.gate.state}: {path.gate.reason}" for path in self._paths)
 
     def decide(self, sample: Samples, now_s: float, *, why_blocked: str = "") -> Decision:
-        """Take up the newest command of each part and return what the gates let through."""
+        """Read the newest command of each part and return what the gates let through."""
         samples = sample if isinstance(sample, tuple) else (sample,) + (None,) * (len(self._paths) - 1)
         parts = tuple(
             path.decide(each, now_s, why_blocked=why_blocked) for path, each in zip(self._paths, samples, strict=True)

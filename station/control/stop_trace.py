@@ -51,7 +51,7 @@ class StopTrace:
         return self._writes > 0 and not _is_stop(value)
 
     def on_read(self, value: bytes | None, *, is_new: bool) -> None:
-        """Take up what the key holds.
+        """Read what the key holds.
 
         Args:
             value: It; None where there is no key.
@@ -71,7 +71,7 @@ class StopTrace:
             self._release(estop.read(value))
 
     def on_cut(self, value: bytes | None, *, is_new: bool) -> None:
-        """Take up what the key holds after a time of which not every write was told."""
+        """Read what the key holds after a time of which not every write was told."""
         if (is_new or self._writes) and not _is_stop(value):
             self._stop(_UNHEARD)
         self.on_read(value, is_new=is_new)

@@ -34,7 +34,7 @@ class TrackingError:
         self.ticks = 0
 
     def add(self, q: Floats, command: Floats, root_height_m: float | None = None) -> None:
-        """Take a tick that counts: joints [rad], command vector, height of the root [m] where known."""
+        """Add a tick that counts: joints [rad], command vector, height of the root [m] where known."""
         self.ticks += 1
         with np.errstate(all="ignore"):
             errors = np.abs(q[self._joints] - command[self._elements])

@@ -91,7 +91,7 @@ def expect_same(reader: EpisodeReader, wanted: Sequence[KeyColumns]) -> None:
 
 
 def _difference(found: KeyColumns, wanted: KeyColumns) -> str:
-    """Say in which an episode's columns of a key differ from those of the table."""
+    """Return in which way an episode's columns of a key differ from those of the table."""
     if found.names != wanted.names:
         odd = ", ".join(sorted(set(found.names) ^ set(wanted.names))[:3]) or "in another order"
         return (

@@ -132,7 +132,7 @@ def preview(
     kind: ExportKind, sources: Sequence[Source], options: ExportOptions, *, where: Workers,
     on_done: Callable[[], None] | None = None,
 ) -> Preview:  # fmt: skip
-    """Say what an export would be, and write nothing.
+    """Return what an export would be, and write nothing.
 
     Raises:
         StationError: nothing can be exported so; one line.

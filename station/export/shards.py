@@ -109,7 +109,7 @@ def open_work(out: Path) -> Iterator[Path]:
 
 
 def _leave_nothing_empty(work: Path) -> None:
-    """Take away a folder in which no shard was made: there is nothing that a later run could go on from."""
+    """Remove a folder in which no shard was made: there is nothing that a later run could go on from."""
     with suppress(OSError):  # it holds shards, or is gone: the export was finished
         (work / _SHARDS).rmdir()
         shutil.rmtree(work, ignore_errors=True)

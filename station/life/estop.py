@@ -32,7 +32,7 @@ class StopRequest:
 
 
 def restate(bus: Bus, reason: str, who: str) -> bool:
-    """Say a latched stop again where the key is absent; return whether it was.
+    """Restate a latched stop where the key is absent; return whether it was.
 
     Args:
         bus: Which may have forgotten it.

@@ -37,7 +37,7 @@ class EventFeed:
         self._thread = self._clock.start(self._run, "event-feed")
 
     def add(self, event: Event) -> None:
-        """Take in an event that is known of otherwise; nothing where it is known already."""
+        """Add an event that is known of otherwise; nothing where it is known already."""
         mark = (event.source, event.wall_ns, event.name)
         with self._lock:
             if mark not in self._known:

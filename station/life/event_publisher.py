@@ -44,7 +44,7 @@ class EventPublisher:
         return [event for event in tuple(self._recent) if event.wall_ns > since_ns]
 
     def publish(self, name: str, severity: Severity, **detail: Any) -> None:
-        """Say an event; where the bus does not take it, it is said again by `publish_late`."""
+        """Publish an event; where the bus does not take it, `publish_late` does so again."""
         event = events.make(self._source, name, severity, self._clock.wall_ns(), **detail)
         self._recent.append(event)
         if not self._bus.publish({keys.EVENT: event.encode()}):

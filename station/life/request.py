@@ -162,7 +162,7 @@ class DoneRequests(Generic[AnswerT]):
         return self._answers.get(asked)
 
     def begin(self, first_ns: int) -> bool:
-        """Take up a request that was first written then [ns]; return whether one that was written later was before."""
+        """Begin a request that was first written then [ns]; return whether one that was written later was before."""
         is_overtaken, self._newest_ns = first_ns < self._newest_ns, max(self._newest_ns, first_ns)
         return is_overtaken
 

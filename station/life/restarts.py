@@ -56,7 +56,7 @@ class Restarts:
         return min(_LONGEST_DELAY_S, delay_s)
 
     def why(self, how: str) -> str:
-        """Say why it is not started again; `how` says how it ended."""
+        """Return why it is not started again; `how` says how it ended."""
         if self._short_lives >= _MOST_SHORT_LIVES:
             return f"{how}; started again {self.count - 1} times, and it dies within {_SHORT_LIFE_S:g} s each time"
         return how

@@ -141,7 +141,7 @@ class Life:
         self.bus.publish({keys.server_config(self.name): self._configuration})
 
     def ready(self) -> bool:
-        """Say that all is loaded, wait for the supervisor's "go" (at once without one), and become active.
+        """Publish that all is loaded, wait for the supervisor's "go" (at once without one), and become active.
 
         Returns:
             False when the server was asked to stop instead.
@@ -169,15 +169,15 @@ class Life:
         self._on_bus_back = act
 
     def event(self, name: str, *, severity: Severity = "info", **detail: Any) -> None:
-        """Say that something happened: on the bus, so that it stands in the episode, and in the log."""
+        """Publish an event: on the bus, so that it stands in the episode, and in the log."""
         self._publisher.publish(name, severity, **detail)
 
     def last_word(self, name: str, **detail: Any) -> None:
-        """Say on the bus what ends this server; its starter prints the error itself."""
+        """Publish what ends this server; its starter prints the error itself."""
         self._publisher.publish_unlogged(name, "error", **detail)
 
     def report(self, **facts: Any) -> None:
-        """Say with the next heartbeat how the server is doing: rate_hz, jitter_p50_ms, … or anything of its own."""
+        """Set what the next heartbeat says of the server: rate_hz, jitter_p50_ms, … or anything of its own."""
         for name, value in facts.items():
             if name in _HEALTH_FIELDS:
                 setattr(self._health, name, value)
@@ -185,7 +185,7 @@ class Life:
                 self._health.detail[name] = value
 
     def end(self, reason: str) -> None:
-        """Say farewell and stop the heartbeat."""
+        """Publish the farewell and stop the heartbeat."""
         self._ended.set()
         self.clock.join(self._heart)
         self._health.reason = reason
@@ -206,7 +206,7 @@ class Life:
                 self._publisher.publish_late()
 
     def _publish_again(self) -> bool:
-        """Say what a restarted bus has forgotten; return whether it was heard."""
+        """Publish what a restarted bus has forgotten; return whether the bus took it."""
         if self._configuration is not None:
             self.bus.publish({keys.server_config(self.name): self._configuration})
         try:

@@ -16,7 +16,7 @@ _GONE_AFTER_S = 1.0
 
 
 class WriterConflict:
-    """Told of each writer it sees; speaks once when two alternate.
+    """Publishes once that two writers of a key alternate.
 
     One writer that follows another (a server that was restarted) is no rival: only one that writes again after the
     other did, within the window, is.
@@ -62,7 +62,7 @@ class OwnKey:
         self._count = 0
 
     def check(self, sample: Sample | None) -> None:
-        """Look at the newest value of the key; call once per tick, before writing."""
+        """Check the newest value of the key; call once per tick, before writing."""
         if sample is not None and sample is not self._newest and self._is_rival(sample):
             self._see(sample)
         elif self._newest is not None and self._newest.age_s(self._life.clock.monotonic_ns()) > _GONE_AFTER_S:

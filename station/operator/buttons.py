@@ -229,7 +229,7 @@ class Buttons:
         self._controls = {name: _Control() for name in self._names}
 
     def step(self, controls: Mapping[str, float] | None, dt_s: float) -> Pressed:
-        """Look at the controls; without them (silence, a gap) nothing is asked for, and all must be seen released."""
+        """Read the controls; without them (silence, a gap) nothing is asked for, and all must be seen released."""
         if controls is None:
             self._controls = {name: _Control() for name in self._names}
             return Pressed()

@@ -148,7 +148,7 @@ class Speaker:
                 self._why_not, self._present = why_not, None
 
     def _why_not_of(self, cue: Cue) -> str:
-        """Say a cue; return why it could not be said, or ""."""
+        """Play a cue; return why it could not be played, or ""."""
         try:
             self._voice.play(cue, self._hush)
         except StationError as error:

@@ -87,7 +87,7 @@ class DeadMan(Generic[Input, Target]):
         why_blocked: str = "",
         why_not_engage: str = "",
     ) -> Change | None:
-        """Look at both sides.
+        """Update from both sides.
 
         Args:
             held: Whether the button that must be held is down; None when that is not known, which ends driving.

@@ -59,15 +59,15 @@ class RobotSide:
         return [keys.command_gate(robot), keys.command_used(robot), keys.ESTOP]
 
     def begin(self, now_ns: int) -> None:
-        """Note that our commands begin [ns, monotonic]."""
+        """Record that our commands begin [ns, monotonic]."""
         self._begun_ns, self._has_followed = now_ns, False
 
     def end(self) -> None:
-        """Note that our commands have ended."""
+        """Record that our commands have ended."""
         self._begun_ns = None
 
     def poll(self, now_ns: int) -> None:
-        """Look at an instant [ns, monotonic]."""
+        """Read the robot's newest state at an instant [ns, monotonic]."""
         sample = self._watch.latest(self._gate_key)
         gate = _gate(sample)
         self.arming = gate.arming

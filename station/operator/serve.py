@@ -106,7 +106,7 @@ class _DeviceLoop:
         return self._device.facts() if self._device is not None else {}
 
     def tick(self, now_s: float) -> None:
-        """Take what the device gives at a monotonic time [s] to the bus."""
+        """Publish what the device gives at a monotonic time [s]."""
         sample = self._read(now_s)
         silence_s = self._freshness.silence_s(now_s)
         is_new = self._freshness.step(now_s, sample)
@@ -145,7 +145,7 @@ class _DeviceLoop:
             self._reason = str(error)
 
     def _judge(self, now_s: float, silence_s: float) -> None:
-        """Tell changes of state; and why the device is lost, when that is known or changes."""
+        """Publish changes of state; and why the device is lost, when that is known or changes."""
         state = self._freshness.state
         if state == "lost" and self._device is not None and now_s >= self._look_s:
             self._look_s = now_s + _AGAIN_S

@@ -37,7 +37,7 @@ class Voice(Protocol):
     """Says cues, one after the other, for a thread of its own."""
 
     def play(self, cue: Cue, hush: Hush) -> None:
-        """Say a cue to its end, or until `hush` says otherwise; `hush` is asked at least every tenth of a second.
+        """Play a cue to its end, or until `hush` says otherwise; `hush` is asked at least every tenth of a second.
 
         Raises:
             StationError: it could not be said; one line. The next cue is tried again.

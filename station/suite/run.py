@@ -80,7 +80,7 @@ def plan(
     only: Collection[Group] = (),
     jobs: int = 0,
 ) -> Plan:
-    """Look what there is to be run.
+    """List what there is to be run.
 
     Args:
         rigs: On what: the policy, and perhaps one that it is held against.

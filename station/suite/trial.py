@@ -64,7 +64,7 @@ class _Watch:
         self._places: list[Floats] = []  # x, y [m] and yaw [rad] of the root
 
     def see(self, record: StepRecord, *, counts: bool) -> None:
-        """Take a step; `counts` tells whether its joint error does."""
+        """Add a step; `counts` tells whether its joint error does."""
         state, fall, gate = record.state, record.fall, record.decision.state
         if counts and gate == "tracking":
             self.error.add(state.q, record.decision.vector)

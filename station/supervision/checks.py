@@ -93,7 +93,7 @@ class DiskCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             raise ValueError(f"mb_per_minute is {self.mb_per_minute}, expected more than 0")
 
     def run(self, _bus: Bus, data: Path, _stop: threading.Event) -> str:
-        """Look at the data folder, or where it will be made."""
+        """Check the data folder, or where it will be made."""
         folder = next(p for p in [data.absolute(), *data.absolute().parents] if p.exists())
         free_gb = shutil.disk_usage(folder).free / _BYTES_PER_GB
         if free_gb < self.min_free_gb:

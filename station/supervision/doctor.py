@@ -82,7 +82,7 @@ class _Gate(msgspec.Struct):
 
 
 def examine(bus: Bus) -> Iterator[Finding]:
-    """Look at a station through its bus; yields findings from the bus outwards."""
+    """Inspect a station through its bus; yields findings from the bus outwards."""
     yield from _server_settings(bus)
     servers = read_health(bus)
     yield from _servers(servers, log_folder(bus.address))
@@ -174,7 +174,7 @@ def _low_level(bus: Bus, health: Health) -> Iterator[Finding]:
 
 
 def _troubles(health: Health, key: str) -> Iterator[Finding]:
-    """Tell what a low-level server has counted since it started."""
+    """Yield what a low-level server has counted since it started."""
     refused = health.detail.get("refused")
     if isinstance(refused, dict) and refused:
         listed = ", ".join(f"{reason} ({count} times)" for reason, count in refused.items())
@@ -186,7 +186,7 @@ def _troubles(health: Health, key: str) -> Iterator[Finding]:
 
 
 def _commands_without_a_robot(bus: Bus) -> Iterator[Finding]:
-    """Tell which writers command when no low-level server of ours tells which commands it wants."""
+    """Yield which writers command when no low-level server of ours tells which commands it wants."""
     for name in registry.names("command"):
         key = registry.find("command", name).key  # "" of one that is made of parts, which are registered too
         if key and bus.get(key) is not None:
@@ -301,7 +301,7 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 def bus_access(bus: Bus) -> Finding:
-    """Look at which clients can reach a bus."""
+    """Return which clients can reach a bus."""
     protection = inspect(bus)
     level: Literal["ok", "warning", "broken"] = (
         "ok" if protection.verdict == "closed" else "broken" if protection.verdict == "open" else "warning"
@@ -310,13 +310,13 @@ def bus_access(bus: Bus) -> Finding:
 
 
 def hidden_packages() -> list[Finding]:
-    """Look whether packages of others hide ours; without ours nothing can be found by its name."""
+    """Return which packages of others hide ours; without ours nothing can be found by its name."""
     return [Finding("broken", f"package {name}", found.found, found.remedy)
             for name in packages.IMPORTED if (found := packages.hiding(name)) is not None]  # fmt: skip
 
 
 def machine() -> Iterator[Finding]:
-    """Look at this machine: upstream data, packages, versions, scheduling."""
+    """Yield findings about this machine: upstream data, packages, versions, scheduling."""
     if outdated := registry.outdated():
         yield Finding("broken", "installation", outdated, f"install it again: {registry.INSTALL}")
     base = assets.root()

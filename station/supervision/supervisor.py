@@ -186,7 +186,7 @@ class Supervisor:
                 os.write(child.go, b"go\n")
 
     def _publish_exit(self, child: Child, restarts: Restarts, code: int) -> None:
-        """Say as an event what happened to a child, and what becomes of it."""
+        """Publish what happened to a child, and what becomes of it."""
         how = how_it_ended(code)
         if restarts.allow(code):
             self.publish("server-restarted", "warning", server=child.name, reason=how, restarts=restarts.count,
@@ -195,7 +195,7 @@ class Supervisor:
             self.publish("server-given-up", "error", server=child.name, reason=restarts.why(how))
 
     def publish(self, name: str, severity: Severity, **detail: Any) -> None:
-        """Say as an event, so that it stands in the episode, what happened to the servers."""
+        """Publish what happened to the servers as an event, so that it stands in the episode."""
         self.publisher.publish_unlogged(name, severity, **detail)
 
     def start_again(self, name: str) -> None:
@@ -278,7 +278,7 @@ class Supervisor:
 
 
 def how_it_ended(code: int) -> str:
-    """Say in words how a process ended whose exit code, or negative signal, is given."""
+    """Return in words how a process ended whose exit code, or negative signal, is given."""
     if code >= 0:
         return f"ended with code {code}"
     try:

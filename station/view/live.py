@@ -154,7 +154,7 @@ class LiveView:
 
 
 def run(view: LiveView, stop: threading.Event, *, rate_hz: float = RATE_HZ) -> None:
-    """Look at a fixed rate until asked to stop."""
+    """Poll at a fixed rate until asked to stop."""
     rate = Rate(rate_hz, view.clock)
     while not stop.is_set():
         rate.wait()

@@ -37,7 +37,7 @@ class Spans:
         self._most = most
 
     def add(self, at_s: float, name: str) -> None:
-        """Take the state at an instant, in order of time."""
+        """Add the state at an instant, in order of time."""
         found = self._found
         if found:
             found[-1] = found[-1]._replace(end_s=at_s)

@@ -112,7 +112,7 @@ def _pads(pygame: Any) -> list[Pad]:
 
 
 def why_none(inputs: Path = Path("/sys/class/input"), nodes: Path = Path("/dev/input")) -> str:
-    """Say why SDL sees no gamepad: there is none, or the kernel has one that we may not read."""
+    """Return why SDL sees no gamepad: there is none, or the kernel has one that we may not read."""
     for joystick in sorted(inputs.glob("js*")):
         for event in sorted((joystick / "device").glob("event*")):
             node = nodes / event.name

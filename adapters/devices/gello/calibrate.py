@@ -47,7 +47,7 @@ class Console(Protocol):
     """The person at the leader."""
 
     def show(self, line: str) -> None:
-        """Tell something."""
+        """Show a line."""
         ...
 
     def ask(self, question: str) -> str:

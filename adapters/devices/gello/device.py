@@ -153,7 +153,7 @@ def _open(port: str, baud: int, calibration: Calibration, clock: Clock) -> tuple
 
 
 def _why_no_answer(bus: MotorBus, first: int) -> str:
-    """Say at which rate the first servo would answer; takes 40 ms a rate."""
+    """Return at which rate the first servo would answer; takes 40 ms a rate."""
     bus.close()
     for baud in BAUDS:
         other = MotorBus(bus.port, baud, bus.clock)
@@ -242,7 +242,7 @@ class Sampler:
         return True
 
     def _diagnosis(self) -> str:
-        """Say which servos are silent."""
+        """Return which servos are silent."""
         answering = self._bus.ping(self._calibration.ids)
         silent = [id_ for id_ in self._calibration.ids if id_ not in answering]
         leader = f"leader {self._calibration.serial}"

@@ -106,7 +106,7 @@ class Keyboard:
         os.close(terminal)
 
     def _read_keys(self, now_s: float) -> list[str]:
-        """Take in all that was typed; raises OSError for a terminal that is gone."""
+        """Read all that was typed; raises OSError for a terminal that is gone."""
         data = b""
         while select.select([self._terminal], [], [], 0.0)[0]:
             chunk = os.read(self._terminal, _CHUNK)

@@ -70,7 +70,7 @@ def _stock(reading: OperatorSample) -> Mapping[str, bytes]:
 
 
 def _plugged_in() -> Sequence[str]:
-    """Say whether a PC service listens; whether a headset sends to it, its library alone can tell."""
+    """Return whether a PC service listens; whether a headset sends to it, its library alone can tell."""
     try:
         socket.create_connection((_HOST, DEFAULT_PORT), timeout=_LOOK_S).close()
     except OSError:

@@ -103,7 +103,7 @@ class Spacemouse:
             interface.close()
 
     def _drain(self, interface: Any) -> int:
-        """Take in all reports that wait; return how many told of motion or buttons."""
+        """Read all reports that wait; return how many told of motion or buttons."""
         count = 0
         for _ in range(_MOST_REPORTS):
             report = interface.read(_REPORT_BYTES)

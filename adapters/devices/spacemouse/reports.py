@@ -48,7 +48,7 @@ class Deflection:
         return not self._raw.any()
 
     def update(self, report: bytes) -> bool:
-        """Take in one report; False for one that is neither of motion nor of buttons, such as the battery's."""
+        """Add one report; False for one that is neither of motion nor of buttons, such as the battery's."""
         kind = report[0] if report else 0
         if kind == _MOTION and len(report) >= _SIX.size:
             self._raw[:] = _SIX.unpack_from(report)

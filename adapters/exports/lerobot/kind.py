@@ -78,7 +78,7 @@ def columns(plan: Plan) -> list[str]:
 
 
 def inspect(source: Source, plan: Plan) -> list[str]:
-    """Say whether an episode fits; see `ExportKind.inspect`."""
+    """Check whether an episode fits; see `ExportKind.inspect`."""
     from adapters.exports.lerobot import episode
 
     return episode.inspect(source, plan)

@@ -78,7 +78,7 @@ class _Film:
         self._last: tuple[int, Any] | None = None
 
     def feed(self, jpeg: bytes) -> None:
-        """Take the next picture in order of arrival."""
+        """Add the next picture in order of arrival."""
         row, number = len(self._shown), self._arrived
         self._arrived += 1
         if row == len(self._rows) or self._rows[row] != number:

@@ -46,7 +46,7 @@ class Totals:
         self._bins = np.empty((0, _BINS), dtype=np.int64)
 
     def know(self, episode: Stats) -> None:
-        """Take in the statistics of an episode."""
+        """Add the statistics of an episode."""
         count = int(episode["count"][0])
         least, greatest, mean, std = (np.array(episode[name]) for name in ("min", "max", "mean", "std"))
         if not self._count:
@@ -100,7 +100,7 @@ class PixelCounts:
         self.pictures += 1
 
     def merge(self, other: PixelCounts) -> None:
-        """Take in what another one has counted."""
+        """Add what another one has counted."""
         self._counts += other._counts
         self.pictures += other.pictures
 

@@ -36,6 +36,6 @@ class TrackerPolicy(FramePolicy):
         return self._history.flat.copy()
 
     def restore(self, observation: Floats32) -> None:
-        """Take up the history that a recorded observation, shape (635,), shows; see `Twist2Policy.restore`."""
+        """Restore the history that a recorded observation, shape (635,), shows; see `Twist2Policy.restore`."""
         self._history.fill(observation)
         self._restored = np.array(observation, dtype=np.float32)

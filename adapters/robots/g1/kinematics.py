@@ -130,7 +130,7 @@ class LinkPoses:
     rotation: Floats
 
     def points(self, link: str, points: Floats) -> Floats:
-        """Take points (k, 3) of a link's frame into the world, shape (n, k, 3) [m]."""
+        """Transform points (k, 3) of a link's frame into the world, shape (n, k, 3) [m]."""
         index = INDEX[link]
         return np.asarray(self.position[index][:, None] + points @ self.rotation[index].swapaxes(-1, -2))
 

@@ -91,7 +91,7 @@ class KordSession:
         )
 
     def engage(self) -> str:
-        """Take targets from now on."""
+        """Accept targets from now on."""
         return self._try(self._bridge.engage)
 
     def send(self, q: Floats) -> str:
@@ -99,7 +99,7 @@ class KordSession:
         return self._try(self._bridge.stream_j, q)
 
     def release(self) -> None:
-        """Take no more targets."""
+        """Accept no more targets."""
         self._bridge.disengage()
 
     def clear(self) -> str:

@@ -88,7 +88,7 @@ class Link:
         return data
 
     def acknowledge(self) -> None:
-        """Tell the server how far we are.
+        """Acknowledge to the server how far we are.
 
         A failure is not reported here: the reader of the stream meets the same one.
         """

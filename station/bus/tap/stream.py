@@ -84,7 +84,7 @@ class Stream:
         self._handlers = self._make_handlers()
 
     def feed(self, data: bytes | memoryview) -> list[Write]:
-        """Take bytes off the wire and return the writes that they complete.
+        """Parse bytes off the wire and return the writes that they complete.
 
         Raises:
             BusError: the bytes are no commands.
@@ -178,7 +178,7 @@ class Stream:
         self._put_or_miss(command, command[1], string_in(command[3]), self.selected_db)
 
     def _transfer(self, command: Command, source: bytes, target: bytes, to_db: int, *, is_moved: bool) -> None:
-        """Take in that a key got the value of another one, which may be gone by it."""
+        """Record that a key got the value of another one, which may be gone by it."""
         value = self._values.get(self.selected_db, source)
         if is_moved:
             self._put(source, None, None)
@@ -201,7 +201,7 @@ class Stream:
         self._miss(command, command[place] if len(command) > place else b"", self.selected_db)
 
     def _miss(self, command: Command, key: bytes, db: int) -> None:
-        """Tell of a change that cannot be shown: it does not carry the whole value, and what was there is unknown."""
+        """Report a change that cannot be shown: it does not carry the whole value, and what was there is unknown."""
         self._values.forget(db, key)
         if db == self._db:
             self._report(command[0].upper(), key, "what its key holds now is not in it; write with SET instead")
@@ -334,7 +334,7 @@ class KnownValues:
         return value
 
     def put(self, db: int, key: bytes, value: bytes) -> None:
-        """Say what a key holds from now on."""
+        """Set what a key holds from now on."""
         if len(value) > LARGEST_KNOWN:
             self.forget(db, key)
             return
@@ -349,7 +349,7 @@ class KnownValues:
             self._forget_all()
 
     def remove(self, db: int, key: bytes) -> None:
-        """Say that a key is gone."""
+        """Record that a key is gone."""
         known = self._held.get(db, _NONE).pop(key, None)
         if known is not None:
             self._size -= len(known)
@@ -357,7 +357,7 @@ class KnownValues:
         self._unknown.discard((db, key))
 
     def forget(self, db: int, key: bytes) -> None:
-        """Say that a key was changed to something unknown."""
+        """Record that a key was changed to something unknown."""
         self.remove(db, key)
         if db in self._complete:
             self._unknown.add((db, key))
@@ -365,7 +365,7 @@ class KnownValues:
                 self._forget_all()
 
     def learn(self, db: int, values: Mapping[bytes, bytes], unread: Iterable[bytes], *, is_whole: bool) -> None:
-        """Take a snapshot of a database that was made at this place of the stream.
+        """Apply a snapshot of a database that was made at this place of the stream.
 
         Args:
             db: The database.
@@ -386,7 +386,7 @@ class KnownValues:
         return {*self._held, *self._complete}
 
     def clear(self, db: int) -> None:
-        """Say that a database is empty."""
+        """Record that a database is empty."""
         held = self._held.pop(db, {})
         self._size -= sum(map(len, held.values()))
         self._keys -= len(held)
@@ -394,7 +394,7 @@ class KnownValues:
         self._complete.add(db)
 
     def forget_database(self, db: int) -> None:
-        """Say that a database may hold anything."""
+        """Record that a database may hold anything."""
         self.clear(db)
         self._complete.discard(db)
 

@@ -58,7 +58,7 @@ class AlignmentMeter:
         self._last = (0, 0)  # numbers of the step before, and of the state that it saw
 
     def feed(self, step: Step, gate: str) -> None:
-        """Take a step, and the state that the gate was in."""
+        """Add a step, and the state that the gate was in."""
         if gate in MOVING:
             self._add_timing(step)
         (number, seen), self._last = self._last, (step.number, step.state_number)
@@ -124,7 +124,7 @@ class _Shifts:
         self._squares = np.empty((2, 0))
 
     def feed(self, at_ns: int, q: Floats, asked: Floats) -> None:
-        """Take a sample: positions measured and commanded, shape (n,) [rad]."""
+        """Add a sample: positions measured and commanded, shape (n,) [rad]."""
         self._times.append(at_ns)
         self._q.append(q)
         self._asked.append(asked)

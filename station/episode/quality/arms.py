@@ -66,7 +66,7 @@ class _Sessions:
     times: Floats = field(default_factory=lambda: np.full(len(_NAMES) - _COUNTERS, np.nan))
 
     def update(self, values: Floats) -> bool:
-        """Take the newest counters and latencies; return whether another session has begun."""
+        """Add the newest counters and latencies; return whether another session has begun."""
         is_another = bool((values < self.newest)[:_COUNTERS].any())
         if is_another:
             self.counted, self.times = self.total()
@@ -99,7 +99,7 @@ class ArmMeter:
     _backend: str = ""
 
     def feed(self, message: Message) -> None:
-        """Take a message; those of other keys are passed over."""
+        """Add a message; those of other keys are passed over."""
         if message.channel.is_deletion:
             return
         if message.topic == keys.target(self.robot):

@@ -52,7 +52,7 @@ class CameraMeter:
         return bool(self._names)
 
     def feed(self, message: Message) -> None:
-        """Take a message; those of other keys are passed over."""
+        """Add a message; those of other keys are passed over."""
         taken = self._taken.get(message.topic)
         if taken is not None and not message.channel.is_deletion:
             taken.append(frames.captured_ns(message))

@@ -249,7 +249,7 @@ class ChangeCounter:
     _found: dict[tuple[str, str], KeyChanges] = field(default_factory=dict)
 
     def feed(self, message: Message) -> None:
-        """Take a message; any other is passed over."""
+        """Add a message; any other is passed over."""
         if message.topic == keys.NOT_MIRRORED:
             said = not_mirrored.decode(message.data)
             if said is not None:

@@ -74,7 +74,7 @@ class MotionMeter:
         self._sides.pop("", None)
 
     def feed(self, message: Message) -> None:
-        """Take a message; those of other keys are passed over."""
+        """Add a message; those of other keys are passed over."""
         side = self._sides.get(message.topic)
         if side is not None and not message.channel.is_deletion:
             side.feed(message)
@@ -181,7 +181,7 @@ class Stillness:
         self._buckets: list[tuple[int, Floats, Floats]] = []  # number, least and greatest position of each joint
 
     def feed(self, times: Ints, q: Floats) -> None:
-        """Take positions (k, n) [rad] at times (k,) [ns]."""
+        """Add positions (k, n) [rad] at times (k,) [ns]."""
         whole = np.isfinite(q).all(axis=1)
         times, q = times[whole], q[whole]
         if not len(times):
@@ -241,7 +241,7 @@ class Ends:
         return f"description of {self._description.model}" if self._limits and self._description else ""
 
     def feed(self, joints: tuple[str, ...], q: Floats) -> None:
-        """Take positions (k, n) [rad]."""
+        """Add positions (k, n) [rad]."""
         if not self._joints:
             self._joints, self._limits = joints, _limits(self._description, joints)
             self._counts, self._was = np.zeros(len(joints), np.int64), np.zeros(len(joints), np.bool_)
@@ -280,7 +280,7 @@ class Jerk:
         self._most, self._joint = 0.0, ""
 
     def feed(self, times: Ints, joints: tuple[str, ...], q: Floats) -> None:
-        """Take positions (k, n) [rad] at times (k,) [ns]."""
+        """Add positions (k, n) [rad] at times (k,) [ns]."""
         if self._tail is not None and self._tail[1].shape[1] == q.shape[1]:
             times, q = np.concatenate([self._tail[0], times]), np.concatenate([self._tail[1], q])
         intervals = np.diff(times) * 1e-9

@@ -67,7 +67,7 @@ class StepMeter:
         return {keys.command_source(self.robot)}
 
     def feed(self, step: Step) -> str:
-        """Take a step, and return the state that the gate was in, "" where nothing says."""
+        """Add a step, and return the state that the gate was in, "" where nothing says."""
         self._times.append(step.at_ns)
         self._numbers[step.source].append(step.number)
         gate = codec.parse_facts(step.values.get(keys.command_gate(self.robot)))

@@ -47,7 +47,7 @@ class Heartbeats:
     farewells: set[str] = field(default_factory=set)
 
     def feed(self, message: Message) -> None:
-        """Take a message; any other is passed over."""
+        """Add a message; any other is passed over."""
         if not message.topic.startswith(keys.SERVER_PREFIX) or message.channel.is_deletion:
             return
         if _state(message.data) == _FINALIZED:

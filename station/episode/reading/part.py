@@ -176,7 +176,7 @@ def _anchor(contents: Contents) -> Anchor | None:
 
 
 def _torn(contents: Contents) -> str | None:
-    """Say in a line what of the file is missing."""
+    """Return in a line what of the file is missing."""
     if contents.cut_at is not None:
         return (
             f"cut off at byte {contents.cut_at} of {contents.size}: the record there is not whole; "

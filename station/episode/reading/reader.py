@@ -195,7 +195,7 @@ class EpisodeReader:
         return [part.path for part in self.parts]
 
     def _missing(self) -> list[str]:
-        """Say in a line which file is not there though the manifest lists streams in it."""
+        """Return in a line which file is not there though the manifest lists streams in it."""
         has_it = len(self.parts) > 1 or self.path.name not in (layout.SIGNALS, layout.ACTIVE)
         count = sum(stream.count for stream in self.manifest.streams if stream.file == layout.CAMERAS)
         if has_it or not count:

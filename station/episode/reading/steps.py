@@ -131,7 +131,7 @@ class StepJoiner:
         return self._results | self._states | self._context
 
     def feed(self, message: Message) -> Step | None:
-        """Take a message; return the step that it completes, if any."""
+        """Add a message; return the step that it completes, if any."""
         if message.channel.is_deletion:
             return None
         topic, source = message.topic, message.channel.source

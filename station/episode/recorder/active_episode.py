@@ -67,7 +67,7 @@ class ActiveEpisode:
         return self.writer.put(writes, position=position, is_whole=is_whole, is_live=is_live)
 
     def add_to_manifest(self, write: Write) -> None:
-        """Take from an event, a command's source, or a word of the tap what belongs into the manifest."""
+        """Add to the manifest what belongs there of an event, a command's source, or a message of the tap."""
         if write.value is None:
             return
         if write.key == keys.EVENT:
@@ -86,7 +86,7 @@ class ActiveEpisode:
         return is_noted
 
     def hole(self, from_ns: int, to_ns: int, reason: str) -> None:
-        """Note that writes between two instants [ns, monotonic] may be missing."""
+        """Record that writes between two instants [ns, monotonic] may be missing."""
         add_hole(self.manifest, Hole(from_s=self._at_s(from_ns), to_s=self._at_s(to_ns), reason=reason))
         self.writer.save_manifest(self.manifest)  # the file does not tell of it: safe before what follows
 

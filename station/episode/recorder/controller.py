@@ -121,7 +121,7 @@ class RecorderController:
         self._last_error = ""
 
     def poll(self) -> None:
-        """Look after everything that does not come with a write: answers that became due, disks that failed."""
+        """Do everything that does not come with a write: answers that became due, disks that failed."""
         take = self._active
         if take is not None:
             take.save_if_due()
@@ -165,7 +165,7 @@ class RecorderController:
         self._ignored_until, self._reserved = start_id, (start_id, folder)
 
     def ended_before(self, answer: RecordAnswer, requests: Sequence[str]) -> None:
-        """Tell of an episode whose recorder died while it closed it, and which is whole."""
+        """Publish an episode whose recorder died while it closed it, and which is whole."""
         self._last_folder = Path(answer.path or "")
         for asker in requests:
             self.answers.remember(asker, msgspec.structs.replace(answer, id=asker))

@@ -220,7 +220,7 @@ class CrashRecovery:
     def _finish(
         self, found: Unfinished | UnopenedEpisode, recording: Recording, tap: Tap, later: Collection[str]
     ) -> None:
-        """Take an episode up, or begin it; read its tap up to its end, and have it closed."""
+        """Resume an episode, or begin it; read its tap up to its end, and have it closed."""
         written_ns = 0
         if isinstance(found, UnopenedEpisode):
             recording.placed(tap.position())

@@ -39,7 +39,7 @@ class Meter:
         self._points: deque[tuple[float, int]] = deque()
 
     def update(self, at_s: float, count: int) -> None:
-        """Say how much there is now."""
+        """Set how much there is now."""
         self._points.append((at_s, count))
         while self.seconds > self._span_s and len(self._points) > 2:
             self._points.popleft()
@@ -109,12 +109,12 @@ class DiskSpace:
         )
 
     def begin(self) -> None:
-        """Say that an episode begins."""
+        """Record that an episode begins."""
         self._file = Meter(_FILE_SPAN_S)
         self._warned_min = None
 
     def follow(self, size: int | None) -> list[Notice]:
-        """Look whether there is news of the disk; return what is to be said of it.
+        """Check for news of the disk; return what is to be published of it.
 
         Args:
             size: Bytes of the present episode on the disk; None when there is no episode.

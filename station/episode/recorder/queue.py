@@ -192,7 +192,7 @@ class WriteQueue:
 
 
 def _without_bulky(batch: Batch) -> Drops:
-    """Take the bulky values out of a batch and return what they were."""
+    """Remove the bulky values from a batch and return what they were."""
     drops, kept, size = Drops(), [], 0
     for write in batch.writes:
         bytes_ = len(write[1]) if write[1] is not None else 0

@@ -35,19 +35,19 @@ class Recording(RecorderController):
         self._known: dict[str, Callable[[Write], None] | None] = {}
 
     def seed(self, key: str, value: bytes, stamp: bytes | None) -> None:
-        """Tell what a key held before the tap was opened: servers that are up, a request that is answered."""
+        """Add what a key held before the tap was opened: servers that are up, a request that is answered."""
         if key == keys.RECORD:
             self.answers.is_new(request_id(value))
         elif self._heard.is_of_interest(key):
             self._heard.record(key, value, stamp, self.clock.monotonic_ns())
 
     def latched(self, states: Sequence[Write]) -> None:
-        """Take states into the pre-roll that were written before the tap was open; see `recorder.latched`."""
+        """Add states to the pre-roll that were written before the tap was open; see `recorder.latched`."""
         self._ring.add(states, self._position)
         self._latched = {state.key: state.stamp for state in states}
 
     def placed(self, position: Position | None) -> None:
-        """Tell where a tap stands before its first write."""
+        """Set where a tap stands before its first write."""
         self._position = position
 
     def missed(self, request: Write) -> None:
@@ -58,7 +58,7 @@ class Recording(RecorderController):
     def feed(
         self, writes: Sequence[Write], position: Position | None = None, *, is_live: bool = True, is_whole: bool = True
     ) -> None:
-        """Take in what the tap returned.
+        """Add what the tap returned.
 
         Args:
             writes: In the order of the bus.
@@ -81,7 +81,7 @@ class Recording(RecorderController):
         self._position = position
 
     def feed_to_the_end(self, writes: Sequence[Write], position: Position | None, later: Collection[str]) -> None:
-        """Take in what the tap returned for an episode that was ended before, up to what ended it; see `is_recording`.
+        """Add what the tap returned for an episode that was ended before, up to what ended it; see `is_recording`.
 
         What comes behind belongs to a later episode. None of it is done here, and none is pre-roll.
 
@@ -133,7 +133,7 @@ class Recording(RecorderController):
         return write.value is not None and request_id(write.value) == self._awaited
 
     def hole(self, from_ns: int, to_ns: int, reason: str) -> None:
-        """Say that writes between two instants [ns, monotonic] may be missing."""
+        """Record that writes between two instants [ns, monotonic] may be missing."""
         self._ring.clear()
         self._awaited = self._ignored_until = ""  # a start that was to come once more is among them
         if self._active is not None:
@@ -155,14 +155,14 @@ class Recording(RecorderController):
         return self._active.writer.load if self._active is not None else 0.0
 
     def retapped(self, backend: str, is_lossless: bool) -> None:
-        """Say that another tap is in use from now on."""
+        """Record that another tap is in use from now on."""
         for recorder in [self.tap, *([self._active.manifest.recorder] if self._active else [])]:
             recorder.backend = _then(recorder.backend, backend)
             recorder.is_lossless &= is_lossless
         self.tap.backend, self.tap.is_lossless = backend, is_lossless
 
     def unseen_keys(self, count: int) -> None:
-        """Say how many keys there are that the tap cannot look at."""
+        """Set how many keys there are that the tap cannot read."""
         if self._active is not None and self._active.manifest.recorder.unseen_keys != count:
             self._active.manifest.recorder.unseen_keys = count
             self._active.touch()

@@ -68,7 +68,7 @@ class TapReader:
         recovery.see_to_request(self.recording, is_in_stream=bool(tap.resumed))
 
     def step(self) -> None:
-        """Take in what arrived, unless it had better wait at the bus; see to a tap that is lost."""
+        """Read what arrived, unless it had better wait at the bus; reconnect a tap that is lost."""
         try:
             must_wait = self._catching_up.must_wait(self.recording.load, self._clock.monotonic_s())
             if must_wait and not self._clock.wait(self._life.stop_event, _READ_S):
@@ -83,7 +83,7 @@ class TapReader:
         self.recording.unseen_keys(self.tap.unseen_keys)
 
     def drain(self) -> None:
-        """Take in all that was written before we were asked to stop: until a write of our own has come back."""
+        """Read all that was written before we were asked to stop: until a write of our own has come back."""
         try:
             is_whole = self._read_up_to_now(self._feed)
         except BusError as error:

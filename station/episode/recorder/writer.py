@@ -327,7 +327,7 @@ class Ledger:
         self._due = self._clock.monotonic_s() + EVERY_S
 
     def record(self, position: Position | None, files: EpisodeFiles | None) -> None:
-        """Say how far the files are safe, right after a flush; None for files that are not there yet.
+        """Record how far the files are safe, right after a flush; None for files that are not there yet.
 
         Raises:
             OSError: the disk refused it.

@@ -39,7 +39,7 @@ class Comparison(msgspec.Struct, kw_only=True):
     first_different: int | None = None
 
     def add(self, step: int, recorded: Floats32 | Floats, computed: Floats32 | Floats) -> bool:
-        """Take a pair; return whether it is equal bit for bit."""
+        """Add a pair; return whether it is equal bit for bit."""
         self.compared += 1
         if recorded.tobytes() == computed.tobytes():
             return True

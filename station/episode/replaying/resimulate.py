@@ -164,7 +164,7 @@ class _Run:
     _count: int = 0
 
     def on_command(self, message: Message) -> None:
-        """Take up a recorded command."""
+        """Add a recorded command."""
         if not message.channel.is_native:
             self._foreign = message.data
             return

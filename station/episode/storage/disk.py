@@ -138,7 +138,7 @@ def is_locked(path: Path) -> bool:
 
 
 def why_not(error: OSError | EpisodeError, folder: Path) -> str:
-    """Say in a line why an episode cannot be written, and what to do."""
+    """Return in a line why an episode cannot be written, and what to do."""
     cause = error.__cause__ if isinstance(error, EpisodeError) else error
     remedy = _REMEDIES.get(cause.errno or 0, "look after the disk") if isinstance(cause, OSError) else ""
     what = f"{error.strerror or error} ({error.filename or folder})" if isinstance(error, OSError) else str(error)

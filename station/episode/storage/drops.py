@@ -152,7 +152,7 @@ class DropPeriods:
         self._began_s = self._last_s = 0.0
 
     def add(self, drops: Drops, now_s: float) -> None:
-        """Take in what was dropped just now [s, monotonic], if anything was."""
+        """Add what was dropped just now [s, monotonic], if anything was."""
         if not drops.total:
             return
         if self._drops is None:

@@ -130,7 +130,7 @@ def add_hole(manifest: Manifest, hole: Hole) -> None:
 
 
 def words_of_shortened(shortened: Mapping[str, int]) -> str:
-    """Say in a line how much did not fit into a manifest."""
+    """Return in a line how much did not fit into a manifest."""
     sections = ", ".join(f"{count} of {name}" for name, count in shortened.items())
     return f"cut or left out of the manifest as too long or too many, whole in the signals: {sections}"
 

@@ -103,7 +103,7 @@ class Index:
         return len(self._chunks) + _RECORD_SIZE * (len(self.attachments) + len(self.metadata))
 
     def add(self, chunk: ChunkIndex, counts: Mapping[int, int]) -> None:
-        """Note a chunk, and how many messages of each channel it holds."""
+        """Add a chunk, and how many messages of each channel it holds."""
         builder = RecordBuilder()
         chunk.write(builder)
         self._chunks += builder.end()
@@ -114,7 +114,7 @@ class Index:
             self._counts[channel] += count
 
     def on_record(self, file: BinaryIO, place: Place) -> None:
-        """Note a record of a file that is gone through."""
+        """Add a record of a file that is read through."""
         if place.opcode == Opcode.CHUNK:
             self._add_chunk(file, place)
         elif place.opcode == Opcode.MESSAGE_INDEX and self._open is not None:

@@ -50,7 +50,7 @@ class EpisodeFile:
     """
 
     def __init__(self, disk: Disk, anchor: Anchor, names: layout.Names, drops: Drops | None, *, is_new: bool) -> None:
-        """Take a file that is open at its end; `create` and `reopen` make one."""
+        """Wrap a file that is open at its end; `create` and `reopen` make one."""
         self.names = names
         self.contracts = Contracts()
         self._anchor = anchor
@@ -288,7 +288,7 @@ class EpisodeFile:
         self._writer.define(schema)
 
     def _adopt(self, found: SalvageResult, recount: Recount) -> None:
-        """Take over channels and counters of the file; a channel keeps its number, its count and what describes it."""
+        """Adopt channels and counters of the file; a channel keeps its number, its count and what describes it."""
         for schema in found.schemas.values():
             self._describe(schema)
         first = mcap.records.Channel(STAMPS_NUMBER, layout.STAMPS_TOPIC, layout.TEXT, _BOOKKEEPING, 0)

@@ -101,7 +101,7 @@ def remove_what_never_began(data: Path) -> None:
 
 
 def close_whole(folder: Path) -> Repaired | None:
-    """Say the last words of an episode whose files are whole to their ends; None when they are not.
+    """Finish an episode whose files are whole to their ends; None when they are not.
 
     Its recorder was killed between the last byte of the files and the last of the manifest, or not at all.
 
@@ -253,7 +253,7 @@ def _close(mended: Sequence[RepairedFile], anchor: Anchor, manifest: Manifest, p
 
 
 def _end(manifest: Manifest, told: SummaryState, anchor: Anchor, last_ns: int) -> None:
-    """Say when and why the episode ended: as its file says, else with its last message."""
+    """Return when and why the episode ended: as its file says, else with its last message."""
     if told.ending is not None:
         manifest.recorder.ended_by = told.ending.action
     elif not manifest.recorder.ended_by:

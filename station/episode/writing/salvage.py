@@ -112,7 +112,7 @@ class _Walk:
         return last is not None and last.opcode == Opcode.FOOTER and self._file.read() == MAGIC
 
     def _keep(self, place: Place) -> bool:
-        """Take one record in; False when it is damaged."""
+        """Read one record; False when it is damaged."""
         try:
             if place.opcode == Opcode.CHUNK:
                 return self._keep_chunk(place)

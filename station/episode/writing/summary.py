@@ -106,7 +106,7 @@ class EpisodeSummary:
         self._wanted: dict[int, bool] = {}
 
     def on_message(self, message: RawMessage, channel: Channel) -> None:
-        """Take in one message."""
+        """Add one message."""
         wanted = self._wanted.get(message.channel_id)
         if wanted is None:
             wanted = self._wanted[message.channel_id] = is_told(channel.topic, channel.message_encoding)
@@ -114,7 +114,7 @@ class EpisodeSummary:
             self.on_value(channel.topic, message.data, message.log_ns)
 
     def on_value(self, key: str, value: bytes, log_ns: int) -> None:
-        """Take in the value of a key that `is_told`."""
+        """Add the value of a key that `is_told`."""
         at_s = round((log_ns - self._anchor.wall_ns) * 1e-9, 6)
         if key == keys.EVENT:
             add_event(self.told, value, at_s)

@@ -168,7 +168,7 @@ def _pushes(rng: np.random.Generator, steps: int, greatest_m_s: float, every_s: 
 
 
 def _is_down(states: States, command: Floats) -> np.ndarray:
-    """Tell which robots lean or sag much more than they are commanded to, or are no longer simulated soundly."""
+    """Return which robots lean or sag much more than they are commanded to, or are no longer simulated soundly."""
     asked = multiply(_turn(command[:, 4], 1), _turn(command[:, 3], 0))
     leans = tilt(states.quat_wxyz) > tilt(asked) + LEAN_RAD
     return np.asarray(leans | (states.root_pos[:, 2] < command[:, 2] - SAG_M))

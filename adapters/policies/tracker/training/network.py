@@ -42,7 +42,7 @@ class Student(torch.nn.Module):  # type: ignore[misc]
         self.scale = torch.nn.Parameter(torch.ones(inputs), requires_grad=False)
 
     def measure(self, observations: Floats32) -> None:
-        """Take mean and spread of the inputs from data, shape (samples, inputs)."""
+        """Set mean and spread of the inputs from data, shape (samples, inputs)."""
         self.mean.copy_(torch.from_numpy(observations.mean(axis=0)))
         self.scale.copy_(torch.from_numpy(1.0 / np.maximum(observations.std(axis=0), 0.02)))
 
@@ -53,7 +53,7 @@ class Student(torch.nn.Module):  # type: ignore[misc]
 
 
 def load_onnx(student: Student, path: Path) -> None:
-    """Take mean, scale and weights from a file that `save_onnx` wrote.
+    """Load mean, scale and weights from a file that `save_onnx` wrote.
 
     Raises:
         BadFile: no such file, no ONNX, or a network of other sizes.
