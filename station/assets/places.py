@@ -212,5 +212,6 @@ def subfolders(folder: Path | None) -> list[Path]:
 
 
 def _near(path: Path) -> str:
-    siblings = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
-    return did_you_mean(path.name, siblings) if siblings else f" (there is no folder {path.parent})"
+    if not path.parent.is_dir():
+        return f" (there is no folder {path.parent})"
+    return did_you_mean(path.name, [sibling.name for sibling in path.parent.iterdir()])

@@ -42,6 +42,9 @@ def test_a_path_that_is_missing_suggests_its_neighbour(tmp_path: Path) -> None:
         assets.resolve(tmp_path / "wlak.pkl")
     with pytest.raises(BadFile, match="there is no folder"):
         assets.resolve(tmp_path / "nowhere" / "walk.pkl")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(BadFile, match=r"empty/walk.pkl: no such file$"):
+        assets.resolve(tmp_path / "empty" / "walk.pkl")
 
 
 def test_the_environment_comes_before_the_cache_and_the_cache_before_the_program(
