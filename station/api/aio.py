@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
 from collections.abc import AsyncIterator, Callable, Coroutine, Generator
 from concurrent.futures import ThreadPoolExecutor
@@ -148,7 +149,8 @@ class _Items(AsyncIterator[ResultT]):
         self._end()
 
     def __del__(self) -> None:
-        self._end()
+        with contextlib.suppress(RuntimeError):  # after Ctrl-C the interpreter may end first, and takes no more work
+            self._end()
 
     def _next(self) -> ResultT | None:
         for found in self._items:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import signal
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -69,6 +72,25 @@ def _listeners() -> list[str]:
     return [
         each.name for each in threading.enumerate() if each.name.startswith(("station-items", "event-feed", "watch"))
     ]
+
+
+def test_ctrl_c_ends_a_script_that_follows_with_no_other_error(bus_server: BusAddress) -> None:
+    script = f"""
+import asyncio, station
+async def main():
+    async with station.AsyncStation({bus_server.url!r}) as lab:
+        values = await lab.follow({KEY!r})
+        print("following", flush=True)
+        async for _ in values:
+            pass
+asyncio.run(main())
+"""
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == b"following\n"
+        child.send_signal(signal.SIGINT)
+        _, said = child.communicate(timeout=DEADLINE_S)
+    assert said.endswith(b"\nKeyboardInterrupt\n"), said.decode()
 
 
 def test_followers_end_with_the_station_or_after_a_silence(bus_server: BusAddress) -> None:
