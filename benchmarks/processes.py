@@ -17,11 +17,15 @@ from pathlib import Path
 from typing import Any
 
 from station import python_child
+from station.bus import codec, keys
 from station.bus.address import BusAddress
+from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
+from station.errors import BusError
 
 _SPAWN = multiprocessing.get_context("spawn")  # a forked copy of a process with threads may hang
 _STOP_S = 10.0
+_LIMIT_S = 120.0
 
 Stop = Callable[[], bool]
 
@@ -201,6 +205,45 @@ def resident_mb(pid: int) -> float:
     """Return the memory that a process holds [MB]."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def shared_out_mb(pid: int) -> float:
+    """Return the memory of a process, each page divided by how many have it (PSS) [MB]."""
+    lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    return sum(int(line.split()[1]) for line in lines if line.startswith("Pss:")) * 1024 / 1e6
+
+
+def family(pid: int) -> list[int]:
+    """Return a process and all that it has started, directly or not."""
+    children = [int(child) for task in Path(f"/proc/{pid}/task").iterdir() for child in _words(task / "children")]
+    return [pid, *(one for child in children for one in family(child))]
+
+
+def _words(file: Path) -> list[str]:
+    return file.read_text().split()
+
+
+def until(holds: Callable[[], bool]) -> float:
+    """Look every 5 ms; return the instant at which it held [s]."""
+    deadline = time.monotonic() + _LIMIT_S
+    while not holds():
+        if time.monotonic() > deadline:
+            raise RuntimeError(f"not started within {_LIMIT_S:.0f} s")
+        time.sleep(0.005)
+    return time.monotonic()
+
+
+def has_key(address: BusAddress, key: str) -> bool:
+    """Whether a key holds something."""
+    with Bus(address, name="bench") as line:
+        return line.get(key) is not None
+
+
+def gate_state(address: BusAddress, robot: str) -> str:
+    """Return the state of a robot's gate; "" while there is none, or no bus yet."""
+    with contextlib.suppress(BusError), Bus(address, name="bench") as line:
+        return str(codec.parse_facts(line.get(keys.command_gate(robot))).get("state", ""))
+    return ""
 
 
 def _work(line: Connection, make: Callable[..., AbstractContextManager[Callable[..., Any]]], arguments: Any) -> None:

@@ -82,15 +82,11 @@ def _ours(seconds: float) -> Take:
 def _theirs(seconds: float) -> Take:
     names = (*traffic.SMALL_KEYS, *traffic.IMAGE_KEYS)
     with processes.bus() as (address, port):
-        poller = processes.Beside(_poll, port, names)
+        poller = processes.Beside(stock.record, port, names)
         (counts, took_s), used = _load(address, seconds, poller.pid or 0)
         kept = poller.stop()
     written = sum(counts.values())
     return Take(written=written, kept=kept, lag_ms=[], written_per_s=written / took_s, **used)
-
-
-def _poll(stop: processes.Stop, port: int, names: tuple[str, ...]) -> int:
-    return sum(len(values) for values in stock.poll_recorder(port, names, stop).values())
 
 
 def _load(address: BusAddress, seconds: float, pid: int) -> tuple[tuple[dict[str, int], float], dict[str, Any]]:

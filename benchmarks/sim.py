@@ -6,6 +6,7 @@ import contextlib
 import logging
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -61,7 +62,7 @@ def ours(physics_dt_s: float) -> Iterator[Callable[[], float]]:
     rig = build(
         msgspec.structs.replace(upstream.RIG, robot_options=upstream.RIG.robot_options | {"physics_dt_s": physics_dt_s})
     )
-    motion = _motion()
+    motion = stock_motion()
 
     def act() -> float:
         result = rehearse(motion, rig.policy, rig.robot, rig.command_format, period_s=rig.period_s)
@@ -77,7 +78,7 @@ def ours_on_ready_commands() -> Iterator[Callable[[], float]]:
     rig = build(upstream.RIG)
     robot = rig.robot
     assert isinstance(robot, Resettable)
-    samples = [codec.json_vector(command) for command in _commands(_motion())]
+    samples = [codec.json_vector(command) for command in motion_commands(stock_motion())]
 
     def act() -> float:
         rig.policy.reset()
@@ -96,27 +97,30 @@ def ours_on_ready_commands() -> Iterator[Callable[[], float]]:
 @contextlib.contextmanager
 def theirs() -> Iterator[Callable[[], float]]:
     """Load stock's loop in this process; yields what runs it on the same commands and returns the speed."""
-    policy = registry.find("policy", "twist2")(assets.resolve(upstream.CHECKPOINT))
-    spec = policy.spec
-    commands = _commands(_motion())
+    constants, commands = stock_constants(), motion_commands(stock_motion())
 
     def act() -> float:
-        loop = stock.Simulation(
-            assets.resolve(upstream.ROBOT_MODEL), spec.checkpoint, spec.default_q, spec.kp, spec.kd,
-            np.array(_TORQUE_LIMIT_NM),
-        )  # fmt: skip
-        return loop.run(commands)
+        return stock.Simulation(*constants).run(commands)
 
     yield act
 
 
-def _motion() -> Motion:
+def stock_constants() -> tuple[Any, ...]:
+    """Return what a `stock.Simulation` is made of, so that it does what our rig does."""
+    spec = registry.find("policy", "twist2")(assets.resolve(upstream.CHECKPOINT)).spec
+    model = assets.resolve(upstream.ROBOT_MODEL)
+    return model, spec.checkpoint, spec.default_q, spec.kp, spec.kd, np.array(_TORQUE_LIMIT_NM)
+
+
+def stock_motion() -> Motion:
+    """Return the motion that stock's programs play, as ours do."""
     logging.getLogger("adapters").setLevel(logging.ERROR)  # what was trimmed is for the users of a motion
     motion: Motion = registry.find("loader", "motion")(upstream.MOTION)
     return motion
 
 
-def _commands(motion: Motion) -> list[np.ndarray]:
+def motion_commands(motion: Motion) -> list[np.ndarray]:
+    """Return the command of each period of a motion, shape (35,)."""
     command_format = registry.find("command", "twist2")
     playback, found = Playback(motion, command_format), []
     while not playback.is_done:

@@ -21,7 +21,6 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.errors import BusError
 
-_LIMIT_S = 120.0
 _STATE = twist_keys.state_body(twist_keys.TWIST2_ROBOT)
 
 METHOD = """\
@@ -75,24 +74,19 @@ def _serve(folder: Path, cache: Path) -> float:
     with processes.bus() as (address, _):
         environment = {"STATION_BUS": address.url, "XDG_CACHE_HOME": str(cache)}
         began_s = time.monotonic()
-        with processes.station("serve", "g1", *_sets(""), environment=environment, log=folder / "g1.log"):
-            return _until(lambda: _has(address, _STATE)) - began_s
+        with processes.station("serve", "g1", *upstream.settings(""), environment=environment, log=folder / "g1.log"):
+            return processes.until(lambda: processes.has_key(address, _STATE)) - began_s
 
 
 def _up(folder: Path, cache: Path) -> float:
-    arguments = ("up", "g1-sim-motion", "--yes", "--record", "--task", "bench", *_sets("g1."))
+    arguments = ("up", "g1-sim-motion", "--yes", "--record", "--task", "bench", *upstream.settings("g1."))
     return _station(folder, cache, arguments, lambda address: _is_active(address, "motion"))
 
 
-def _sets(prefix: str) -> list[str]:
-    """Options that make our G1 load what stock's loads; as paths, since an empty cache may be where they were."""
-    names = {"robot_model": upstream.ROBOT_MODEL, "checkpoint": upstream.CHECKPOINT}
-    values = {"policy": "twist2"} | {name: str(assets.resolve(reference)) for name, reference in names.items()}
-    return [word for name, value in values.items() for word in ("--set", f"{prefix}{name}={value}")]
-
-
 def _demo(folder: Path, cache: Path) -> float:
-    return _station(folder, cache, ("demo",), _is_following)
+    return _station(
+        folder, cache, ("demo",), lambda address: processes.gate_state(address, twist_keys.TWIST2_ROBOT) == "entering"
+    )
 
 
 def _station(folder: Path, cache: Path, arguments: Sequence[str], holds: Callable[[BusAddress], bool]) -> float:
@@ -101,7 +95,7 @@ def _station(folder: Path, cache: Path, arguments: Sequence[str], holds: Callabl
     began_s = time.monotonic()
     data = ("--data", str(folder / "data"))
     with processes.station(*arguments, *data, environment=environment, log=folder / "station.log"):
-        return _until(lambda: holds(address)) - began_s
+        return processes.until(lambda: holds(address)) - began_s
 
 
 def _stock(folder: Path) -> float:
@@ -111,39 +105,16 @@ def _stock(folder: Path) -> float:
         began_s = time.monotonic()
         process = subprocess.Popen([sys.executable, *command], stdout=log, stderr=log)
         try:
-            return _until(lambda: _has(address, _STATE)) - began_s
+            return processes.until(lambda: processes.has_key(address, _STATE)) - began_s
         finally:
             process.kill()
             process.wait()
-
-
-def _until(holds: Callable[[], bool]) -> float:
-    """Look every 5 ms; return the instant at which it held [s]."""
-    deadline = time.monotonic() + _LIMIT_S
-    while not holds():
-        if time.monotonic() > deadline:
-            raise RuntimeError(f"not started within {_LIMIT_S:.0f} s")
-        time.sleep(0.005)
-    return time.monotonic()
-
-
-def _has(address: BusAddress, key: str) -> bool:
-    with Bus(address, name="bench") as line:
-        return line.get(key) is not None
 
 
 def _is_active(address: BusAddress, name: str) -> bool:
     with contextlib.suppress(BusError), Bus(address, name="bench") as line:  # the bus is started by what we wait for
         data = line.get(keys.server(name))
         return data is not None and msgspec.json.decode(data).get("state") == "active"
-    return False
-
-
-def _is_following(address: BusAddress) -> bool:
-    """Whether the robot has begun to blend into the motion: its first moving frame."""
-    with contextlib.suppress(BusError), Bus(address, name="bench") as line:
-        data = line.get(keys.command_gate(twist_keys.TWIST2_ROBOT))
-        return data is not None and msgspec.json.decode(data).get("state") == "entering"
     return False
 
 

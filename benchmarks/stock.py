@@ -7,6 +7,7 @@ in simulation, PD control in numpy before each physics step.
 
 from __future__ import annotations
 
+import itertools
 import json
 import time
 from collections import deque
@@ -27,7 +28,8 @@ COMMAND_KEYS = (
     twist_keys.action_neck(),
 )
 COMMAND_SIZES = (35, 7, 7, 2)
-RECORDER_HZ = 30.0
+STATE_KEY = twist_keys.state_body(twist_keys.TWIST2_ROBOT)
+POLICY_HZ, RECORDER_HZ = 50.0, 30.0
 
 Floats = NDArray[np.float64]
 
@@ -44,6 +46,12 @@ class Client:
         for key, vector in zip(COMMAND_KEYS, vectors, strict=True):
             self._pipeline.set(key, json.dumps(vector.tolist()))
         self._pipeline.set(twist_keys.T_ACTION, time_ns)
+        self._pipeline.execute()
+
+    def send_state(self, state: Floats, time_ns: int) -> None:
+        """Write the state of the body and the time in one pipeline, as the stock low-level loop does."""
+        self._pipeline.set(STATE_KEY, json.dumps(state.tolist()))
+        self._pipeline.set(twist_keys.T_STATE, time_ns)
         self._pipeline.execute()
 
     def read_command(self) -> list[Floats]:
@@ -82,14 +90,39 @@ def loop(hz: float, ticks: int, tick: Callable[[], None]) -> None:
             time.sleep(left_s)
 
 
-def poll_recorder(port: int, names: Sequence[str], stop: Callable[[], bool]) -> dict[str, set[bytes]]:
-    """Look at keys 30 times a second until told to stop; return the distinct values that were seen of each."""
+def record(stop: Callable[[], bool], port: int, names: Sequence[str]) -> int:
+    """Look at keys 30 times a second until told to stop; return how many distinct values were seen of them."""
     client = Client(port)
     seen: dict[str, set[bytes]] = {name: set() for name in names}
     while not stop():
         loop(RECORDER_HZ, 1, lambda: _poll(client, names, seen))
     client.close()
-    return seen
+    return sum(map(len, seen.values()))
+
+
+def command(stop: Callable[[], bool], port: int, commands: Sequence[Floats]) -> None:
+    """Write commands of the body, shape (35,), 50 times a second, from the first again after the last, until told to
+    stop."""
+    client, others = Client(port), [np.zeros(size) for size in COMMAND_SIZES[1:]]
+    following = itertools.cycle(commands)
+    while not stop():
+        loop(POLICY_HZ, 1, lambda: client.send_command([next(following), *others], time.time_ns()))
+    client.close()
+
+
+def simulate(stop: Callable[[], bool], port: int, constants: Sequence[Any]) -> None:
+    """Follow the commands on the bus with a `Simulation` made of `constants`, 50 times a second, until told to stop."""
+    client, simulation = Client(port), Simulation(*constants)
+    while not stop() and None in client.read(COMMAND_KEYS):
+        time.sleep(0.01)
+
+    def tick() -> None:
+        simulation.run(client.read_command()[:1])
+        client.send_state(simulation.state(), time.time_ns())
+
+    while not stop():
+        loop(POLICY_HZ, 1, tick)
+    client.close()
 
 
 def _poll(client: Client, names: Sequence[str], seen: dict[str, set[bytes]]) -> None:
@@ -139,6 +172,11 @@ class Simulation:
                 self._step(self._model, self._data)
         simulated_s = len(commands) * self.DECIMATION * self.PHYSICS_DT_S
         return simulated_s / (time.perf_counter() - began_s)
+
+    def state(self) -> Floats:
+        """Return gyro, roll and pitch, and joints, as stock publishes them, shape (34,)."""
+        qpos = self._data.qpos
+        return np.concatenate([self._data.qvel[3:6], _roll_pitch(qpos[3:7]), qpos[7:]])
 
     def _policy(self, command: Floats) -> Floats:
         qpos, qvel = self._data.qpos, self._data.qvel

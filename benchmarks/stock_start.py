@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import redis
 
-from adapters.robots.g1 import twist_keys
 from benchmarks import stock
 
 
@@ -19,7 +18,7 @@ def main(port: int, model: Path, checkpoint: Path) -> None:
     zeros = np.zeros(29)
     simulation = stock.Simulation(model, checkpoint, zeros, zeros, zeros, zeros)
     simulation.run([np.zeros(35)])
-    client.set(twist_keys.state_body(twist_keys.TWIST2_ROBOT), json.dumps([0.0] * 34))
+    client.set(stock.STATE_KEY, json.dumps([0.0] * 34))
 
 
 if __name__ == "__main__":

@@ -19,6 +19,17 @@ G1_SETTINGS = ("policy=twist2", f"checkpoint={CHECKPOINT}", f"robot_model={ROBOT
 """The same for ``station serve g1 --set``."""
 
 
+def settings(prefix: str) -> list[str]:
+    """Return options that make our G1 load what stock's loads; as paths, since an empty cache may be where they were.
+
+    Args:
+        prefix: Of each setting: ``g1.`` for a runbook, "" for ``station serve g1``.
+    """
+    names = {"robot_model": ROBOT_MODEL, "checkpoint": CHECKPOINT}
+    values = {"policy": "twist2"} | {name: str(assets.resolve(reference)) for name, reference in names.items()}
+    return [word for name, value in values.items() for word in ("--set", f"{prefix}{name}={value}")]
+
+
 def problem() -> str:
     """Return what is missing of it and how it comes here, in one line; "" when all is there."""
     try:

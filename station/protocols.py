@@ -57,6 +57,9 @@ class JointTargets:
     kd: Floats
 
 
+LARGEST_JOINT_ERROR_RAD = 1e6
+"""An error of a joint beyond it was not measured [rad]."""
+
 FALL_TILT_RAD = math.radians(60.0)
 """A root that leans more than this has fallen. The root, not the link above the waist: people bow, and a motion that
 bows by 60° is no fall; and the root is where a robot's IMU is, so the same rule holds for real ones."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +11,7 @@ import click
 
 from station.cli.options import Verbs, address_of, bus_option, json_option
 from station.errors import UsageError
+from station.stop_signals import set_on_signals
 
 if TYPE_CHECKING:
     from station.bus.keeper import KeptServer
@@ -37,8 +37,7 @@ def start(tcp_port: int | None, bind: str | None, acl_file: Path | None) -> None
     from station.bus.keeper import KeptServer
 
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    set_on_signals(stop)
     options = _options(tcp_port, bind, acl_file)
     with KeptServer.start(options, on_restart=lambda text: click.echo(text, err=True)) as server:
         _introduce(server, options)

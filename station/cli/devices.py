@@ -28,6 +28,7 @@ from station.operator.device import Device, DeviceError
 from station.operator.device_kind import DeviceKind
 from station.operator.sample import OperatorSample
 from station.operator.voice import Cue, VoiceKind
+from station.stop_signals import set_on_signals
 
 _PERIOD_S = 0.02
 
@@ -297,8 +298,7 @@ def _print_readings(kind: DeviceKind, file: Path) -> None:
 def _show(device: Device) -> None:
     # An exception that an interrupt raises within a function that a library calls, as fakes have them, is lost.
     asked = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: asked.set())
+    set_on_signals(asked)
     began_s, last = time.monotonic(), ""
     try:
         while not asked.wait(_PERIOD_S):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +15,7 @@ from station.control.arm_kind import ArmServerKind
 from station.errors import UsageError
 from station.life import controller_request
 from station.life.controller_request import Action
+from station.stop_signals import set_on_signals
 
 if TYPE_CHECKING:
     from station_kord.demonstrations import Course
@@ -104,8 +104,7 @@ def controller(socket: Path, q_start: str, preset: str) -> None:
     except ValueError as error:  # BadOption is one, too
         raise UsageError(f"controller: {error}") from None
     ended = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.set())
+    set_on_signals(ended)
     click.echo(f"simulated controller at unix:{socket}; Ctrl-C ends it")
     try:
         ended.wait()

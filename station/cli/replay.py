@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ import click
 import msgspec
 
 from station.cli.options import bus_option, data_option, episode_argument, json_option
+from station.stop_signals import set_on_signals
 
 if TYPE_CHECKING:
     from station.episode.reading.reader import EpisodeReader
@@ -59,8 +59,7 @@ def _to_bus(
     from station.episode.replaying.replay import to_bus
 
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    set_on_signals(stop)
     report = to_bus(reader, address_of(bus), speed=speed, roles=roles or None, allow_live=allow_live, stop=stop)
     if as_json:
         click.echo(msgspec.json.encode(report))

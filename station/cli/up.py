@@ -17,6 +17,7 @@ from station.cli import candidates
 from station.cli.options import bus_option, data_option, set_option
 from station.episode.storage.folder import data_folder
 from station.episode.storage.request import RecordAnswer
+from station.stop_signals import ENDING, set_on_signals
 from station.supervision import runbook as runbooks
 from station.supervision.runbook import Runbook, StartStep
 from station.supervision.session import Recording, Session
@@ -127,15 +128,8 @@ def _fate(step: StartStep) -> str:
 def _stop_on_signals() -> Iterator[threading.Event]:
     """Turn the first Ctrl-C, SIGTERM or closed terminal into an orderly end; the second Ctrl-C interrupts that."""
     stop = threading.Event()
-
-    def ask(number: int, _frame: object) -> None:
-        if stop.is_set() and number == signal.SIGINT:
-            raise KeyboardInterrupt
-        stop.set()
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    end = set_on_signals(stop, (*ENDING, signal.SIGHUP), second_interrupts=True)
     try:
         yield stop
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        end()

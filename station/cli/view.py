@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +13,7 @@ import click
 from station.cli import candidates
 from station.cli.options import address_of, bus_option, data_option
 from station.errors import StationError, UsageError
+from station.stop_signals import set_on_signals
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -151,12 +151,11 @@ def _shown(recording: rr.RecordingStream, save_as: Path | None, stop: threading.
 @contextmanager
 def _signals_set(stop: threading.Event) -> Iterator[None]:
     """Have Ctrl-C and SIGTERM set an event; afterwards they are what they were, so a second Ctrl-C ends a wait."""
-    before = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    end = set_on_signals(stop)
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        end()
 
 
 def _warn(warnings: list[str]) -> None:

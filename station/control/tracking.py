@@ -10,10 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from station.protocols import Floats
-
-LARGEST_RAD = 1e6
-"""Of a joint's error: what is beyond it was not measured [rad]."""
+from station.protocols import LARGEST_JOINT_ERROR_RAD, Floats
 
 
 class TrackingError:
@@ -38,7 +35,7 @@ class TrackingError:
         self.ticks += 1
         with np.errstate(all="ignore"):
             errors = np.abs(q[self._joints] - command[self._elements])
-        known = errors <= LARGEST_RAD
+        known = errors <= LARGEST_JOINT_ERROR_RAD
         self._sums += np.where(known, errors, 0.0)
         self._counts += known
         if root_height_m is not None and self._height is not None:

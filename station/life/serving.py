@@ -10,8 +10,6 @@ import contextlib
 import hashlib
 import logging
 import os
-import signal
-import threading
 import traceback
 from pathlib import Path
 
@@ -24,6 +22,7 @@ from station.bus.client import Bus
 from station.bus.protection import inspect
 from station.errors import BusError, Refused, StationError
 from station.life.server import Life, ServerKind, read_health
+from station.stop_signals import set_on_signals
 
 log = logging.getLogger(__name__)
 
@@ -42,7 +41,7 @@ def serve(kind: ServerKind, config: msgspec.Struct, *, address: BusAddress | Non
         _claim(bus, name)
         _warn_of_strangers(bus)
         life = Life(kind, name, bus, _config_hash(config))
-        _on_signals(life)
+        set_on_signals(life.stop_event, second_interrupts=True)  # the second does not wait for a clean end
         reason = "stopped"
         try:
             return kind.main(config, life)
@@ -76,19 +75,6 @@ def _warn_of_strangers(bus: Bus) -> None:
 
 def _config_hash(config: msgspec.Struct) -> str:
     return hashlib.sha256(msgspec.json.encode(config, enc_hook=str)).hexdigest()
-
-
-def _on_signals(life: Life) -> None:
-    if threading.current_thread() is not threading.main_thread():
-        return
-
-    def ask_to_stop(number: int, _frame: object) -> None:
-        if life.stopping and number == signal.SIGINT:
-            raise KeyboardInterrupt  # the second Ctrl-C does not wait for a clean end
-        life.stop_event.set()
-
-    signal.signal(signal.SIGINT, ask_to_stop)
-    signal.signal(signal.SIGTERM, ask_to_stop)
 
 
 def for_role(address: BusAddress, role: str) -> BusAddress:

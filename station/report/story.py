@@ -11,13 +11,12 @@ import numpy as np
 
 from station.bus import codec, keys
 from station.contract import Contract
-from station.control.tracking import LARGEST_RAD
 from station.episode.quality import interruptions
 from station.episode.reading import steps
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step, StepJoiner
-from station.protocols import Floats
+from station.protocols import LARGEST_JOINT_ERROR_RAD, Floats
 from station.view import phases
 from station.view.phases import PhaseNames, Span, Spans
 
@@ -170,7 +169,7 @@ class _Tracker:
         q, wanted = codec.parse_f64(state)[self._columns[0]], codec.parse_f64(asked)[self._columns[1]]
         with np.errstate(all="ignore"):
             errors = np.abs(q - wanted)
-        if not (errors <= LARGEST_RAD).all():
+        if not (errors <= LARGEST_JOINT_ERROR_RAD).all():
             return
         self._held.append((float(errors.mean()), float(errors.max())))
         if len(self._held) >= self._stride:

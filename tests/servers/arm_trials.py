@@ -57,8 +57,9 @@ def move_and_let_go(folder: Path) -> list[str]:
 
         def is_done() -> bool:
             nonlocal rest, stands  # as they are together: the script goes on, and the operator drives again
-            rest, stands = since_release(station), arm.session.q.copy()
-            return len(rest.commands) > RESTS and has_moved(station, started)
+            begun, stands = since_release(station), arm.session.q.copy()
+            rest = since_release(station)
+            return len(rest.commands) >= len(begun.commands) > RESTS and has_moved(station, started)
 
         wait_until(is_done, CYCLES * CYCLE_S + 60.0)
         last = rest.commands[-1]

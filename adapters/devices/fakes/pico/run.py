@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +12,7 @@ from adapters.devices.fakes.pico import script as scripts
 from adapters.devices.fakes.pico.play import play
 from adapters.devices.fakes.pico.service import DEFAULT_PORT, PicoService
 from adapters.devices.fakes.punctual import be_punctual
+from station.stop_signals import set_on_signals
 
 _LOOK_S = 0.1
 
@@ -39,8 +39,7 @@ def run(
         DeviceError: the port is in use, or there is no grpcio.
     """
     stop, go = threading.Event(), threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    set_on_signals(stop)
     be_punctual()
     script = scripts.load(file)
     with PicoService(port) as service:
