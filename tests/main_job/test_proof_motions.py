@@ -42,5 +42,5 @@ def run(request: pytest.FixtureRequest, runs: Runs) -> Driven:
     return runs[request.param].result()
 
 
-def test_the_verdict_is_good(run: Driven) -> None:
+def test_the_verdict_is_good(run: Driven, proof: Figures) -> None:
     assert run.check["verdict"] == "good", run.check["reasons"]

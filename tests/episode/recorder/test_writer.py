@@ -181,7 +181,7 @@ import resource, signal, sys, time
 from pathlib import Path
 from station.episode.storage.records import MAGIC
 from station.episode.writing import file as episode_file
-from station.episode.storage.anchor import take_anchor
+from station.episode.storage.anchor import read_anchor
 from station.episode.storage.manifest import Manifest
 from station.episode.storage.progress import WriterOptions
 from station.episode.recorder.writer import EpisodeWriter
@@ -189,7 +189,7 @@ from station.bus.tap import Write
 import os
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
-writer = EpisodeWriter(Path(sys.argv[1]), anchor=take_anchor(), manifest=Manifest(episode_id="e"),
+writer = EpisodeWriter(Path(sys.argv[1]), anchor=read_anchor(), manifest=Manifest(episode_id="e"),
                        options=WriterOptions(flush_s=0.01))
 put = 0
 while writer.state in ("opening", "open"):

@@ -145,9 +145,9 @@ from pathlib import Path
 from servers import recorder
 from station.bus.tap import Write
 from station.episode.recorder.writer import EpisodeWriter
-from station.episode.storage.anchor import take_anchor
+from station.episode.storage.anchor import read_anchor
 from station.episode.storage.manifest import Manifest
-writer = EpisodeWriter(Path(sys.argv[1]), anchor=take_anchor(), manifest=Manifest(episode_id="e"))
+writer = EpisodeWriter(Path(sys.argv[1]), anchor=read_anchor(), manifest=Manifest(episode_id="e"))
 writer.put([Write(sys.argv[2], b"1", None, time.monotonic_ns())])
 writer.finish(lambda totals: Manifest(episode_id="e", state="finished"))
 assert writer.wait(30.0)
