@@ -62,3 +62,14 @@ def test_no_handler_sets_an_event_itself() -> None:
     handlers = re.compile(r"signal\.signal\(.*\.set\b")
     files = [file for folder in ("station", "servers", "adapters", "tests") for file in (ROOT / folder).rglob("*.py")]
     assert [file.relative_to(ROOT) for file in files if handlers.search(file.read_text(encoding="utf-8"))] == []
+
+
+def test_no_other_handler_may_take_a_lock() -> None:
+    """A handler that waits for a lock of its own thread waits for ever; look at each new one before it stands here."""
+    files = [file for folder in ("station", "servers", "adapters") for file in (ROOT / folder).rglob("*.py")]
+    handling = {str(file.relative_to(ROOT)) for file in files if "signal.signal(" in file.read_text(encoding="utf-8")}
+    assert handling == {
+        "station/stop_signals.py",  # puts a word into a queue that is made for it
+        "station/side_by_side.py",  # appends to a list
+        "station/cli/devices.py",  # raises
+    }

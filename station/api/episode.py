@@ -309,7 +309,7 @@ class Episode:
         return found.holds(self._channels[key])
 
     def _refuse(self, key: str, held: Holds) -> NoReturn:
-        """Return how the values of a key that holds no numbers are read."""
+        """Refuse a key that holds no numbers; the error says how its values are read."""
         names = {topic: name for name, topic in frames.cameras(self._reader).items()}
         how = {"pictures": f"pictures({names.get(key)!r})", "json": f"json({key!r})"}.get(held, f"raw({key!r})")
         has_contract = any(channel.contract is not None for channel in self._channels[key])

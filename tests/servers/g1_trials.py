@@ -93,8 +93,8 @@ def arm(address: BusAddress, *robot: str) -> Ramp:
         assert ramp[0] <= 0.06 * max(ramp)
         assert np.diff(ramp).max() <= 0.06 * max(ramp), "a tick late at most"
         rising = int(np.count_nonzero(np.array(ramp) < max(ramp)))
-        # Two seconds of ticks that count for 0.1 s at most; at 50 Hz, and after a late one some come closer together.
-        assert 20 <= rising <= 120, rising
+        # A tick counts for 0.1 s at most; one that is late by more than a period is followed by the next at once.
+        assert 20 <= rising <= round(RAMP_S / PERIOD_S) + 1, rising
         seconds = (log.events("armed")[0].wall_ns - arming.wall_ns) * 1e-9
         assert seconds > 0.9 * RAMP_S
         assert arm_request.ask(bus, "arm") == {"g1": ["armed"]}

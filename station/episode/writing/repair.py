@@ -253,7 +253,7 @@ def _close(mended: Sequence[RepairedFile], anchor: Anchor, manifest: Manifest, p
 
 
 def _end(manifest: Manifest, told: SummaryState, anchor: Anchor, last_ns: int) -> None:
-    """Return when and why the episode ended: as its file says, else with its last message."""
+    """Put into the manifest when and why the episode ended: as its file says, else with its last message."""
     if told.ending is not None:
         manifest.recorder.ended_by = told.ending.action
     elif not manifest.recorder.ended_by:
