@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import os
 import re
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
@@ -42,7 +42,7 @@ class CameraConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         niceness: How far the process stands back behind others, 0 to 19: pictures may wait, a robot may not.
     """
 
-    source: str = "uvc"
+    source: Annotated[str, registry.named("camera")] = "uvc"
     options: dict[str, Any] = {}
     name: str = ""
     fps: float | None = None
@@ -71,6 +71,11 @@ class CameraConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         """The kind of its source."""
         found: CameraKind = registry.find("camera", self.source)
         return found
+
+    @property
+    def option_types(self) -> dict[str, type[msgspec.Struct]]:
+        """Types of the settings that are mappings, by name."""
+        return {"options": self.kind.options}
 
     def typed_options(self) -> Any:
         """Return the options as the source's type has them.

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
@@ -40,7 +40,7 @@ class CuesConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         old_s: What has waited for longer is not said any more [s].
     """
 
-    voices: tuple[str, ...] = ("tones",)
+    voices: Annotated[tuple[str, ...], registry.named("voice")] = ("tones",)
     options: dict[str, dict[str, Any]] = {}
     phrases: Path | None = None
     old_s: float = OLD_S
@@ -56,6 +56,12 @@ class CuesConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             raise ValueError(f"old_s is {self.old_s:g}; expected 0.5 to 60 s")
         for name in self.voices:
             self.typed_options(name)
+
+    @property
+    def option_types(self) -> dict[str, type[msgspec.Struct]]:
+        """Types of the settings that are mappings, by name."""
+        kinds: dict[str, VoiceKind] = {name: registry.find("voice", name) for name in self.voices}
+        return {f"options.{name}": kind.options for name, kind in kinds.items()}
 
     def typed_options(self, voice: str) -> Any:
         """Return the options of a voice as its type has them.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from station import registry
 from station.control.rig import RigConfig
 from station.control.robot_server import PolicyServerConfig, serve
@@ -20,7 +22,7 @@ class G1Config(PolicyServerConfig, frozen=True, kw_only=True, forbid_unknown_fie
 
     backend: str = "mujoco"
     robot_model: str = "builtin:g1.xml"
-    policy: str = "tracker"
+    policy: Annotated[str, registry.named("policy")] = "tracker"
     rate_hz: float = 50.0
     physics_dt_s: float = 0.001
     viewer: bool = False

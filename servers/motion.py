@@ -12,7 +12,7 @@ stock TWIST2's ``motion_start_signal`` and ``motion_exit_signal`` (``1``).
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 
@@ -63,7 +63,7 @@ class MotionConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """
 
     motion: str
-    format: str = "twist2"
+    format: Annotated[str, registry.named("command")] = "twist2"
     fps: float | None = None
     holes: Literal["refuse", "bridge"] = "refuse"
     rate_hz: float = 50.0

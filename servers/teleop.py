@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import getpass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -60,7 +60,7 @@ class TeleopConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """
 
     device: str = "pico"
-    driver: str = "hands"
+    driver: Annotated[str, registry.named("driver")] = "hands"
     options: dict[str, Any] = {}
     operator: str = ""
     controls_from: str = ""
@@ -91,11 +91,18 @@ class TeleopConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         Raises:
             ValueError: they are none of its options; the message names the field.
         """
-        kind: DriverKind = registry.find("driver", self.driver)
         try:
-            return configs.build(kind.options, self.options, where=f"options of the driver {kind.name}")
+            return configs.build(
+                self.option_types["options"], self.options, where=f"options of the driver {self.driver}"
+            )
         except ConfigError as error:
             raise ValueError(str(error)) from None
+
+    @property
+    def option_types(self) -> dict[str, type[msgspec.Struct]]:
+        """Types of the settings that are mappings, by name."""
+        kind: DriverKind = registry.find("driver", self.driver)
+        return {"options": kind.options}
 
     @property
     def button_kind(self) -> str:

@@ -10,6 +10,8 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal, get_args
 
+import msgspec
+
 from station import packages
 from station.errors import StationError, UnknownName
 
@@ -48,6 +50,11 @@ _GROUPS: dict[str, str] = {
     "voice": "station.voices",
     "foreign": "station.foreign",
 }
+
+
+def named(kind: Kind) -> msgspec.Meta:
+    """Return what an annotation says of a setting that is a registered name: ``Annotated[str, named("policy")]``."""
+    return msgspec.Meta(extra={"registered": kind})
 
 
 @cache

@@ -185,7 +185,7 @@ class Station:
             if health.role != "low-level":
                 continue
             try:
-                name = arm_request.robot_of(self._bus, health)
+                name = arm_request.robot_of(self._bus, health.name)
             except NotReady:  # it loads
                 continue
             gate = codec.parse_facts(self._bus.get(keys.command_gate(name)))

@@ -30,8 +30,12 @@ def files(_context: click.Context, _parameter: click.Parameter, begun: str) -> l
 
 def runbooks(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
     """Runbooks that ship, and files."""
-    shipped = sorted(path.stem for path in packages.RUNBOOKS.glob("*.yaml"))
-    return files(context, parameter, begun) + _fitting(begun, shipped)
+    return files(context, parameter, begun) + shipped_runbooks(context, parameter, begun)
+
+
+def shipped_runbooks(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Runbooks that ship."""
+    return _fitting(begun, sorted(path.stem for path in packages.RUNBOOKS.glob("*.yaml")))
 
 
 def episodes(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:

@@ -39,11 +39,11 @@ def options_of(kind: type[msgspec.Struct]) -> FieldOptions:
     params: list[click.Parameter] = []
     lists: set[str] = set()
     for field in type_info.fields:
-        wanted, about = _described(field.type)
+        wanted, about = described(field.type)
         flag = f"--{field.name.replace('_', '-')}"
         shape: dict[str, Any] = {}
         if isinstance(wanted, inspect.LiteralType):
-            shape = {"type": click.Choice([str(value) for value in _choices(hints[field.name])])}
+            shape = {"type": click.Choice([str(value) for value in choices(hints[field.name])])}
         elif isinstance(wanted, inspect.BoolType):
             shape, flag = {"is_flag": True}, f"{flag}/--no-{flag[2:]}"
         elif isinstance(wanted, inspect.VarTupleType):
@@ -58,7 +58,7 @@ def options_of(kind: type[msgspec.Struct]) -> FieldOptions:
 _METAVARS: dict[type, str] = {inspect.IntType: "N", inspect.FloatType: "X"}
 
 
-def _described(wanted: inspect.Type) -> tuple[inspect.Type, str]:
+def described(wanted: inspect.Type) -> tuple[inspect.Type, str]:
     """Return a type without what describes it and without None, and its description."""
     about = ""
     while True:
@@ -71,11 +71,11 @@ def _described(wanted: inspect.Type) -> tuple[inspect.Type, str]:
             return wanted, about
 
 
-def _choices(hint: Any) -> list[Any]:
-    """Return what a Literal allows, in the order in which the type has it."""
+def choices(hint: Any) -> list[Any]:
+    """Return what a Literal allows, one that may be absent too, in the order in which the type has it."""
     if get_origin(hint) is Literal:
         return list(get_args(hint))
-    return [choice for part in get_args(hint) for choice in _choices(part)]
+    return [choice for part in get_args(hint) for choice in choices(part)]
 
 
 def _plain_type(wanted: inspect.Type, name: str) -> Any:

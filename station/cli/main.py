@@ -25,7 +25,9 @@ _LEVELS = ("DEBUG", "INFO", "WARNING", "ERROR", "CRITICAL")
 VERBS = {
     "demo": "Drive a simulated G1 once, record it, print the report.",
     "up": "Run a runbook: start a station, watch over it, take it down.",
+    "runbooks": "List the runbooks that ship, show one, or copy one to change it.",
     "serve": "Run one server in this terminal.",
+    "settings": "List the servers, or the settings of one and what they mean.",
     "status": "Show servers and their states, keys, rates and ages.",
     "doctor": "Find out why the robot does nothing, and what to do.",
     "estop": "Stop every robot on the bus; --reset releases.",

@@ -6,11 +6,11 @@ import json
 from typing import Any
 
 import click
-import msgspec
 
 from station import config, registry
 from station.cli import candidates
 from station.cli.options import bus_option, set_option
+from station.cli.settings import show
 from station.errors import ConfigError
 
 
@@ -20,7 +20,7 @@ from station.errors import ConfigError
 @set_option("key=value")
 @click.option("--name", default="", help="Name on the bus, when two of a kind run.  [default: the server's]")
 @click.option("--config-json", hidden=True, default="", help="Whole configuration, from a supervisor.")
-@click.option("--list-keys", is_flag=True, help="Print the keys that --set takes, with their defaults, and exit.")
+@click.option("--list-keys", is_flag=True, help="List what --set takes, as `station settings` does, and exit.")
 def command(server: str, bus: str | None, sets: tuple[str, ...], name: str, config_json: str, list_keys: bool) -> None:
     """Run SERVER until it is interrupted."""
     from station.cli.options import address_of
@@ -29,10 +29,10 @@ def command(server: str, bus: str | None, sets: tuple[str, ...], name: str, conf
 
     kind: ServerKind = registry.find("server", server)
     if list_keys:
-        _print_keys(kind.config)
+        show(kind, sets)
         return
     values = config.merged(_base(config_json), config.overrides(sets, servers=None).get("", {}))
-    built = config.build(kind.config, values, where=f"server {server} (--list-keys shows its settings)")
+    built = config.build(kind.config, values, where=f"server {server} (`station settings {server}` lists them)")
     raise SystemExit(serve(kind, built, address=address_of(bus), name=name))
 
 
@@ -44,19 +44,3 @@ def _base(text: str) -> dict[str, Any]:
     if not isinstance(base, dict):
         raise ConfigError(f"--config-json: expected an object, got {type(base).__name__}")
     return base
-
-
-def _print_keys(kind: type[msgspec.Struct], prefix: str = "") -> None:
-    """Print the settings of a configuration as ``--set`` takes them."""
-    for field in msgspec.structs.fields(kind):
-        name = prefix + field.encode_name
-        if isinstance(field.type, type) and issubclass(field.type, msgspec.Struct):
-            _print_keys(field.type, f"{name}.")
-        elif field.required:
-            click.echo(f"{name}=  (required)")
-        else:
-            click.echo(f"{name}={json.dumps(msgspec.to_builtins(_default(field), enc_hook=str))}")
-
-
-def _default(field: msgspec.structs.FieldInfo) -> Any:
-    return field.default if field.default_factory is msgspec.NODEFAULT else field.default_factory()

@@ -25,7 +25,7 @@ from station.supervision.supervisor import Supervisor, how_it_ended, log_folder
 
 
 @click.command("up")
-@click.argument("runbook", shell_complete=candidates.runbooks)
+@click.argument("runbook", default="", shell_complete=candidates.runbooks)
 @click.option(
     "--yes", is_flag=True, help="Answer confirmations with yes; recorded as unattended, refused for a real robot."
 )

@@ -6,7 +6,7 @@ a newer command, and the gate's clock is that of the ticks, so a run is the same
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -40,7 +40,7 @@ class PolicyServerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         real_time_priority: SCHED_FIFO priority that is asked for with `pace: wall`; 0 does not ask.
     """
 
-    policy: str = ""
+    policy: Annotated[str, registry.named("policy")] = ""
     checkpoint: str = ""
     policy_options: dict[str, Any] = {}
     rate_hz: float = 0.0
@@ -77,7 +77,7 @@ class RobotConfig(PolicyServerConfig, frozen=True, kw_only=True, forbid_unknown_
         robot_options: Its settings.
     """
 
-    robot: str
+    robot: Annotated[str, registry.named("robot")]
     robot_options: dict[str, Any] = {}
 
     def __post_init__(self) -> None:
@@ -93,6 +93,11 @@ class RobotConfig(PolicyServerConfig, frozen=True, kw_only=True, forbid_unknown_
     def rig(self) -> RigConfig:
         """What drives what."""
         return self.rig_of(self.robot, self.robot_options)
+
+    @property
+    def option_types(self) -> dict[str, type[msgspec.Struct]]:
+        """Types of the settings that are mappings, by name."""
+        return {"robot_options": self.rig.kind.options}
 
 
 def serve(config: PolicyServerConfig, life: Life) -> int:

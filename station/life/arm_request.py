@@ -83,7 +83,7 @@ def ask(
         NotReady: no such server runs, the bus did not take the request, or a server did not answer.
         Refused: a server said no; with its reason.
     """
-    robots = {health.name: robot_of(bus, health) for health in _low_level(bus, name)}
+    robots = {health.name: robot_of(bus, health.name) for health in _low_level(bus, name)}
     server = next(iter(robots)) if name else ""
     wanted = ArmRequest(action=action, id=request.new_id(), server=server, who=getpass.getuser(), reason=reason)
     deadline_s = bus.clock.monotonic_s() + within_s
@@ -104,7 +104,7 @@ def server_of(bus: Bus, robot: str) -> str:
     for health in found:
         if _drives(bus, health, robot):
             return health.name
-    driven = sorted(robot_of(bus, health) for health in found)
+    driven = sorted(robot_of(bus, health.name) for health in found)
     raise NotReady(f"no server drives {robot} on {bus.address}; those that run drive {', '.join(driven)}")
 
 
@@ -131,26 +131,26 @@ def _low_level(bus: Bus, name: str) -> list[Health]:
 
 def _drives(bus: Bus, health: Health, robot: str) -> bool:
     try:
-        stated = _stated(bus, health)
+        stated = _stated(bus, health.name)
     except NotReady:  # it has not said so yet
         return False
     return robot == stated.robot or robot in stated.parts
 
 
-def robot_of(bus: Bus, health: Health) -> str:
-    """Return the suffix of the robot that a low-level server drives.
+def robot_of(bus: Bus, server: str) -> str:
+    """Return the suffix of the robot that a low-level server drives, given by its name.
 
     Raises:
         NotReady: it has not said so yet.
     """
-    return _stated(bus, health).robot
+    return _stated(bus, server).robot
 
 
-def _stated(bus: Bus, health: Health) -> _Stated:
+def _stated(bus: Bus, server: str) -> _Stated:
     try:
-        return codec.parse_struct(bus.get(keys.server_config(health.name)) or b"", _Stated)
+        return codec.parse_struct(bus.get(keys.server_config(server)) or b"", _Stated)
     except codec.BadValue as error:
-        raise NotReady(f"server {health.name!r} has not stated which robot it drives yet ({error})") from None
+        raise NotReady(f"server {server!r} has not stated which robot it drives yet ({error})") from None
 
 
 def _follow(watch: Watch, name: str, key: str, wanted: ArmRequest, deadline_s: float) -> list[str]:

@@ -170,7 +170,9 @@ class StopButton:
         found = {}
         for health in self._active():
             try:
-                found[health.name] = _gate(self._bus.get(keys.command_gate(arm_request.robot_of(self._bus, health))))
+                found[health.name] = _gate(
+                    self._bus.get(keys.command_gate(arm_request.robot_of(self._bus, health.name)))
+                )
             except NotReady as error:
                 found[health.name] = str(error)
         return found

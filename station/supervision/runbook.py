@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -16,7 +16,7 @@ import msgspec
 
 from station import config, packages, registry
 from station.bus.client import Bus
-from station.errors import ConfigError, did_you_mean
+from station.errors import ConfigError, UsageError, did_you_mean
 from station.life import arm_request
 from station.life.server import ServerKind
 from station.supervision.checks import KINDS, Check
@@ -111,7 +111,8 @@ class Runbook(msgspec.Struct, frozen=True, kw_only=True):
     """A validated runbook.
 
     Attributes:
-        name, description, robot: What it is called, is for, and which robot it drives.
+        name, description: What it is called, and is for.
+        robot: Which robot it drives, to be compared with what runs; "" where a setting of such a server was changed.
         robot_is_real: Whether people stand beside the robot: confirmations then need a person.
         steps: What happens, in order.
         stop_order: Names of servers in the order they are stopped after a failure.
@@ -131,6 +132,11 @@ class Runbook(msgspec.Struct, frozen=True, kw_only=True):
         """The servers that it starts, in order."""
         return tuple(step for step in self.steps if isinstance(step, StartStep))
 
+    @property
+    def low_level(self) -> tuple[StartStep, ...]:
+        """Those of them that drive a robot."""
+        return tuple(_low_level(self.steps))
+
 
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     runbook: str
@@ -141,12 +147,36 @@ class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     on_failure: list[dict[str, str]] = []
 
 
+def shipped() -> dict[str, Path]:
+    """Return the files of the runbooks that ship with the station, by name."""
+    return {path.stem: path for path in sorted(packages.RUNBOOKS.glob("*.yaml"))}
+
+
 def find(reference: str) -> Path:
-    """Return the file of a runbook: a path, or the name of one that ships with the station."""
-    path = Path(reference)
-    if path.exists() or path.suffix:
+    """Return the file of a runbook: a path, or the name of one that ships with the station.
+
+    Raises:
+        UsageError: it is neither.
+    """
+    path, known = Path(reference), shipped()
+    if reference in known:
+        return known[reference]
+    if reference and (path.is_file() or path.suffix):
         return path
-    return packages.RUNBOOKS / f"{reference}.yaml"
+    listed = f"{', '.join(known)} (`station runbooks list` says what each is for), or the path of a file of yours"
+    if not reference:
+        raise UsageError(f"which runbook? Name one of {listed}")
+    raise UsageError(f"unknown runbook {reference!r}{did_you_mean(reference, known)}; expected one of {listed}")
+
+
+def describe(path: Path) -> tuple[str, str]:
+    """Return which robot a runbook's file says that it drives, and what it is for.
+
+    Raises:
+        BadFile, ConfigError: it is no runbook.
+    """
+    file = config.build(_File, config.read_yaml(path), where=str(path))
+    return file.robot, file.description
 
 
 def load(path: Path, sets: Sequence[str] = ()) -> Runbook:
@@ -167,16 +197,22 @@ def load(path: Path, sets: Sequence[str] = ()) -> Runbook:
             raise ConfigError(f"{path}: starts server {name!r} {names.count(name)} times; expected once")
     changes = config.overrides(sets, servers=names)
     steps = tuple(_step(raw, changes, f"{path} step {n}") for n, raw in enumerate(file.steps, 1))
+    if not names:
+        raise ConfigError(f"{path}: starts nothing; expected at least one step such as `- start: motion`")
     _expect_started_before_armed(steps, str(path))
     return Runbook(
         name=file.runbook,
-        robot=file.robot,
+        robot="" if any(step.start in changes for step in _low_level(steps)) else file.robot,
         description=file.description,
         robot_is_real=file.robot_is_real,
         steps=steps,
         stop_order=_stop_order(file, names, str(path)),
         text=path.read_text(encoding="utf-8"),
     )
+
+
+def _low_level(steps: Iterable[Step]) -> Iterator[StartStep]:
+    return (step for step in steps if isinstance(step, StartStep) and step.kind.role == "low-level")
 
 
 def _step(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], where: str) -> Step:

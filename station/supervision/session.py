@@ -17,6 +17,7 @@ from station.episode.recorder import remote
 from station.episode.storage import left_open
 from station.episode.storage.request import RecordAnswer
 from station.errors import BusError, ConfigError, NotReady, Refused, StationError
+from station.life import arm_request
 from station.life.event_feed import EventFeed
 from station.life.restarts import Restarts
 from station.life.server import Health, read_health
@@ -187,10 +188,30 @@ class Session:
         if step.start not in self._supervisor.children:
             self._spawn(step)
         self._supervisor.wait_for(step.start, "inactive", step.ready_within_s, stop=stop)
+        self._expect_robot(step)
         self._supervisor.activate(step.start)
         health = self._supervisor.wait_for(step.start, "active", step.ready_within_s, stop=stop)
         took_s = self._clock.monotonic_s() - self._supervisor.children[step.start].started_s
         return f"active after {took_s:.1f} s, pid {health.pid}"
+
+    def _expect_robot(self, step: StartStep) -> None:
+        """Compare the robot that the runbook names with those that its servers drive, when the last of them is loaded.
+
+        Raises:
+            ConfigError: none of them drives it.
+        """
+        low_level = [each.start for each in self._runbook.low_level]
+        if not self._runbook.robot or step.start not in low_level[-1:]:
+            return
+        try:
+            driven = [arm_request.robot_of(self._bus, name) for name in low_level]
+        except NotReady:
+            return  # one that states nothing of its robot may drive any
+        if self._runbook.robot not in driven:
+            raise ConfigError(
+                f"runbook {self._runbook.name}: robot: expected what its servers drive, {' or '.join(driven)}, "
+                f"got {self._runbook.robot!r}"
+            )
 
     def _spawn(self, step: StartStep) -> None:
         restarts = Restarts() if step.if_it_dies == "restart" else None

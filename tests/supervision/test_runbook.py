@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from servers.motion import MotionConfig
-from station.errors import BadFile, StationError
+from station.errors import BadFile, StationError, UsageError
 from station.supervision import runbook
 from station.supervision.checks import DiskCheck
 from station.supervision.runbook import Arming, CheckStep, ConfirmStep, StartStep
@@ -105,6 +105,11 @@ def test_set_options_change_a_servers_configuration(tmp_path: Path) -> None:
         ("ready_within: 90s", "ready_within: soon", "step 3: ready_within: expected a duration"),
         ("ready_within: 90s", "ready_witin: 90s", "step 3: unknown key 'ready_witin' (did you mean 'ready_within'?)"),
         ("ready_within: 90s", "if_it_dies: restrt", "step 3: if_it_dies: expected ask, end, restart, got 'restrt'"),
+        (
+            GOOD[GOOD.index("steps:") : GOOD.index("on_f")],
+            "steps: []\n",
+            "starts nothing; expected at least one step such",
+        ),
         ("robot: unitree_g1_with_hands\n", "", "missing key robot"),
         ("robot:", "robto:", "unknown key 'robto' (did you mean 'robot'?)"),
         ("stop: motion", "stop: g1", "on_failure stops 'g1'"),
@@ -118,12 +123,34 @@ def test_a_mistake_is_one_line_that_names_the_place(tmp_path: Path, old: str, ne
     assert caught.value.exit_code == 2
 
 
-def test_every_runbook_that_ships_is_valid() -> None:
-    shipped = sorted(Path("runbooks").glob("*.yaml"))
-    assert shipped
-    for path in shipped:
-        assert runbook.load(path).name == path.stem
-    assert runbook.find("g1-sim-motion").exists()
+def test_every_runbook_that_ships_is_valid_and_says_what_it_is_for() -> None:
+    assert set(runbook.shipped()) == {path.stem for path in Path("runbooks").glob("*.yaml")} > {"g1-sim-motion"}
+    for name, path in runbook.shipped().items():
+        book = runbook.load(path)
+        assert (book.name, (book.robot, book.description)) == (name, runbook.describe(path))
+        assert book.description
+
+
+def test_the_name_of_one_that_ships_comes_before_a_folder_of_that_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "g1-demo").mkdir()
+    (tmp_path / "mine").write_text(GOOD)
+    assert runbook.find("g1-demo") == runbook.shipped()["g1-demo"]
+    assert runbook.find("mine") == Path("mine")
+
+
+@pytest.mark.parametrize("name", ["g1-sim-moton", "", "tests"])
+def test_a_name_that_is_no_runbook_is_told_with_those_that_are(name: str) -> None:
+    with pytest.raises(UsageError, match=r"one of commands-only, .*g1-sim-motion.*, or the path of a file of yours"):
+        runbook.find(name)
+
+
+def test_its_robot_is_not_compared_where_a_setting_of_the_robots_server_was_changed(tmp_path: Path) -> None:
+    text = GOOD.replace("  - note", "  - start: g1\n  - note")
+    assert load(tmp_path, text, "motion.loop=true").robot == "unitree_g1_with_hands"
+    assert load(tmp_path, text, "g1.policy=twist").robot == ""
 
 
 def test_a_missing_runbook_says_what_is_near() -> None:
