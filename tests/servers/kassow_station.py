@@ -62,6 +62,21 @@ class ArmStation:
         except AssertionError:
             raise AssertionError(f"gate is not {state}: {self.gate()}; {self.controller()}") from None
 
+    def wait_until_left_alone(self) -> None:
+        """Wait until the arm stands and nobody commands it, after a commander that has stopped.
+
+        Its last write may reach the server later than the bus, when the gate has waited since a pause before it.
+        """
+        newest = self.bus.read([keys.action_joints(ROBOT)])[keys.action_joints(ROBOT)].stamp
+        assert newest is not None
+        wait_until(lambda: self.command_seq() == newest.seq, TIMEOUT_S)
+        self.wait_for_gate("waiting")
+        self.wait_for_rest()
+
+    def command_seq(self) -> float:
+        """Number of the newest good command that the server has had, as its commander counts."""
+        return float(codec.parse_json_vector(self.bus.get(keys.policy_timing(ROBOT)) or b"")[1])
+
     def used(self) -> Floats:
         """The command that the arm follows; where it is, when nobody commands."""
         return codec.parse_f64(self.bus.get(keys.command_used(ROBOT)) or b"")

@@ -137,8 +137,7 @@ def test_silence_leaves_the_arm_where_it_is_and_who_returns_begins_from_there(ar
     with Commander(arm):
         arm.wait_for_gate("tracking")
         rate_hz(arm, "stream_j_sends", 0.3)
-    arm.wait_for_gate("waiting")
-    arm.wait_for_rest()
+    arm.wait_until_left_alone()
     at = arm.joints()
     with Commander(arm, moves=False):
         arm.wait_for_gate("tracking")
@@ -177,15 +176,13 @@ def test_a_profile_is_changed_at_standstill_only_and_stands_in_the_state(arm: Ar
     with Commander(arm, speed_rad_s=SLOW_RAD_S):
         arm.wait_for_gate("tracking")
         wait_until(is_refused)
-    arm.wait_for_gate("waiting")
-    arm.wait_for_rest()
+    arm.wait_until_left_alone()
     controller_request.ask(arm.bus, ROBOT, "profile", profile="time125")
     wait_until(lambda: arm.controller()["profile"] == "time125")
     with Commander(arm, speed_rad_s=SLOW_RAD_S):
         arm.wait_for_gate("tracking")
         assert 0.0 < rate_hz(arm, "stream_j_sends", 0.5) <= 126.0
-    arm.wait_for_gate("waiting")
-    arm.wait_for_rest()
+    arm.wait_until_left_alone()
     controller_request.ask(arm.bus, ROBOT, "profile", profile="speed125")
 
 
