@@ -53,6 +53,16 @@ def tasks(context: click.Context, _parameter: click.Parameter, begun: str) -> li
     return _fitting(begun, tasks(context.params.get("data")))
 
 
+def logs(context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Servers of which there is a log."""
+    from station.bus import address as addresses
+    from station.supervision.supervisor import log_folder
+
+    bus = context.params.get("bus")
+    folder = log_folder(addresses.parse(bus) if bus else addresses.default())
+    return _fitting(begun, sorted(file.stem for file in folder.glob("*.log")))
+
+
 def described(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
     """Robots and keys that are known without a bus."""
     from station.bus import contracts

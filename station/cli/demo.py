@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from station.cli.options import data_option, set_option
+from station.cli.options import bus_option, data_option, set_option
 from station.errors import StationError
 
 if TYPE_CHECKING:
@@ -27,7 +27,8 @@ _INTERRUPTED = 130
 )
 @set_option("server.key=value")
 @data_option
-def command(for_: str | None, sets: tuple[str, ...], data: Path | None) -> None:
+@bus_option
+def command(for_: str | None, sets: tuple[str, ...], data: Path | None, bus: str | None) -> None:
     """Drive a simulated G1 through the built-in clips, record it, check it, run its policy again, and draw it.
 
     \b
@@ -48,7 +49,7 @@ def command(for_: str | None, sets: tuple[str, ...], data: Path | None) -> None:
     gl = _leave_drawing_to_the_end()
     recording = Recording(task="demo", instruction="follow the motion")
     code, episode = up.run(
-        book, bus=None, data=data_folder(data), recording=recording, unattended=True, for_s=seconds, is_brief=True
+        book, bus=bus, data=data_folder(data), recording=recording, unattended=True, for_s=seconds, is_brief=True
     )
     if episode is None and code != _INTERRUPTED:
         raise StationError("the demo recorded nothing; the lines above say why")

@@ -27,6 +27,8 @@ VERBS = {
     "up": "Run a runbook: start a station, watch over it, take it down.",
     "runbooks": "List the runbooks that ship, show one, or copy one to change it.",
     "serve": "Run one server in this terminal.",
+    "down": "End the station that runs, in order, as Ctrl-C in its terminal does.",
+    "logs": "Print what the servers said; --follow goes on.",
     "settings": "List the servers, or the settings of one and what they mean.",
     "status": "Show servers and their states, keys, rates and ages.",
     "doctor": "Find out why the robot does nothing, and what to do.",

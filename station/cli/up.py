@@ -18,6 +18,7 @@ from station.cli.options import bus_option, data_option, set_option
 from station.episode.storage.folder import data_folder
 from station.episode.storage.request import RecordAnswer
 from station.stop_signals import ENDING, set_on_signals
+from station.supervision import claims
 from station.supervision import runbook as runbooks
 from station.supervision.runbook import Runbook, StartStep
 from station.supervision.session import Recording, Session
@@ -74,6 +75,7 @@ def run(
     named = addresses.parse(bus) if bus else None
     names = [step.start for step in book.servers]
     with (
+        claims.claimed(named or addresses.default(), names),
         _stop_on_signals() as stop,
         TerminalUI(stop, is_brief=is_brief) as face,
         found_or_started(named, on_restart=lambda text: face.report(text, "warning")) as address,

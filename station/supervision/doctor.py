@@ -234,7 +234,7 @@ def _who(sample: Sample) -> str:
 def _gate(watch: Watch, key: str) -> Iterator[Finding]:
     sample = watch.latest(key)
     if sample is None or sample.age_s(watch.clock.monotonic_ns()) > _LOOK_S:
-        yield Finding("broken", "gate", "no word from it: the low-level loop does not run", "see the server's log")
+        yield Finding("broken", "gate", "no word from it: the low-level loop does not run", "station logs")
         return
     try:
         gate = codec.parse_struct(sample.value, _Gate)
@@ -260,7 +260,7 @@ def _recorder(bus: Bus, servers: list[Health]) -> Iterator[Finding]:
     try:
         state = codec.parse_struct(bus.get(keys.RECORDER) or b"", RecorderState)
     except codec.BadValue:
-        yield Finding("warning", "recorder", "runs and has not said what it does", "see its log")
+        yield Finding("warning", "recorder", "runs and has not reported its state", "station logs recorder")
         return
     found = f"recording {state.episode_id}" if state.episode_id else "idle; `station record start` begins an episode"
     if state.dropped or state.error:

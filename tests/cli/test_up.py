@@ -152,8 +152,8 @@ def test_a_second_station_on_the_same_bus_is_refused(live: Home) -> None:
     before = live.pids()
     line = one_line(live.run("up", COMMANDS_ONLY, "--yes"))
     assert line.startswith("server 'motion' already runs on unix://")
-    assert f"(pid {before['motion']} on " in line
-    assert "stop that station first, or use another bus with --bus" in line
+    assert "(by `station up` with pid " in line
+    assert "stop that station first (`station down`), or use another bus with --bus" in line
     assert live.pids() == before
 
 

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import hashlib
 import os
-import time
 from pathlib import Path
 
+from station import lock_file
 from station.bus import keys
 from station.bus.address import runtime_folder
 from station.bus.client import Bus
 from station.bus.stamp import boot_id
-from station.episode.storage.disk import is_locked
 from station.errors import EpisodeError, Refused
 
 _LOCK = ".recorder.lock"
-_TRIES, _TRY_S = 5, 0.02
 _LISTEN_S = 1.2  # a living recorder says what it does twice a second
 
 
@@ -87,18 +83,14 @@ class Claim:
     def _lock(self, path: Path, what: str, remedy: str) -> str:
         """Take a lock; returns the process that had it before."""
         try:
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            descriptor, before = lock_file.take(path)
         except OSError as error:
             raise EpisodeError(f"{what}: cannot be written: {error.strerror}; {remedy}") from error
+        except lock_file.Held as held:
+            who = f"pid {held.holder or 'unknown'}"
+            raise Refused(f"{what}: another recorder ({who}) is at work; stop it first: {remedy}") from None
         self._descriptors.append(descriptor)
-        is_ours = _flocked(descriptor)
-        holder = os.pread(descriptor, 32, 0).decode("ascii", "replace").strip()
-        if not is_ours:
-            raise Refused(f"{what}: another recorder (pid {holder or 'unknown'}) is at work; stop it first: {remedy}")
-        with contextlib.suppress(OSError):  # the disk is full: the lock holds, only its owner cannot be read
-            os.ftruncate(descriptor, 0)
-            os.pwrite(descriptor, b"%d\n" % os.getpid(), 0)
-        return holder
+        return before
 
     @staticmethod
     def _listen(bus: Bus, before: str) -> None:
@@ -119,17 +111,6 @@ class Claim:
             raise Refused(f"bus {bus.address}: another recorder ({who}) is at work; stop it first")
 
 
-def _flocked(descriptor: int) -> bool:
-    """Lock a file, with a few tries: `is_claimed` of another process holds the lock for an instant."""
-    for _ in range(_TRIES):
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return True
-        except OSError:
-            time.sleep(_TRY_S)
-    return False
-
-
 def _made(data: Path) -> Path:
     try:
         data.mkdir(parents=True, exist_ok=True)
@@ -140,4 +121,4 @@ def _made(data: Path) -> Path:
 
 def is_claimed(data: Path) -> bool:
     """Whether a recorder of this machine is at work in a data folder."""
-    return is_locked(data / _LOCK)
+    return lock_file.is_locked(data / _LOCK)

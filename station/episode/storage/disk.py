@@ -122,21 +122,6 @@ def give_back(folder: Path) -> None:
         (folder / _BALLAST).unlink(missing_ok=True)
 
 
-def is_locked(path: Path) -> bool:
-    """Whether a living process holds a file, as its `Disk` or as a lock; the kernel knows."""
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # a pipe is no reason to wait
-    except OSError:
-        return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:
-        return True
-    finally:
-        os.close(descriptor)
-    return False
-
-
 def why_not(error: OSError | EpisodeError, folder: Path) -> str:
     """Return in a line why an episode cannot be written, and what to do."""
     cause = error.__cause__ if isinstance(error, EpisodeError) else error

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from station.atomic_file import remove_leftovers
 from station.episode.storage import layout
-from station.episode.storage.disk import is_locked
 from station.episode.storage.folder import is_numbered, started_ns
+from station.lock_file import is_locked
 
 _SMALL = (layout.RESUME, layout.CHECKPOINT)
 _TEMPORARY = tuple(f".{name}." for name in (layout.MANIFEST, *_SMALL))

@@ -15,7 +15,6 @@ from station.atomic_file import free_path, sync_folder
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, iso
 from station.episode.storage.claim import is_claimed
-from station.episode.storage.disk import is_locked
 from station.episode.storage.drops import Drops, drops_of, larger
 from station.episode.storage.folder import signals_file
 from station.episode.storage.left_open import is_left_open, not_begun, remove_not_begun, remove_temporary
@@ -38,6 +37,7 @@ from station.episode.writing.files import EpisodeFiles
 from station.episode.writing.salvage import SalvageResult, salvage
 from station.episode.writing.summary import EpisodeSummary
 from station.errors import EpisodeError
+from station.lock_file import is_locked
 
 State = Literal["whole", "closed", "repaired"]
 

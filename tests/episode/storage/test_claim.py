@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from station import lock_file
 from station.bus import keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
-from station.episode.storage import claim as claims
 from station.episode.storage.claim import Claim, is_claimed
 from station.errors import EpisodeError, Refused
 from tests.waiting import DEADLINE_S
@@ -84,7 +84,7 @@ def test_a_data_folder_that_cannot_be_made_is_refused(bus_server: BusAddress, tm
 def test_looking_at_the_lock_does_not_keep_a_recorder_out(
     bus_server: BusAddress, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(claims, "_TRIES", round(DEADLINE_S / claims._TRY_S))
+    monkeypatch.setattr(lock_file, "_TRIES", round(DEADLINE_S / lock_file._TRY_S))
     done = threading.Event()
 
     def look() -> None:

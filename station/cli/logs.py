@@ -1,0 +1,86 @@
+"""``station logs``: what the servers of a station printed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import click
+
+from station.cli import candidates
+from station.cli.options import address_of, bus_option
+from station.errors import StationError, UnknownName
+from station.printable import printable
+
+_LOOK_S = 0.2
+_LONGEST = 4000  # characters of a line
+_MOST_BYTES = 4 * 1024 * 1024
+
+
+@click.command("logs")
+@click.argument("servers", metavar="[SERVER]...", nargs=-1, shell_complete=candidates.logs)
+@click.option("-n", "--lines", "count", type=click.IntRange(0), default=20, show_default=True,
+              help="Of each server, the last ones.")  # fmt: skip
+@click.option("-f", "--follow", "is_live", is_flag=True, help="Go on with what comes, until interrupted.")
+@bus_option
+def command(servers: Sequence[str], count: int, is_live: bool, bus: str | None) -> None:
+    """Print the last lines that servers of `station up` printed on this machine, of SERVER or of all.
+
+    They are kept until the server is started again.
+    """
+    from station.supervision.supervisor import log_folder
+
+    folder = log_folder(address_of(bus))
+    files = {file.stem: file for file in sorted(folder.glob("*.log"))}
+    for name in servers:
+        if name not in files:
+            raise UnknownName("server's log", name, files)
+    if not files:
+        raise StationError(f"no logs in {folder}: no `station up` has run on that bus; name another with --bus")
+    chosen = {name: files[name] for name in servers} or files
+    width = max(map(len, chosen))
+    tails = {name: _Tail(file) for name, file in chosen.items()}
+    for name, tail in tails.items():
+        lines = tail.read(is_last=not is_live)
+        _print(name, lines[len(lines) - min(count, len(lines)) :], width)
+    if is_live:
+        with contextlib.suppress(KeyboardInterrupt):
+            _follow(tails, width)
+
+
+def _follow(tails: Mapping[str, _Tail], width: int) -> None:
+    while True:
+        for name, tail in tails.items():
+            _print(name, tail.read(), width)
+        time.sleep(_LOOK_S)
+
+
+def _print(name: str, lines: Sequence[str], width: int) -> None:
+    for line in lines:
+        click.echo(printable(f"{name:{width}} | {line}", _LONGEST))
+
+
+class _Tail:
+    """Reads a log as it grows; one that was begun anew is read from its beginning."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._inode, self._offset = 0, 0
+
+    def read(self, *, is_last: bool = False) -> list[str]:
+        """Return the lines that are new, a line that is not whole yet only where it is the last look."""
+        try:
+            with self._path.open("rb") as file:
+                state = os.fstat(file.fileno())
+                if state.st_ino != self._inode or state.st_size < self._offset:
+                    self._inode, self._offset = state.st_ino, max(0, state.st_size - _MOST_BYTES)
+                file.seek(self._offset)
+                text = file.read(_MOST_BYTES)
+        except FileNotFoundError:  # between one station and the next
+            return []
+        end = len(text) if is_last or len(text) == _MOST_BYTES else text.rfind(b"\n") + 1
+        self._offset += end
+        return text[:end].decode("utf-8", "replace").splitlines()
