@@ -127,7 +127,7 @@ def show(episode: str, data: Path | None, as_json: bool) -> None:
 
 @command.command("repair")
 @click.argument("episode", required=False, shell_complete=candidates.episodes)
-@click.option("--all", "is_all", is_flag=True, help="Every episode that a dead recorder left open.")
+@click.option("--all", "is_all", is_flag=True, help="Every episode that was left open, or whose file is cut off.")
 @click.option(
     "--out", metavar="DIR", default=None, type=click.Path(file_okay=False, path_type=Path),
     help="Put good episodes there and leave the torn ones alone.  [default: beside the torn file]",
@@ -135,13 +135,13 @@ def show(episode: str, data: Path | None, as_json: bool) -> None:
 @data_option
 @json_option
 def repair(episode: str | None, is_all: bool, out: Path | None, data: Path | None, as_json: bool) -> None:
-    """Make a good episode of a torn one: EPISODE, or `--all` that were left open.
+    """Make a good episode of a torn one: EPISODE, or `--all` that were left open or are cut off.
 
     Every whole chunk is kept; a torn file stays as it is, beside the good one, as signals.mcap.torn or
     cameras.mcap.torn.
     """
     from station.episode.storage.folder import data_folder, resolve
-    from station.episode.storage.left_open import left_open
+    from station.episode.storage.left_open import to_repair
     from station.episode.writing.repair import remove_what_never_began
     from station.errors import EpisodeError, UsageError
 
@@ -149,7 +149,7 @@ def repair(episode: str | None, is_all: bool, out: Path | None, data: Path | Non
         raise UsageError("name one EPISODE to repair, or give --all")
     if episode is None:
         remove_what_never_began(data_folder(data))
-    folders = left_open(data_folder(data)) if episode is None else [_folder(resolve(episode, data))]
+    folders = to_repair(data_folder(data)) if episode is None else [_folder(resolve(episode, data))]
     done: list[Repaired] = []
     failed = False
     for folder in folders:
@@ -161,7 +161,7 @@ def repair(episode: str | None, is_all: bool, out: Path | None, data: Path | Non
     if as_json:
         click.echo(msgspec.json.encode(done))
     elif not folders:
-        click.echo(f"no episode in {data_folder(data).absolute()} was left open: nothing to repair")
+        click.echo(f"no episode in {data_folder(data).absolute()} is left open or cut off: nothing to repair")
     raise SystemExit(1 if failed else 0)
 
 
@@ -177,14 +177,11 @@ def _repaired(folder: Path, out: Path | None, *, is_quiet: bool) -> Repaired:
     words = {
         "whole": "is whole: nothing to repair",
         "closed": f"was whole but not closed: closed, {done.messages} messages",
-        "repaired": f"repaired: {done.messages} messages in {done.seconds or 0.0:.1f} s kept, "
-        f"{done.cut_messages} that had been safe are lost",
+        "repaired": f"repaired: kept {done.messages} messages ({done.seconds or 0.0:.1f} s)"
+        + f"; {done.cut_messages} that were in the file before it was damaged are gone" * bool(done.cut_messages),
     }
     if not is_quiet:
         click.echo(f"{done.episode_id} {words[done.state]}")
         for cut in done.cuts:
-            click.echo(
-                f"  {cut.file}: cut {cut.bytes} bytes behind byte {cut.at}, the last {cut.seconds:.1f} s; "
-                f"the torn file is {cut.original}"
-            )
+            click.echo(f"  {cut.file}: cut {cut.bytes} bytes after byte {cut.at}; the torn file is {cut.original}")
     return done

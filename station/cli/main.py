@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
+import io
 import keyword
 import logging
 import os
@@ -102,8 +104,12 @@ def main() -> NoReturn:
         handler.setFormatter(_Formatter("%(levelname).1s %(name)s: %(message)s"))
     logging.captureWarnings(True)
     os.environ.setdefault("RUST_LOG", "off")  # Rerun's own log, on stderr in colours: what matters of it is raised
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.encoding.lower().replace("-", "") != "utf8":
+            stream.reconfigure(errors="replace")  # a mark that this terminal has not is no reason to fail
     try:
         code = cli.main(prog_name=PROGRAM, complete_var=COMPLETION_VARIABLE, standalone_mode=False)
+        sys.stdout.flush()
     except click.ClickException as error:
         _show(error)
         code = error.exit_code
@@ -114,10 +120,20 @@ def main() -> NoReturn:
         _complain("interrupted")
         code = 130
     except BrokenPipeError:
-        # The reader of our output (head, less) has gone; nothing is left to say, and Python must not try at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()  # its reader (head, less) has gone
         code = 0
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        _complain(f"{error.filename or 'the output'}: cannot be written: {error.strerror}")
+        _drop_output()
+        code = 1
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _drop_output() -> None:
+    """Let Python not try again at exit to write what could not be written."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class _Formatter(logging.Formatter):

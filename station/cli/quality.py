@@ -194,7 +194,7 @@ def _print_robot(console: Console, quality: Quality, robot: str) -> None:
 
 
 def _motion(item: MotionQuality) -> list[str]:
-    lines = [f"nothing moves in the first {item.idle_head_s:.1f} s and in the last {item.idle_tail_s:.1f} s"]
+    lines = [f"still for {item.idle_head_s:.1f} s at the start and for {item.idle_tail_s:.1f} s at the end"]
     if item.jerk_p99_rad_s3 is not None:
         worst = f"most {plain(item.worst_jerk_joint)} {item.jerk_max_rad_s3 or 0.0:.0f}"
         lines.append(f"jerk p99 {item.jerk_p99_rad_s3:.0f} rad/s³, {worst}")
@@ -203,9 +203,9 @@ def _motion(item: MotionQuality) -> list[str]:
         lines.append(f"jerk of the command p99 {item.command_jerk_p99_rad_s3:.0f} rad/s³, most {joint}")
     if item.limit_joints:
         joints = ", ".join(f"{plain(joint)} {share:.1%}" for joint, share in list(item.limit_joints.items())[:3])
-        lines.append(f"joints came to their ends {item.limit_hits} times: {joints} of the time")
+        lines.append(f"joints reached their limits {item.limit_hits} times: {joints} of the time")
     elif item.limits_from:
-        lines.append("no joint came to its end")
+        lines.append("no joint reached its limit")
     return lines
 
 
@@ -217,9 +217,9 @@ def _aligned(found: Alignment, *, lock_step: bool) -> list[str]:
         )
     if found.lead_p50_s is not None and not lock_step:
         p50, p99 = _unit(found.lead_p50_s, 1e3, "ms"), _unit(found.lead_p99_s, 1e3, "ms")
-        lines.append(f"commands were written before the state that they were used with: p50 {p50}, p99 {p99}")
+        lines.append(f"each command was older than the state it was used with: by {p50} (p50), {p99} (p99)")
     if found.steps:
-        lines.append(f"{found.repeated} steps used a command again, {found.skipped} commands were not used")
+        lines.append(f"{found.repeated} steps reused the previous command; {found.skipped} commands were skipped")
     return lines
 
 

@@ -58,8 +58,8 @@ def command(
     """Run MOTIONS (files, or patterns such as 'twist2:motions/*.pkl' or 'builtin:*') in a closed loop and print how
     each went. Exit code 1 when the robot fell in any of them.
 
-    With --suite: stand, track every clip, be pushed, move the arms at random, hear late, lose the commands and get
-    them back. Exit code 1 when the policy did not keep a limit; station/suite/promise.py has them all.
+    With --suite: standing, every clip, pushes, random arm motion, delayed commands, lost and restored commands. Exit
+    code 1 when the policy did not keep a limit; station/suite/promise.py has them all.
     """
     from station.control.rig import RigConfig, robot_kind
     from station.view.offscreen import VARIABLE

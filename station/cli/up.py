@@ -87,7 +87,7 @@ def run(
             try:
                 code = session.run(stop, for_s=for_s)
             except KeyboardInterrupt:
-                face.report("interrupted again: everything stops at once, without an order", "warning")
+                face.report("interrupted again: stopping everything now, in no particular order", "warning")
                 raise
             finally:
                 supervisor.stop_all()

@@ -166,7 +166,7 @@ def _low_level(bus: Bus, health: Health) -> Iterator[Finding]:
             yield _command(watch, command.key, _sources(watch, command.key))
         for key in auxiliary:
             if watch.latest(key) is None:
-                yield Finding("warning", key, "absent; stock low-level servers crash without it, ours does not",
+                yield Finding("warning", key, "not written; only a stock low-level server needs it",
                               "nothing, unless you swap in a stock server")  # fmt: skip
         yield from _gate(watch, gate)
     now = next((other for other in read_health(bus) if other.name == health.name), health)

@@ -121,9 +121,9 @@ class Supervisor:
             if health is not None and _PROGRESS.get(health.state, -1) >= _PROGRESS[state]:
                 return health
             for dead, code in self.ended().items():
-                who = "it" if dead == name else repr(name)
-                words = self.last_words(dead)
-                raise NotReady(f"server {dead!r} {how_it_ended(code)} before {who} was {state}: {words}")
+                doing = "loading" if state == "inactive" else "starting"
+                waited = "" if dead == name else f" ({name!r} was waited for)"
+                raise NotReady(f"server {dead!r} {how_it_ended(code)} while {doing}{waited}: {self.last_words(dead)}")
             if stop is not None and stop.is_set():
                 raise NotReady(f"asked to stop before server {name!r} was {state}")
             if self.clock.monotonic_s() > deadline:

@@ -58,6 +58,8 @@ def test_status_of_a_bus_without_servers(bus_server: BusAddress, home: Home) -> 
 def test_check(wave: Wave, verb: tuple[str, ...]) -> None:
     found = wave.home.json(*verb, str(wave.episode), "--no-write")
     assert found["verdict"] in ("good", "usable", "reject")
+    shown = wave.home.json("episodes", "show", str(wave.episode))
+    assert found["duration_s"] == shown["manifest"]["timing"]["duration_s"], "an episode has one length"
     assert found["recorder_restarts"] == found["falls"] == 0
     body = row(found["streams"], key=twist_keys.action_body())
     assert body["lost"] == 0

@@ -103,7 +103,7 @@ def test_a_second_ctrl_c_waits_for_no_order(home: Home) -> None:
         station.interrupt()
         station.wait_for("· stopped")
         station.interrupt()
-        station.wait_for("everything stops at once")
+        station.wait_for("interrupted again: stopping everything now")
         station.interrupt()
         code, _ = station.finish()
     assert code == 130, station.text
@@ -131,7 +131,7 @@ def test_what_cannot_start_is_told_at_once_and_leaves_no_episode(home: Home) -> 
     done = home.run("up", COMMANDS_ONLY, "--yes", "--record", "--set", "motion.motion=nowhere/walk.pkl")
     assert done.returncode == 1
     assert done.stdout == ""
-    assert "✗ failed: server 'motion' ended with code 2 before" in done.stderr
+    assert "✗ failed: server 'motion' ended with code 2 while loading: " in done.stderr
     assert "nowhere/walk.pkl: no such file" in done.stderr
     assert not home.data.exists() or not list(home.data.glob("*/*"))
 

@@ -245,12 +245,17 @@ def test_the_command_repairs_all_and_says_what_was_cut(episode: Episode, tmp_pat
     assert line in listed.stderr
     done = station("episodes", "repair", "--all", "--data", str(tmp_path))
     assert done.returncode == 0
-    assert f"{names[0]} repaired: {2 * episode.per_chunk} messages" in done.stdout
+    assert f"{names[0]} repaired: kept {2 * episode.per_chunk} messages" in done.stdout
     assert f"the torn file is {tmp_path / 'walk' / names[1] / 'signals.mcap.torn'}" in done.stdout
     again = station("episodes", "repair", "--all", "--data", str(tmp_path))
     assert (again.returncode, "nothing to repair" in again.stdout) == (0, True)
     one = station("episodes", "repair", names[0], "--data", str(tmp_path), "--json")
     assert [found["state"] for found in json.loads(one.stdout)] == ["whole"]
+    finished = tmp_path / "walk" / names[1] / "signals.mcap"
+    finished.write_bytes(finished.read_bytes()[:-20])  # as a copy that was broken off
+    cut = station("episodes", "repair", "--all", "--data", str(tmp_path))
+    assert (cut.returncode, len(cut.stdout.splitlines())) == (0, 2)
+    assert cut.stdout.startswith(f"{names[1]} repaired: kept ")
     (tmp_path / "walk" / names[0] / "signals.mcap").write_bytes(b"ruined")
     assert station("episodes", "repair", names[0], "--data", str(tmp_path)).returncode == 1
     assert station("episodes", "repair", "--data", str(tmp_path)).returncode == 2

@@ -204,7 +204,7 @@ def test_the_command_says_of_each_file_what_was_cut(filmed: Film, tmp_path: Path
     done = station("episodes", "repair", name, "--data", str(tmp_path))
     assert done.returncode == 0, done.stderr
     first, *files = done.stdout.splitlines()
-    assert first.startswith(f"{name} repaired: {FLUSHES * SIGNALS + 4 * PICTURES} messages")
+    assert first.startswith(f"{name} repaired: kept {FLUSHES * SIGNALS + 4 * PICTURES} messages")
     assert [line.split()[0] for line in files] == ["signals.mcap:", "cameras.mcap:"]
     assert files[1].endswith(f"the torn file is {folder / 'cameras.mcap.torn'}")
     again = msgspec.json.decode(

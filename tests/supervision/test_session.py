@@ -97,7 +97,7 @@ def test_what_is_called_failed_is_the_server_that_died_not_the_one_that_was_wait
     assert place.session(text + "  - start: gamepad\n    with: {fake: /nowhere}\n", person).run(place.stop) == 1
     (failed,) = [line for line in person.told if line.startswith("failed start")]
     assert failed.startswith("failed start gamepad ")
-    assert person.heard("error failed: server 'gamepad' ended with code 2 before ")
+    assert person.heard("error failed: server 'gamepad' ended with code 2 while loading")
     assert person.heard("/nowhere: cannot be read")
 
 

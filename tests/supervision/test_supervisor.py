@@ -54,7 +54,7 @@ def test_a_child_loads_and_stays_silent_until_it_is_activated(supervisor: Superv
 
 def test_the_last_words_of_a_child_that_dies_are_in_the_error(supervisor: Supervisor) -> None:
     supervisor.spawn("motion", MotionConfig(motion="nowhere/walk.pkl"))
-    with pytest.raises(NotReady, match=r"ended with code 2 before it was inactive: .*nowhere/walk\.pkl"):
+    with pytest.raises(NotReady, match=r"ended with code 2 while loading: .*nowhere/walk\.pkl"):
         supervisor.wait_for("motion", "inactive", DEADLINE_S)
 
 

@@ -202,7 +202,7 @@ class Quality(msgspec.Struct, kw_only=True):
             go into a training set as a demonstration.
         reasons: Why it is not good; empty for a good one.
         rules: The files of rules that it was judged by, the later ones over the earlier.
-        duration_s: From the first message to the last [s].
+        duration_s: From its start to its end [s], as the manifest has it where it does.
         messages: Messages in the file.
         streams: By key and source.
         steps: By robot.

@@ -1,4 +1,4 @@
-"""How the joints of a robot moved: idle ends, jerk, and how often a joint came to its end.
+"""How the joints of a robot moved: idle ends, jerk, and how often a joint reached its limit.
 
 All three look at joint positions as they were published, in blocks, so an hour takes no more memory than a minute but
 for one number per instant.
@@ -222,7 +222,7 @@ class Ends:
 
     Attributes:
         samples: Positions that were looked at.
-        hits: How often a joint came to its end.
+        hits: How often a joint reached its limit.
         beyond_rad: How far beyond its end a joint was at most; None where nothing says where joints end.
     """
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from station.atomic_file import remove_leftovers
 from station.episode.storage import layout
 from station.episode.storage.folder import is_numbered, started_ns
+from station.episode.storage.records import MAGIC
 from station.lock_file import is_locked
 
 _SMALL = (layout.RESUME, layout.CHECKPOINT)
@@ -24,12 +25,30 @@ def left_open(data: Path) -> list[Path]:
     return sorted(found, key=started_ns)
 
 
+def to_repair(data: Path) -> list[Path]:
+    """Return the folders of the episodes that were left open or have a file that is cut off, oldest first."""
+    cut_off = (folder for folder in data.glob("*/*/") if _is_cut_off(folder))
+    return sorted({*left_open(data), *cut_off}, key=lambda folder: (started_ns(folder), folder.name))
+
+
 def is_left_open(folder: Path) -> bool:
     """Whether an episode was never closed, and its writer is dead."""
     active = folder / layout.ACTIVE
     if active.exists():
         return not is_locked(active)
     return (folder / layout.RESUME).exists() and not is_locked(folder / layout.SIGNALS)
+
+
+def _is_cut_off(folder: Path) -> bool:
+    """Whether a file that was finished lacks its end now."""
+    files = [file for name in (layout.SIGNALS, layout.CAMERAS) if (file := folder / name).is_file()]
+    return any(not is_locked(file) and not _has_end(file) for file in files)
+
+
+def _has_end(file: Path) -> bool:
+    with file.open("rb") as opened:
+        opened.seek(max(0, file.stat().st_size - len(MAGIC)))
+        return opened.read() == MAGIC
 
 
 def has_signals(folder: Path) -> bool:

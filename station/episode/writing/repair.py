@@ -243,7 +243,7 @@ def _close(mended: Sequence[RepairedFile], anchor: Anchor, manifest: Manifest, p
         "at": iso(time.time_ns()),
         "kept_messages": done.messages,
         "cut_messages": done.cut_messages,
-        "cuts": [{"file": cut.file, "at": cut.at, "bytes": cut.bytes, "seconds": cut.seconds} for cut in cuts],
+        "cuts": [{"file": cut.file, "at": cut.at, "bytes": cut.bytes} for cut in cuts],
     }
     add_recovery(manifest, note)
     manifest.quality = {}  # of the torn files
@@ -306,14 +306,12 @@ class Cut(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         file: Name of the file that is good now.
         at, bytes: Where the whole part ended, and how much of the file lay behind it.
-        seconds: From the last message kept to the last change of the torn file [s].
         original: Where the torn file is kept.
     """
 
     file: str
     at: int
     bytes: int
-    seconds: float
     original: str = ""
 
 
@@ -339,13 +337,8 @@ class RepairedFile(NamedTuple):
 
     def cut(self) -> Cut:
         """Return what was cut."""
-        state, last_ns = self.source.stat(), self.file.last_log_ns if self.file and self.file.messages else 0
-        return Cut(
-            file=self.names.final,
-            at=self.salvaged.kept_to,
-            bytes=state.st_size - self.salvaged.kept_to,
-            seconds=round(max(0.0, (state.st_mtime_ns - last_ns) * 1e-9), 3) if last_ns else 0.0,
-        )
+        at = self.salvaged.kept_to
+        return Cut(file=self.names.final, at=at, bytes=self.source.stat().st_size - at)
 
 
 def mend(
