@@ -31,6 +31,7 @@ _LOOK_S = 0.5  # without a screen
 _TELL_S = 10.0  # without a screen, while the same is being played
 _AGAIN = ("r", "R")
 _LONGEST = 200  # characters of something that happened; the log and the episode have the rest
+_ANSWERS = {"y": True, "yes": True, "n": False, "no": False, "": False}
 _MARKS: dict[Severity, str] = {"info": "[cyan]·[/]", "warning": "[yellow]![/]", "error": "[red]✗[/]"}
 
 KEYS = (" ", "e", "E")
@@ -138,10 +139,14 @@ class TerminalUI:
         if not self._keyboard.is_there:
             self.report("nobody is here to answer; use --yes in simulation", "error")
             return False
-        answer = self._keyboard.ask(f"? {sentence} [y/N] ({HINT}): ", self._stop)
-        if self._stop.is_set():
-            self._echo("\n")
-        return not self._stop.is_set() and answer.strip().lower() in ("y", "yes")
+        while True:
+            answer = self._keyboard.ask(f"? {sentence} [y/N] ({HINT}): ", self._stop).strip().lower()
+            if self._stop.is_set():
+                self._echo("\n")
+                return False
+            if answer in _ANSWERS:
+                return _ANSWERS[answer]
+            self.report(f"{answer!r} is no answer: y goes on; n, or Enter alone, takes the station down", "warning")
 
     def show(self, health: list[Health]) -> None:
         """Show how the run goes; the footer looks for itself, more often than it is told."""
@@ -184,7 +189,7 @@ class TerminalUI:
             return
         yield progress_panel.panel(seen, self._names, self._step, self.look_for_dead())
         if not self._is_brief:
-            yield from ("", render_servers(seen.servers))
+            yield from ("", render_servers(seen.servers, self._console.width))
         gates = {one.gate for one in (seen.robot, seen.arm) if one is not None}
         if "stopped" in gates:
             yield "[bold red]EMERGENCY STOP is latched; release it with: station estop --reset[/]"

@@ -39,7 +39,7 @@ def panel(
     died = died or {}
     table = Table.grid(padding=(0, 2))
     table.add_column(style="bold", no_wrap=True, min_width=_NAMES)
-    table.add_column(no_wrap=True, overflow="ellipsis")
+    table.add_column(overflow="fold")
     states = {health.name: health for health in progress.servers}
     words = {name: "died" if name in died else _word(states.get(name)) for name in names}
     if step or any(word != "running" for word in words.values()):

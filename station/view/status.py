@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+import io
+from typing import Any, get_args
 
 import msgspec
-from rich.console import Group
+from rich.console import Console, Group, RenderableType
 
 from station.bus import keys
 from station.bus import stamp as stamps
 from station.bus.client import Bus
 from station.bus.contracts import Contracts
 from station.bus.stamp import Stamp
+from station.contract import Role
 from station.life import stop_file
 from station.life.server import Health, read_configurations, read_health
 from station.life.stop_file import LatchedStop
@@ -19,6 +21,7 @@ from station.view.rates import KeyRate, RateMeter
 from station.view.table import WIDE, Column, age_s, plain, render_servers, state_of, table_of
 
 _LOOK_S = 1.0
+_ROLES = get_args(Role)
 
 
 class KeyStatus(msgspec.Struct, frozen=True):
@@ -70,8 +73,8 @@ def read_status(bus: Bus, meter: RateMeter) -> Status:
                 age_s=_age(rate, mark.wall_ns if mark else None, bus.clock.wall_ns()),
             )
         )
-    by_role = sorted(found, key=lambda item: (item.role, item.key))
-    return Status(str(bus.address), read_health(bus), by_role, stop_file.latched(bus))
+    in_order = sorted(found, key=lambda item: (_place(item.role), item.key))
+    return Status(str(bus.address), read_health(bus), in_order, stop_file.latched(bus))
 
 
 def read_status_once(bus: Bus, seconds: float = _LOOK_S) -> Status:
@@ -90,15 +93,36 @@ _KEYS = (
 )
 
 
-def render(status: Status, width: int = WIDE) -> Group:
-    """Return the status as tables for a screen of some width [characters]; a narrow one shows fewer columns."""
+def render(status: Status, width: int = WIDE, height: int | None = None) -> Group:
+    """Return the status as tables.
+
+    Args:
+        status: What there is.
+        width: Of the screen [characters]; a narrow one shows fewer columns.
+        height: Of the screen [lines]; what has no room is counted. None for no end.
+    """
     rows = [
         (plain(item.key), item.role, plain(item.writer), _hertz(item.rate_hz), _since(item.age_s))
         for item in status.keys
     ]
     servers = render_servers(status.servers, width)
     stop = [f"[bold red]{plain(str(status.stop))}[/]"] if status.stop is not None else []
-    return Group(f"[bold]{status.address}[/]", *stop, "", servers, "", table_of(_KEYS, rows, width))
+    above = Group(f"[bold]{status.address}[/]", *stop, "", servers, "")
+    if height is None or len(rows) <= (room := height - _lines(above, width) - 1):
+        return Group(above, table_of(_KEYS, rows, width))
+    kept = rows[: max(0, room - 1)]
+    more = f"[dim]and {len(rows) - len(kept)} more keys: a higher window, or `station status`, has them all[/]"
+    return Group(above, table_of(_KEYS, kept, width), more)
+
+
+def _lines(shown: RenderableType, width: int) -> int:
+    console = Console(file=io.StringIO(), width=width)
+    return len(console.render_lines(shown, console.options))
+
+
+def _place(role: str) -> int:
+    """Return which roles come first: what an operator looks for is what the robot is told, and what it does."""
+    return _ROLES.index(role) if role in _ROLES else len(_ROLES)
 
 
 def _stamps(bus: Bus) -> dict[str, Stamp | None]:

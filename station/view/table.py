@@ -17,6 +17,7 @@ WIDE = 1000
 """A screen with room for everything [characters]."""
 
 _COLOURS = {"active": "green", "inactive": "yellow", "unconfigured": "yellow", "finalized": "dim", "dead": "red"}
+_WORDS = {"why_not": "not driving:"}
 _EMPTY: tuple[object, ...] = ("", None, 0, {}, [])
 
 
@@ -87,7 +88,8 @@ def age_s(health: Health) -> float:
 def _detail(health: Health) -> str:
     if health.state == "finalized":
         return plain(health.reason)
-    shown = [f"{key.replace('_', ' ')} {_value(value)}" for key, value in health.detail.items() if value not in _EMPTY]
+    shown = [f"{_WORDS.get(key) or key.replace('_', ' ')} {_value(value)}"
+             for key, value in health.detail.items() if value not in _EMPTY]  # fmt: skip
     return plain(" · ".join(shown))
 
 

@@ -7,7 +7,7 @@ import re
 import signal
 from pathlib import Path
 
-from tests.cli.at_terminal import at_a_terminal
+from tests.cli.at_terminal import AtTerminal, at_a_terminal
 from tests.cli.conftest import Wave
 from tests.cli.running import COMMANDS_ONLY, SHORT, Home, are_gone, one_line
 from tests.waiting import wait_until
@@ -181,7 +181,13 @@ def test_ctrl_c_at_a_question_is_an_answer(home: Home, tmp_path: Path) -> None:
 
 def test_a_person_at_a_terminal_says_yes_and_sees_the_servers(home: Home, tmp_path: Path) -> None:
     book = written(tmp_path, "- confirm: Nobody stands there.\n  - start: motion\n    with: {motion: 'builtin:wave'}")
-    code, screen = at_a_terminal(home, "up", str(book), "--for", "1s", *SHORT, until="[y/N]", then=b"y\r")
+    with AtTerminal(home, "up", str(book), "--for", "1s", *SHORT) as terminal:
+        place = terminal.wait_for("[y/N]")
+        terminal.type(b"maybe\r")
+        place = terminal.wait_for("'maybe' is no answer: y goes on; n, or Enter alone, takes the station down", place)
+        terminal.wait_for("[y/N]", place)
+        terminal.type(b"y\r")
+        code, screen = terminal.finish(), terminal.screen
     assert code == 0, screen
     assert "1 s are over" in screen
     assert "jitter p50 / p99" in screen, "the table of the servers is shown below the steps"

@@ -33,5 +33,18 @@ def test_a_narrow_screen_shows_fewer_columns_and_cuts_none(width: int) -> None:
     assert all(word in text for word in (KEY, "50.0 Hz", "12 ms", "lost writes", "overruns"))
 
 
+@pytest.mark.parametrize("height", [10, 14, 40])
+def test_a_low_screen_says_how_many_keys_it_has_no_room_for(height: int) -> None:
+    keys = [KeyStatus(f"key_{number}", "state", "g1.1.a", 50.0, 0.01) for number in range(30)]
+    console = Console(width=80, file=io.StringIO())
+    console.print(render(Status("unix:///x", [], keys), 80, height))
+    assert isinstance(console.file, io.StringIO)
+    lines = console.file.getvalue().splitlines()
+    assert len(lines) <= height
+    shown = sum(line.startswith("key_") for line in lines)
+    assert shown == 30 or f"and {30 - shown} more keys" in lines[-1]
+    assert (shown == 30) == (height == 40)
+
+
 def test_a_wide_screen_shows_all() -> None:
     assert all(word in shown(120) for word in ("motion.1234.ab12", "0.01 / 0.22 ms", "12345"))
