@@ -19,7 +19,7 @@ from typing import Annotated, Any
 import msgspec
 
 from station import config as configs
-from station import registry
+from station import libraries, registry
 from station.camera.serve import serve_camera
 from station.camera.source import CameraKind, Newest, PictureSettings
 from station.config import to_plain
@@ -121,4 +121,5 @@ KIND = ServerKind(
     summary="pictures of a camera: USB, files, simulated, or TWIST2's stream",
     config=CameraConfig,
     main=main,
+    expect=lambda config: libraries.expect(f"camera source {config.source}", config.kind.library, config.kind.extra),
 )

@@ -19,7 +19,7 @@ from station import config as configs
 from station import registry
 from station.clock import Clock
 from station.config import to_plain
-from station.errors import ConfigError
+from station.errors import ConfigError, StationError
 from station.life.server import Life, ServerKind
 from station.operator import phrases
 from station.operator.cues import OLD_S, CueQueue, Speaker
@@ -76,6 +76,13 @@ class CuesConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             raise ValueError(str(error)) from None
 
 
+def _expect_voices(config: CuesConfig) -> None:
+    for name in config.voices:
+        kind: VoiceKind = registry.find("voice", name)
+        if why := kind.missing():
+            raise StationError(f"voice {name}: {why}")
+
+
 def main(config: CuesConfig, life: Life) -> int:
     """Let it be heard what happens until asked to stop; return the exit code."""
     table = Phrases() if config.phrases is None else phrases.load(config.phrases)
@@ -98,6 +105,7 @@ KIND = ServerKind(
     summary="lets an operator hear what happens: engaged, refused, lost, recording, stops",
     config=CuesConfig,
     main=main,
+    expect=_expect_voices,
 )
 
 

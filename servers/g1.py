@@ -6,7 +6,7 @@ from typing import Annotated
 
 from station import registry
 from station.control.rig import RigConfig
-from station.control.robot_server import PolicyServerConfig, serve
+from station.control.robot_server import PolicyServerConfig, expect, serve
 from station.life.server import ServerKind
 
 
@@ -44,4 +44,5 @@ KIND = ServerKind(
     summary="Unitree G1, simulated: commands through the gate and the policy to the joints",
     config=G1Config,
     main=serve,
+    expect=expect,
 )

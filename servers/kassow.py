@@ -159,6 +159,7 @@ KIND = ArmServerKind(
     config=KassowConfig,
     main=main,
     bridge=kord,
+    expect=lambda _: kord(),
 )
 
 

@@ -97,6 +97,12 @@ class MotionConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             raise ValueError(f"patience_s is {self.patience_s:g}; expected 0.1 to 60 s")
 
 
+def _expect_motion(config: MotionConfig) -> None:
+    from adapters.motions.load import expect
+
+    expect(config.motion)
+
+
 def main(config: MotionConfig, life: Life) -> int:
     """Load the motion, play it, leave in the default pose; return the exit code."""
     command: CommandFormat = registry.find("command", config.format)
@@ -127,6 +133,7 @@ KIND = ServerKind(
     summary="plays a recorded human motion as TWIST2 or TWIST commands",
     config=MotionConfig,
     main=main,
+    expect=_expect_motion,
 )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from station.control.robot_server import RobotConfig, serve
+from station.control.robot_server import RobotConfig, expect, serve
 from station.life.server import ServerKind
 
 KIND = ServerKind(
@@ -11,4 +11,5 @@ KIND = ServerKind(
     summary="any robot that a policy moves: commands through the gate and the policy to its joints",
     config=RobotConfig,
     main=serve,
+    expect=expect,
 )

@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 import os
 import re
+from pathlib import Path
 
 from adapters.motions import builtin
 from adapters.motions.bad_frames import Holes, mend
@@ -45,6 +46,19 @@ def load(reference: str | os.PathLike[str], *, holes: Holes = "refuse", fps: flo
     for change in found[0][1:].split("#") if found else ():
         motion = _changed(motion, change)
     return motion
+
+
+def expect(reference: str | os.PathLike[str]) -> None:
+    """Check, without reading it, that a motion is there and has a reader.
+
+    Raises:
+        BadFile, UnknownName, AssetMissing: it is not, or has none.
+    """
+    plain = _CHANGES.sub("", os.fspath(reference))
+    if builtin.is_named(plain):
+        builtin.expect(plain)
+    else:
+        _reader_of(assets.resolve(plain))
 
 
 def _clip(plain: str, holes: Holes, fps: float | None) -> Clip:
@@ -86,6 +100,12 @@ def _changed(motion: Motion, change: str) -> Motion:
 
 def _read(plain: str, fps: float | None) -> RawMotion:
     path = assets.resolve(plain)
+    raw: RawMotion = registry.find("motion", _reader_of(path))(path, fps=fps)
+    return raw
+
+
+def _reader_of(path: Path) -> str:
+    """Return the name of what reads a file, by its suffix."""
     suffix = path.suffix.lower().removeprefix(".")
     readers = registry.names("motion")
     if suffix not in readers:
@@ -93,5 +113,4 @@ def _read(plain: str, fps: float | None) -> RawMotion:
         raise BadFile(
             f"{path}: no reader for {repr(path.suffix) if path.suffix else 'a name without a suffix'}; known: {known}"
         )
-    raw: RawMotion = registry.find("motion", suffix)(path, fps=fps)
-    return raw
+    return suffix

@@ -45,6 +45,7 @@ def command(for_: str | None, sets: tuple[str, ...], data: Path | None, bus: str
     from station.supervision.session import Recording
 
     book = runbooks.load(runbooks.find("g1-demo"), sets)
+    book.expect_found()
     seconds = None if for_ is None else config.seconds(for_, where="--for")
     gl = _leave_drawing_to_the_end()
     recording = Recording(task="demo", instruction="follow the motion")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.metadata
 import json
 import signal
 import sys
@@ -17,7 +16,7 @@ import click
 import msgspec
 from rich.markup import escape
 
-from station import config, registry
+from station import config, libraries, registry
 from station.camera.source import CameraError, CameraKind
 from station.cli import calibrate_operator, candidates
 from station.cli.options import Verbs, json_option, set_option
@@ -108,8 +107,8 @@ def _inspect(name: str) -> _Found:
     except (DeviceError, OSError, ImportError) as error:
         problem = str(error)
     return _Found(
-        device=kind.name, role="device", about=kind.about, library=kind.library, version=_version(kind.library),
-        extra=kind.extra, plugged_in=seen, problem=problem,
+        device=kind.name, role="device", about=kind.about, library=kind.library, extra=kind.extra,
+        version=libraries.version(kind.library), plugged_in=seen, problem=problem,
     )  # fmt: skip
 
 
@@ -127,16 +126,9 @@ def _inspect_camera(kind: CameraKind) -> _Found:
     except CameraError as error:
         problem = str(error)
     return _Found(
-        device=kind.name, role="camera", about=kind.about, library=kind.library, version=_version(kind.library),
-        extra=kind.extra, plugged_in=seen, problem=problem,
+        device=kind.name, role="camera", about=kind.about, library=kind.library, extra=kind.extra,
+        version=libraries.version(kind.library), plugged_in=seen, problem=problem,
     )  # fmt: skip
-
-
-def _version(library: str) -> str | None:
-    try:
-        return importlib.metadata.version(library) if library else None
-    except importlib.metadata.PackageNotFoundError:
-        return None
 
 
 def _row(found: _Found) -> Sequence[str]:

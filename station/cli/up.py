@@ -48,7 +48,9 @@ def command(
     book = runbooks.load(runbooks.find(runbook), sets)
     if dry_run:
         print_plan(book)
+        book.expect_found()
         return
+    book.expect_found()
     recording = None
     for_s = None if for_ is None else config.seconds(for_, where="--for")
     if record:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -117,6 +118,22 @@ def checkpoint_of(policy: str, named: str = "", kind: RobotKind | None = None) -
     return named or of_robot or str(getattr(registry.find("policy", policy), "CHECKPOINT", ""))
 
 
+def expect(config: RigConfig) -> None:
+    """Check, without loading anything, that what a configuration names is there, and its rate one that can be.
+
+    Raises:
+        UnknownName: a name that is not registered.
+        ConfigError: an option that the robot does not know, no checkpoint, or a rate that cannot be.
+        AssetMissing, BadFile: the checkpoint or the robot's model is not there.
+    """
+    options = config.kind.typed(config.robot_options)
+    if config.rate_hz:
+        _expect_rate(config.rate_hz)
+    _checkpoint(config)
+    if isinstance(model := getattr(options, "model", None), str) and model:
+        assets.resolve(model)
+
+
 def build(config: RigConfig, *, may_be_real: bool = False) -> Rig:
     """Load policy, command format and robot.
 
@@ -135,19 +152,29 @@ def build(config: RigConfig, *, may_be_real: bool = False) -> Rig:
     if not (kind.is_simulated or may_be_real):
         raise ConfigError(f"robot {kind.name!r} is a real one; only its server drives it: name a simulated one")
     options = kind.typed(config.robot_options)
-    policy = _policy(config.policy or kind.policy, config)
+    policy = _policy(config)
     rate_hz = config.rate_hz or policy.spec.rate_hz
-    if not 1.0 <= rate_hz <= 1000.0:
-        raise ConfigError(f"rate_hz {config.rate_hz}: expected 1 to 1000 Hz, or 0 for the policy's own")
+    _expect_rate(rate_hz)
     command_format = registry.find("command", policy.spec.command)
     return Rig(kind, kind.make(options, 1.0 / rate_hz), policy, command_format, 1.0 / rate_hz)
 
 
-def _policy(name: str, config: RigConfig) -> Policy:
-    make = registry.find("policy", name)
+def _expect_rate(rate_hz: float) -> None:
+    if not 1.0 <= rate_hz <= 1000.0:
+        raise ConfigError(f"rate_hz {rate_hz:g}: expected 1 to 1000 Hz, or 0 for the policy's own")
+
+
+def _checkpoint(config: RigConfig) -> Path:
+    name = config.policy or config.kind.policy
     reference = checkpoint_of(name, config.checkpoint, config.kind)
     if not reference:
         raise ConfigError(f"policy {name!r} has no default checkpoint; name its file with `checkpoint`")
+    return assets.resolve(reference)
+
+
+def _policy(config: RigConfig) -> Policy:
+    name, checkpoint = config.policy or config.kind.policy, _checkpoint(config)
+    make = registry.find("policy", name)
     known = [parameter for parameter in inspect.signature(make).parameters if parameter != "checkpoint"]
     for option in config.policy_options:
         if option not in known:
@@ -156,5 +183,5 @@ def _policy(name: str, config: RigConfig) -> Policy:
                 f"policy_options: policy {name!r} has no option {option!r}{did_you_mean(option, known)}; "
                 f"known: {listed}"
             )
-    policy: Policy = make(assets.resolve(reference), **config.policy_options)
+    policy: Policy = make(checkpoint, **config.policy_options)
     return policy

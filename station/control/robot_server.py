@@ -12,6 +12,7 @@ import msgspec
 
 from station import registry
 from station.config import to_plain
+from station.control import rig as rigs
 from station.control.gate import GateConfig
 from station.control.low_level import LowLevelLoop, result_values
 from station.control.rig import Rig, RigConfig, build
@@ -98,6 +99,11 @@ class RobotConfig(PolicyServerConfig, frozen=True, kw_only=True, forbid_unknown_
     def option_types(self) -> dict[str, type[msgspec.Struct]]:
         """Types of the settings that are mappings, by name."""
         return {"robot_options": self.rig.kind.options}
+
+
+def expect(config: PolicyServerConfig) -> None:
+    """Check that what a configuration names is on this machine (`station.control.rig.expect`)."""
+    rigs.expect(config.rig)
 
 
 def serve(config: PolicyServerConfig, life: Life) -> int:

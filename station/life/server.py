@@ -41,6 +41,8 @@ class ServerKind(msgspec.Struct, frozen=True, kw_only=True):
         summary: What it does, in a line.
         config: Type of its configuration.
         main: Runs it until it is asked to stop; returns an exit code. Imports what is heavy only when called.
+        expect: Raises a `station.errors.StationError` where something that a configuration names is not on this
+            machine, such as a file or a library; called before anything starts. None for nothing to look for.
         bus_timeout_s: Longest wait for an answer of the bus while it runs [s]; longer for one that moves nothing, and
             would rather wait for a bus that is busy (with the picture that it takes for a new recorder, say) than end.
     """
@@ -50,6 +52,7 @@ class ServerKind(msgspec.Struct, frozen=True, kw_only=True):
     summary: str
     config: type[msgspec.Struct]
     main: Callable[[Any, Life], int]
+    expect: Callable[[Any], object] | None = None
     bus_timeout_s: float = 0.05
 
 

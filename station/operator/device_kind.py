@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from station import libraries
 from station.clock import Clock
 from station.config import to_plain
 from station.errors import ConfigError
@@ -107,8 +108,9 @@ class DeviceKind:
         from station.life.server import ServerKind
 
         return ServerKind(
-            name=self.name, role="sensor", summary=f"reads {self.about}", config=self.config, main=self._serve
-        )
+            name=self.name, role="sensor", summary=f"reads {self.about}", config=self.config, main=self._serve,
+            expect=lambda _: libraries.expect(f"device {self.name}", self.library, self.extra),
+        )  # fmt: skip
 
     def _serve(self, config: DeviceConfig, life: Life) -> int:
         """Publish what the device gives until asked to stop; return the exit code."""

@@ -16,7 +16,7 @@ import msgspec
 
 from station import config, packages, registry
 from station.bus.client import Bus
-from station.errors import ConfigError, UsageError, did_you_mean
+from station.errors import ConfigError, StationError, UsageError, did_you_mean
 from station.life import arm_request
 from station.life.server import ServerKind
 from station.supervision.checks import KINDS, Check
@@ -131,6 +131,21 @@ class Runbook(msgspec.Struct, frozen=True, kw_only=True):
     def servers(self) -> tuple[StartStep, ...]:
         """The servers that it starts, in order."""
         return tuple(step for step in self.steps if isinstance(step, StartStep))
+
+    def expect_found(self) -> None:
+        """Check that the files and libraries that its servers need are on this machine; nothing is loaded.
+
+        Raises:
+            StationError: one is not; the message names step and server.
+        """
+        for number, step in enumerate(self.steps, 1):
+            if not isinstance(step, StartStep) or step.kind.expect is None:
+                continue
+            try:
+                step.kind.expect(step.config)
+            except StationError as error:
+                kind = UsageError if isinstance(error, UsageError) else StationError
+                raise kind(f"runbook {self.name} step {number} ({step.start}): {error}") from None
 
     @property
     def low_level(self) -> tuple[StartStep, ...]:

@@ -123,11 +123,12 @@ def test_another_motion_and_policy_are_one_set_away(home: Home) -> None:
     assert "tracker" not in done.stdout
 
 
-def test_what_cannot_start_is_told_and_leaves_nobody_behind(home: Home) -> None:
-    with home.running("demo", "--set", "motion.motion=builtin:nowhere") as demo:
+def test_what_cannot_start_is_told_and_leaves_nobody_behind(home: Home, tmp_path: Path) -> None:
+    (ruined := tmp_path / "walk.pkl").write_bytes(b"ruined")
+    with home.running("demo", "--set", f"motion.motion={ruined}") as demo:
         code, out = demo.finish()
     assert (code, out) == (1, "")
-    assert "nowhere" in demo.text
+    assert str(ruined) in demo.text
     assert demo.lines[-1] == "station: the demo recorded nothing; the lines above say why"
     assert not home.bus_is_there()
     assert are_gone([demo.process.pid])

@@ -127,12 +127,14 @@ def test_when_a_server_dies_its_last_words_are_told_and_the_rest_is_stopped(home
     assert sum(stream["lost"] for stream in shown["streams"]) == 0
 
 
-def test_what_cannot_start_is_told_at_once_and_leaves_no_episode(home: Home) -> None:
-    done = home.run("up", COMMANDS_ONLY, "--yes", "--record", "--set", "motion.motion=nowhere/walk.pkl")
+def test_what_cannot_start_is_told_at_once_and_leaves_no_episode(home: Home, tmp_path: Path) -> None:
+    ruined = tmp_path / "walk.pkl"
+    ruined.write_bytes(b"ruined")
+    done = home.run("up", COMMANDS_ONLY, "--yes", "--record", "--set", f"motion.motion={ruined}")
     assert done.returncode == 1
     assert done.stdout == ""
     assert "✗ failed: server 'motion' ended with code 2 while loading: " in done.stderr
-    assert "nowhere/walk.pkl: no such file" in done.stderr
+    assert f"{ruined}: " in done.stderr
     assert not home.data.exists() or not list(home.data.glob("*/*"))
 
 

@@ -156,3 +156,19 @@ def test_its_robot_is_not_compared_where_a_setting_of_the_robots_server_was_chan
 def test_a_missing_runbook_says_what_is_near() -> None:
     with pytest.raises(BadFile, match=r"did you mean 'g1-sim-motion\.yaml'"):
         runbook.load(runbook.find("runbooks/g1-sim-moton.yaml"))
+
+
+def test_a_library_that_is_not_installed_is_told_before_anything_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = GOOD.replace('motion: "a.pkl"', 'motion: "builtin:wave"').replace("  - note", "  - start: gamepad\n  - note")
+    book = load(tmp_path, text)
+    book.expect_found()
+    monkeypatch.setattr("station.libraries.version", lambda library: None)
+    with pytest.raises(StationError) as caught:
+        book.expect_found()
+    assert str(caught.value) == (
+        "runbook test step 4 (gamepad): device gamepad needs pygame, which is not installed; "
+        "pip install 'teleop-station[gamepad]'"
+    )
+    assert caught.value.exit_code == 1

@@ -35,10 +35,19 @@ def make(reference: str) -> RawMotion:
     Raises:
         UnknownName: there is none of that name.
     """
+    return made(expect(reference))
+
+
+def expect(reference: str) -> str:
+    """Return the name of a motion that ``builtin:NAME`` names.
+
+    Raises:
+        UnknownName: there is none of that name.
+    """
     name = reference.removeprefix(PREFIX)
     if name not in CLIPS:
         raise UnknownName("built-in motion", name, CLIPS)
-    return made(name)
+    return name
 
 
 def facts(reference: str) -> dict[str, Any]:
