@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
@@ -67,6 +68,16 @@ def motions() -> list[str]:
     """Return the references of all motions that are made rather than read, sorted."""
     registered = {name: collections.registered(name) for name in collections.names()}
     return [f"{name}:{motion}" for name, known in registered.items() if known for motion in sorted(known.motions())]
+
+
+def motions_named(pattern: str) -> list[str]:
+    """Return the references that a pattern names, of motions that are made and of files; what is no pattern, as it is.
+
+    Raises:
+        AssetMissing, BadFile: the pattern matches nothing.
+    """
+    made = fnmatch.filter(motions(), pattern) if "*" in pattern else []
+    return made or places.references(pattern)
 
 
 def _items(name: str, *, verify: bool) -> Iterator[Item]:

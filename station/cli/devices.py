@@ -27,6 +27,7 @@ from station.operator.device import Device, DeviceError
 from station.operator.device_kind import DeviceKind
 from station.operator.sample import OperatorSample
 from station.operator.voice import Cue, VoiceKind
+from station.printable import printable
 from station.stop_signals import set_on_signals
 
 _PERIOD_S = 0.02
@@ -236,6 +237,8 @@ def _try_voice(kind: VoiceKind, words: str, sets: tuple[str, ...]) -> None:
         made.play(Cue(words=words, tune="begin"), threading.Event().wait)
     finally:
         made.close()
+    chosen = ", ".join(f"{name} {value}" for name, value in config.to_plain(options).items() if value != "")
+    click.echo(printable(f"{kind.name} gave {words!r}" + f"; {chosen}" * bool(chosen)))
 
 
 @command.command("buttons")

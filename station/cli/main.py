@@ -28,6 +28,7 @@ VERBS = {
     "demo": "Drive a simulated G1 once, record it, print the report.",
     "up": "Run a runbook: start a station, watch over it, take it down.",
     "runbooks": "List the runbooks that ship, show one, or copy one to change it.",
+    "motions": "List the motions that can be played, or look whether a file of yours can.",
     "serve": "Run one server in this terminal.",
     "down": "End the station that runs, in order, as Ctrl-C in its terminal does.",
     "logs": "Print what the servers said; --follow goes on.",

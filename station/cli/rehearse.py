@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 import json
 import os
 from collections.abc import Sequence
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, get_args
 import click
 import msgspec
 
-from station import assets, registry
+from station import registry
 from station.cli import candidates
 from station.cli.options import json_option
 from station.cli.tables import Column, print_table
@@ -61,6 +60,7 @@ def command(
     With --suite: standing, every clip, pushes, random arm motion, delayed commands, lost and restored commands. Exit
     code 1 when the policy did not keep a limit; station/suite/promise.py has them all.
     """
+    from station.assets import inventory
     from station.control.rig import RigConfig, robot_kind
     from station.view.offscreen import VARIABLE
 
@@ -71,7 +71,7 @@ def command(
     for name in filter(None, (policy, against)):
         if name not in (known := registry.names("policy")):
             raise UnknownName("policy", name, known)  # before any motion is read
-    named = [reference for motion in motions for reference in _expand(motion)]
+    named = [reference for motion in motions for reference in inventory.motions_named(motion)]
     named_options = {"model": robot_model, "physics_dt_s": physics_dt_s}
     options = {name: value for name, value in named_options.items() if value is not None}
     kind.typed(options)  # before any motion is read
@@ -183,14 +183,6 @@ def _print_suite(done: Evaluation) -> None:
     seeds = " ".join(map(str, done.extent.arm_seeds))
     click.echo(f"{runs} runs, {simulated_s:.0f} s simulated in {done.wall_s:.0f} s by {done.processes} processes; "
                f"seeds of the arms {seeds}")  # fmt: skip
-
-
-def _expand(motion: str) -> list[str]:
-    """Return the references that a pattern names; anything that is no pattern is left for the loader."""
-    from station.assets import inventory
-
-    made = fnmatch.filter(inventory.motions(), motion) if "*" in motion else []
-    return made or assets.references(motion)
 
 
 def _print(results: Sequence[Rehearsal]) -> None:

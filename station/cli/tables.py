@@ -13,6 +13,7 @@ from station.view.table import plain
 __all__ = ["Column", "plain", "print_table", "wide_console"]
 
 _WIDE = 200  # characters; a pipe or a file has no width
+_WIDEST = 20_000  # of a row; one that does not fit would be cut, and a table takes no more room than it needs
 
 
 class Column(NamedTuple):
@@ -34,7 +35,7 @@ def print_table(columns: Sequence[Column], rows: Iterable[Sequence[str]], *, ind
         table.add_column(column.title, justify=column.side, no_wrap=True)
     for row in rows:
         table.add_row(*row)
-    console = wide_console()
+    console = Console(highlight=False, width=_WIDEST, soft_wrap=True)
     if indent:
         from rich.padding import Padding
 
