@@ -12,7 +12,6 @@ to the default. A robot that stays where it is without a command, an arm, is lef
 
 from __future__ import annotations
 
-import getpass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,7 +19,7 @@ import msgspec
 import numpy as np
 
 from station import config as configs
-from station import registry
+from station import registry, user_config
 from station.bus import keys
 from station.bus.watch import Watch
 from station.config import to_plain
@@ -186,7 +185,7 @@ class Teleop:
         )
         self._own_key = OwnKey(life, self._command_format.key)
         self._writer = CommandWriter(life, driver.command_format, device=config.device, driver=driver.name)
-        person = {"interface": config.device, "id": config.operator or getpass.getuser()}
+        person = {"interface": config.device, "id": user_config.operator(config.operator)}
         self._to_drive, self._to_arm = bound.how_to_drive, bound.how_to_arm
         record = RecordButtons(life, watch, task=config.task, instruction=config.instruction, operator=person)
         arm = ArmButtons(life, self._command_format.robot, config.device)

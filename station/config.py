@@ -141,8 +141,10 @@ def _value(text: str, option: str) -> Any:
 
 
 def _decode_path(kind: type, value: Any) -> Any:
-    if issubclass(kind, Path) and isinstance(value, str):
-        return Path(value)
+    if issubclass(kind, Path):
+        if isinstance(value, str):
+            return Path(value)
+        raise ValueError(f"expected a path, got {value!r}")
     raise NotImplementedError(f"{kind.__name__} from {value!r}")
 
 

@@ -5,13 +5,13 @@ It needs neither NumPy nor a file until numbers are asked for, so a command line
 
 from __future__ import annotations
 
-import getpass
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import WeakSet
 
 import msgspec
 
+from station import user_config
 from station.bus import address as addresses
 from station.bus import codec, keys
 from station.bus.client import Bus
@@ -412,7 +412,7 @@ class Record:
             operator: Who operates; "" for this user's login name.
             planned_s: Refused where the disk cannot hold so long [s].
         """
-        person = {"id": operator or getpass.getuser()}
+        person = {"id": user_config.operator(operator)}
         return self._ask("start", task=task, instruction=instruction, operator=person, planned_s=planned_s)
 
     def stop(self, *, success: bool | None = None) -> RecordAnswer:

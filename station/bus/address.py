@@ -14,6 +14,7 @@ import msgspec
 from station.bus import password_file, stream
 from station.clock import SYSTEM, Clock
 from station.errors import ConfigError
+from station.user_config import user_config
 
 ENVIRONMENT_VARIABLE = "STATION_BUS"
 USER_VARIABLE = "STATION_BUS_USER"
@@ -195,6 +196,6 @@ def own() -> BusAddress:
 
 
 def default() -> BusAddress:
-    """Return the bus to use when none is named: ``$STATION_BUS``, else this user's own."""
-    url = os.environ.get(ENVIRONMENT_VARIABLE)
+    """Return the bus to use when none is named: ``$STATION_BUS``, else the user's default, else this user's own."""
+    url = os.environ.get(ENVIRONMENT_VARIABLE) or user_config().bus
     return parse(url) if url else own()

@@ -37,11 +37,11 @@ def _without_password(_context: click.Context, _option: click.Parameter, url: st
 
 bus_option: Decorator = click.option(
     "--bus", metavar="URL", default=None, callback=_without_password,
-    help="redis://, rediss:// or unix:// address.  [default: $STATION_BUS, else this user's own socket]",
+    help="redis://, rediss:// or unix:// address.  [default: $STATION_BUS, else of your config, else your own socket]",
 )  # fmt: skip
 data_option: Decorator = click.option(
     "--data", metavar="DIR", default=None, type=click.Path(file_okay=False, path_type=Path),
-    help="Folder of episodes.  [default: $STATION_DATA, else ./data]",
+    help="Folder of episodes.  [default: $STATION_DATA, else of your config, else ./data]",
 )  # fmt: skip
 jobs_option: Decorator = click.option(
     "--jobs", metavar="N", default=0, type=click.IntRange(0), help="Processes side by side.  [default: one per core]"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import signal
 import threading
 from collections.abc import Iterator
@@ -11,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from station import config
+from station import config, user_config
 from station.bus.client import Bus
 from station.cli import candidates
 from station.cli.options import bus_option, data_option, set_option
@@ -34,7 +33,9 @@ from station.supervision.supervisor import Supervisor, how_it_ended, log_folder
 @click.option("--task", default="", shell_complete=candidates.tasks,
               help="Name of the task, for the episode.  [default: the runbook's name]")  # fmt: skip
 @click.option("--instruction", default="", help="Language instruction, for the episode.")
-@click.option("--operator", default="", help="Who operates, for the episode.  [default: your login name]")
+@click.option(
+    "--operator", default="", help="Who operates, for the episode.  [default: of your config, else your login name]"
+)
 @click.option("--for", "for_", metavar="DURATION", default=None, help="Stop after this long (25s, 2min).")
 @click.option("--dry-run", is_flag=True, help="Print what would happen and exit.")
 @set_option("server.key=value")
@@ -54,7 +55,7 @@ def command(
     recording = None
     for_s = None if for_ is None else config.seconds(for_, where="--for")
     if record:
-        person = {"id": operator or getpass.getuser()}
+        person = {"id": user_config.operator(operator)}
         recording = Recording(task=task or book.name, instruction=instruction, operator=person, planned_s=for_s)
     code, episode = run(book, bus=bus, data=data_folder(data), recording=recording, unattended=yes, for_s=for_s)
     if episode is not None:

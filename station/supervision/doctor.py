@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Iterator
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
-from station import assets, packages, registry
+from station import assets, libraries, packages, registry, user_config
 from station.arms import remedy_of
+from station.bus import address as addresses
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
@@ -319,6 +319,7 @@ def machine() -> Iterator[Finding]:
     """Yield findings about this machine: upstream data, packages, versions, scheduling."""
     if outdated := registry.outdated():
         yield Finding("broken", "installation", outdated, f"install it again: {registry.INSTALL}")
+    yield from _defaults()
     base = assets.root()
     if base is None:
         yield Finding("ok", "assets", f"built in; ${assets.ENVIRONMENT_VARIABLE} is not set, cache {assets.cache()}")
@@ -329,18 +330,19 @@ def machine() -> Iterator[Finding]:
     for name in packages.IMPORTED:
         if (shared := packages.sharing(name)) is not None:
             yield Finding("warning", f"package {name}", shared.found, shared.remedy)
-    missing = [name for name in _PACKAGES if _version(name) is None]
-    versions = ", ".join(f"{name} {_version(name) or 'MISSING'}" for name in _PACKAGES)
+    missing = [name for name in _PACKAGES if libraries.version(name) is None]
+    versions = ", ".join(f"{name} {libraries.version(name) or 'MISSING'}" for name in _PACKAGES)
     yield Finding("broken" if missing else "ok", "versions", f"python {platform.python_version()}, {versions}",
                   f"pip install {' '.join(missing)}" if missing else "")  # fmt: skip
     yield _scheduling()
 
 
-def _version(package: str) -> str | None:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None
+def _defaults() -> Iterator[Finding]:
+    """Yield what this user's file sets; of an address without its password."""
+    found = user_config.user_config()
+    chosen = {"data": found.data, "bus": found.bus and addresses.parse(found.bus), "operator": found.operator}
+    if listed := ", ".join(f"{name} {value}" for name, value in chosen.items() if value):
+        yield Finding("ok", "defaults", f"{listed} ({user_config.path()})")
 
 
 def _scheduling() -> Finding:

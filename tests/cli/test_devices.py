@@ -249,7 +249,8 @@ def test_voices_are_listed_with_what_each_lacks_and_can_be_heard(home: Home, tmp
     assert speech.startswith("speech: no program to speak with: none of espeak-ng")
     assert tones.startswith("tones: no sound output (")
     assert hint.startswith("to hear one: station devices voices VOICE")
-    assert words(home, "voices", "wav", "--words", "good morning", "--set", f"file={tmp_path}/a.wav") == ""
+    said = words(home, "voices", "wav", "--words", "good morning", "--set", f"file={tmp_path}/a.wav")
+    assert said == f"wav gave 'good morning'; file {tmp_path}/a.wav, volume 0.5\n"
     assert (tmp_path / "a.txt").read_text().endswith("\tgood morning\n")
     found = home.json("devices", "voices")
     assert [each["voice"] for each in found if each["missing"]] == ["speech", "tones"]

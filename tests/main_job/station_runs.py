@@ -26,7 +26,8 @@ class Terminal:
     def __init__(self, folder: Path) -> None:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         kept = {name: value for name, value in os.environ.items() if name not in SHARED_VARIABLES}
-        own = {"XDG_RUNTIME_DIR": folder, "XDG_STATE_HOME": folder / "state", "STATION_DATA": folder / "data"}
+        own = {"XDG_RUNTIME_DIR": folder, "XDG_STATE_HOME": folder / "state", "XDG_CONFIG_HOME": folder / "config",
+               "STATION_DATA": folder / "data"}  # fmt: skip
         self.environment = kept | {name: str(place) for name, place in own.items()}
         self.data = folder / "data"
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -16,7 +15,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from station import config
+from station import config, user_config
 from station.episode.quality.finding_parts import RulesFile
 from station.errors import ConfigError
 
@@ -229,8 +228,7 @@ def of_user() -> RuleBook:
 
 def user_file() -> Path:
     """Return where this user's rules are kept; perhaps not there."""
-    base = os.environ.get("XDG_CONFIG_HOME")
-    return (Path(base) if base else Path.home() / ".config") / "station" / "quality.yaml"
+    return user_config.folder() / "quality.yaml"
 
 
 def _plain(rule: Any) -> Any:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import re
 import time
+import unicodedata
 from pathlib import Path
 
 from station.episode.storage import layout
 from station.episode.storage.records import metadata_at_head
 from station.errors import EpisodeError, did_you_mean
+from station.user_config import user_config
 
 DATA_VARIABLE = "STATION_DATA"
 LATEST = "latest"
@@ -21,13 +23,15 @@ _SHOWN = 5
 
 
 def data_folder(data: Path | None = None) -> Path:
-    """Return the data folder: what was given, else ``$STATION_DATA``, else ``./data``."""
-    return data or Path(os.environ.get(DATA_VARIABLE) or "data")
+    """Return the data folder: what was given, else ``$STATION_DATA``, else the user's default, else ``./data``."""
+    named = data or os.environ.get(DATA_VARIABLE)
+    return Path(named) if named else user_config().data or Path("data")
 
 
 def slug(text: str) -> str:
-    """Return text as part of a file name: small letters, digits, single dashes; never empty, never a path."""
-    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")[:_LONGEST_SLUG].strip("-") or "untitled"
+    """Return text as part of a file name: letters of any script, digits, single dashes; never empty, never a path."""
+    words = re.sub(r"[\W_]+", "-", unicodedata.normalize("NFKC", text).lower())
+    return words.strip("-")[:_LONGEST_SLUG].strip("-") or "untitled"
 
 
 def new_folder(data: Path, task: str, robot: str) -> Path:

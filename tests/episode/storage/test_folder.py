@@ -36,6 +36,7 @@ def test_a_task_s_name_never_leaves_the_data_folder(tmp_path: Path) -> None:
     folder = new_folder(tmp_path, "../../etc/passwd", "")
     assert folder.parent.parent == tmp_path
     assert slug("") == slug("///") == "untitled"
+    assert (slug("日本語 テスト"), slug("Größe_2"), slug("../ÉTÉ")) == ("日本語-テスト", "größe-2", "été")
     assert len(slug("x" * 500)) < 60
 
 
