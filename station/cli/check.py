@@ -8,6 +8,8 @@ import click
 import msgspec
 
 from station.cli.options import data_option, episode_argument, json_option
+from station.errors import EpisodeError, StationError
+from station.printable import printable
 
 
 def _print_rules(context: click.Context, _option: click.Parameter, is_wanted: bool) -> None:
@@ -17,6 +19,12 @@ def _print_rules(context: click.Context, _option: click.Parameter, is_wanted: bo
 
         click.echo(SHIPPED.read_text(encoding="utf-8"), nl=False)
         context.exit()
+
+
+class _NotCheckedError(StationError):
+    """The episode cannot be read: another exit code than that of one which is to be rejected."""
+
+    exit_code = 2
 
 
 @click.command("check")
@@ -29,19 +37,30 @@ def _print_rules(context: click.Context, _option: click.Parameter, is_wanted: bo
 @data_option
 @json_option
 def command(episode: str, rules: Path | None, no_write: bool, data: Path | None, as_json: bool) -> None:
-    """Check EPISODE (a path, an id, the beginning of one, or `latest`); exit code 1 when it is to be rejected."""
+    """Check EPISODE (a path, an id, the beginning of one, or `latest`).
+
+    Exit code 1 when it is to be rejected, 2 when it could not be checked.
+    """
     from station.cli.quality import print_quality
     from station.episode.quality import rule_file
     from station.episode.quality.check import check, write_measured
     from station.episode.reading.reader import open_episode
 
     book = rule_file.of_user() if rules is None else rule_file.load(rules)
-    reader = open_episode(episode, data)
-    quality = check(reader, book)
-    if quality.is_finished and not no_write:
-        write_measured(reader.folder, quality)
+    try:
+        reader = open_episode(episode, data)
+        quality = check(reader, book)
+    except EpisodeError as error:
+        raise _NotCheckedError(str(error)) from None
     if as_json:
         click.echo(msgspec.json.encode(quality))
     else:
         print_quality(quality)
+    if quality.is_finished and not no_write:
+        try:
+            write_measured(reader.folder, quality)
+        except EpisodeError as error:
+            click.echo(
+                f"station: {printable(str(error))}; the verdict is not kept there (--no-write asks for none)", err=True
+            )
     raise SystemExit(1 if quality.verdict == "reject" else 0)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from station import rotations
 from station.bus import codec, contracts, keys
+from station.bus.robot_streams import QUAT
 from station.contract import TIMING_STAGES, Contract
 from station.control.gate import MOVING
 from station.control.tracking import TrackingError
@@ -28,6 +29,7 @@ _STAGES = TIMING_STAGES
 _FIRST_STAGE = 2  # after tick and command_seq
 _TRACKING = "tracking"
 _PLAYING = "playing"
+_HEIGHT = "root_z"
 
 
 @dataclass
@@ -129,11 +131,12 @@ class StepMeter:
 
     def _add_pose(self, step: Step) -> None:
         for key in (keys.sim_qpos(self.robot), keys.robot_state(self.robot)):
-            data = step.values.get(key)
-            if data and len(data) == 8 * len(self._layouts.get(key, ())):
-                first = 8 * self._layouts[key].index("root_quat_w")
-                self._poses[key] += data[first : first + 32]  # all that a fall needs; an hour of it is 6 MB
-                self._pose_times[key].append(step.at_ns)
+            data, names = step.values.get(key), self._layouts.get(key, ())
+            if data and len(data) == 8 * len(names) and QUAT[0] in names:
+                first = names.index(QUAT[0])
+                if names[first : first + len(QUAT)] == QUAT:
+                    self._poses[key] += data[8 * first : 8 * (first + len(QUAT))]  # an hour of it is 6 MB
+                    self._pose_times[key].append(step.at_ns)
 
     def _is_playing(self, step: Step) -> bool:
         source = codec.parse_facts(step.before.get(keys.command_source(self.robot)))
@@ -150,7 +153,7 @@ class StepMeter:
             self._joints = tuple(name.removesuffix("_pos") for name in names if name.endswith("_pos"))
             self._tracking = TrackingError(asked_names, self._joints)
         truth = self._named(step, keys.sim_qpos(self.robot))
-        height_m = None if truth is None else float(truth[1][truth[0].index("root_z")])
+        height_m = None if truth is None or _HEIGHT not in truth[0] else float(truth[1][truth[0].index(_HEIGHT)])
         self._tracking.add(measured[: len(self._joints)], asked, height_m)
 
     def _named(self, step: Step, key: str) -> tuple[tuple[str, ...], Floats] | None:
