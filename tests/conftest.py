@@ -37,7 +37,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Obey Ctrl-C, so that every child does: a shell's background job, and all that it starts, would ignore it."""
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    os.environ["XDG_CONFIG_HOME"] = os.devnull  # no folder: whoever runs the tests may have rules and defaults
+    os.environ["XDG_CONFIG_HOME"] = "/proc/nowhere"  # never there: whoever runs the tests may have rules and defaults
     # How long an example takes is the machine's business. The same code gets the same verdict: new examples are drawn
     # where defects are looked for (`make hunt`, proofs).
     is_new = bool(config.getoption("--new-examples")) or config.getoption("-m") == "proof"

@@ -173,6 +173,7 @@ RECORDER = "station:recorder"
 TAP_PROBE = "station:tap:probe"
 NOT_MIRRORED = "station:tap:not_mirrored"  # on no bus: in recordings, for each write whose value a tap could not know
 
+_OWN = "station:"
 SERVER_PREFIX = "station:server:"
 CONFIG_PREFIX = "station:config:"
 
@@ -191,6 +192,11 @@ def server_config(name: str) -> str:
 def stamp(key: str) -> str:
     """The sibling that holds the stamp of a key's newest write."""
     return key + "@"
+
+
+def is_bookkeeping(key: str) -> bool:
+    """Whether a key is one of the station's own: what servers, recorder and operators say to each other."""
+    return key.startswith(_OWN)
 
 
 def is_stamp(key: str) -> bool:

@@ -70,7 +70,7 @@ def story(found: Audit) -> str:
             f"  actions       {found.steps} steps, {found.different} different, max |Δ| {found.max_abs_difference:.3g}",
             f"  observations  {_compared(found.observations, 'steps', '', found.not_derived)}",
             f"  recorded on   {found.recorded_runtime or 'unknown'}\n  audited on    {found.runtime}",
-            f"  {found.segments} segments, {found.incomplete} incomplete steps; "
+            f"  {found.segments} segment{'s' * (found.segments != 1)}, {found.incomplete} incomplete steps; "
             f"{found.speed_x_realtime:.0f} x real time",
         )
     )

@@ -33,10 +33,11 @@ class _NotCheckedError(StationError):
               help="Judge by these rules.  [default: those of $XDG_CONFIG_HOME/station/, else shipped]")  # fmt: skip
 @click.option("--print-rules", is_flag=True, is_eager=True, expose_value=False, callback=_print_rules,
               help="Print the rules that ship, every limit explained, and leave.")  # fmt: skip
+@click.option("--all", "is_whole", is_flag=True, help="Show the streams of the station's own too.")
 @click.option("--no-write", is_flag=True, help="Leave the manifest as it is.")
 @data_option
 @json_option
-def command(episode: str, rules: Path | None, no_write: bool, data: Path | None, as_json: bool) -> None:
+def command(episode: str, rules: Path | None, is_whole: bool, no_write: bool, data: Path | None, as_json: bool) -> None:
     """Check EPISODE (a path, an id, the beginning of one, or `latest`).
 
     Exit code 1 when it is to be rejected, 2 when it could not be checked.
@@ -55,7 +56,7 @@ def command(episode: str, rules: Path | None, no_write: bool, data: Path | None,
     if as_json:
         click.echo(msgspec.json.encode(quality))
     else:
-        print_quality(quality)
+        print_quality(quality, streams="all" if is_whole else "robots")
     if quality.is_finished and not no_write:
         try:
             write_measured(reader.folder, quality)

@@ -85,7 +85,7 @@ def _report(episode: Path, gl: str, data: Path | None) -> int:
         reader = open_episode(episode)
         quality = check(reader, rule_file.of_user())
         write_measured(episode, quality)
-    print_quality(quality)
+    print_quality(quality, streams="none")
     click.echo()
     with _busy("running the policy again on what was recorded"):
         found = audit(reader)

@@ -57,6 +57,13 @@ def listing(
     if (line := offer(data_folder(data))) is not None:
         click.echo(f"station: {line}", err=True)
     rows = list_episodes(data, wanted=wanted)
+    if least is not None:
+        any_verdict = msgspec.structs.replace(wanted, least=None, verdicts=("unchecked",))
+        if unchecked := [row for row in list_episodes(data, wanted=any_verdict) if not row.is_discarded]:
+            click.echo(
+                f"station: {len(unchecked)} left out that were never checked; `station check` them, "
+                "--verdict unchecked lists them", err=True,
+            )  # fmt: skip
     if as_json:
         click.echo(json.dumps(msgspec.to_builtins(rows)))
         return

@@ -19,6 +19,7 @@ PROGRAM = "station"
 COMPLETION_VARIABLE = "_STATION_COMPLETE"
 """Set by the shell that wants a command line completed."""
 
+_WHOLE = 1000  # characters of a sentence
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
@@ -55,7 +56,15 @@ json_option: Decorator = click.option("--json", "as_json", is_flag=True, help="P
 
 
 class Verbs(click.Group):
-    """A group that says which verb was meant when a name is misspelt."""
+    """A group that says which verb was meant when a name is misspelt, and cuts no help."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write what each verb does, in its first sentence."""
+        verbs = {name: self.get_command(ctx, name) for name in self.list_commands(ctx)}
+        with formatter.section("Commands"):
+            formatter.write_dl([
+                (name, verb.get_short_help_str(limit=_WHOLE)) for name, verb in verbs.items() if verb is not None
+            ])  # fmt: skip
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

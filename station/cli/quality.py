@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from rich.console import Console
 
+from station.bus import keys
 from station.cli.tables import Column, plain, print_table
 from station.episode.quality import timing
 from station.episode.quality.finding_parts import Alignment, ArmQuality, CameraQuality, MotionQuality
@@ -23,8 +26,8 @@ _KINDS = {
 _COLOURS = {"good": "green", "usable": "yellow", "reject": "red"}
 
 
-def print_quality(quality: Quality) -> None:
-    """Print verdict, reasons, streams and steps."""
+def print_quality(quality: Quality, *, streams: Literal["all", "robots", "none"] = "robots") -> None:
+    """Print verdict, reasons and what the robots did; then all streams, those without the station's own, or none."""
     console = Console(highlight=False)
     colour = _COLOURS[quality.verdict]
     console.print(
@@ -39,13 +42,14 @@ def print_quality(quality: Quality) -> None:
     if quality.shortened:
         console.print(f"  [dim]{plain(words_of_shortened(quality.shortened))}[/]", soft_wrap=True)
     _print_interruptions(console, quality)
-    console.print()
-    _print_streams(quality.streams)
-    _print_cameras(console, quality.cameras)
     told = [item.robot for item in quality.steps] + [item.robot for item in quality.motion]
     for robot in dict.fromkeys([*told, *(item.robot for item in quality.arms)]):
         console.print()
         _print_robot(console, quality, robot)
+    if streams != "none":
+        console.print()
+        _print_streams(console, quality.streams, is_whole=streams == "all")
+    _print_cameras(console, quality.cameras)
     if len(quality.rules) > 1:
         last = quality.rules[-1]
         console.print(
@@ -60,7 +64,7 @@ def _headline(quality: Quality) -> str:
     if quality.times_of != "writers":
         tap = f"imported: {plain(quality.backend)}"
     return (
-        f"{quality.duration_s:.1f} s, {quality.messages} messages, {lost} lost{dropped}, {quality.falls} falls, "
+        f"{quality.length_s:.1f} s, {quality.messages} messages, {lost} lost{dropped}, {quality.falls} falls, "
         f"{quality.resets} resets, {quality.recorder_restarts} recorder restarts, {tap}"
     )
 
@@ -102,7 +106,9 @@ def _summary(found: list[Interruption]) -> str:
     return "; ".join(words)
 
 
-def _print_streams(streams: list[StreamQuality]) -> None:
+def _print_streams(console: Console, streams: list[StreamQuality], *, is_whole: bool) -> None:
+    """Print a row per key and writer; of the station's own keys only those that lack writes, unless all are wanted."""
+    shown = [item for item in streams if is_whole or item.lost or not keys.is_bookkeeping(item.key)]
     columns = [
         Column("key", "left"),
         Column("writer", "left"),
@@ -118,9 +124,11 @@ def _print_streams(streams: list[StreamQuality]) -> None:
             _unit(item.jitter_p99_s, 1e3, "ms"),
             _unit(item.longest_gap_s, 1e3, "ms", digits=0),
         )
-        for item in streams
+        for item in shown
     ]
     print_table(columns, rows)
+    if left := len(streams) - len(shown):
+        console.print(f"[dim]and {left} streams of the station's own, none with a write lost; --all shows them[/]")
 
 
 def _print_steps(console: Console, steps: StepQuality, *, lock_step: bool) -> None:

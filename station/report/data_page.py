@@ -55,10 +55,10 @@ def _when(times: Sequence[datetime]) -> str:
 
 
 def _tiles(episodes: Sequence[Episode]) -> Html:
-    seconds = sum(episode.quality.duration_s for episode in episodes)
+    seconds = sum(episode.quality.length_s for episode in episodes)
     pace = figures.pace(episodes)
     said = [episode.quality.success for episode in episodes if episode.quality.success is not None]
-    lengths = [episode.quality.duration_s for episode in episodes]
+    lengths = [episode.quality.length_s for episode in episodes]
     tiles = {
         "episodes": str(len(episodes)),
         "robot time": _long(seconds),
@@ -155,7 +155,7 @@ def _people(episodes: Sequence[Episode]) -> Html | None:
         said = [one.quality.success for one in group if one.quality.success is not None]
         rows.append((
             task, operator or "–", str(len(group)), *(str(counts[verdict]) for verdict in figures.VERDICTS),
-            f"{sum(said)} of {len(said)}" if said else "–", _long(sum(one.quality.duration_s for one in group)),
+            f"{sum(said)} of {len(said)}" if said else "–", _long(sum(one.quality.length_s for one in group)),
             _rate(pace.per_hour),
         ))  # fmt: skip
     head = ("task", "operator", "episodes", *figures.VERDICTS, "successes", "robot time", "takes per hour")
@@ -199,7 +199,7 @@ def _index(episodes: Sequence[Episode], pictured: int) -> Html:
         )
         first = next((reason for reason in quality.reasons if reason.verdict == quality.verdict), None)
         rows.append((
-            _link(episode), badge(quality.verdict), _started(episode), f"{quality.duration_s:.1f} s",
+            _link(episode), badge(quality.verdict), _started(episode), f"{quality.length_s:.1f} s",
             episode.manifest.operator.id or "–", {None: "–", True: "yes", False: "no"}[quality.success],
             "–" if error is None else f"{error:.3f} rad", first.rule if first else "",
         ))  # fmt: skip

@@ -111,7 +111,7 @@ def _facts(episode: Episode) -> Html:
     started = episode.started
     facts = {
         "started": "" if started is None else f"{started:%Y-%m-%d %H:%M:%S}",
-        "length": f"{quality.duration_s:.1f} s, {quality.messages} messages",
+        "length": f"{quality.length_s:.1f} s, {quality.messages} messages",
         "operator": f"{manifest.operator.id or '–'} by {manifest.operator.interface or '–'}",
         "task succeeded": success,
         "robot": manifest.robot.suffix,

@@ -78,7 +78,7 @@ def lengths(episodes: Sequence[Episode]) -> list[Bin]:
     """Return a histogram of lengths with round limits, and at most 24 bars."""
     if not episodes:
         return []
-    values = np.array([episode.quality.duration_s for episode in episodes])
+    values = np.array([episode.quality.length_s for episode in episodes])
     first, last = float(values.min()), float(values.max())
     step = next((step for step in _STEPS_S if (last // step) - (first // step) < _BARS), (last - first) / _BARS + 1.0)
     start = first // step * step
@@ -87,7 +87,7 @@ def lengths(episodes: Sequence[Episode]) -> list[Bin]:
         for n in range(int((last - start) // step) + 1)
     ]
     for episode in episodes:
-        place = min(int((episode.quality.duration_s - start) // step), len(bins) - 1)
+        place = min(int((episode.quality.length_s - start) // step), len(bins) - 1)
         bins[place].counts[episode.quality.verdict] += 1
     return bins
 
@@ -110,4 +110,4 @@ def reasons(episodes: Sequence[Episode]) -> list[tuple[str, int, int, str]]:
 
 def _end(started: datetime, episode: Episode) -> datetime:
     seconds = episode.manifest.timing.duration_s
-    return started + timedelta(seconds=min(max(0.0, episode.quality.duration_s if seconds is None else seconds), 1e8))
+    return started + timedelta(seconds=min(max(0.0, episode.quality.length_s if seconds is None else seconds), 1e8))

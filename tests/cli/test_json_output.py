@@ -59,7 +59,9 @@ def test_check(wave: Wave, verb: tuple[str, ...]) -> None:
     found = wave.home.json(*verb, str(wave.episode), "--no-write")
     assert found["verdict"] in ("good", "usable", "reject")
     shown = wave.home.json("episodes", "show", str(wave.episode))
-    assert found["duration_s"] == shown["manifest"]["timing"]["duration_s"], "an episode has one length"
+    length_s = shown["manifest"]["timing"]["duration_s"]
+    assert found["ends_s"] == [0.0, length_s], "an episode has one length"
+    assert f" {length_s:.1f} s, " in wave.home.run(*verb, str(wave.episode), "--no-write").stdout.splitlines()[0]
     assert found["recorder_restarts"] == found["falls"] == 0
     body = row(found["streams"], key=twist_keys.action_body())
     assert body["lost"] == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Wave
-from tests.cli.running import Home
+from tests.cli.running import Home, new_home
 
+VERBS_OF_GROUPS = ("record", "episodes", "devices", "kassow", "bus", "assets", "runbooks")
 pytestmark = pytest.mark.usefixtures("processes")
 
 RUN = "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); from station.cli.main import main; main()"
@@ -67,3 +69,31 @@ def test_an_episode_that_cannot_be_checked_has_another_exit_code_than_one_to_rej
     done = wave.home.run("check", "no-such-episode")
     assert done.returncode == 2
     assert done.stderr.startswith("station: episode 'no-such-episode': not found in ")
+
+
+def test_a_report_begins_with_what_the_robot_did_and_shows_bookkeeping_on_demand(wave: Wave) -> None:
+    short, whole = (wave.home.run("check", str(wave.episode), "--no-write", *more).stdout for more in ([], ["--all"]))
+    assert short.index("still for ") < short.index("action_body_unitree_g1_with_hands")
+    assert "station:server:motion" not in short
+    assert "streams of the station's own, none with a write lost; --all shows them" in short
+    assert "station:server:motion" in whole
+    assert "--all" not in whole
+
+
+@pytest.mark.parametrize("verb", VERBS_OF_GROUPS)
+def test_the_help_of_a_group_cuts_no_sentence(home: Home, verb: str) -> None:
+    listed = home.run(verb, "--help").stdout.partition("Commands:")[2]
+    assert listed
+    assert "..." not in listed
+
+
+def test_episodes_that_were_never_checked_are_left_out_with_a_word(wave: Wave) -> None:
+    with new_home() as home:
+        shutil.copytree(wave.episode, home.data / "wave" / wave.episode.name)
+        done = home.run("episodes", "list", "--min-quality", "usable")
+        assert "no episode in " in done.stdout
+        assert done.stderr == (
+            "station: 1 left out that were never checked; `station check` them, --verdict unchecked lists them\n"
+        )
+        home.run("check", "latest")
+        assert home.run("episodes", "list", "--min-quality", "usable").stderr == ""

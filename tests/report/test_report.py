@@ -154,10 +154,10 @@ def test_many_episodes_have_pictures_where_they_are_needed(tmp_path: Path) -> No
 def test_what_was_measured_is_taken_and_what_was_not_is_measured(tmp_path: Path) -> None:
     folders = [episode(tmp_path, 1), episode(tmp_path, 2)]
     measured = check(open_episode(folders[0]))
-    measured.duration_s = 77.0  # so that it can be told whose number it is
+    measured.ends_s = (0.0, 77.0)  # so that it can be told whose number it is
     write_measured(folders[0], measured)
     found, _ = gather(folders, rule_file.shipped(), named=True)
-    assert [round(one.quality.duration_s) for one in found] == [77, 1]
+    assert [round(one.quality.length_s) for one in found] == [77, 1]
     assert load_manifest(folders[1]).quality == {}, "a report changes no manifest"
 
 

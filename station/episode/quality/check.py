@@ -99,7 +99,7 @@ def _assemble(reader: EpisodeReader, measured: Measurements) -> Quality:
     span_s, cameras = presence.ends_s(manifest, streams), measured.cameras.result(streams)
     return Quality(
         episode_id=reader.episode_id,
-        duration_s=span_s[1] - span_s[0],
+        duration_s=max((s.last_s for s in streams), default=0.0) - min((s.first_s for s in streams), default=0.0),
         messages=counter.messages,
         streams=streams,
         steps=[meter.result(paused) for meter in measured.steps.values()],

@@ -202,7 +202,7 @@ class Quality(msgspec.Struct, kw_only=True):
             go into a training set as a demonstration.
         reasons: Why it is not good; empty for a good one.
         rules: The files of rules that it was judged by, the later ones over the earlier.
-        duration_s: From its start to its end [s], as the manifest has it where it does.
+        duration_s: From the first message to the last [s]; of those before its start too.
         messages: Messages in the file.
         streams: By key and source.
         steps: By robot.
@@ -283,6 +283,11 @@ class Quality(msgspec.Struct, kw_only=True):
     success: bool | None = None
     discarded: bool = False
     shortened: dict[str, int] = {}
+
+    @property
+    def length_s(self) -> float:
+        """How long the episode is, from its start to its end [s]."""
+        return self.ends_s[1] - self.ends_s[0] or self.duration_s
 
     def joint_errors_rad(self, robot: str) -> dict[str, float]:
         """Return the mean error of each joint of a robot that was compared [rad]."""

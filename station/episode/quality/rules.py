@@ -179,7 +179,10 @@ def _estop(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
 
 def _no_steps(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
     if not any(robot.steps for robot in quality.steps):
-        yield "usable", "no policy step in the file: nothing to audit, and an export must be told --state and --action"
+        yield (
+            "usable",
+            "no policy step in the file: nothing to audit, and training data of it needs --state and --action",
+        )
 
 
 def _never_tracked(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
