@@ -173,7 +173,7 @@ RECORDER = "station:recorder"
 TAP_PROBE = "station:tap:probe"
 NOT_MIRRORED = "station:tap:not_mirrored"  # on no bus: in recordings, for each write whose value a tap could not know
 
-_OWN = "station:"
+_OWN = "station:"  # what they all begin with
 SERVER_PREFIX = "station:server:"
 CONFIG_PREFIX = "station:config:"
 
