@@ -54,6 +54,7 @@ class Child(msgspec.Struct):
     arguments: list[str]
     restarts: Restarts | None = None
     is_wanted: bool = True
+    was_activated: bool = False
 
 
 class Supervisor:
@@ -121,7 +122,7 @@ class Supervisor:
             if health is not None and _PROGRESS.get(health.state, -1) >= _PROGRESS[state]:
                 return health
             for dead, code in self.ended().items():
-                doing = "loading" if state == "inactive" else "starting"
+                doing = "starting" if self.children[dead].was_activated else "loading"
                 waited = "" if dead == name else f" ({name!r} was waited for)"
                 raise NotReady(f"server {dead!r} {how_it_ended(code)} while {doing}{waited}: {self.last_words(dead)}")
             if stop is not None and stop.is_set():
@@ -137,6 +138,7 @@ class Supervisor:
     def activate(self, name: str) -> None:
         """Let a loaded child begin its work."""
         child = self.children[name]
+        child.was_activated = True
         if child.restarts is not None:
             child.restarts.is_armed = True
         with contextlib.suppress(BrokenPipeError):  # it has just died; the next poll will say so
