@@ -16,10 +16,10 @@ def version(library: str) -> str | None:
 
 
 def expect(who: str, library: str, extra: str = "") -> None:
-    """Check that the library which somebody needs is installed; "" for none is.
+    """Check that a library is installed; "", for none, always is.
 
     Args:
-        who: For the message: ``a gamepad``.
+        who: What needs it, for the message: ``a gamepad``.
         library: Name of the distribution.
         extra: Of our package, which brings it; "" for none.
 

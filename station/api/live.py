@@ -409,7 +409,7 @@ class Record:
         Args:
             task: Name of the task; episodes of a task share a folder.
             instruction: What is to be done, in words.
-            operator: Who operates; "" for this user's login name.
+            operator: Who operates; "" for the default of this user's file (`station.user_config`), else the login name.
             planned_s: Refused where the disk cannot hold so long [s].
         """
         person = {"id": user_config.operator(operator)}

@@ -27,7 +27,7 @@ def command() -> None:
 @click.option("--task", default="", shell_complete=candidates.tasks,
               help="Name of the task; episodes of a task share a folder.")  # fmt: skip
 @click.option("--instruction", default="", help="Language instruction.")
-@click.option("--operator", default="", help="Who operates.  [default: your login name]")
+@click.option("--operator", default="", help="Who operates.  [default: of your config, else your login name]")
 @click.option("--planned", metavar="DURATION", default=None, help="Refuse when the disk cannot hold this long (2min).")
 @bus_option
 @json_option

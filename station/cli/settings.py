@@ -157,7 +157,7 @@ def _about(kind: type) -> dict[str, str]:
 
 
 def _as_yaml(words: str) -> str:
-    """Return what a docstring says in the words of somebody who writes YAML."""
+    """Return the words of a docstring with YAML's null in place of Python's None."""
     return re.sub(r"\bNone\b", "null", words.replace("``", "`"))
 
 
