@@ -13,12 +13,15 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+from station import python_child
 from station.bus.address import BusAddress
 from station.software import software
 from tests import examples, figures, leftovers, progress, tiers
 from tests.figures import Figures
 from tests.shared_bus import SharedBus
 from tests.warm.starts import WarmStarts
+
+python_child.spare_processors()  # as in the processes that are started from here, which start cold otherwise
 
 NO_UPSTREAM_DATA = "STATION_ASSETS does not name a folder with upstream data"
 

@@ -25,6 +25,20 @@ if __name__ == "__main__":
     print(side_by_side.run(math.sqrt, [1.0, 4.0], jobs=2))
 """
 
+_MULTIPLIES = """
+import os, sys
+from station.cli.main import main
+
+sys.argv = ["station", "--version"]
+try:
+    main()
+except SystemExit as end:
+    assert end.code == 0
+import numpy
+numpy.ones((400, 400)) @ numpy.ones((400, 400))
+print(os.environ["OPENBLAS_NUM_THREADS"], len(os.listdir("/proc/self/task")))
+"""
+
 
 @pytest.fixture
 def hostile(tmp_path: Path) -> Path:
@@ -54,3 +68,15 @@ def test_the_command_line_protects_the_processes_that_share_its_work(hostile: Pa
     done = run([sys.executable, str(script)], hostile)
     assert done.returncode == 0, done.stderr
     assert done.stdout.endswith("[1.0, 2.0]\n")
+
+
+@pytest.mark.usefixtures("processes")
+@pytest.mark.parametrize(("given", "has"), [({}, "1 1"), ({python_child.BLAS_THREADS: "2"}, "2 2")])
+def test_the_command_line_multiplies_in_one_thread_unless_the_user_wants_more(given: dict[str, str], has: str) -> None:
+    if int(has[0]) > len(os.sched_getaffinity(0)):
+        pytest.skip("NumPy takes no more threads than there are processors")
+    environment = {name: value for name, value in os.environ.items() if name != python_child.BLAS_THREADS} | given
+    done = subprocess.run(
+        [sys.executable, "-B", "-c", _MULTIPLIES], env=environment, capture_output=True, text=True, check=True
+    )  # cold
+    assert done.stdout.splitlines()[-1] == has

@@ -238,7 +238,8 @@ class Connection:
             return stream
         except OSError as error:
             raise ConnectionLost(
-                f"bus {address}: {_reason(error)}; start one with `station bus start`, or name another with --bus URL"
+                f"bus {address}: {_reason(error)}; does a station run there? `station up RUNBOOK` starts one, "
+                "--bus URL names another"
             ) from error
 
     def _greet(self) -> None:

@@ -72,9 +72,8 @@ def _leave_drawing_to_the_end() -> str:
 
 
 def _report(episode: Path, gl: str, data: Path | None) -> int:
-    """Print what was measured, draw the pictures, say what to try next; return an exit code."""
-    from station.cli.audit import story
-    from station.cli.quality import print_quality
+    """Say on one screen what happened, how good it was, what to open and what to try; return an exit code."""
+    from station.cli.quality import print_in_short
     from station.episode.quality import rule_file
     from station.episode.quality.check import check, write_measured
     from station.episode.reading.reader import open_episode
@@ -85,12 +84,11 @@ def _report(episode: Path, gl: str, data: Path | None) -> int:
         reader = open_episode(episode)
         quality = check(reader, rule_file.of_user())
         write_measured(episode, quality)
-    print_quality(quality, streams="none")
-    click.echo()
+    print_in_short(quality)
     with _busy("running the policy again on what was recorded"):
         found = audit(reader)
-    click.echo(story(found))
-    click.echo()
+    click.echo(f"  {found.policy}, run again on what was recorded: {found.steps} steps, {found.different} different")
+    click.echo("\nopen:")
     _draw(reader, episode, gl)
     _print_next_steps(data)
     return 0 if found.is_equal and quality.verdict != "reject" else 1
@@ -125,26 +123,21 @@ def _made(name: str, path: Path, make: Callable[[Path], object]) -> None:
         with _busy(f"drawing the {name}"):
             make(path)
     except StationError as error:
-        click.echo(f"{name} skipped: {error}")
+        click.echo(f"  {name} skipped: {error}")
     else:
-        click.echo(f"{name:<14} {path}")
+        click.echo(f"  {name:<14} {path}")
 
 
 def _print_next_steps(data: Path | None) -> None:
     where = "" if data is None else f" --data {data}"
-    tries = {
-        f"station view latest{where}": "look at it in Rerun, every curve by its name",
-        "station rehearse builtin:march": "would it survive? offline, faster than real time",
-        "station demo --set motion.motion=builtin:walk-arc": "another motion, or a file of yours",
-        "station demo --set g1.policy=twist2": "another policy; before that: station assets fetch twist2",
-        f"station up g1-demo --yes --record --task mine{where}": "record a task of your own",
-    }
+    tries = {f"station up g1-demo --yes --record --task mine{where}": "record a task of your own"}
     if shutil.which("station") is None:  # `make demo` runs it from an environment that this shell has not entered
         tries = {f". {os.path.relpath(Path(sys.executable).parent / 'activate')}": "put `station` on the path"} | tries
     width = max(len(text) for text in tries)
-    click.echo("\nnext:")
+    click.echo("\ntry:")
     for text, why in tries.items():
         click.echo(f"  {text:<{width}}   {why}")
+    click.echo(f"\nall figures: station check latest{where}   all curves: station view latest{where}")
 
 
 @contextmanager

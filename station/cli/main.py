@@ -97,6 +97,7 @@ def cli() -> None:
 def main() -> NoReturn:
     """Run the command line; every known error is one line on stderr and an exit code."""
     python_child.protect_children()
+    python_child.spare_processors()
     if COMPLETION_VARIABLE in os.environ:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # a shell would show it amid what is being typed
     level = os.environ.get("STATION_LOG", "").upper()

@@ -23,12 +23,44 @@ _KINDS = {
     "hole": ("1 hole in the recording,", "{} holes in the recording"),
     "recorder-restart": ("recorder restarted once, away", "recorder restarted {} times"),
 }
+_WHOLE_WAY = "command_written_to_sent"
 _COLOURS = {"good": "green", "usable": "yellow", "reject": "red"}
 
 
-def print_quality(quality: Quality, *, streams: Literal["all", "robots", "none"] = "robots") -> None:
-    """Print verdict, reasons and what the robots did; then all streams, those without the station's own, or none."""
+def print_quality(quality: Quality, *, streams: Literal["all", "robots"] = "robots") -> None:
+    """Print verdict, reasons and what the robots did; then all streams, or those without the station's own."""
     console = Console(highlight=False)
+    _print_verdict(console, quality)
+    _print_interruptions(console, quality)
+    told = [item.robot for item in quality.steps] + [item.robot for item in quality.motion]
+    for robot in dict.fromkeys([*told, *(item.robot for item in quality.arms)]):
+        console.print()
+        _print_robot(console, quality, robot)
+    console.print()
+    _print_streams(console, quality.streams, is_whole=streams == "all")
+    _print_cameras(console, quality.cameras)
+    if len(quality.rules) > 1:
+        last = quality.rules[-1]
+        console.print(
+            f"\n[dim]judged by the rules of {plain(last.file)} (sha256 {last.sha256[:12]}…)[/]", soft_wrap=True
+        )
+
+
+def print_in_short(quality: Quality) -> None:
+    """Print verdict and reasons, and of each robot how near it came to its command and how late it was."""
+    console = Console(highlight=False)
+    _print_verdict(console, quality)
+    for steps in quality.steps:
+        if text := _error(steps):
+            console.print(f"  {text}", soft_wrap=True)
+        if not quality.lock_step and (late := steps.stages.get(_WHOLE_WAY)) is not None:
+            p50, p99 = _unit(late.p50_s, 1e3, "ms"), _unit(late.p99_s, 1e3, "ms")
+            console.print(
+                f"  from a command's write to the joint targets it leads to: {p50} (p50), {p99} (p99)", soft_wrap=True
+            )
+
+
+def _print_verdict(console: Console, quality: Quality) -> None:
     colour = _COLOURS[quality.verdict]
     console.print(
         f"[bold]{plain(quality.episode_id)}[/]: [{colour}]{quality.verdict}[/]   {_headline(quality)}", soft_wrap=True
@@ -41,20 +73,6 @@ def print_quality(quality: Quality, *, streams: Literal["all", "robots", "none"]
         console.print(f"  [dim]not judged: {plain(line)}[/]", soft_wrap=True)
     if quality.shortened:
         console.print(f"  [dim]{plain(words_of_shortened(quality.shortened))}[/]", soft_wrap=True)
-    _print_interruptions(console, quality)
-    told = [item.robot for item in quality.steps] + [item.robot for item in quality.motion]
-    for robot in dict.fromkeys([*told, *(item.robot for item in quality.arms)]):
-        console.print()
-        _print_robot(console, quality, robot)
-    if streams != "none":
-        console.print()
-        _print_streams(console, quality.streams, is_whole=streams == "all")
-    _print_cameras(console, quality.cameras)
-    if len(quality.rules) > 1:
-        last = quality.rules[-1]
-        console.print(
-            f"\n[dim]judged by the rules of {plain(last.file)} (sha256 {last.sha256[:12]}…)[/]", soft_wrap=True
-        )
 
 
 def _headline(quality: Quality) -> str:
@@ -135,13 +153,8 @@ def _print_steps(console: Console, steps: StepQuality, *, lock_step: bool) -> No
     shares = ", ".join(f"{plain(state)} {share:.0%}" for state, share in steps.gate_shares.items())
     text = f"[bold]{plain(steps.robot)}[/]: {steps.steps} policy steps, {steps.missing_steps} missing; gate: {shares}"
     console.print(text, soft_wrap=True)
-    if steps.mean_joint_error_rad is not None:
-        console.print(
-            f"  mean joint error {steps.mean_joint_error_rad:.3f} rad over {steps.compared_steps} steps "
-            f"(worst {plain(steps.worst_joint)} {steps.worst_joint_error_rad:.3f} rad)"
-            + _height(steps.mean_root_height_error_m),
-            soft_wrap=True,
-        )
+    if text := _error(steps):
+        console.print(f"  {text}", soft_wrap=True)
     if lock_step:
         console.print("  [dim]lock-step: commands wait for states, so latencies say nothing of the control[/]")
         return
@@ -231,8 +244,16 @@ def _aligned(found: Alignment, *, lock_step: bool) -> list[str]:
     return lines
 
 
-def _height(error_m: float | None) -> str:
-    return "" if error_m is None else f"; mean height error {error_m:.3f} m"
+def _error(steps: StepQuality) -> str:
+    """Return how near a robot came to its commands; nothing where none was compared."""
+    if steps.mean_joint_error_rad is None:
+        return ""
+    height_m = steps.mean_root_height_error_m
+    return (
+        f"mean joint error {steps.mean_joint_error_rad:.3f} rad over {steps.compared_steps} steps "
+        f"(worst {plain(steps.worst_joint)} {steps.worst_joint_error_rad:.3f} rad)"
+        + ("" if height_m is None else f"; mean height error {height_m:.3f} m")
+    )
 
 
 def _times(spread: Spread) -> tuple[str, str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NoReturn, get_args
 
@@ -137,7 +138,7 @@ class _Progress:
 
         self._bar = Progress(console=Console(stderr=True, highlight=False, soft_wrap=True), transient=True)
         self._task = self._bar.add_task("", total=runs)
-        self._runs, self._done = runs, 0
+        self._runs, self._done, self._began_s = runs, 0, time.monotonic()
 
     def __enter__(self) -> _Progress:
         if self._bar.console.is_terminal:
@@ -154,7 +155,8 @@ class _Progress:
             self._bar.console.print(f"{policy}: {outcome.group}: {outcome.case}: {outcome.falls[0]}", markup=False)
         has_more = self._done * 20 // self._runs > (self._done - 1) * 20 // self._runs
         if has_more and not self._bar.console.is_terminal:
-            click.echo(f"{self._done}/{self._runs}", err=True)
+            left_s = (time.monotonic() - self._began_s) / self._done * (self._runs - self._done)
+            click.echo(f"{self._done}/{self._runs}, about {left_s / 60:.1f} min left", err=True)
 
 
 def _print_suite(done: Evaluation) -> None:

@@ -278,7 +278,7 @@ def run(address: BusAddress) -> list[Finding]:
         bus = Bus(address, name="doctor", timeout_s=1.0)
     except StationError as error:
         found, _, remedy = str(error).removeprefix("bus ").partition("; ")
-        return [Finding("broken", "bus", found, remedy or "station bus start, or station up RUNBOOK"),
+        return [Finding("broken", "bus", found, remedy or "station up RUNBOOK"),
                 _estop(StopFile(address).read()), *machine()]  # fmt: skip
     with bus:
         return list(examine(bus))

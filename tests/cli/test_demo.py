@@ -74,14 +74,19 @@ def test_pictures_lie_in_the_episode_and_are_named(done: CompletedProcess[str], 
         assert picture.std() > 10
 
 
-def test_what_to_try_next_is_said_last(done: CompletedProcess[str], episode: Path) -> None:
-    assert episode.is_dir()
-    title, *tries = done.stdout[done.stdout.index("next:") :].splitlines()
-    assert title == "next:"
-    assert [line.split()[:2] for line in tries if line.startswith("  station ")] == [
-        ["station", verb] for verb in ("view", "rehearse", "demo", "demo", "up")
-    ]
-    assert len(tries) == 5
+@pytest.mark.usefixtures("drawing_machine")
+def test_it_ends_with_one_screen_what_happened_three_things_to_open_and_one_to_try(
+    done: CompletedProcess[str], episode: Path
+) -> None:
+    happened, opened, tried, last = (part.splitlines() for part in done.stdout.strip().split("\n\n"))
+    assert happened[0].startswith(f"{episode.name}: ")
+    assert any(line.startswith("  mean joint error ") for line in happened)
+    assert happened[-1].startswith("  tracker, run again on what was recorded: ")
+    assert opened[0] == "open:"
+    assert len(opened) == 4
+    assert tried == ["try:", "  station up g1-demo --yes --record --task mine   record a task of your own"]
+    assert last == ["all figures: station check latest   all curves: station view latest"]
+    assert len(done.stdout.splitlines()) < 24
 
 
 def test_pictures_of_an_episode_are_drawn_again_on_demand(bare: Home, episode: Path, tmp_path: Path) -> None:
@@ -102,17 +107,17 @@ def test_a_machine_that_cannot_draw_and_a_shell_that_does_not_know_station_are_t
     assert not (episode / names.CONTACT_SHEET).exists()
     assert (episode / names.PLOT).is_file()
     assert (episode / names.RERUN).is_file()
-    _, *tries = done.stdout[done.stdout.index("next:") :].splitlines()
+    tries = done.stdout[done.stdout.index("try:") :].splitlines()[1:3]
     assert tries[0].startswith("  . ")
     assert tries[0].endswith("put `station` on the path")
-    assert len(tries) == 6
+    assert tries[1].startswith("  station up ")
 
 
 def test_at_a_terminal_progress_is_live_and_ctrl_c_ends_the_demo_in_order(home: Home) -> None:
     demo = ("demo", *SHORT, *IN_STEP)
     code, screen = at_a_terminal(home.without("STATION_ASSETS"), *demo, until="gate tracking", then=b"\x03")
     assert code == 0, screen
-    for part in ("starting", "tour", "upright", "inference", "command to joints", "messages", "stop motion", "next:"):
+    for part in ("starting", "tour", "upright", "inference", "command to joints", "messages", "stop motion", "try:"):
         assert part in screen
     assert not home.bus_is_there()
 

@@ -66,7 +66,7 @@ def test_no_bus(home: Home) -> None:
     done = home.run("doctor")
     assert done.returncode == 1
     assert done.stdout.startswith(
-        f"✗ bus: {home.bus}: No such file or directory\n    → start one with `station bus start`"
+        f"✗ bus: {home.bus}: No such file or directory\n    → does a station run there? `station up RUNBOOK` starts one"
     )
     assert "✓ versions: python " in done.stdout
 

@@ -59,10 +59,10 @@ def test_the_logs_of_servers_are_printed_and_followed(home: Home) -> None:
         assert last[0].startswith("motion   | I station.life.event_publisher: motion-start")
         assert [line.split(" | ")[0] for line in last] in (["motion  "], ["motion  ", "recorder"])
         assert "unknown server's log 'moton' (did you mean 'motion'?)" in one_line(home.run("logs", "moton"))
-        with home.running("logs", "--follow", "-n", "0", "motion") as following:
-            assert following.process.stdout is not None
+        with home.running("logs", "--follow", "-n", "1", "motion") as following:
+            assert (lines := following.process.stdout) is not None
+            assert lines.readline().startswith("motion | I station.life.event_publisher: motion-start")  # it follows
             assert home.run("down").returncode == 0
-            line = following.process.stdout.readline()
-            assert line.startswith("motion | I station.life.event_publisher: motion-end")
+            assert lines.readline().startswith("motion | I station.life.event_publisher: motion-end")
             following.interrupt()
             assert following.process.wait(60) == 0

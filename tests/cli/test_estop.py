@@ -41,7 +41,7 @@ def test_a_stop_is_latched_and_told_by_the_doctor(driven: tuple[Home, Running]) 
 
 
 def test_a_stop_that_no_bus_takes_is_no_success(home: Home) -> None:
-    assert "start one with `station bus start`" in one_line(home.run("estop"))
+    assert "does a station run there? `station up RUNBOOK` starts one" in one_line(home.run("estop"))
 
 
 def test_any_other_value_of_the_key_stops_too(driven: tuple[Home, Running]) -> None:

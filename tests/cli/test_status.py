@@ -18,7 +18,7 @@ LOOPED = ("up", COMMANDS_ONLY, "--set", "motion.loop=true")
 
 def test_it_waits_for_a_station_and_goes_on_when_that_ends(home: Home) -> None:
     with home.running("status", "--watch", "--json") as watching:
-        watching.wait_for("bus.sock: No such file or directory; start one with `station bus start`, or name another")
+        watching.wait_for("bus.sock: No such file or directory; does a station run there? `station up RUNBOOK` starts")
         with home.running(*LOOPED):
             wait_until(lambda: any(server["name"] == "motion" for server in json.loads(_line(watching))["servers"]))
             assert home.run("down").returncode == 0

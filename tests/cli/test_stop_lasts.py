@@ -76,4 +76,4 @@ def test_a_robot_that_is_started_alone_starts_stopped_and_says_it_to_the_bus(hom
 
 
 def test_a_reset_where_nothing_is_latched_and_no_bus_runs_is_no_success(home: Home) -> None:
-    assert "start one with `station bus start`" in one_line(home.run("estop", "--reset"))
+    assert "does a station run there? `station up RUNBOOK` starts one" in one_line(home.run("estop", "--reset"))

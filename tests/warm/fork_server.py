@@ -7,6 +7,7 @@ frozen as if it had been started cold. Nothing but imports happens before the fo
 from __future__ import annotations
 
 import array
+import atexit
 import ctypes
 import gc
 import importlib
@@ -19,8 +20,9 @@ import runpy
 import signal
 import socket
 import sys
+import threading
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 PRELOADED = (
     "station", "numpy", "mujoco", "onnxruntime", "mcap.writer", "mcap.reader", "msgspec.json", "rich.console",
@@ -34,6 +36,7 @@ STARTS_CHILDREN = ("up", "demo")
 _PR_GET_TID_ADDRESS = 40
 _SYS_CLONE = {"x86_64": 56, "aarch64": 220}
 _CLONE_PARENT, _CLONE_CHILD_CLEARTID, _CLONE_CHILD_SETTID = 0x00008000, 0x00200000, 0x01000000
+_LOST_OUTPUT = 120  # the interpreter's exit status where a stream could not be flushed
 _HEADER = 4
 _MOST_DESCRIPTORS = 64
 
@@ -124,6 +127,38 @@ def become(request: Request, descriptors: list[int]) -> None:
         exec(compile(subject, "<string>", "exec"), own)
 
 
+def run(request: Request, descriptors: list[int]) -> NoReturn:
+    """Become what was asked for, and end as an interpreter does, but free nothing: of all memory that is shared with
+    the fork server a copy would be made first (50 ms of a processor for a child that does nothing)."""
+    code, is_interrupted = 0, False
+    try:
+        become(request, descriptors)
+    except SystemExit as error:
+        code = _exit_code(error)
+    except BaseException as error:  # noqa: BLE001  it is told as an interpreter tells it
+        sys.excepthook(type(error), error, error.__traceback__)
+        code, is_interrupted = 1, isinstance(error, KeyboardInterrupt)
+    threading._shutdown()  # type: ignore[attr-defined]
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):
+            code = _LOST_OUTPUT
+    if is_interrupted:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGINT)
+    os._exit(code)
+
+
+def _exit_code(ended: SystemExit) -> int:
+    """Return the exit status that an interpreter makes of what `sys.exit` was given."""
+    if ended.code is None or isinstance(ended.code, int):
+        return (ended.code or 0) & 0xFF
+    sys.stderr.write(f"{ended.code}\n")
+    return 1
+
+
 def preload() -> None:
     """Import what the children need."""
     for name in PRELOADED:
@@ -209,11 +244,12 @@ def _open_standard_streams() -> None:
     """Open the three streams on the descriptors that are here now."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         before = getattr(sys, f"__{name}__")
-        raw = open(number, "wb" if number else "rb", closefd=False)  # noqa: SIM115  it lasts as long as the process
-        lines = number == 2 or os.isatty(number)
+        buffering = 0 if number and before.write_through else -1  # PYTHONUNBUFFERED
+        raw = open(number, "wb" if number else "rb", buffering, closefd=False)  # noqa: SIM115  as long as the process
         stream = io.TextIOWrapper(
-            raw, encoding=before.encoding, errors=before.errors, newline="\n" if number else None, line_buffering=lines
-        )
+            raw, encoding=before.encoding, errors=before.errors, newline="\n" if number else None,
+            line_buffering=number == 2 or os.isatty(number), write_through=not buffering,
+        )  # fmt: skip
         stream.mode = "w" if number else "r"  # type: ignore[misc]
         setattr(sys, name, stream)
         setattr(sys, f"__{name}__", stream)
@@ -230,8 +266,7 @@ def _serve_own_children() -> None:
         child = serve(socket.socket(fileno=descriptor))
         if child is None:
             os._exit(0)
-        become(*child)
-        sys.exit()
+        run(*child)
     theirs.close()
     from tests.warm.starts import WarmStarts
 
@@ -247,7 +282,6 @@ def _block_terminal() -> None:
 def main() -> None:
     """Serve on the socket whose descriptor is the only argument."""
     line = socket.socket(fileno=int(sys.argv[1]))
-    sys.path.insert(0, str(Path(__file__).parents[2]))
     preload()
     gc.collect()
     gc.freeze()
@@ -255,8 +289,9 @@ def main() -> None:
     send(line, os.getpid(), [])
     child = serve(line)
     if child is not None:
-        become(*child)
+        run(*child)
 
 
 if __name__ == "__main__":
-    main()
+    sys.path.insert(0, str(Path(__file__).parents[2]))
+    importlib.import_module("tests.warm.fork_server").main()  # not this module: a child takes its place

@@ -11,6 +11,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from station.python_child import SAFE_PATH
 from tests.warm import fork_server
 
 ROOT = Path(__file__).parents[2]
@@ -24,6 +25,7 @@ _READ_AT_IMPORT = (
     "PYTHON", "LD_", "MUJOCO_", "OMP_", "OPENBLAS_", "MKL_", "ORT_", "LANG", "LC_", "TZ", "MALLOC_", "RAY_"
 )  # fmt: skip
 """Beginnings of variables that a library or the interpreter reads when it starts: a child with others starts cold."""
+_DRAWS_NOTHING = ("MUJOCO_GL", "disable")  # leaves out an import that the fork server has made
 
 
 class WarmStarts:
@@ -70,7 +72,7 @@ class WarmStarts:
         environment = dict(os.environ if env is None else env)
         if executable or preexec_fn or shell or not close_fds or (gid, gids, uid) != (None, None, None):
             return False
-        program = _program(words, folder)
+        program = _program(words, folder, bool(environment.get(SAFE_PATH)))
         if program is None or _read_at_import(environment) != self._environment or not os.path.isdir(folder):
             return False
         old_mask = os.umask(0)
@@ -135,13 +137,17 @@ def _cold(execute: Any, arguments: list[str], pass_fds: tuple[int, ...]) -> subp
     return Cold(arguments, pass_fds=pass_fds, stdin=subprocess.DEVNULL)
 
 
-def _program(words: list[str], folder: str) -> list[str] | None:
-    """Return the words behind the interpreter of a child that may start warm."""
+def _program(words: list[str], folder: str, is_safe: bool) -> list[str] | None:
+    """Return the words behind the interpreter of a child that may start warm.
+
+    Args:
+        is_safe: The interpreter adds no folder to its path.
+    """
     if not words or words[0] != sys.executable:
         return None
     rest = words[1:]
-    is_safe = bool(rest) and rest[0] == "-P"  # the interpreter adds no folder to its path then
-    rest = rest[1:] if is_safe else rest
+    if rest and rest[0] == "-P":
+        rest, is_safe = rest[1:], True
     if len(rest) < 2 or rest[0] not in ("-m", "-c"):
         return None
     if rest[0] == "-m" and not any(rest[1] == name or rest[1].startswith(name) for name in WARM_MODULES):
@@ -158,4 +164,8 @@ def _shadows_nothing(folder: str) -> bool:
 
 
 def _read_at_import(environment: Any) -> dict[str, str]:
-    return {name: value for name, value in environment.items() if name.startswith(_READ_AT_IMPORT)}
+    return {
+        name: value
+        for name, value in environment.items()
+        if name.startswith(_READ_AT_IMPORT) and name != SAFE_PATH and (name, value) != _DRAWS_NOTHING
+    }
