@@ -29,7 +29,7 @@ HEAVY = (
 )  # fmt: skip
 
 NO_VERBS = {
-    "__init__", "calibrate_operator", "candidates", "fields", "keyboard", "main", "options", "quality",
+    "__init__", "calibrate_operator", "candidates", "fields", "keyboard", "log_lines", "main", "options", "quality",
     "tables", "terminal_ui",
 }  # fmt: skip
 """Modules of `station.cli` that verbs share."""

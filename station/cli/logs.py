@@ -5,13 +5,16 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
+import msgspec
 
 from station.cli import candidates
-from station.cli.options import address_of, bus_option
+from station.cli.options import address_of, bus_option, json_option
 from station.errors import StationError, UnknownName
 from station.printable import printable
 
@@ -25,11 +28,14 @@ _MOST_BYTES = 4 * 1024 * 1024
 @click.option("-n", "--lines", "count", type=click.IntRange(0), default=20, show_default=True,
               help="Of each server, the last ones.")  # fmt: skip
 @click.option("-f", "--follow", "is_live", is_flag=True, help="Go on with what comes, until interrupted.")
+@json_option
 @bus_option
-def command(servers: Sequence[str], count: int, is_live: bool, bus: str | None) -> None:
+def command(servers: Sequence[str], count: int, is_live: bool, as_json: bool, bus: str | None) -> None:
     """Print the last lines that servers of `station up` printed on this machine, of SERVER or of all.
 
-    They are kept until the server is started again.
+    They are kept until the server is started again. With STATION_LOG_FORMAT=json in the environment of `station up` its
+    servers log objects with time, level, logger, pid and message; --json prints these with the name of their server,
+    and each other line as an object of server and message. STATION_LOG names a level: debug, info, warning, error.
     """
     from station.supervision.supervisor import log_folder
 
@@ -41,26 +47,35 @@ def command(servers: Sequence[str], count: int, is_live: bool, bus: str | None) 
     if not files:
         raise StationError(f"no logs in {folder}: no `station up` has run on that bus; name another with --bus")
     chosen = {name: files[name] for name in servers} or files
-    width = max(map(len, chosen))
+    show = _print_objects if as_json else partial(_print, width=max(map(len, chosen)))
     tails = {name: _Tail(file) for name, file in chosen.items()}
     for name, tail in tails.items():
         lines = tail.read(is_last=not is_live)
-        _print(name, lines[len(lines) - min(count, len(lines)) :], width)
+        show(name, lines[len(lines) - min(count, len(lines)) :])
     if is_live:
         with contextlib.suppress(KeyboardInterrupt):
-            _follow(tails, width)
+            _follow(tails, show)
 
 
-def _follow(tails: Mapping[str, _Tail], width: int) -> None:
+def _follow(tails: Mapping[str, _Tail], show: Callable[[str, Sequence[str]], None]) -> None:
     while True:
         for name, tail in tails.items():
-            _print(name, tail.read(), width)
+            show(name, tail.read())
         time.sleep(_LOOK_S)
 
 
 def _print(name: str, lines: Sequence[str], width: int) -> None:
     for line in lines:
         click.echo(printable(f"{name:{width}} | {line}", _LONGEST))
+
+
+def _print_objects(name: str, lines: Sequence[str]) -> None:
+    for line in lines:
+        try:
+            found = msgspec.json.decode(line, type=dict[str, Any])
+        except (msgspec.DecodeError, RecursionError):
+            found = {"message": line}
+        click.echo(msgspec.json.encode(found | {"server": name}))
 
 
 class _Tail:

@@ -6,7 +6,6 @@ import errno
 import importlib
 import io
 import keyword
-import logging
 import os
 import sys
 from typing import TYPE_CHECKING, NoReturn
@@ -14,15 +13,13 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from station import python_child
+from station.cli import log_lines
 from station.cli.options import COMPLETION_VARIABLE, PROGRAM, Verbs
 from station.errors import StationError
-from station.printable import printable
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-_LONGEST = 4000  # characters of an error; the name of a bad thing is cut where it is quoted
-_LEVELS = ("DEBUG", "INFO", "WARNING", "ERROR", "CRITICAL")
 
 VERBS = {
     "demo": "Drive a simulated G1 once, record it, print the report.",
@@ -100,26 +97,22 @@ def main() -> NoReturn:
     python_child.spare_processors()
     if COMPLETION_VARIABLE in os.environ:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # a shell would show it amid what is being typed
-    level = os.environ.get("STATION_LOG", "").upper()
-    logging.basicConfig(level=level if level in _LEVELS else "INFO")
-    for handler in logging.getLogger().handlers:
-        handler.setFormatter(_Formatter("%(levelname).1s %(name)s: %(message)s"))
-    logging.captureWarnings(True)
     os.environ.setdefault("RUST_LOG", "off")  # Rerun's own log, on stderr in colours: what matters of it is raised
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper) and stream.encoding.lower().replace("-", "") != "utf8":
             stream.reconfigure(errors="replace")  # a mark that this terminal has not is no reason to fail
     try:
+        log_lines.begin()
         code = cli.main(prog_name=PROGRAM, complete_var=COMPLETION_VARIABLE, standalone_mode=False)
         sys.stdout.flush()
     except click.ClickException as error:
         _show(error)
         code = error.exit_code
     except StationError as error:
-        _complain(str(error))
+        log_lines.complain(str(error))
         code = error.exit_code
     except (KeyboardInterrupt, click.Abort):
-        _complain("interrupted")
+        log_lines.complain("interrupted")
         code = 130
     except BrokenPipeError:
         _drop_output()  # its reader (head, less) has gone
@@ -127,7 +120,7 @@ def main() -> NoReturn:
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
-        _complain(f"{error.filename or 'the output'}: cannot be written: {error.strerror}")
+        log_lines.complain(f"{error.filename or 'the output'}: cannot be written: {error.strerror}")
         _drop_output()
         code = 1
     sys.exit(code if isinstance(code, int) else 0)
@@ -138,24 +131,13 @@ def _drop_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-class _Formatter(logging.Formatter):
-    """Keeps a message to its line: it may quote what a stranger wrote on the bus."""
-
-    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802  the library's name
-        return printable(super().formatMessage(record), _LONGEST)
-
-
-def _complain(text: str) -> None:
-    click.echo(f"station: {printable(text, _LONGEST)}", err=True)
-
-
 def _show(error: click.ClickException) -> None:
     """Show a mistake in a line, with where it is explained; a group without a verb shows its help."""
     context = error.ctx if isinstance(error, click.UsageError) else None
     if context is None:
-        _complain(error.format_message())
+        log_lines.complain(error.format_message())
     elif error.format_message() == context.get_help():
         click.echo(error.format_message(), err=True)
     else:
         told = " ".join(error.format_message().split()).rstrip(".")  # click lists choices in lines of their own
-        _complain(f"{told}. See `{context.command_path} --help`.")
+        log_lines.complain(f"{told}. See `{context.command_path} --help`.")

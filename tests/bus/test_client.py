@@ -174,7 +174,7 @@ def test_a_server_that_takes_nothing_any_more_is_given_up_before_memory_is(bus_s
 
 
 def test_an_unreachable_bus_names_the_address_and_the_remedy(tmp_path: Path) -> None:
-    with pytest.raises(BusError, match=r"nowhere\.sock.*station bus start"):
+    with pytest.raises(BusError, match=r"nowhere\.sock.*station up"):
         Bus(BusAddress(socket=str(tmp_path / "nowhere.sock")), name="motion")
 
 
