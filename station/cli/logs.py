@@ -71,11 +71,16 @@ def _print(name: str, lines: Sequence[str], width: int) -> None:
 
 def _print_objects(name: str, lines: Sequence[str]) -> None:
     for line in lines:
-        try:
-            found = msgspec.json.decode(line, type=dict[str, Any])
-        except (msgspec.DecodeError, RecursionError):
-            found = {"message": line}
-        click.echo(msgspec.json.encode(found | {"server": name}))
+        click.echo(_object(name, line))
+
+
+def _object(name: str, line: str) -> bytes:
+    """Return a line as an object that names its server; its values stay as they are written."""
+    try:
+        found: dict[str, Any] = msgspec.json.decode(line, type=dict[str, msgspec.Raw])
+    except (msgspec.DecodeError, RecursionError):
+        found = {"message": line}
+    return msgspec.json.encode(found | {"server": name})
 
 
 class _Tail:

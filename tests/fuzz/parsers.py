@@ -32,6 +32,7 @@ from station.bus.address import BusAddress
 from station.bus.sample import Sample
 from station.bus.tap import not_mirrored
 from station.camera.source import Drops
+from station.cli import logs
 from station.clock import SYSTEM
 from station.contract import TIMING_STAGES
 from station.control.command_validator import CommandSample, CommandValidator, check_command
@@ -535,6 +536,8 @@ def _by_itself() -> list[Parser]:
         Parser("a fake's time", _script_time, (dumped(CONFIG),), (_OPERATOR + "script_time",)),
         Parser("what a camera draws", _pictured, (codec.f64(np.ones(36)),), ("adapters.cameras.mujoco_g1",)),
         Parser("calibrated from", _calibrated, (dumped(CONFIG),), ("station.cli.calibrate_operator",)),
+        Parser("log line", lambda data: logs._object("g1", data.decode(errors="replace")), (dumped(GATE), b"I a: b"),
+               ("station.cli.logs",)),
         Parser("progress, an arm's", _arm_progress, (health(), b'{"a": 1}'), ("station.view.progress",)),
     ]  # fmt: skip
 
