@@ -22,7 +22,7 @@ from tests.figures import Figures
 from tests.shared_bus import SharedBus
 from tests.warm.starts import WarmStarts
 
-python_child.spare_processors()  # as in the processes that are started from here, which start cold otherwise
+python_child.spare_processors()  # as `station` does: a child with other variables than the fork server starts cold
 
 NO_UPSTREAM_DATA = "STATION_ASSETS does not name a folder with upstream data"
 

@@ -76,6 +76,13 @@ def story(found: Audit) -> str:
     )
 
 
+def in_short(found: Audit) -> str:
+    """Return in a line that an audit found nothing different; the whole story otherwise."""
+    if not found.is_equal:
+        return story(found)
+    return f"{found.policy}, run again on what was recorded: {found.steps} steps, {found.different} different"
+
+
 def arm_story(found: ArmAudit) -> str:
     """Return what an audit of an arm found, in words."""
     why = f"{found.followed} ticks followed a command, {found.incomplete} of them incomplete"

@@ -56,7 +56,7 @@ def command(episode: str, rules: Path | None, is_whole: bool, no_write: bool, da
     if as_json:
         click.echo(msgspec.json.encode(quality))
     else:
-        print_quality(quality, streams="all" if is_whole else "robots")
+        print_quality(quality, is_whole=is_whole)
     if quality.is_finished and not no_write:
         try:
             write_measured(reader.folder, quality)

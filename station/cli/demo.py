@@ -73,6 +73,7 @@ def _leave_drawing_to_the_end() -> str:
 
 def _report(episode: Path, gl: str, data: Path | None) -> int:
     """Say on one screen what happened, how good it was, what to open and what to try; return an exit code."""
+    from station.cli.audit import in_short
     from station.cli.quality import print_in_short
     from station.episode.quality import rule_file
     from station.episode.quality.check import check, write_measured
@@ -87,7 +88,7 @@ def _report(episode: Path, gl: str, data: Path | None) -> int:
     print_in_short(quality)
     with _busy("running the policy again on what was recorded"):
         found = audit(reader)
-    click.echo(f"  {found.policy}, run again on what was recorded: {found.steps} steps, {found.different} different")
+    click.echo(f"  {in_short(found)}")
     click.echo("\nopen:")
     _draw(reader, episode, gl)
     _print_next_steps(data)

@@ -8,7 +8,7 @@ import click
 
 from station.api.live import Station
 from station.cli.options import address_of, bus_option
-from station.errors import BusError, UsageError
+from station.errors import BusError, StationError, UsageError
 from station.life.stop_button import keep_for_the_next_start
 from station.life.stop_file import StopFile, remedy
 
@@ -30,7 +30,12 @@ def command(reset: bool, arm: bool, reason: str, bus: str | None) -> None:
     """
     if arm and not reset:
         raise UsageError("--arm: expected together with --reset; a stop arms nothing")
-    address = address_of(bus)
+    try:
+        address = address_of(bus)
+    except StationError as error:  # an address or the user's file of defaults that cannot be read
+        if reset:
+            raise
+        raise UsageError(f"NO robot was stopped ({error}); --bus URL names the bus") from None
     try:
         station = Station(bus, name="estop")
     except BusError as error:

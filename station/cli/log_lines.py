@@ -8,52 +8,44 @@ import os
 import time
 from typing import Any
 
-import click
-
-from station.errors import UsageError
 from station.printable import printable
 
 LEVEL, FORMAT = "STATION_LOG", "STATION_LOG_FORMAT"
 """Variables; servers that `station up` starts obey them too."""
+LONGEST = 4000
+"""Characters of a line that is said: it may quote what a stranger wrote on the bus."""
 
-_LEVELS = ("debug", "info", "warning", "error")
+_LEVELS = ("info", "debug", "warning", "error", "critical")
 _FORMATS = ("text", "json")
-_LONGEST = 4000  # characters of a message: it may quote what a stranger wrote on the bus
 
 
 def begin() -> None:
     """Log as the two variables ask: ``info`` and ``text`` where they are not set.
 
-    Raises:
-        UsageError: one of them has no such value.
+    A value that is not known is told and costs nothing else: an emergency stop goes through whatever a variable holds.
     """
-    level, wanted = _asked(LEVEL, _LEVELS, "info"), _asked(FORMAT, _FORMATS, "text")
+    (level, *of_level), (form, *of_form) = _asked(LEVEL, _LEVELS), _asked(FORMAT, _FORMATS)
     handler = logging.StreamHandler()
-    handler.setFormatter(_Objects() if wanted == "json" else _Lines("%(levelname).1s %(name)s: %(message)s"))
+    handler.setFormatter(_Objects() if form == "json" else _Lines("%(levelname).1s %(name)s: %(message)s"))
     logging.basicConfig(level=level.upper(), handlers=[handler])
     logging.captureWarnings(True)
+    for problem in of_level + of_form:
+        logging.getLogger("station").warning("%s", problem)
 
 
-def complain(text: str) -> None:
-    """Say why this process ends."""
-    if os.environ.get(FORMAT, "").lower() == "json":
-        logging.getLogger("station").error("%s", text)
-    else:
-        click.echo(f"station: {printable(text, _LONGEST)}", err=True)
-
-
-def _asked(variable: str, known: tuple[str, ...], default: str) -> str:
-    value = os.environ.get(variable) or default
-    if value.lower() not in known:
-        raise UsageError(f"${variable} is {value[:40]!r}; expected {', '.join(known)}")
-    return value.lower()
+def _asked(variable: str, known: tuple[str, ...]) -> tuple[str, ...]:
+    """Return what a variable asks for, the first of ``known`` by default; behind it what is wrong with its value."""
+    value = os.environ.get(variable) or known[0]
+    if value.lower() in known:
+        return (value.lower(),)
+    return known[0], f"${variable} is {value[:40]!r}; expected {', '.join(known)}; taken for {known[0]}"
 
 
 class _Lines(logging.Formatter):
     """A message keeps to its line."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802  the library's name
-        return printable(super().formatMessage(record), _LONGEST)
+        return printable(super().formatMessage(record), LONGEST)
 
 
 class _Objects(logging.Formatter):
@@ -66,7 +58,7 @@ class _Objects(logging.Formatter):
             "level": record.levelname.lower(),
             "logger": record.name,
             "pid": record.process,
-            "message": record.getMessage()[:_LONGEST],
+            "message": record.getMessage()[:LONGEST],
         }
         if record.exc_info:
             found["traceback"] = self.formatException(record.exc_info)

@@ -13,13 +13,12 @@ from typing import Any
 import click
 import msgspec
 
-from station.cli import candidates
+from station.cli import candidates, log_lines
 from station.cli.options import address_of, bus_option, json_option
 from station.errors import StationError, UnknownName
 from station.printable import printable
 
 _LOOK_S = 0.2
-_LONGEST = 4000  # characters of a line
 _MOST_BYTES = 4 * 1024 * 1024
 
 
@@ -35,7 +34,8 @@ def command(servers: Sequence[str], count: int, is_live: bool, as_json: bool, bu
 
     They are kept until the server is started again. With STATION_LOG_FORMAT=json in the environment of `station up` its
     servers log objects with time, level, logger, pid and message; --json prints these with the name of their server,
-    and each other line as an object of server and message. STATION_LOG names a level: debug, info, warning, error.
+    and each other line as an object of server and message. STATION_LOG names a level: debug, info, warning, error,
+    critical.
     """
     from station.supervision.supervisor import log_folder
 
@@ -66,7 +66,7 @@ def _follow(tails: Mapping[str, _Tail], show: Callable[[str, Sequence[str]], Non
 
 def _print(name: str, lines: Sequence[str], width: int) -> None:
     for line in lines:
-        click.echo(printable(f"{name:{width}} | {line}", _LONGEST))
+        click.echo(printable(f"{name:{width}} | {line}", log_lines.LONGEST))
 
 
 def _print_objects(name: str, lines: Sequence[str]) -> None:

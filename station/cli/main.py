@@ -16,6 +16,7 @@ from station import python_child
 from station.cli import log_lines
 from station.cli.options import COMPLETION_VARIABLE, PROGRAM, Verbs
 from station.errors import StationError
+from station.printable import printable
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -101,18 +102,18 @@ def main() -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper) and stream.encoding.lower().replace("-", "") != "utf8":
             stream.reconfigure(errors="replace")  # a mark that this terminal has not is no reason to fail
+    log_lines.begin()
     try:
-        log_lines.begin()
         code = cli.main(prog_name=PROGRAM, complete_var=COMPLETION_VARIABLE, standalone_mode=False)
         sys.stdout.flush()
     except click.ClickException as error:
         _show(error)
         code = error.exit_code
     except StationError as error:
-        log_lines.complain(str(error))
+        _complain(str(error))
         code = error.exit_code
     except (KeyboardInterrupt, click.Abort):
-        log_lines.complain("interrupted")
+        _complain("interrupted")
         code = 130
     except BrokenPipeError:
         _drop_output()  # its reader (head, less) has gone
@@ -120,7 +121,7 @@ def main() -> NoReturn:
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
-        log_lines.complain(f"{error.filename or 'the output'}: cannot be written: {error.strerror}")
+        _complain(f"{error.filename or 'the output'}: cannot be written: {error.strerror}")
         _drop_output()
         code = 1
     sys.exit(code if isinstance(code, int) else 0)
@@ -131,13 +132,18 @@ def _drop_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def _complain(text: str) -> None:
+    """Say why this process ends, to whoever reads its last words: in plain words, whatever its log is written for."""
+    click.echo(f"station: {printable(text, log_lines.LONGEST)}", err=True)
+
+
 def _show(error: click.ClickException) -> None:
     """Show a mistake in a line, with where it is explained; a group without a verb shows its help."""
     context = error.ctx if isinstance(error, click.UsageError) else None
     if context is None:
-        log_lines.complain(error.format_message())
+        _complain(error.format_message())
     elif error.format_message() == context.get_help():
         click.echo(error.format_message(), err=True)
     else:
         told = " ".join(error.format_message().split()).rstrip(".")  # click lists choices in lines of their own
-        log_lines.complain(f"{told}. See `{context.command_path} --help`.")
+        _complain(f"{told}. See `{context.command_path} --help`.")

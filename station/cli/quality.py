@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from rich.console import Console
 
 from station.bus import keys
@@ -27,7 +25,7 @@ _WHOLE_WAY = "command_written_to_sent"
 _COLOURS = {"good": "green", "usable": "yellow", "reject": "red"}
 
 
-def print_quality(quality: Quality, *, streams: Literal["all", "robots"] = "robots") -> None:
+def print_quality(quality: Quality, *, is_whole: bool = False) -> None:
     """Print verdict, reasons and what the robots did; then all streams, or those without the station's own."""
     console = Console(highlight=False)
     _print_verdict(console, quality)
@@ -37,7 +35,7 @@ def print_quality(quality: Quality, *, streams: Literal["all", "robots"] = "robo
         console.print()
         _print_robot(console, quality, robot)
     console.print()
-    _print_streams(console, quality.streams, is_whole=streams == "all")
+    _print_streams(console, quality.streams, is_whole=is_whole)
     _print_cameras(console, quality.cameras)
     if len(quality.rules) > 1:
         last = quality.rules[-1]
@@ -55,9 +53,7 @@ def print_in_short(quality: Quality) -> None:
             console.print(f"  {text}", soft_wrap=True)
         if not quality.lock_step and (late := steps.stages.get(_WHOLE_WAY)) is not None:
             p50, p99 = _unit(late.p50_s, 1e3, "ms"), _unit(late.p99_s, 1e3, "ms")
-            console.print(
-                f"  from a command's write to the joint targets it leads to: {p50} (p50), {p99} (p99)", soft_wrap=True
-            )
+            console.print(f"  command to joints {p50} (p50), {p99} (p99)", soft_wrap=True)
 
 
 def _print_verdict(console: Console, quality: Quality) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -42,6 +43,16 @@ def test_a_stop_is_latched_and_told_by_the_doctor(driven: tuple[Home, Running]) 
 
 def test_a_stop_that_no_bus_takes_is_no_success(home: Home) -> None:
     assert "does a station run there? `station up RUNBOOK` starts one" in one_line(home.run("estop"))
+
+
+def test_a_file_of_defaults_that_cannot_be_read_is_in_the_way_only_of_a_bus_that_is_not_named(home: Home) -> None:
+    file = Path(home.environment["XDG_CONFIG_HOME"]) / "station" / "config.yaml"
+    file.parent.mkdir(parents=True)
+    file.write_text("data: [")
+    refused = one_line(home.run("estop"))
+    assert refused.startswith(f"NO robot was stopped ({file}: not YAML at line ")
+    assert refused.endswith("; --bus URL names the bus")
+    assert "the stop is latched for the next start" in one_line(home.run("estop", "--bus", home.bus.url))
 
 
 def test_any_other_value_of_the_key_stops_too(driven: tuple[Home, Running]) -> None:

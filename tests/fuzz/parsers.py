@@ -493,6 +493,11 @@ def _by_itself() -> list[Parser]:
         Parser("stamp", _stamped, (STAMP, b"1 2 3 a.b.c.d"), (
             _BODY + "stamp", _BODY + "client", _BODY + "watch", "station.view.status", _EPISODE + "storage.channels",
             _EPISODE + "storage.pictures", _EPISODE + "recorder.tap_reader", _EPISODE + "recorder.resume")),
+    ]  # fmt: skip
+
+
+def _stops_and_requests() -> list[Parser]:
+    return [
         Parser("stop", _stop, (b"0", b'{"stop": true, "who": "ada", "reason": "so", "arm": true}', b"1"), (
             _LIFE + "estop", "station.control.command_receiver", "station.control.low_level",
             "station.supervision.stop_memory",
@@ -515,12 +520,17 @@ def _by_itself() -> list[Parser]:
         Parser("stop, obeyed", stop_button._gate, (dumped(GATE),), (_LIFE + "stop_button",)),
         Parser("motion request", _motion_control, (b'{"action": "seek", "time_s": 1.5, "on": true}', b"1"),
                ("station.motion.playback_requests",)),
-        Parser("event", _event, (EVENT.encode(),), (_LIFE + "events", _LIFE + "event_feed", "station.enrich.siblings")),
-        Parser("heartbeat", _heartbeat, (health(),), (
-            _LIFE + "server", "station.supervision.supervisor", "station.supervision.doctor", "station.view.status")),
         Parser("record request", _record_request, (dumped(REQUEST),), (_EPISODE + "storage.request",), (Refused,)),
         Parser("record answer", lambda data: parse_answer(data, "a-1"), (dumped(ANSWER),), (
             _EPISODE + "storage.request", _EPISODE + "recorder.remote")),
+    ]  # fmt: skip
+
+
+def _told() -> list[Parser]:
+    return [
+        Parser("event", _event, (EVENT.encode(),), (_LIFE + "events", _LIFE + "event_feed", "station.enrich.siblings")),
+        Parser("heartbeat", _heartbeat, (health(),), (
+            _LIFE + "server", "station.supervision.supervisor", "station.supervision.doctor", "station.view.status")),
         Parser("recorder's state", _record_state, (dumped(RECORDER),), (_OPERATOR + "requests",)),
         Parser("recorded event", _noted, (EVENT.encode(),), (_EPISODE + "writing.summary",)),
         Parser("recorded value", encoding_of, (dumped(GATE), b"x"), (_EPISODE + "storage.channels",)),
@@ -581,4 +591,4 @@ def _by_key() -> list[Parser]:
     ]  # fmt: skip
 
 
-PARSERS = [*_by_itself(), *_by_key()]
+PARSERS = [*_by_itself(), *_stops_and_requests(), *_told(), *_by_key()]

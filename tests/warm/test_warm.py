@@ -21,7 +21,10 @@ ENDS = {
     "words": "import sys; sys.exit('no such robot')",
     "not flushed": "import sys; sys.stdout.write('a'); sys.stderr.write('b')",
     "left to do": "import atexit; atexit.register(print, 'closed')",
-    "a thread": "import threading, time; threading.Thread(target=lambda: (time.sleep(0.2), print('done'))).start()",
+    "a thread": (
+        "import threading; main = threading.main_thread();"
+        "threading.Thread(target=lambda: (main.join(), print('done'))).start()"
+    ),
     "exit within an exit": "import atexit, sys; atexit.register(print, 'closed'); sys.exit(5)",
     "interrupted": "raise KeyboardInterrupt",
     "killed": "import os, signal; os.kill(os.getpid(), signal.SIGKILL)",

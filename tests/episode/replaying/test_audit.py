@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from station.bus import codec, keys
-from station.cli.audit import story
+from station.cli.audit import in_short, story
 from station.episode.reading.reader import open_episode
 from station.episode.replaying.audit import Audit, Comparison, audit
 from station.episode.storage.manifest import load_manifest, save_manifest
@@ -74,6 +74,7 @@ def test_an_honest_episode_is_equal_bit_for_bit(builder: EpisodeBuilder) -> None
     assert (found.observations.compared, found.observations.different) == (50, 0)
     assert found.is_equal
     assert found.segments == 1
+    assert in_short(found).endswith("run again on what was recorded: 50 steps, 0 different")
 
 
 @pytest.mark.parametrize("which", ["action", "observation"])
@@ -95,6 +96,7 @@ def test_a_flipped_observation_shows_in_its_action_and_not_in_later_steps(builde
     found = audited(builder)
     assert found.different <= 1
     assert found.observations.different == 1
+    assert in_short(found) == story(found), "one line would say that its actions are the same"
 
 
 @pytest.mark.parametrize("fault", ["lose_state", "lose_result"])
