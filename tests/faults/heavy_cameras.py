@@ -93,8 +93,9 @@ def _newest(station: RecordedStation) -> int:
     return int.from_bytes(image[:8], "little") if image else 0
 
 
-def catch_up(address: BusAddress, place: Path, burst: int = 100) -> int:
-    """Kill a recorder on a slow disk while a burst of images waits for it; return how many it dropped.
+def catch_up(address: BusAddress, place: Path, burst: int = 100) -> tuple[int, bool]:
+    """Kill a recorder on a slow disk while a burst of images waits for it; return how many it dropped, and whether it
+    says that it was too slow to catch up.
 
     What waits, and the 8 MB that come while it catches up, is several times what the queue has room for.
 
@@ -118,11 +119,12 @@ def catch_up(address: BusAddress, place: Path, burst: int = 100) -> int:
         station.wait_until_it_records(messages=300 + burst + 1500)
         written = writers.stop()
         ended = station.ask("stop")
+        events = station.events(folder)
     assert_holds_everything(folder, written)
     assert images_are_accounted_for(folder, images).recorder.restarts == 1
     kept = [int.from_bytes(message.data[:8], "little") for message in open_episode(folder).messages(["camera_burst"])]
     assert kept == list(range(burst))
-    return int(ended.summary["dropped"])
+    return int(ended.summary["dropped"]), "recorder-behind" in events
 
 
 def kill_under_images(address: BusAddress, place: Path, mb_per_s: float, kills: int) -> tuple[int, int]:

@@ -169,6 +169,6 @@ def test_what_waits_for_a_killed_recorder_is_read_at_the_pace_of_the_disk(
     bus_server: BusAddress, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, proof: Figures
 ) -> None:
     BadDisk(tmp_path, tmp_path / "data", monkeypatch).order(f"wait {FLUSH_TAKES_S}", "fdatasync")
-    dropped = catch_up(bus_server, tmp_path, 300)
+    dropped, _ = catch_up(bus_server, tmp_path, 300)
     proof.figure("catching up, 30 MB waiting and a disk of 10 MB/s: images dropped", dropped, limit="0")
     assert dropped == 0

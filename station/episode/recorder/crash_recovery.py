@@ -228,13 +228,12 @@ class CrashRecovery:
         else:
             written_ns = self._resume(found, recording, tap, is_exact=True)
         written_ns = written_ns or _began_ns(found)
-        pace = CatchingUp(tap, self._clock.monotonic_s())
+        pace = CatchingUp(tap, self._clock.monotonic_s(), self._life.event)
         try:
             while recording.is_recording or recording.is_ignoring:
                 recording.poll()
-                if pace.must_wait(recording.load, self._clock.monotonic_s()) and not self._clock.wait(
-                    self._life.stop_event, _READ_S
-                ):
+                must_wait = pace.must_wait(recording.load, self._clock.monotonic_s(), written_ns * 1e-9)
+                if must_wait and not self._clock.wait(self._life.stop_event, _READ_S):
                     continue
                 writes = as_written(tap.read(_READ_S), written_ns)
                 if writes:

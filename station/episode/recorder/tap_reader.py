@@ -57,7 +57,7 @@ class TapReader:
         self._seed()
         recovery.finish_ended(self.recording, backend)
         self.recording.placed(tap.position())
-        self._catching_up = CatchingUp(tap, clock.monotonic_s())
+        self._catching_up = CatchingUp(tap, clock.monotonic_s(), life.event)
         self._heard_ns = self._known_ns = clock.monotonic_ns()  # the tap; up to when we know of every write
         self._written_ns = recovery.enter(self.recording, tap)  # the newest write, on our monotonic clock
         if tap.resumed:
@@ -70,7 +70,8 @@ class TapReader:
     def step(self) -> None:
         """Read what arrived, unless it had better wait at the bus; reconnect a tap that is lost."""
         try:
-            must_wait = self._catching_up.must_wait(self.recording.load, self._clock.monotonic_s())
+            now_s, written_s = self._clock.monotonic_s(), self._written_ns * 1e-9
+            must_wait = self._catching_up.must_wait(self.recording.load, now_s, written_s)
             if must_wait and not self._clock.wait(self._life.stop_event, _READ_S):
                 self._heard_ns = self._clock.monotonic_ns()
                 return
@@ -174,7 +175,7 @@ class TapReader:
             return
         now_ns = self._clock.monotonic_ns()
         seconds = round((now_ns - self._heard_ns) * 1e-9, 3)
-        self._catching_up = CatchingUp(self.tap, now_ns * 1e-9)
+        self._catching_up = CatchingUp(self.tap, now_ns * 1e-9, self._life.event)
         self.recording.retapped(self.tap.backend, self.tap.is_lossless)
         if self.tap.resumed:
             self._life.event("tap-resumed", severity="warning", seconds=seconds, reason=reason)
