@@ -67,9 +67,11 @@ def _table(file: str, figures: list[Figure]) -> str:
     return "\n".join([f"| `{file}` | measured | promised |", "|---|---|---|", *rows])
 
 
-def write_page(figures: list[Figure]) -> None:
-    """Write the figures into docs/reliability.md, a table for each file of tests."""
-    table = "\n\n".join(_table(file, list(rows)) for file, rows in groupby(sorted(figures, key=_file), _file))
-    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-    _, _, after = rest.partition(END)
-    PAGE.write_text(f"{before}{BEGIN}\n{table}\n{END}{after}", encoding="utf-8")
+def write_page(figures: list[Figure], page: Path = PAGE) -> None:
+    """Write the figures into a page, a table for each file of tests; that of a file without figures stays."""
+    before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
+    old, _, after = rest.partition(END)
+    tables = {text.split("`")[1]: text for text in old.strip().split("\n\n") if text}
+    tables |= {file: _table(file, list(rows)) for file, rows in groupby(sorted(figures, key=_file), _file)}
+    kept = [table for file, table in sorted(tables.items()) if (ROOT / file).is_file()]
+    page.write_text("\n".join([before + BEGIN, "\n\n".join(kept), END + after]), encoding="utf-8")

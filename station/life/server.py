@@ -157,6 +157,8 @@ class Life:
             return False
         self.bus.set_timeout(self._kind.bus_timeout_s)
         self._become("active")
+        if self._supervisor_pipe is None:  # a supervisor says so itself
+            log.info("%s is active on %s; Ctrl-C ends it", self.name, self.bus.address)
         return True
 
     def on_estop(self, act: Callable[[], None]) -> None:

@@ -131,7 +131,7 @@ def _gap(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
         worst = max(streams, key=lambda stream: stream.longest_gap_s or 0.0)
         gap_s = worst.longest_gap_s or 0.0
         verdict: Verdict = "reject" if gap_s > limits.gap.reject_above_s else "usable"
-        others = f"; so or less were {len(streams) - 1} other streams of it" if len(streams) > 1 else ""
+        others = f"; at most that long: {len(streams) - 1} more of its streams" if len(streams) > 1 else ""
         yield verdict, f"{_named(worst)}: silent for {gap_s:.3f} s (limit {limits.gap.usable_above_s:g} s){others}"
 
 
@@ -321,7 +321,7 @@ def _at_an_end(
         share = missing_s(worst) / _length_s(quality)
         is_robot = worst.role in _OF_THE_ROBOT
         verdict: Verdict = "reject" if is_robot and share > limit.reject_above_share else "usable"
-        others = f"; so or less of {len(group) - 1} other keys of it" if len(group) > 1 else ""
+        others = f"; at most that long: {len(group) - 1} more of its keys" if len(group) > 1 else ""
         text = f"{worst.key} by {worst.writer}: {what} {missing_s(worst):.1f} s ({share:.0%} of the episode){others}"
         yield verdict, text
 

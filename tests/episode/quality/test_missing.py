@@ -107,7 +107,7 @@ def test_a_robot_that_was_killed_at_half_rejects_with_its_share_and_seconds(buil
     quality = finished(builder)
     assert set(said(quality)) == {("ended-early", "reject")} | {("ended-early", "usable")}  # robot, and its commander
     text = next(reason.text for reason in quality.reasons if reason.verdict == "reject")
-    assert "by g1: nothing in the last 3.0 s (50% of the episode); so or less of 8 other keys of it" in text
+    assert "by g1: nothing in the last 3.0 s (50% of the episode); at most that long: 8 more of its keys" in text
 
 
 def test_a_robot_that_was_frozen_at_first_rejects(builder: EpisodeBuilder) -> None:

@@ -1,0 +1,126 @@
+"""Which pages are typed, what has to be there before, and which commands of them are typed otherwise."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from adapters.robots.g1.joints import G1_29
+from tests.docs.reader import Typed
+from tests.foreign.recorded import document, record
+from tests.tiers import ROOT
+
+_INSTALLS = Typed(elsewhere="tests/test_wheel.py and `make` install; a page's package: tests/main_job/page_package.py")
+_DRIVEN_FOR = "--yes --for 8s --set"
+_STOCK = f"cd {ROOT} && python -m tests.stock.stock_twist2"
+
+
+class Page(NamedTuple):
+    """How a page is typed.
+
+    Attributes:
+        how: Commands that are not simply typed, by how they begin.
+        prepare: Puts what the page takes for granted into the folder of its reader.
+        has_upstream_data: Whether its reader has it.
+    """
+
+    how: Mapping[str, Typed] = {}
+    prepare: Callable[[Path], None] = lambda folder: None
+    has_upstream_data: bool = True
+
+
+def _motions(folder: Path) -> None:
+    """A stand of two seconds, as two kinds of file."""
+    still = np.ones((100, 1))
+    root_pos, root_quat, joint_pos = still * [0.0, 0.0, 0.78], still * [1.0, 0.0, 0.0, 0.0], still * np.zeros(29)
+    values = {"root_pos": root_pos, "root_quat_wxyz": root_quat, "joint_pos": joint_pos}
+    np.savez(folder / "mine.npz", fps=50.0, joint_names=G1_29, **values)
+    (folder / "clips").mkdir()
+    rows = np.hstack([root_pos, np.roll(root_quat, -1, axis=1), joint_pos])
+    np.savetxt(folder / "clips" / "stand.csv", rows, delimiter=",")
+
+
+def _recordings(folder: Path) -> None:
+    """A recording of TWIST2's recorder."""
+    record(folder / "RECORDINGS" / "cabinet" / "episode_0000", document(40))
+
+
+def _limits(folder: Path) -> None:
+    """The data sheet of another arm: here that of the one that ships, under its name."""
+    limits = (ROOT / "adapters/robots/kassow/kr810.yaml").read_text(encoding="utf-8")
+    (folder / "kr1018.yaml").write_text(limits.replace("model: kr810", "model: kr1018"), encoding="utf-8")
+
+
+def _config(folder: Path) -> None:
+    (folder / ".config").mkdir()
+
+
+PAGES = {
+    "README.md": Page({
+        "make demo": Typed(elsewhere="docs/first-episode.md"),
+        "make test": Typed(elsewhere="what runs this"),
+        "station up g1-sim-gamepad": Typed(
+            instead="station up g1-sim-gamepad --record --task walk"
+            f" {_DRIVEN_FOR} gamepad.fake=builtin:gamepad/example.json"
+        ),
+        "station status --watch": Typed(until="waiting for it"),
+        "station view latest": Typed(code=1),
+        "station doctor": Typed(code=1),
+    }),
+    "docs/first-episode.md": Page({
+        "git clone": Typed(elsewhere="a clone is what this runs in"),
+        "make demo": Typed(
+            instead=f"PATH={os.defpath} make --no-print-directory -C {ROOT} demo"
+        ),
+        "station up g1-demo --yes": Typed(until="to=tracking"),
+        "station check": Typed(behind="station up g1-demo --yes"),
+        "station bus start": Typed(until="Ctrl-C stops it"),
+        "station serve g1": Typed(until="active on"),
+        "station serve recorder": Typed(until="active on"),
+    }, has_upstream_data=False),
+    "docs/motions.md": Page(prepare=_motions),
+    "docs/operators.md": Page({
+        "pip install": _INSTALLS,
+        "station up g1-sim-pico --record": Typed(elsewhere="the next one, by a fake"),
+    }),
+    "docs/kassow.md": Page({
+        "pip install": _INSTALLS,
+        "station up kassow-sim-spacemouse --set": Typed(
+            instead="station up kassow-sim-spacemouse --set kassow.model=kr1018 --set kassow.limits=kr1018.yaml"
+            " --set teleop.driver=arm-joints --set teleop.options.model=kr1018 --set teleop.options.limits=kr1018.yaml"
+            f" {_DRIVEN_FOR} spacemouse.fake=builtin:spacemouse/arm.json"
+        ),
+        "station kassow controller": Typed(elsewhere="tests/faults/test_kassow.py"),
+        "station serve kassow": Typed(elsewhere="tests/faults/test_kassow.py"),
+    }, _limits),
+    "docs/runbooks.md": Page({
+        "station up g1-sim-motion.yaml": Typed(instead="station up ./g1-sim-motion.yaml --yes --for 5s"),
+    }),
+    "docs/security.md": Page({
+        "station bus start": Typed(instead="station bus start --bind 127.0.0.1", until="stock scripts"),
+    }, _config),
+    "docs/stock-scripts.md": Page({
+        "station bus start": Typed(until="Ctrl-C stops it"),
+        "station up g1-for-stock": Typed(until="recording"),
+        "python -m tests.stock.stock_twist2 motion": Typed(instead=f"{_STOCK} motion --port 6379 --seconds 12"),
+        "station check": Typed(behind="station up g1-for-stock"),
+        "station serve motion": Typed(until="active on"),
+        "python -m tests.stock.stock_twist2 robot": Typed(instead=f"{_STOCK} robot --port 6379 --seconds 6"),
+        "python -m tests.stock.stock_twist2 recorder": Typed(instead=f"{_STOCK} recorder --port 6379 --seconds 1"),
+    }),
+    "docs/training-data.md": Page(prepare=_recordings),
+}  # fmt: skip
+
+PLAYED_BY = {
+    "docs/assets.md": "tests/cli/test_assets.py",
+    "docs/notebook.md": "tests/api/test_notebook_page.py",
+    "docs/your-arm.md": "tests/main_job/test_your_arm.py",
+    "docs/your-device.md": "tests/main_job/test_your_device.py",
+    "docs/your-policy.md": "tests/main_job/test_your_policy.py",
+    "docs/your-robot.md": "tests/main_job/test_your_robot.py",
+}
+"""Pages whose commands need more than a folder, and the tests that play them."""
