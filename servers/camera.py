@@ -23,7 +23,6 @@ from station import libraries, registry
 from station.camera.serve import serve_camera
 from station.camera.source import CameraKind, Newest, PictureSettings
 from station.config import to_plain
-from station.errors import ConfigError
 from station.life.server import Life, ServerKind
 
 _NAME = re.compile(r"[a-z0-9_]+")
@@ -83,10 +82,7 @@ class CameraConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         Raises:
             ValueError: they are none of its options; the message names the field.
         """
-        try:
-            return configs.build(self.kind.options, self.options, where=f"options of the source {self.source}")
-        except ConfigError as error:
-            raise ValueError(str(error)) from None
+        return configs.build_options(self.kind.options, self.options, where=f"options of the source {self.source}")
 
     @property
     def settings(self) -> PictureSettings:

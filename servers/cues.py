@@ -19,7 +19,7 @@ from station import config as configs
 from station import registry
 from station.clock import Clock
 from station.config import to_plain
-from station.errors import ConfigError, StationError
+from station.errors import StationError
 from station.life.server import Life, ServerKind
 from station.operator import phrases
 from station.operator.cues import OLD_S, CueQueue, Speaker
@@ -70,10 +70,7 @@ class CuesConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             ValueError: they are none of its options; the message names the field.
         """
         kind: VoiceKind = registry.find("voice", voice)
-        try:
-            return configs.build(kind.options, self.options.get(voice, {}), where=f"options of the voice {voice}")
-        except ConfigError as error:
-            raise ValueError(str(error)) from None
+        return configs.build_options(kind.options, self.options.get(voice, {}), where=f"options of the voice {voice}")
 
 
 def _expect_voices(config: CuesConfig) -> None:

@@ -23,7 +23,6 @@ from station import registry, user_config
 from station.bus import keys
 from station.bus.watch import Watch
 from station.config import to_plain
-from station.errors import ConfigError
 from station.life.events import Severity
 from station.life.loop import real_time
 from station.life.pace import WallPace
@@ -90,12 +89,8 @@ class TeleopConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         Raises:
             ValueError: they are none of its options; the message names the field.
         """
-        try:
-            return configs.build(
-                self.option_types["options"], self.options, where=f"options of the driver {self.driver}"
-            )
-        except ConfigError as error:
-            raise ValueError(str(error)) from None
+        where = f"options of the driver {self.driver}"
+        return configs.build_options(self.option_types["options"], self.options, where=where)
 
     @property
     def option_types(self) -> dict[str, type[msgspec.Struct]]:

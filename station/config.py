@@ -40,6 +40,18 @@ def build(kind: type[T], values: Mapping[str, Any], *, where: str) -> T:
         raise ConfigError(f"{where}: {_plain(error, kind, values)}") from None
 
 
+def build_options(kind: type[T], values: Mapping[str, Any], *, where: str) -> T:
+    """As `build`, of a mapping within a configuration, whose ``__post_init__`` may raise nothing else.
+
+    Raises:
+        ValueError: as `build`.
+    """
+    try:
+        return build(kind, values, where=where)
+    except ConfigError as error:
+        raise ValueError(str(error)) from None
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """Read a YAML mapping.
 
@@ -166,8 +178,8 @@ def _plain(error: msgspec.ValidationError, kind: type[msgspec.Struct], values: M
     place = path.rstrip("`").lstrip(".")
     value, wanted = _at(place, kind, values)
     if text.startswith("Invalid enum value"):
-        choices = sorted(str(choice) for choice in _choices(wanted))
-        text = f"expected {' or '.join(choices)}, got {value!r}{did_you_mean(str(value), choices)}"
+        known = sorted(str(choice) for choice in choices(wanted))
+        text = f"expected {' or '.join(known)}, got {value!r}{did_you_mean(str(value), known)}"
     elif not isinstance(value, Mapping):
         text = re.sub(r"got `[^`]*`$", lambda _: f"got {value!r}", text)
     text = (
@@ -188,8 +200,8 @@ def _at(place: str, kind: Any, values: Any) -> tuple[Any, Any]:
     return values, kind
 
 
-def _choices(wanted: Any) -> list[Any]:
-    """Return what a Literal allows, also one that may be absent."""
+def choices(wanted: Any) -> list[Any]:
+    """Return what a Literal allows, one that may be absent too, in the order in which the type has it."""
     if get_origin(wanted) is Literal:
         return list(get_args(wanted))
-    return [choice for part in get_args(wanted) for choice in _choices(part)]
+    return [choice for part in get_args(wanted) for choice in choices(part)]

@@ -154,11 +154,19 @@ def repair(episode: str | None, is_all: bool, out: Path | None, data: Path | Non
 
     if (episode is None) != is_all:
         raise UsageError("name one EPISODE to repair, or give --all")
-    if episode is None:
-        remove_what_never_began(data_folder(data))
-    folders = to_repair(data_folder(data)) if episode is None else [_folder(resolve(episode, data))]
     done: list[Repaired] = []
     failed = False
+    if episode is not None:
+        folders = [_folder(resolve(episode, data))]
+    else:
+        remove_what_never_began(data_folder(data))
+        folders, changing = to_repair(data_folder(data))
+        for folder in changing:
+            failed = True
+            told = (
+                "changed less than 10 s ago and lacks its end: perhaps it is still being copied; left alone, try again"
+            )
+            click.echo(f"station: {folder.name}: its file {told}", err=True)
     for folder in folders:
         try:
             done.append(_repaired(folder, out, is_quiet=as_json))
@@ -167,7 +175,7 @@ def repair(episode: str | None, is_all: bool, out: Path | None, data: Path | Non
             click.echo(f"station: {error}", err=True)
     if as_json:
         click.echo(msgspec.json.encode(done))
-    elif not folders:
+    elif not folders and not failed:
         click.echo(f"no episode in {data_folder(data).absolute()} is left open or cut off: nothing to repair")
     raise SystemExit(1 if failed else 0)
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, get_type_hints
 
 import click
 import msgspec
 from msgspec import inspect
+
+from station.config import choices
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,13 +71,6 @@ def described(wanted: inspect.Type) -> tuple[inspect.Type, str]:
             wanted = next(each for each in wanted.types if not isinstance(each, inspect.NoneType))
         else:
             return wanted, about
-
-
-def choices(hint: Any) -> list[Any]:
-    """Return what a Literal allows, one that may be absent too, in the order in which the type has it."""
-    if get_origin(hint) is Literal:
-        return list(get_args(hint))
-    return [choice for part in get_args(hint) for choice in choices(part)]
 
 
 def _plain_type(wanted: inspect.Type, name: str) -> Any:

@@ -106,11 +106,13 @@ def _print(rows: Sequence[_Row]) -> None:
     from station.cli.tables import Column, plain, print_table
 
     columns = [Column("motion", "left"), Column("format", "left"), *map(Column, ("length", "rate", "frames"))]
-    print_table(columns, [
+    playable = [
         (plain(row.motion), plain(row.format), "" if row.seconds is None else f"{row.seconds:.1f} s",
          "" if row.fps is None else f"{row.fps:g} Hz", str(row.frames or ""))
-        for row in rows
-    ])  # fmt: skip
+        for row in rows if not row.problem
+    ]  # fmt: skip
+    if playable:
+        print_table(columns, playable)
     for row in rows:
         if row.problem or row.note:
             click.echo(printable(row.problem or f"{row.motion}: {row.note}"))

@@ -13,7 +13,7 @@ import msgspec
 
 from station import config, registry
 from station.cli import candidates
-from station.cli.fields import choices, described
+from station.cli.fields import described
 from station.cli.options import json_option, set_option
 from station.errors import ConfigError
 from station.life.server import ServerKind
@@ -135,7 +135,7 @@ def _choices(wanted: Any, info: msgspec.inspect.Type) -> tuple[str, ...]:
     if isinstance(info, msgspec.inspect.Metadata) and info.extra and "registered" in info.extra:
         return tuple(registry.names(info.extra["registered"]))
     if isinstance(described(info)[0], msgspec.inspect.LiteralType):
-        return tuple(map(str, choices(wanted)))
+        return tuple(map(str, config.choices(wanted)))
     return ()
 
 

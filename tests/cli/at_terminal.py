@@ -33,14 +33,18 @@ class AtTerminal:
         home: Where it runs.
         arguments: The verb and what belongs to it.
         program: What Python runs in place of the station, as words of its command line.
+        columns: Width of the terminal.
     """
 
-    def __init__(self, home: Home, *arguments: str, program: Sequence[str] = ("-m", "station")) -> None:
+    def __init__(
+        self, home: Home, *arguments: str, program: Sequence[str] = ("-m", "station"), columns: int = 400
+    ) -> None:
         self._ours, theirs = pty.openpty()
         self.before = self.settings()
         self.process = subprocess.Popen(
             [sys.executable, "-I", "-S", "-c", _AT_TERMINAL, sys.executable, *program, *arguments],
-            env={**home.environment, "TERM": "xterm", "COLUMNS": "400", "LINES": "40", "PYTHONFAULTHANDLER": "1"},
+            env={**home.environment, "TERM": "xterm", "COLUMNS": f"{columns}", "LINES": "40",
+                 "PYTHONFAULTHANDLER": "1"},
             cwd=ROOT, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
         )  # fmt: skip
         self._theirs = theirs  # kept open, so that its settings can be read when the process has ended

@@ -14,7 +14,6 @@ from tests.cli.running import Home
 pytestmark = pytest.mark.usefixtures("processes")
 
 FRAMES, FPS = 100, 50.0
-NAMES = ("good.npz", "jump.npz", "none.csv")
 
 
 @pytest.fixture
@@ -44,15 +43,21 @@ def test_built_in_motions_are_listed_with_their_lengths(home: Home) -> None:
 def test_files_are_read_as_the_motion_server_does_and_what_is_wrong_is_told(home: Home, folder: Path) -> None:
     done = home.run("motions", str(folder / "*.*"), "builtin:bow#speed=2")
     assert done.returncode == 1
-    table, notes = done.stdout.splitlines()[1:5], "\n".join(done.stdout.splitlines()[5:])
-    assert [line.split()[0] for line in table] == [*(str(folder / name) for name in NAMES), "builtin:bow#speed=2"]
+    table, notes = done.stdout.splitlines()[1:3], "\n".join(done.stdout.splitlines()[3:])
+    assert [line.split()[0] for line in table] == [str(folder / "good.npz"), "builtin:bow#speed=2"]
     assert table[0].split()[1:] == ["npz", "2.0", "s", "50", "Hz", "100"]
-    assert table[3].split()[2:4] == ["2.3", "s"]
+    assert table[1].split()[2:4] == ["2.3", "s"]
     assert f"{folder / 'good.npz'}: not in the file, held at 0: left_wrist_roll, left_wrist_pitch" in notes
     assert f"{folder / 'jump.npz'}: " in notes
     assert f"{folder / 'none.csv'}: " in notes
     bridged = home.json("motions", str(folder / "jump.npz"), "--holes", "bridge")
     assert [(row["problem"], "1 hole bridged" in row["note"]) for row in bridged] == [("", True)]
+
+
+def test_of_what_cannot_be_played_there_is_no_row(home: Home) -> None:
+    done = home.run("motions", "nowhere.npz")
+    assert (done.returncode, len(done.stdout.splitlines())) == (1, 1)
+    assert "nowhere.npz" in done.stdout
 
 
 def test_what_each_format_holds_is_told(home: Home) -> None:

@@ -17,6 +17,7 @@ from station.bus.stamp import decode
 from station.episode.storage.manifest import load_manifest
 from tests.cli.at_terminal import AtTerminal
 from tests.cli.running import COMMANDS_ONLY, SHORT, Home
+from tests.cli.screen import screen
 from tests.cli.stopped import release
 from tests.waiting import wait_until
 
@@ -223,3 +224,17 @@ def test_past_a_frozen_bus_the_key_still_stops_the_robot_of_this_station(home: H
 
 def _newest(home: Home) -> Path:
     return max(home.data.glob("*/*/manifest.yaml"), key=lambda path: path.stat().st_mtime).parent
+
+
+def test_a_narrow_screen_holds_all_that_is_drawn_on_it(home: Home, tmp_path: Path) -> None:
+    """All that is drawn again and again fits, and says what the keys do and how the servers are."""
+    with AtTerminal(home, "up", written(tmp_path, G1 + RECORDER + MOTION), columns=60) as terminal:
+        terminal.wait_for("gate tracking")
+        terminal.send(signal.SIGINT)
+        assert terminal.finish() == 0
+    drawn = screen(terminal.screen).drawn
+    assert [line for line in drawn if len(line) > 60] == []
+    for words in ("SPACE or e: emergency stop", "Ctrl-C", "gate tracking"):
+        assert any(words in line for line in drawn), drawn[-20:]
+    for server in ("g1", "recorder", "motion"):
+        assert any(line.startswith(server) and "active" in line for line in drawn), drawn[-20:]

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.cli.running import Home
+from tests.cli.screen import screen
 from tests.docs.page import Shown, Stale, compared, shown
-from tests.docs.screen import screen
 from tests.waiting import wait_until
 
 _LONGEST_S = 600.0

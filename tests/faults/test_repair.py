@@ -252,7 +252,13 @@ def test_the_command_repairs_all_and_says_what_was_cut(episode: Episode, tmp_pat
     one = station("episodes", "repair", names[0], "--data", str(tmp_path), "--json")
     assert [found["state"] for found in json.loads(one.stdout)] == ["whole"]
     finished = tmp_path / "walk" / names[1] / "signals.mcap"
-    finished.write_bytes(finished.read_bytes()[:-20])  # as a copy that was broken off
+    finished.write_bytes(finished.read_bytes()[:-20])  # as a copy that goes on, or was broken off
+    still = station("episodes", "repair", "--all", "--data", str(tmp_path))
+    assert (still.returncode, still.stdout) == (1, "")
+    assert still.stderr.startswith(
+        f"station: {names[1]}: its file changed less than 10 s ago and lacks its end: perhaps"
+    )
+    os.utime(finished, (0.0, 0.0))
     cut = station("episodes", "repair", "--all", "--data", str(tmp_path))
     assert (cut.returncode, len(cut.stdout.splitlines())) == (0, 2)
     assert cut.stdout.startswith(f"{names[1]} repaired: kept ")

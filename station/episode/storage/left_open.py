@@ -6,12 +6,14 @@ import contextlib
 from pathlib import Path
 
 from station.atomic_file import remove_leftovers
+from station.clock import SYSTEM
 from station.episode.storage import layout
 from station.episode.storage.folder import is_numbered, started_ns
 from station.episode.storage.records import MAGIC
 from station.lock_file import is_locked
 
 _SMALL = (layout.RESUME, layout.CHECKPOINT)
+_JUST_NOW_S = 10.0
 _TEMPORARY = tuple(f".{name}." for name in (layout.MANIFEST, *_SMALL))
 
 
@@ -25,10 +27,13 @@ def left_open(data: Path) -> list[Path]:
     return sorted(found, key=started_ns)
 
 
-def to_repair(data: Path) -> list[Path]:
-    """Return the folders of the episodes that were left open or have a file that is cut off, oldest first."""
-    cut_off = (folder for folder in data.glob("*/*/") if _is_cut_off(folder))
-    return sorted({*left_open(data), *cut_off}, key=lambda folder: (started_ns(folder), folder.name))
+def to_repair(data: Path) -> tuple[list[Path], list[Path]]:
+    """Return the folders of the episodes that were left open or have a file that is cut off, oldest first; and those
+    whose file lacks its end because it may still be copied: it changed a moment ago."""
+    cut_off = [folder for folder in data.glob("*/*/") if _is_cut_off(folder)]
+    changing = [folder for folder in cut_off if any(map(_changed_just_now, _finished(folder)))]
+    found = {*left_open(data), *cut_off}.difference(changing)
+    return sorted(found, key=lambda folder: (started_ns(folder), folder.name)), changing
 
 
 def is_left_open(folder: Path) -> bool:
@@ -41,8 +46,15 @@ def is_left_open(folder: Path) -> bool:
 
 def _is_cut_off(folder: Path) -> bool:
     """Whether a file that was finished lacks its end now."""
-    files = [file for name in (layout.SIGNALS, layout.CAMERAS) if (file := folder / name).is_file()]
-    return any(not is_locked(file) and not _has_end(file) for file in files)
+    return any(not is_locked(file) and not _has_end(file) for file in _finished(folder))
+
+
+def _finished(folder: Path) -> list[Path]:
+    return [file for name in (layout.SIGNALS, layout.CAMERAS) if (file := folder / name).is_file()]
+
+
+def _changed_just_now(file: Path) -> bool:
+    return abs(SYSTEM.wall_ns() - file.stat().st_mtime_ns) < _JUST_NOW_S * 1e9
 
 
 def _has_end(file: Path) -> bool:

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from tests.docs.screen import screen
+from tests.cli.screen import screen
 
 
 def test_what_is_printed_above_a_region_stays_and_the_region_is_drawn_over() -> None:
