@@ -1,9 +1,10 @@
 """Who may do what on a shared bus: one user per role, as the access control list that Redis 7 and Valkey read.
 
 A command server cannot say where the robot is, a low-level server cannot give commands, a recorder reads everything
-and writes nothing but its own bookkeeping, an observer says only how it is doing, a viewer writes nothing at all.
-No role may change the server's settings, run scripts or delete the keys of others. The default user, whom a stranger
-is, is off.
+and writes nothing but its own bookkeeping, an observer says only how it is doing, a viewer says nothing at all.
+Everybody may press the emergency stop, on a key whose every write stops; only an operator writes the key that releases
+it. No role may change the server's settings, run scripts or delete the keys of others. The default user, whom a
+stranger is, is off.
 """
 
 from __future__ import annotations
@@ -11,11 +12,10 @@ from __future__ import annotations
 import hashlib
 import secrets
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from functools import cache
 
-from station.bus import contracts, keys
-from station.description import ROBOT
+from station.bus import keys
 
 _ANY = "*"
 _READ = (
@@ -24,7 +24,6 @@ _READ = (
     "+subscribe +psubscribe +unsubscribe +punsubscribe"
 )
 _WRITE = "+set +mset"
-_HEALTH = (keys.server(_ANY), keys.server_config(_ANY), keys.EVENT)
 _COMMANDS = (keys.action(_ANY), keys.command_source(_ANY))
 _STATES = (
     keys.state(_ANY), keys.robot_state(_ANY), keys.policy_obs(_ANY), keys.policy_action(_ANY),
@@ -36,18 +35,41 @@ _OPERATOR = (
     keys.operator_hand_left(_ANY), keys.operator_hand_right(_ANY), keys.operator_twist(_ANY),
     keys.operator_joints(_ANY),
 )  # fmt: skip
-_BUTTONS = (keys.ESTOP, keys.ARM, keys.RECORD)  # of a device that commands
+_BUTTONS = (keys.ARM, keys.RECORD)  # of a device that commands
+_SERVERS = ("command", "low-level", "recorder", "sensor", "observer")
 
-ROLES = ("command", "low-level", "recorder", "sensor", "observer", "viewer", "operator")
+ROLES = (*_SERVERS, "viewer", "operator")
+
+
+def stop_key(user: str | None) -> str:
+    """Return the key on which a user presses the stop; of the users of this list only the operator may release one."""
+    return keys.ESTOP_PRESSED if user in ROLES and user != "operator" else keys.ESTOP
+
+
+def writes(servers: Mapping[str, Collection[str]] | None = None) -> dict[str, tuple[str, ...]]:
+    """Return patterns of the keys that each role may write, stamps and the press of a stop left out.
+
+    Args:
+        servers: Names of the servers by role, whose health and configuration only that role may write; None lets each
+            role write those of any server.
+    """
+    found = dict(_of_robots())
+    for role in _SERVERS:
+        names = [_ANY] if servers is None else servers.get(role, ())
+        found[role] += tuple(key for name in names for key in (keys.server(name), keys.server_config(name)))
+    return found
 
 
 @cache
-def writes() -> dict[str, tuple[str, ...]]:
-    """Return patterns of the keys that each role may write, stamps left out.
+def _of_robots() -> dict[str, tuple[str, ...]]:
+    """Return what each role may write but for the stop that all may press, and for what servers say of themselves.
 
-    An e-stop may come from all who can move or sense. Keys of stock programs that bear no robot's name are those of
-    the families of robots that are registered; signals of a robot's remote are reset by the server that plays a motion.
+    Keys of stock programs that bear no robot's name are those of the families of robots that are registered; signals of
+    a robot's remote are reset by the server that plays a motion.
     """
+    from station.bus import contracts  # here, so that a button starts at once
+    from station.description import ROBOT
+
     shared: dict[str, list[str]] = defaultdict(list)
     for name in contracts.robots():
         robot = contracts.description(name)
@@ -56,13 +78,22 @@ def writes() -> dict[str, tuple[str, ...]]:
                 shared[stream.role].append(stream.key)
     commands, signals = (*_COMMANDS, *shared["command"], *shared["sensor"]), shared["control"]
     return {
-        "command": (*commands, *signals, *_HEALTH, *_BUTTONS),
-        "low-level": (*_STATES, *shared["state"], *signals, *_HEALTH, keys.ESTOP),
-        "recorder": (*_HEALTH, keys.RECORDER, keys.RECORD_ACK, keys.TAP_PROBE),
-        "sensor": (*_OPERATOR, keys.camera_image(_ANY), *shared["sensor"], *_HEALTH, keys.ESTOP),
-        "observer": _HEALTH,
+        "command": (*commands, *signals, *_BUTTONS, keys.EVENT),
+        "low-level": (*_STATES, *shared["state"], *signals, keys.EVENT),
+        "recorder": (keys.RECORDER, keys.RECORD_ACK, keys.TAP_PROBE, keys.EVENT),
+        "sensor": (*_OPERATOR, keys.camera_image(_ANY), *shared["sensor"], keys.EVENT),
+        "observer": (keys.EVENT,),
         "viewer": (),
-        "operator": (*commands, *signals, *_BUTTONS, keys.CONTROLLER, keys.EVENT, keys.MOTION_CONTROL),
+        "operator": (
+            *commands,
+            *signals,
+            *_BUTTONS,
+            keys.ESTOP,
+            keys.ESTOP_PRESSED,
+            keys.CONTROLLER,
+            keys.EVENT,
+            keys.MOTION_CONTROL,
+        ),
     }
 
 
@@ -75,14 +106,15 @@ def new_passwords() -> dict[str, str]:
     return {role: secrets.token_urlsafe(24) for role in ROLES}
 
 
-def rules(hashes: Mapping[str, str]) -> str:
+def rules(hashes: Mapping[str, str], servers: Mapping[str, Collection[str]] | None = None) -> str:
     """Return the list, one user a line; any other user, the default one included, is refused.
 
     Args:
         hashes: SHA-256 of the password by role, in hex; a role without one gets a placeholder to be replaced.
+        servers: As of `writes`.
     """
     lines = ["user default reset off"]
-    lines += [_user(role, hashes.get(role)) for role in ROLES]
+    lines += [_user(role, hashes.get(role), patterns) for role, patterns in writes(servers).items()]
     return "\n".join(lines) + "\n"
 
 
@@ -91,14 +123,14 @@ def sha256(password: str) -> str:
     return hashlib.sha256(password.encode()).hexdigest()
 
 
-def _user(role: str, digest: str | None) -> str:
+def _user(role: str, digest: str | None, patterns: Iterable[str]) -> str:
     password = f"#{digest}" if digest else ">" + _PLACEHOLDER.format(role=role)
-    patterns = [name for key in writes()[role] for name in _with_stamp(key)]
-    writing = f"{_WRITE} {_MORE.get(role, '')}".split() if patterns else []
-    keyspace = [f"%W~{pattern}" for pattern in patterns]
+    more = _MORE.get(role, "").split()
+    keyspace = [f"%W~{name}" for pattern in patterns for name in _with_stamp(pattern)]
+    press = f"({_WRITE} %W~{keys.ESTOP_PRESSED} %W~{keys.stamp(keys.ESTOP_PRESSED)})"  # who may delete, not this one
     return " ".join(
         ["user", role, "reset", "on", password, "resetchannels", "&__keyspace@*__:*", "%R~*", *keyspace, "-@all",
-         *_READ.split(), *writing]
+         *_READ.split(), *_WRITE.split(), *more, press]
     )  # fmt: skip
 
 

@@ -187,11 +187,19 @@ def runtime_folder() -> Path:
 def own() -> BusAddress:
     """Return the address of this user's own server: a socket that only they can open.
 
-    One that is open to the network too asks everybody for a password, and has left it in a file beside the socket.
+    One that is open to the network too asks everybody for a password, and has left it in a file beside the socket: that
+    of the user who began it, unless ``$STATION_BUS_USER`` names another.
+
+    Raises:
+        ConfigError: no password of that user is known.
     """
     socket = runtime_folder() / "bus.sock"
     file = password_file.beside(socket)
-    user, password = _login_of(file, None) if file.exists() else (None, None)
+    if not file.exists():
+        return BusAddress(socket=str(socket))
+    user, password = login_of_environment() if os.environ.get(USER_VARIABLE) else (None, None)
+    if password is None:
+        user, password = _login_of(file, user)
     return BusAddress(socket=str(socket), username=user, password=password)
 
 

@@ -215,6 +215,9 @@ def _station() -> list[Contract]:
 
     return [
         make(keys.ESTOP, "control", "json", "latched emergency stop: who asked for it and why; 0 when reset"),
+        make(
+            keys.ESTOP_PRESSED, "control", "json", "latched emergency stop, by who may not release one; gone when reset"
+        ),
         make(keys.ARM, "control", "json", "arm or disarm: who asked and why; answered in the robot's command_gate"),
         make(
             keys.CONTROLLER,

@@ -163,6 +163,7 @@ def camera_image(camera: str) -> str:
 
 # -- Ours, of the station ----------------------------------------------------------------------------------------
 ESTOP = "station:estop"
+ESTOP_PRESSED = "station:estop:pressed"  # whatever is written here stops: who may press need not be able to release
 ARM = "station:arm"
 CONTROLLER = "station:controller"
 EVENT = "station:event"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from station.cli import candidates
 from station.cli.options import Verbs, address_of, bus_option, json_option
 from station.errors import UsageError
 from station.stop_signals import set_on_signals
@@ -16,6 +17,7 @@ from station.stop_signals import set_on_signals
 if TYPE_CHECKING:
     from station.bus.keeper import KeptServer
     from station.bus.server_options import ServerOptions
+    from station.supervision.runbook import Runbook
 
 _STOCK_PORT = 6379
 
@@ -95,17 +97,22 @@ def _introduce(server: KeptServer, options: ServerOptions) -> None:
 @click.option("--passwords", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path), default=None,
               help="Make a password for each role, write them to FILE (mode 0600), print hashes.")  # fmt: skip
 @click.option("--password-hash", "hashes", metavar="ROLE=SHA256", multiple=True, help="Hash of a role's password.")
-def acl(passwords: Path | None, hashes: tuple[str, ...]) -> None:
+@click.option("--runbook", "books", metavar="RUNBOOK", multiple=True, shell_complete=candidates.runbooks,
+              help="A runbook that this bus is for: a role then speaks for its own servers alone.")  # fmt: skip
+def acl(passwords: Path | None, hashes: tuple[str, ...], books: tuple[str, ...]) -> None:
     """Print the access control list of a shared bus, with a user per role (Redis 7 or Valkey)."""
     from station.bus import acl as lists
     from station.bus import password_file
+    from station.supervision import runbook as runbooks
+
+    found = [runbooks.load(runbooks.find(book)) for book in books]
 
     digests = dict(_hash(option) for option in hashes)
     if passwords is not None:
         made = {role: password for role, password in lists.new_passwords().items() if role not in digests}
         password_file.write(passwords, made)
         digests |= {role: lists.sha256(password) for role, password in made.items()}
-    click.echo(lists.rules(digests), nl=False)
+    click.echo(lists.rules(digests, _servers(found) if found else None), nl=False)
     missing = [role for role in lists.ROLES if role not in digests]
     if missing:
         click.echo(f"replace PASSWORD-OF-… of {', '.join(missing)}, or let --passwords make them", err=True)
@@ -114,6 +121,14 @@ def acl(passwords: Path | None, hashes: tuple[str, ...]) -> None:
         "repl-backlog-size 256mb, proto-max-bulk-len 64mb, maxmemory-policy noeviction",
         err=True,
     )
+
+
+def _servers(books: list[Runbook]) -> dict[str, set[str]]:
+    """Return the names of the servers of some runbooks by role."""
+    found: dict[str, set[str]] = {}
+    for step in (step for book in books for step in book.servers):
+        found.setdefault(step.kind.role, set()).add(step.start)
+    return found
 
 
 def _hash(option: str) -> tuple[str, str]:

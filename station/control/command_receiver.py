@@ -18,6 +18,7 @@ from station.bus.watch import Read, Watch
 from station.control.command_arbiter import CommandArbiter
 from station.control.command_validator import CommandSample
 from station.control.stop_trace import StopNews, StopTrace
+from station.life import estop
 from station.life.writer_conflict import FOREIGN
 
 _PROBE_S = 0.05  # a silence is proven this much later at most; a probe takes 0.1 ms
@@ -113,18 +114,20 @@ class CommandWatch(Watch):
             self._stops.begin()
 
     def _on_message(self, message: Any, touched: Counter[str]) -> None:
-        before = touched[keys.ESTOP]
+        before = [touched[key] for key in estop.KEYS]
         super()._on_message(message, touched)
-        if touched[keys.ESTOP] > before:
-            self._stops.on_event(message[2])
+        for key, count in zip(estop.KEYS, before, strict=True):
+            if touched[key] > count:
+                self._stops.on_event(key, message[2])
 
     def _fill_at_start(self, reader: Connection) -> None:
-        before, has_heard = self._slots.get(keys.ESTOP), self.connections > 0
+        before, has_heard = [self._slots.get(key) for key in estop.KEYS], self.connections > 0
         super()._fill_at_start(reader)
-        sample = self._slots.get(keys.ESTOP)
         if has_heard:
             with self._changed:
-                self._stops.on_cut(sample.value if sample else None, is_new=sample is not before)
+                for key, known in zip(estop.KEYS, before, strict=True):
+                    sample = self._slots.get(key)
+                    self._stops.on_cut(key, sample.value if sample else None, is_new=sample is not known)
                 self._hurry()
 
     def _read_touched(self, reader: Connection, touched: Counter[str]) -> None:
@@ -134,6 +137,8 @@ class CommandWatch(Watch):
             later = self._told_meanwhile()
             if self._events is not None and self._must_know_all(values):
                 self._drain(self._events, later)
+                unread = [key for key in estop.KEYS if later[key] and key not in values]
+                values |= self._fetch(reader, unread)  # a press and its release at once are one story
             told = touched + later
             native, every = told[keys.stamp(self._shared_key)], told[self._shared_key]
             self._is_doubtful = 0 < native < every
@@ -155,8 +160,8 @@ class CommandWatch(Watch):
         stamps it is not known whose value it is before.
         """
         is_contested = self.clock.monotonic_ns() - self._foreign_ns < _CONTEST_NS
-        return (self._shared_key in values and is_contested) or (
-            keys.ESTOP in values and self._stops.may_have_missed(values[keys.ESTOP][0])
+        return (self._shared_key in values and is_contested) or any(
+            key in values and self._stops.may_have_missed(key, values[key][0]) for key in estop.KEYS
         )
 
     def _told_meanwhile(self) -> Counter[str]:
@@ -171,9 +176,9 @@ class CommandWatch(Watch):
         before, mark_before = self._slots.get(key), self._newest_mark.get(key)
         super()._put(key, value, mark, now_ns, is_foreign=is_foreign)
         sample = self._slots.get(key)
-        if key == keys.ESTOP:
+        if key in estop.KEYS:
             is_new = before is None or (before.value, mark_before) != (value, mark)
-            self._stops.on_read(value, is_new=is_new)
+            self._stops.on_read(key, value, is_new=is_new)
             self._hurry()
         if key != self._shared_key or sample is None or sample is before:
             return

@@ -70,7 +70,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         self._watches, self._receivers = list[CommandWatch](), list[CommandReceiver]()
         for path in self._paths:
             key, config, is_first = path.command_format.key, path.gate.config, not self._watches
-            asked = (keys.ESTOP, keys.ARM, *self._requests) if is_first else ()
+            asked = (*estop.KEYS, keys.ARM, *self._requests) if is_first else ()
             self._watches.append(CommandWatch(life.bus.address, [key, *asked], key=key, outages=life.bus.outages))
             arbiter = CommandArbiter(config.rivals, config.return_after_s)
             self._receivers.append(CommandReceiver(self._watches[-1], key, arbiter))
@@ -138,9 +138,8 @@ class LowLevelLoop(Generic[StateT, RecordT]):
     def _begin(self) -> None:
         """Obey a stop that holds now; of one that was released before this robot was driven nothing remains."""
         self._watch.begin_stops()
-        sample = self._watch.latest(keys.ESTOP)
-        if sample is not None and (request := estop.read(sample.value)).stop:
-            self._stop(request.reason)
+        if (found := estop.latched(self._watch.latest)) is not None:
+            self._stop(found[0].reason)
         elif (latched := self._keeper.file.read()) is not None:  # by a bus that is gone
             self._control.stop(latched.reason)
             self._life.event("estop-remembered", severity="warning", reason=str(latched))

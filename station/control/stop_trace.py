@@ -2,11 +2,13 @@
 
 The server tells of every write of a key, in order, but not of what was written. So writes are counted: where more were
 told of than values were read, one of them may have been a stop, and counts as one. Of two writes in one pipeline, of a
-write and its deletion, expiry or renaming, and of a write and a flush of the bus, the first is seen this way.
+write and its deletion, expiry or renaming, and of a write and a flush of the bus, the first is seen this way. The stop
+has two keys (`station.life.estop`), which are counted apart; what each asks for is one story.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import NamedTuple
 
 from station.life import estop
@@ -39,42 +41,43 @@ class StopTrace:
     """Remembers a stop until it is taken, whatever was written after it; not safe to share between threads."""
 
     def __init__(self) -> None:
-        self._writes = 0  # told of since a value was last read
+        self._writes = Counter[str]()  # told of since a value was last read, by key
         self._news: StopNews | None = None
 
-    def on_event(self, event: bytes) -> None:
-        """Count an event of the key, by its name; one that is not known counts as a write."""
-        self._writes += event not in _NO_WRITES
+    def on_event(self, key: str, event: bytes) -> None:
+        """Count an event of a key, by its name; one that is not known counts as a write."""
+        self._writes[key] += event not in _NO_WRITES
 
-    def may_have_missed(self, value: bytes | None) -> bool:
+    def may_have_missed(self, key: str, value: bytes | None) -> bool:
         """Whether a stop may be hidden behind a value that was read now: then all events must come before `on_read`."""
-        return self._writes > 0 and not _is_stop(value)
+        return self._writes[key] > 0 and not _is_stop(key, value)
 
-    def on_read(self, value: bytes | None, *, is_new: bool) -> None:
-        """Read what the key holds.
+    def on_read(self, key: str, value: bytes | None, *, is_new: bool) -> None:
+        """Read what a key holds.
 
         Args:
-            value: It; None where there is no key.
+            key: It.
+            value: What it holds; None where there is no such key.
             is_new: Whether it differs from what was read before; where the bus is polled, no event tells of a write.
         """
-        writes, self._writes = self._writes, 0
+        writes = self._writes.pop(key, 0)
         if value is None:
             if writes:
                 self._stop(_REMOVED)
-        elif _is_stop(value):
+        elif _is_stop(key, value):
             if writes or is_new:
-                self._stop(estop.read(value).reason)
+                self._stop(estop.read(value, key=key).reason)
         elif writes > 1:
             self._stop(_OVERWRITTEN)
             self._release(estop.read(value))
         elif writes or is_new:
             self._release(estop.read(value))
 
-    def on_cut(self, value: bytes | None, *, is_new: bool) -> None:
-        """Read what the key holds after a time of which not every write was told."""
-        if (is_new or self._writes) and not _is_stop(value):
+    def on_cut(self, key: str, value: bytes | None, *, is_new: bool) -> None:
+        """Read what a key holds after a time of which not every write was told."""
+        if (is_new or self._writes[key]) and not _is_stop(key, value):
             self._stop(_UNHEARD)
-        self.on_read(value, is_new=is_new)
+        self.on_read(key, value, is_new=is_new)
 
     def begin(self) -> None:
         """Forget what came until now: for a robot that was not driven yet only what the key holds counts."""
@@ -106,5 +109,5 @@ class StopTrace:
             self._news = StopNews(request)
 
 
-def _is_stop(value: bytes | None) -> bool:
-    return value is not None and estop.read(value).stop
+def _is_stop(key: str, value: bytes | None) -> bool:
+    return value is not None and estop.read(value, key=key).stop

@@ -1,24 +1,35 @@
-"""The emergency stop's key: what its value asks for. In doubt it asks to stop.
+"""The emergency stop's keys: what their values ask for. In doubt they ask to stop.
 
-A restarted bus has forgotten the key, and a server that starts after that would not know of a latched stop. So those
+`station.bus.keys.ESTOP` holds a stop or its release. A bus with a user per role lets only the operator write it; all
+others press on `station.bus.keys.ESTOP_PRESSED`, whose every write is a stop, whatever its value: a role that may press
+can neither release a stop nor overwrite one of somebody else with a release. It is removed by a release.
+
+A restarted bus has forgotten the keys, and a server that starts after that would not know of a latched stop. So those
 that do know say it again, but only where the key holds nothing (``SET … NX``, one step of the server's): whatever
 anybody has written since, a reset above all, stands.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import msgspec
 
-from station.bus import codec, keys
+from station.bus import acl, codec, keys
 from station.bus.client import Bus
+from station.bus.sample import Sample
 from station.bus.watch import Watch
+
+KEYS = (keys.ESTOP_PRESSED, keys.ESTOP)
+"""In the order in which they are read: of a press and a release that came at once, the press is seen first."""
+
+_UNNAMED = "emergency stop"
 
 
 @dataclass(frozen=True, slots=True)
 class StopRequest:
-    """What the newest value of `station.bus.keys.ESTOP` asks for.
+    """What the newest value of one of `KEYS` asks for.
 
     Attributes:
         stop: Whether to stop; False asks to leave the stop.
@@ -42,24 +53,50 @@ def restate(bus: Bus, reason: str, who: str) -> bool:
     Raises:
         BusError: the bus is lost, or did not answer in time.
     """
+    key = acl.stop_key(bus.address.username)
+    if key != keys.ESTOP and bus.get(keys.ESTOP) is not None:
+        return False
     value = codec.json_object({"stop": True, "reason": reason, "restated_by": who})
-    return bus.call("SET", keys.ESTOP, value, "NX") is not None
+    return bus.call("SET", key, value, "NX") is not None
 
 
-def read(data: bytes) -> StopRequest:
-    """Read a value: nothing, ``0`` or an object with ``"stop": false`` resets; whatever else it is, it stops."""
+def latched(find: Callable[[str], Sample | None]) -> tuple[StopRequest, Sample] | None:
+    """Return the stop that the keys hold, and the sample that asks for it; or None.
+
+    Args:
+        find: Returns what a key holds.
+    """
+    samples = (find(key) for key in KEYS)
+    asked = [(read(sample.value, key=sample.key), sample) for sample in samples if sample is not None]
+    return next((found for found in asked if found[0].stop), None)
+
+
+def read(data: bytes, *, key: str = keys.ESTOP) -> StopRequest:
+    """Read a value: nothing, ``0`` or an object with ``"stop": false`` resets; whatever else it is, it stops.
+
+    Args:
+        data: It.
+        key: One of `KEYS`. On `station.bus.keys.ESTOP_PRESSED` nothing resets.
+    """
+    request = _read(data)
+    if key == keys.ESTOP_PRESSED and not request.stop:
+        return StopRequest(stop=True, reason=_UNNAMED)
+    return request
+
+
+def _read(data: bytes) -> StopRequest:
     if data.strip() in (b"", b"0"):
         return StopRequest(stop=False, reason="reset by the operator")
     try:
         value = codec.parse_json(data)
     except codec.BadValue:
-        return StopRequest(stop=True, reason="emergency stop")
+        return StopRequest(stop=True, reason=_UNNAMED)
     if not isinstance(value, dict):
-        return StopRequest(stop=True, reason="emergency stop")
+        return StopRequest(stop=True, reason=_UNNAMED)
     said = ", ".join(str(value[name]) for name in ("who", "reason") if value.get(name))
     if value.get("stop") is False:
         return StopRequest(stop=False, reason=said or "reset by the operator", arm=value.get("arm") is True)
-    return StopRequest(stop=True, reason=said or "emergency stop")
+    return StopRequest(stop=True, reason=said or _UNNAMED)
 
 
 class _Gate(msgspec.Struct):
@@ -69,7 +106,7 @@ class _Gate(msgspec.Struct):
 
 
 class StopWatch:
-    """Whether the stop is latched, for what commands a robot: by its key, or by the word of the robot that obeys it.
+    """Whether the stop is latched, for what commands a robot: by its keys, or by the word of the robot that obeys it.
 
     Args:
         watch: Watches the keys of `watched`.
@@ -83,13 +120,12 @@ class StopWatch:
     @staticmethod
     def watched(robot: str) -> list[str]:
         """Return the keys that must be watched."""
-        return [keys.ESTOP, keys.command_gate(robot)]
+        return [*KEYS, keys.command_gate(robot)]
 
     def why_stopped(self) -> str:
         """Return why the robot is stopped, or ""; of what its gate says the change counts, as the word may be old."""
-        sample = self._watch.latest(keys.ESTOP)
-        if sample is not None and (request := read(sample.value)).stop:
-            return request.reason
+        if (found := latched(self._watch.latest)) is not None:
+            return found[0].reason
         gate = self._gate()
         self._was_free = self._was_free or gate.state not in ("", "stopped")
         return gate.reason if self._was_free and gate.state == "stopped" else ""

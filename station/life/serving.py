@@ -16,7 +16,7 @@ from pathlib import Path
 import msgspec
 
 from station.bus import address as addresses
-from station.bus import password_file
+from station.bus import keys, password_file
 from station.bus.address import PASSWORD_FILE_VARIABLE, USER_VARIABLE, BusAddress
 from station.bus.client import Bus
 from station.bus.protection import inspect
@@ -34,7 +34,7 @@ def serve(kind: ServerKind, config: msgspec.Struct, *, address: BusAddress | Non
 
     Raises:
         BusError: the bus cannot be reached at the start.
-        Refused: a live server already has this name.
+        Refused: a live server already has this name, or this user of the bus may not say how the server is doing.
     """
     name = name or kind.name
     with Bus(for_role(address or addresses.default(), kind.role), name=name, timeout_s=_PATIENCE_S) as bus:
@@ -44,6 +44,7 @@ def serve(kind: ServerKind, config: msgspec.Struct, *, address: BusAddress | Non
         set_on_signals(life.stop_event, second_interrupts=True)  # the second does not wait for a clean end
         reason = "stopped"
         try:
+            _expect_allowed(bus, name, kind.role)
             return kind.main(config, life)
         except StationError as error:
             reason = str(error)
@@ -64,6 +65,16 @@ def _claim(bus: Bus, name: str) -> None:
                 f"server {name!r} is already running on {bus.address} (pid {health.pid} on {health.host}); "
                 "stop it first, or start this one under another --name"
             )
+
+
+def _expect_allowed(bus: Bus, name: str, role: str) -> None:
+    bus.call("PING")  # answered after the first heartbeat
+    if "NOPERM" in bus.last_error:
+        raise Refused(
+            f"user {bus.address.username or 'default'!r} of the bus may not write {keys.server(name)}; expected user "
+            f"{role!r}: name the file of its password in ${PASSWORD_FILE_VARIABLE}, and no other user in "
+            f"${USER_VARIABLE}; where the list is made for runbooks, for one with this server"
+        )
 
 
 def _warn_of_strangers(bus: Bus) -> None:

@@ -14,7 +14,7 @@ from types import TracebackType
 
 import msgspec
 
-from station.bus import codec, keys
+from station.bus import acl, codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.errors import BusError, NotReady
@@ -59,6 +59,8 @@ class StopButton:
         self._clock = self._bus.clock
         self._who = who or getpass.getuser()
         self._lock = self._clock.lock()
+        self._user = address.username or "default"
+        self._press_key = acl.stop_key(address.username)
         self._keeper = StopKeeper(address)
 
     def press(self, reason: str) -> None:
@@ -69,7 +71,7 @@ class StopButton:
         """
         asked_ns = self._clock.monotonic_ns()
         try:
-            self._write({"stop": True, "who": self._who, "reason": reason})
+            self._write(self._press_key, {"stop": True, "who": self._who, "reason": reason})
         except BusError as error:
             raise BusError(f"the stop was NOT taken ({error}); use the robot's own stop") from None
         finally:
@@ -83,9 +85,11 @@ class StopButton:
         """
         asked_ns = self._clock.monotonic_ns()
         try:
-            self._write({"stop": False, "who": self._who, "reason": reason} | ({"arm": True} if arm else {}))
+            request = {"stop": False, "who": self._who, "reason": reason} | ({"arm": True} if arm else {})
+            self._write(keys.ESTOP, request, removed=keys.ESTOP_PRESSED)
         except BusError as error:
-            raise BusError(f"the stop is still latched ({error})") from None
+            who = f"; expected the bus's operator, not {self._user!r}" if "NOPERM" in str(error) else ""
+            raise BusError(f"the stop is still latched ({error}){who}") from None
         self._keeper.release(f"{self._who}, {reason}", asked_ns)
 
     def unstopped(self, within_s: float = WITHIN_S) -> dict[str, str]:
@@ -138,23 +142,28 @@ class StopButton:
     ) -> None:
         self.close()
 
-    def _write(self, request: dict[str, object]) -> None:
+    def _write(self, key: str, request: dict[str, object], *, removed: str = "") -> None:
         value, deadline_s = codec.json_object(request), self._clock.monotonic_s() + WITHIN_S
         while True:
             try:
                 with self._lock:
-                    self._write_once(value)
-            except BusError:
+                    self._write_once(key, value, removed)
+            except BusError as error:
+                if key == keys.ESTOP_PRESSED and "NOPERM" in str(error):
+                    key = keys.ESTOP  # by a list that was made before there was a key of its own for a press
+                    continue
                 if self._clock.monotonic_s() > deadline_s:
                     raise
                 self._clock.sleep(_AGAIN_S)
             else:
                 return
 
-    def _write_once(self, value: bytes) -> None:
+    def _write_once(self, key: str, value: bytes, removed: str) -> None:
         """Write it and wait for the server's word: a write that is only on its way stops no robot."""
+        if removed and self._bus.get(removed) is not None:
+            self._bus.call("DEL", removed)
         lost = self._bus.lost_writes
-        if not self._bus.publish({keys.ESTOP: value}):
+        if not self._bus.publish({key: value}):
             raise BusError(self._bus.last_error or f"bus {self._bus.address}: no answer")
         self._bus.call("PING")  # answered after the write, on the same line
         if self._bus.lost_writes > lost:

@@ -16,14 +16,14 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
 
 from station.atomic_file import write_atomic
 from station.bus import address as addresses
-from station.bus import codec, keys, stamp
+from station.bus import codec, stamp
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.sample import Sample
@@ -225,13 +225,19 @@ def latched(bus: Bus) -> LatchedStop | None:
     Raises:
         BusError: the bus is lost.
     """
-    return StopFile(bus.address).read() or on_bus(bus.address, bus.read([keys.ESTOP]).get(keys.ESTOP))
+    return StopFile(bus.address).read() or on_bus(bus.address, bus.read(estop.KEYS).get)
 
 
-def on_bus(address: BusAddress, sample: Sample | None) -> LatchedStop | None:
-    """Return the stop that a sample of the stop's key says is latched, or None."""
-    if sample is None or not (request := estop.read(sample.value)).stop:
+def on_bus(address: BusAddress, find: Callable[[str], Sample | None]) -> LatchedStop | None:
+    """Return the stop that the keys of the stop hold, or None.
+
+    Args:
+        address: The bus.
+        find: Returns what a key holds.
+    """
+    if (found := estop.latched(find)) is None:
         return None
+    request, sample = found
     since_wall_ns = None if sample.stamp is None else sample.stamp.wall_ns
     return LatchedStop(reason=printable(request.reason, _LONGEST), since_wall_ns=since_wall_ns, remedy=remedy(address))
 

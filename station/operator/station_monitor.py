@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from station.bus import keys
 from station.bus.client import Bus
 from station.errors import BusError
 from station.life import estop, events
@@ -83,8 +82,8 @@ class StationMonitor:
     def __init__(self, bus: Bus, name: str = "") -> None:
         self._bus, self._name, self._clock = bus, name, bus.clock
         self._feed = EventFeed(bus)
-        self._watch = bus.watch([keys.ESTOP])
-        self._stop_seen = self._watch.latest(keys.ESTOP)  # one from before our time is no news
+        self._watch = bus.watch(estop.KEYS)
+        self._seen = {key: self._watch.latest(key) for key in estop.KEYS}  # one from before our time is no news
         self._silence_monitor = SilenceMonitor()
         self._look_s = self._connected_s = self._clock.monotonic_s()
         self._is_lost = False
@@ -113,14 +112,15 @@ class StationMonitor:
         self.close()
 
     def _stop(self) -> list[Event]:
-        sample = self._watch.latest(keys.ESTOP)
-        if sample is self._stop_seen:
-            return []
-        self._stop_seen = sample
-        if sample is None or sample.arrived_ns is None:
-            return []
-        request = estop.read(sample.value)
-        return [_event("estop", reason=request.reason)] if request.stop else []
+        found = []
+        for key in estop.KEYS:
+            sample, seen = self._watch.latest(key), self._seen[key]
+            self._seen[key] = sample
+            if sample is None or sample is seen or sample.arrived_ns is None:
+                continue
+            if (request := estop.read(sample.value, key=key)).stop:
+                found.append(_event("estop", reason=request.reason))
+        return found
 
     def _poll_servers(self, now_s: float) -> list[Event]:
         if self._watch.is_connected:

@@ -26,10 +26,10 @@ class StopMemory:
 
     def __init__(self, bus: Bus, who: str) -> None:
         self._bus, self._who = bus, who
-        self._watch = bus.watch([keys.ESTOP])
+        self._watch = bus.watch(estop.KEYS)
         self._connections = self._watch.connections
         self._keeper = StopKeeper(bus.address)
-        self._kept: Sample | None = None
+        self._kept: dict[str, Sample] = {}
 
     def poll(self) -> str:
         """Keep a new stop in the file; say one again that the bus has forgotten, and return its reason, else "".
@@ -40,10 +40,10 @@ class StopMemory:
         self._keep()
         if not self.has_forgetful_bus:
             return ""
-        connections, request = self._watch.connections, self._newest()
-        is_said = request is not None and request.stop and estop.restate(self._bus, request.reason, self._who)
+        connections, found = self._watch.connections, estop.latched(self._watch.latest)
+        is_said = found is not None and estop.restate(self._bus, found[0].reason, self._who)
         self._connections = connections
-        return request.reason if request is not None and is_said else ""
+        return found[0].reason if found is not None and is_said else ""
 
     def latched(self) -> LatchedStop | None:
         """Return the stop that nobody has released, by the file or by the bus; or None.
@@ -52,11 +52,11 @@ class StopMemory:
         """
         self._keep()
         address = self._bus.address
-        heard = self._keeper.file.read() or on_bus(address, self._watch.latest(keys.ESTOP))
+        heard = self._keeper.file.read() or on_bus(address, {keys.ESTOP: self._watch.latest(keys.ESTOP)}.get)
         if heard is not None:
             return heard
         try:
-            return on_bus(address, self._bus.read([keys.ESTOP]).get(keys.ESTOP))
+            return on_bus(address, self._bus.read(estop.KEYS).get)
         except BusError:
             return None
 
@@ -68,18 +68,16 @@ class StopMemory:
     @property
     def is_stopped(self) -> bool:
         """Whether the stop is latched on the bus, as far as was heard."""
-        request = self._newest()
-        return request is not None and request.stop
+        return estop.latched(self._watch.latest) is not None
 
     def _keep(self) -> None:
-        sample = self._watch.latest(keys.ESTOP)
-        if sample is not self._kept and sample is not None and (request := estop.read(sample.value)).stop:
-            self._keeper.latch(request.reason, sample.arrived_ns)
-        self._kept = sample
-
-    def _newest(self) -> estop.StopRequest | None:
-        sample = self._watch.latest(keys.ESTOP)  # what a restarted bus has not stays here as it was
-        return estop.read(sample.value) if sample is not None else None
+        for key in estop.KEYS:
+            sample = self._watch.latest(key)  # what a restarted bus has not stays here as it was
+            if sample is None or sample is self._kept.get(key):
+                continue
+            self._kept[key] = sample
+            if (request := estop.read(sample.value, key=key)).stop:
+                self._keeper.latch(request.reason, sample.arrived_ns)
 
     def close(self) -> None:
         """Watch no more; what was latched is in the file."""

@@ -177,12 +177,13 @@ def _motion_control(data: bytes) -> None:
 
 
 def _stop(data: bytes) -> None:
-    request = estop.read(data)
-    codec.json_object({"reason": request.reason, "stop": request.stop})
     trace = StopTrace()
-    trace.on_event(b"set")
-    trace.on_read(data, is_new=True)
-    assert trace.has_news
+    for key in estop.KEYS:
+        request = estop.read(data, key=key)
+        codec.json_object({"reason": request.reason, "stop": request.stop})
+        trace.on_event(key, b"set")
+        trace.on_read(key, data, is_new=True)
+    assert trace.is_stop_pending
 
 
 def _kept_stop(data: bytes) -> None:
@@ -321,8 +322,8 @@ def _drawn(data: bytes) -> None:
 def _look_on(data: bytes) -> None:
     shelf: Any = Shelf({})
     monitor = StationMonitor.__new__(StationMonitor)
-    monitor._watch, monitor._stop_seen = shelf, None
-    shelf.values[keys.ESTOP] = data
+    monitor._watch, monitor._seen = shelf, dict.fromkeys(estop.KEYS)
+    shelf.values |= dict.fromkeys(estop.KEYS, data)
     monitor._stop()
 
 

@@ -8,6 +8,7 @@ import signal
 from contextlib import suppress
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from station.bus import codec, keys
@@ -79,6 +80,17 @@ def test_a_bus_that_was_away_takes_it_as_soon_as_it_is_back(tmp_path: Path) -> N
                 return bus.get(keys.ESTOP) is not None
 
             wait_until(is_taken)  # it comes back by itself
+
+
+def test_a_user_whose_list_knows_no_key_for_a_press_alone_still_stops(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="t", timeout_s=5.0) as bus:
+        patterns = (f"%W~{keys.ESTOP}", f"%W~{keys.stamp(keys.ESTOP)}", "%R~*")
+        bus.call("ACL", "SETUSER", "command", "reset", "on", ">secret", "allchannels", *patterns, "+@all")
+        address = msgspec.structs.replace(bus_server, username="command", password="secret")
+        with StopButton(address) as button:
+            button.press("a test")
+        assert codec.parse_json(bus.get(keys.ESTOP) or b"")["stop"] is True
+        bus.call("ACL", "DELUSER", "command")
 
 
 def test_a_stop_that_may_not_be_written_is_told(bus_server: BusAddress) -> None:

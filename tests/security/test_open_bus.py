@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from station.bus import address as addresses
-from station.bus import password_file
+from station.bus import keys, password_file
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.connection import Connection
@@ -118,6 +118,23 @@ def test_a_later_server_without_a_password_is_found_although_a_killed_one_left_a
     first.stop()
 
 
+def test_a_user_that_the_environment_names_is_meant_on_a_bus_of_our_own_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    beside = password_file.beside(addresses.runtime_folder() / "bus.sock")
+    password_file.write(beside, {"operator": "o"})
+    password_file.write(tmp_path / "all", {"operator": "o", "viewer": "v"})
+    monkeypatch.setenv("STATION_BUS_PASSWORD_FILE", str(tmp_path / "all"))
+    assert (addresses.own().username, addresses.own().password) == ("operator", "o")
+    monkeypatch.setenv("STATION_BUS_USER", "viewer")
+    assert (addresses.own().username, addresses.own().password) == ("viewer", "v")
+    monkeypatch.delenv("STATION_BUS_PASSWORD_FILE")
+    with pytest.raises(ConfigError, match="no password of user 'viewer'"):
+        addresses.own()
+    beside.unlink()
+    assert addresses.own().username is None
+
+
 def test_start_of_an_open_bus_tells_where_the_password_is_and_what_does_not_work(free_port: int) -> None:
     arguments = [sys.executable, "-m", "station", "bus", "start", "--bind", "0.0.0.0", "--tcp", str(free_port)]
     with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as process:
@@ -204,6 +221,16 @@ def test_acl_command_prints_hashes_and_leaves_the_passwords_in_a_closed_file(tmp
     assert f"user viewer reset on #{digest}" in _acl("--password-hash", f"viewer={digest}").stdout
     assert _acl("--password-hash", "viewer=x", code=2).stderr.startswith("station: --password-hash viewer")
     assert "did you mean 'viewer'" in _acl("--password-hash", f"viewr={digest}", code=2).stderr
+
+
+def test_a_list_for_a_runbook_lets_a_role_speak_for_its_own_servers_alone() -> None:
+    users = {line.split()[1]: line.split() for line in _acl("--runbook", "g1-demo").stdout.splitlines()}
+    own = {role: [right for right in rights if keys.SERVER_PREFIX in right] for role, rights in users.items()}
+    assert own["low-level"] == [f"%W~{keys.server('g1')}", f"%W~{keys.server('g1')}@"]
+    assert own["command"] == [f"%W~{keys.server('motion')}", f"%W~{keys.server('motion')}@"]
+    assert own["viewer"] == own["operator"] == own["observer"] == []
+    assert f"%W~{keys.server_config('g1')}@" in users["low-level"]
+    assert "did you mean 'g1-demo'" in _acl("--runbook", "g1-dmo", code=2).stderr
 
 
 def _acl(*arguments: str, code: int = 0) -> subprocess.CompletedProcess[str]:

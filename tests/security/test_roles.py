@@ -21,7 +21,9 @@ from station.bus.redis_server import RedisServer
 from station.bus.tap import open_tap
 from station.episode.reading.reader import open_episode
 from station.errors import BusError
+from station.life import estop, stop_file
 from station.life.server import read_health
+from station.life.stop_button import StopButton
 from tests.security.conftest import As
 from tests.servers.g1_station import PATIENT
 from tests.waiting import DEADLINE_S, wait_until
@@ -75,14 +77,43 @@ def test_keys_of_a_robot_that_nothing_knows_have_their_roles_too(as_role: As) ->
         assert {one for one in acl.ROLES if may_write(as_role(one), key)} == expected
 
 
-def test_viewers_write_nothing_at_all(as_role: As) -> None:
+def test_viewers_press_the_stop_and_write_nothing_else(as_role: As) -> None:
     names = [*(contract.key for contract in contracts.contracts()), keys.ESTOP, keys.RECORD, "anything"]
-    assert not [key for key in names if may_write(as_role("viewer"), key)]
+    assert [key for key in names if may_write(as_role("viewer"), key)] == [keys.ESTOP_PRESSED]
 
 
-def test_an_emergency_stop_comes_from_all_who_move_or_sense(as_role: As) -> None:
-    found = {role for role in acl.ROLES if may_write(as_role(role), keys.ESTOP)}
-    assert found == {"command", "low-level", "sensor", "operator"}
+def test_everybody_may_press_the_stop_and_only_an_operator_may_release_it(as_role: As) -> None:
+    assert [role for role in acl.ROLES if may_write(as_role(role), keys.ESTOP_PRESSED)] == list(acl.ROLES)
+    assert [role for role in acl.ROLES if may_write(as_role(role), keys.ESTOP)] == ["operator"]
+    with StopButton(as_role("operator")) as operator:
+        for role in acl.ROLES:
+            with StopButton(as_role(role)) as button, Bus(as_role(role), name="t", timeout_s=5.0) as bus:
+                button.press("a test")
+                found = stop_file.on_bus(bus.address, bus.read(estop.KEYS).get)
+                assert found is not None, role
+                assert found.reason.endswith("a test"), role
+                if role != "operator":
+                    with pytest.raises(BusError, match=r"still latched .*NOPERM"):
+                        button.release("a test")
+                    for request in (["DEL", keys.ESTOP_PRESSED], ["GETDEL", keys.ESTOP_PRESSED]):
+                        with pytest.raises(BusError, match="NOPERM"):
+                            bus.call(*request)
+            operator.release("a test")
+        with Bus(as_role("viewer"), name="t", timeout_s=5.0) as bus:
+            assert stop_file.on_bus(bus.address, bus.read(estop.KEYS).get) is None
+
+
+def test_a_stopped_robot_says_its_stop_again_as_its_own_role_and_never_over_a_release(as_role: As) -> None:
+    with (
+        StopButton(as_role("operator")) as operator,
+        Bus(as_role("low-level"), name="g1", timeout_s=5.0) as robot,
+    ):
+        assert estop.restate(robot, "somebody came near", "g1")
+        assert not estop.restate(robot, "somebody came near", "g1")
+        assert estop.read(robot.get(keys.ESTOP_PRESSED) or b"", key=keys.ESTOP_PRESSED).reason == "somebody came near"
+        operator.release("a test")
+        assert not estop.restate(robot, "somebody came near", "g1")
+        assert robot.get(keys.ESTOP_PRESSED) is None
 
 
 def test_no_role_may_change_the_server_read_its_users_or_spy_on_it(as_role: As) -> None:
@@ -161,6 +192,11 @@ def test_a_whole_station_works_with_a_user_for_each_of_its_servers(
                 wait_until(lambda: (s := watch.latest(keys.command_gate(ROBOT))) and b'"tracking"' in s.value)
             motion.send_signal(signal.SIGTERM)
             assert motion.wait(DEADLINE_S) == 0
+        with StopButton(as_role("sensor")) as button, StopButton(address) as operator:
+            button.press("smoke")
+            assert button.unstopped(DEADLINE_S) == {}
+            operator.release("all is well")
+            assert operator.unreleased(DEADLINE_S) == []
         folder = _ask_recorder(address, "stop")
         lost = {health.name: health.lost_writes for health in read_health(bus)}
         for process in (g1, recorder):
@@ -171,7 +207,8 @@ def test_a_whole_station_works_with_a_user_for_each_of_its_servers(
     assert not any(lost.values()), lost
     reader = open_episode(folder)
     assert reader.manifest.recorder.backend == "replication"
-    assert {twist_keys.action_body(), keys.robot_state(ROBOT), keys.policy_action(ROBOT)} <= set(reader.topics())
+    written = {twist_keys.action_body(), keys.robot_state(ROBOT), keys.policy_action(ROBOT), keys.ESTOP_PRESSED}
+    assert written <= set(reader.topics())
     kept = b"".join(path.read_bytes() for path in data.rglob("*") if path.is_file())
     kept += b"".join(message.data for message in reader.messages())
     assert not [role for role, password in passwords.items() if password.encode() in kept]
@@ -184,6 +221,16 @@ def _ask_recorder(address: BusAddress, action: str) -> str:
         answer = remote.ask(bus, action, timeout_s=30.0, **({"task": "roles"} if action == "start" else {}))  # type: ignore[arg-type]
     assert answer.path is not None
     return answer.path
+
+
+def test_a_server_whose_user_may_not_speak_for_it_says_so_and_does_not_start(
+    as_role: As, password_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STATION_BUS_USER", "viewer")
+    with _server("motion", as_role("viewer"), password_file, tmp_path, "motion=builtin:march") as motion:
+        _, said = motion.communicate(timeout=DEADLINE_S)
+    assert motion.returncode == 1
+    assert "user 'viewer' of the bus may not write station:server:motion; expected user 'command'" in said
 
 
 def test_status_and_doctor_work_for_a_viewer(as_role: As, password_file: Path) -> None:

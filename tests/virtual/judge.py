@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from station.bus import codec, keys, stamp
+from station.life import estop
 from station.life.writer_conflict import FOREIGN
 from station.protocols import Floats
 from tests.control.ideal_robot import Obedient
@@ -70,7 +71,8 @@ class Bus:
         self.gone: list[float] = []  # when the key of the stop held no stop any more
         self.arms: list[float] = []
         for place, (at_ns, name, value) in enumerate(journal):
-            if name == keys.ESTOP.encode() and (value is None or not _stops(value)):
+            is_gone = value is None if name == keys.ESTOP_PRESSED.encode() else value is None or not _stops(value)
+            if name.decode() in estop.KEYS and is_gone:
                 self.gone.append(at_ns * 1e-9)
             if value is None:
                 continue
@@ -78,6 +80,8 @@ class Bus:
                 after = journal[place + 1] if place + 1 < len(journal) else None
                 is_marked = after is not None and after[:2] == (at_ns, mark_key)
                 self.commands.append(_command(at_ns * 1e-9, value, after[2] if after and is_marked else None))
+            elif name == keys.ESTOP_PRESSED.encode():
+                self.stops.append(at_ns * 1e-9)
             elif name == keys.ESTOP.encode():
                 (self.stops if _stops(value) else self.releases).append(at_ns * 1e-9)
                 if b'"arm":true' in value:

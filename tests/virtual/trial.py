@@ -16,6 +16,7 @@ from station.bus import codec, keys, stamp
 from station.bus.connection import Connection
 from station.control.gate import GateConfig
 from station.errors import BusError
+from station.life import estop
 from station.life.stop_button import StopButton
 from tests.virtual.clock import VirtualClock
 from tests.virtual.judge import Bus, Judge
@@ -221,8 +222,11 @@ class Trial:
         self._button("the stop is released", lambda button: button.release("trial", arm=self._rng.random() < 0.5))
 
     def _stop(self) -> None:
-        value = self._rng.choice([b"1", b"true", b"{", b"\xff", b'{"stop":true}', b'{"stop":1}', b"[0]", b"00"])
-        self._raw("SET of a stop", ["SET", keys.ESTOP, value])
+        key = self._rng.choice(estop.KEYS) if self._is_told else keys.ESTOP  # polled, the same bytes again are no news
+        values = [b"1", b"true", b"{", b"\xff", b'{"stop":true}', b'{"stop":1}', b"[0]", b"00"]
+        if key == keys.ESTOP_PRESSED:
+            values += [b"0", b"", b'{"stop":false}']
+        self._raw(f"SET of a stop, {key}", ["SET", key, self._rng.choice(values)])
 
     def _release(self) -> None:
         self._raw("SET of a release", ["SET", keys.ESTOP, "0"])
@@ -240,6 +244,10 @@ class Trial:
             ["SET", keys.ESTOP, "0"], ["DEL", keys.ESTOP], ["GETDEL", keys.ESTOP], ["RENAME", keys.ESTOP, "x"],
             ["FLUSHALL"], ["MSET", keys.ESTOP, "0", "x", "1"],
         ])  # fmt: skip
+        if after[0] == "DEL" and self._rng.random() < 0.5:
+            self._raw("a press, and its release in the same breath", ["SET", keys.ESTOP_PRESSED, "1"],
+                      ["DEL", keys.ESTOP_PRESSED], ["SET", keys.ESTOP, "0"])  # fmt: skip
+            return
         self._raw(f"a stop, and {after[0]} in the same breath", ["SET", keys.ESTOP, "1"], after)
 
     def _stop_past_the_bus(self) -> None:
