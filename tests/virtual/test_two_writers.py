@@ -103,7 +103,10 @@ def test_whoever_begins_last_is_obeyed_where_that_is_configured(clock: VirtualCl
 
 @pytest.mark.parametrize("seed", some(range(18)))
 def test_nothing_of_a_stock_script_is_taken_for_ours_though_word_of_its_writes_comes_late(seed: int) -> None:
-    """What was read comes on one line, word of writes on another, and a network delays each as it likes."""
+    """What was read comes on one line, word of writes on another, and a network delays each as it likes.
+
+    Where both write within the same moment for a tenth of a second, no value is known to be ours: then the robot holds.
+    """
     with alone(), VirtualClock(seed, late_ns=200_000) as clock:
         network = Network(clock, latency_ns=(10_000, 300_000))
         robot = ControlledRobot(network)
@@ -113,7 +116,9 @@ def test_nothing_of_a_stock_script_is_taken_for_ours_though_word_of_its_writes_c
         commander(network, "second", "stock", SECOND)  # its period is longer, so that they meet again and again
         seen = len(robot.ticks)
         clock.sleep(6.0)
-        assert {tick.vector[0] for tick in robot.ticks[seen:]} == {FIRST.speed}
+        slower = [after for before, after in pairwise(robot.ticks[seen:]) if after.vector[0] < before.vector[0]]
+        assert {tick.state for tick in slower} <= {"holding"}
+        assert max(tick.vector[0] for tick in robot.ticks[seen:]) == FIRST.speed
 
 
 @pytest.mark.parametrize("second", ["stock", "elsewhere", "teleop"])
