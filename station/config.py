@@ -5,6 +5,7 @@ Every problem is one line that names the file or option, the key, what was expec
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -123,9 +124,10 @@ def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
 def seconds(value: str | float, *, where: str) -> float:
     """Return a duration in seconds; ``20``, ``20s``, ``500ms``, ``2min``, ``1h``."""
     match = _DURATION.match(str(value))
-    if match is None:
+    found = float(match[1]) * _SECONDS[match[2]] if match is not None else math.inf
+    if not math.isfinite(found):
         raise ConfigError(f"{where}: expected a duration such as 20s, 500ms or 2min, got {value!r}")
-    return float(match[1]) * _SECONDS[match[2]]
+    return found
 
 
 def to_plain(config: msgspec.Struct) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from station.cli import candidates
-from station.cli.options import Verbs, address_of, bus_option, json_option
+from station.cli.options import NamedPath, Verbs, address_of, bus_option, json_option
 from station.errors import UsageError
 from station.stop_signals import set_on_signals
 
@@ -32,7 +32,7 @@ def command() -> None:
               help="Open this loopback port too, so that stock scripts connect (theirs is 6379).")  # fmt: skip
 @click.option("--bind", metavar="ADDRESS", default=None,
               help="Open the port (6379, or that of --tcp) to other machines here, with a password.")  # fmt: skip
-@click.option("--acl", "acl_file", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path), default=None,
+@click.option("--acl", "acl_file", metavar="FILE", type=NamedPath(dir_okay=False, path_type=Path), default=None,
               help="Users, and what each may do, in place of one password; see `station bus acl`.")  # fmt: skip
 def start(tcp_port: int | None, bind: str | None, acl_file: Path | None) -> None:
     """Run a bus in this terminal until it is interrupted."""
@@ -94,7 +94,7 @@ def _introduce(server: KeptServer, options: ServerOptions) -> None:
 
 
 @command.command("acl")
-@click.option("--passwords", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path), default=None,
+@click.option("--passwords", metavar="FILE", type=NamedPath(dir_okay=False, path_type=Path), default=None,
               help="Make a password for each role, write them to FILE (mode 0600), print hashes.")  # fmt: skip
 @click.option("--password-hash", "hashes", metavar="ROLE=SHA256", multiple=True, help="Hash of a role's password.")
 @click.option("--runbook", "books", metavar="RUNBOOK", multiple=True, shell_complete=candidates.runbooks,
@@ -109,6 +109,10 @@ def acl(passwords: Path | None, hashes: tuple[str, ...], books: tuple[str, ...])
 
     digests = dict(_hash(option) for option in hashes)
     if passwords is not None:
+        if passwords.exists():
+            raise UsageError(
+                f"--passwords {passwords}: exists, and may hold passwords in use; name another, or remove it"
+            )
         made = {role: password for role, password in lists.new_passwords().items() if role not in digests}
         password_file.write(passwords, made)
         digests |= {role: lists.sha256(password) for role, password in made.items()}

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 import msgspec
 
-from station.cli.options import data_option, episode_argument, json_option
+from station.cli.options import NamedPath, data_option, episode_argument, json_option
 from station.errors import EpisodeError, StationError
 from station.printable import printable
 
@@ -29,7 +29,7 @@ class _NotCheckedError(StationError):
 
 @click.command("check")
 @episode_argument
-@click.option("--rules", metavar="FILE", default=None, type=click.Path(dir_okay=False, path_type=Path),
+@click.option("--rules", metavar="FILE", default=None, type=NamedPath(dir_okay=False, path_type=Path),
               help="Judge by these rules.  [default: those of $XDG_CONFIG_HOME/station/, else shipped]")  # fmt: skip
 @click.option("--print-rules", is_flag=True, is_eager=True, expose_value=False, callback=_print_rules,
               help="Print the rules that ship, every limit explained, and leave.")  # fmt: skip

@@ -19,7 +19,7 @@ from rich.markup import escape
 from station import config, libraries, registry
 from station.camera.source import CameraError, CameraKind
 from station.cli import calibrate_operator, candidates
-from station.cli.options import Verbs, json_option, set_option
+from station.cli.options import NamedPath, Verbs, json_option, set_option
 from station.cli.tables import Column, plain, print_table
 from station.clock import SYSTEM
 from station.errors import StationError, UsageError
@@ -30,6 +30,7 @@ from station.operator.voice import Cue, VoiceKind
 from station.printable import printable
 from station.stop_signals import set_on_signals
 
+_WORDS = "recording take 7"
 _PERIOD_S = 0.02
 
 
@@ -147,7 +148,7 @@ def _row(found: _Found) -> Sequence[str]:
 @command.command("fake")
 @click.argument("device", shell_complete=candidates.registered("device"))
 @click.option(
-    "--play", metavar="FILE", default=None, type=click.Path(path_type=Path),
+    "--play", metavar="FILE", default=None, type=NamedPath(path_type=Path),
     help="Script of what the operator does, a file, or builtin:DEVICE/NAME.json of a device of ours "
     "(`station assets list builtin`).  [default: the device's example]",
 )  # fmt: skip
@@ -197,17 +198,19 @@ def calibrate() -> None:
 
 @command.command("voices")
 @click.argument("voice", default="", shell_complete=candidates.registered("voice"))
-@click.option("--words", default="recording take 7", show_default=True, help="What VOICE is to say.")
+@click.option("--words", default=None, help=f"What VOICE is to say.  [default: {_WORDS}]")
 @set_option("key=value")
 @json_option
-def voices(voice: str, words: str, sets: tuple[str, ...], as_json: bool) -> None:
+def voices(voice: str, words: str | None, sets: tuple[str, ...], as_json: bool) -> None:
     """List the voices of the cues server and what each lacks here; or hear VOICE.
 
     An operator in a headset hears what happens: `station serve cues --set 'voices: [speech]'`.
     """
     if voice:
-        _try_voice(registry.find("voice", voice), words, sets)
+        _try_voice(registry.find("voice", voice), words or _WORDS, sets)
         return
+    if sets or words is not None:
+        raise UsageError(f"{'--set' if sets else '--words'}: of which voice? `station devices voices VOICE …`")
     kinds: list[VoiceKind] = [registry.find("voice", name) for name in registry.names("voice")]
     found = [{"voice": kind.name, "about": kind.about, "missing": kind.missing()} for kind in kinds]
     if as_json:
@@ -244,7 +247,7 @@ def _try_voice(kind: VoiceKind, words: str, sets: tuple[str, ...]) -> None:
 @command.command("buttons")
 @click.argument("device", default="", shell_complete=candidates.registered("device"))
 @click.option(
-    "--map", "changes", metavar="FILE", default=None, type=click.Path(path_type=Path),
+    "--map", "changes", metavar="FILE", default=None, type=NamedPath(path_type=Path),
     help="YAML file that changes what the buttons of DEVICE mean, as the teleop server's setting `buttons`.",
 )  # fmt: skip
 @json_option

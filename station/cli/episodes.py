@@ -11,7 +11,7 @@ import click
 import msgspec
 
 from station.cli import candidates, check, enrich
-from station.cli.options import Verbs, data_option, episode_argument, json_option
+from station.cli.options import NamedPath, Verbs, data_option, episode_argument, json_option
 from station.printable import printable
 
 _LONGEST = 10_000  # characters of a line of a manifest
@@ -136,7 +136,7 @@ def show(episode: str, data: Path | None, as_json: bool) -> None:
 @click.argument("episode", required=False, shell_complete=candidates.episodes)
 @click.option("--all", "is_all", is_flag=True, help="Every episode that was left open, or whose file is cut off.")
 @click.option(
-    "--out", metavar="DIR", default=None, type=click.Path(file_okay=False, path_type=Path),
+    "--out", metavar="DIR", default=None, type=NamedPath(file_okay=False, path_type=Path),
     help="Put good episodes there and leave the torn ones alone.  [default: beside the torn file]",
 )  # fmt: skip
 @data_option

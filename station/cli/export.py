@@ -13,7 +13,7 @@ import msgspec
 from station import registry
 from station.cli import candidates
 from station.cli.fields import options_of
-from station.cli.options import Decorator, Verbs, data_option, jobs_option, json_option, task_option
+from station.cli.options import Decorator, NamedPath, Verbs, data_option, jobs_option, json_option, task_option
 from station.errors import StationError, UnknownName, UsageError
 from station.printable import printable
 
@@ -122,7 +122,7 @@ def _verb(kind: ExportKind) -> click.Command:
 
 def _of_every_format(function: Callable[..., None]) -> Callable[..., None]:
     """Add what every format can be asked."""
-    folder = click.Path(file_okay=False, path_type=Path)
+    folder = NamedPath(file_okay=False, path_type=Path)
     on_ray = "Work on a Ray cluster: host:port, ray://host:port, auto, or local (extra 'ray')."
     options: list[Decorator] = [
         click.argument("episodes", nargs=-1, shell_complete=candidates.episodes),

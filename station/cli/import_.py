@@ -11,7 +11,7 @@ import msgspec
 
 from station import registry
 from station.cli import candidates
-from station.cli.options import data_option, jobs_option, json_option
+from station.cli.options import NamedPath, data_option, jobs_option, json_option
 from station.errors import BadFile, UnknownName
 from station.printable import printable
 
@@ -33,7 +33,7 @@ def _list(ctx: click.Context, _option: click.Parameter, is_asked: bool) -> None:
 @click.command("import")
 @click.argument("format_", metavar="FORMAT", shell_complete=candidates.registered("foreign"))
 @click.argument(
-    "folders", metavar="FOLDERS...", nargs=-1, required=True, type=click.Path(file_okay=False, path_type=Path)
+    "folders", metavar="FOLDERS...", nargs=-1, required=True, type=NamedPath(file_okay=False, path_type=Path)
 )
 @data_option
 @click.option("--task", default="", metavar="NAME", help="Name of their task.  [default: the recorder's own]")

@@ -10,7 +10,7 @@ import click
 
 from station import registry
 from station.bus.client import Bus
-from station.cli.options import Verbs, address_of, bus_option
+from station.cli.options import NamedPath, Verbs, address_of, bus_option
 from station.control.arm_kind import ArmServerKind
 from station.errors import UsageError
 from station.life import controller_request
@@ -84,7 +84,7 @@ def _ask(bus: str | None, robot: str, action: Action, *, profile: str = "", thro
 
 
 @command.command("controller")
-@click.option("--socket", "socket", required=True, type=click.Path(dir_okay=False, path_type=Path),
+@click.option("--socket", "socket", required=True, type=NamedPath(dir_okay=False, path_type=Path),
               help="Socket to listen at; the server's setting is then host=unix:PATH.")  # fmt: skip
 @click.option("--q-start", "q_start", default="0 0.35 0 1.6 0 1.19 0", show_default=True, metavar="RAD",
               help="Seven joints that the arm starts from.")  # fmt: skip
@@ -96,6 +96,8 @@ def controller(socket: Path, q_start: str, preset: str) -> None:
     Whatever happens to the arm's server, this arm goes on by its controller's rules; a server that is started again
     finds it where it stopped.
     """
+    if socket.exists() and not socket.is_socket():
+        raise UsageError(f"--socket {socket}: expected a socket or a new name, got a file; name another")
     native = _bridge()
     try:
         options = native.SimOptions(preset=preset, q_start=[float(word) for word in q_start.split()])
@@ -114,7 +116,7 @@ def controller(socket: Path, q_start: str, preset: str) -> None:
 
 @command.command("demo-fault")
 @click.argument("name", type=click.Choice(FAULTS))
-@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), default=None,
+@click.option("-o", "--output", type=NamedPath(dir_okay=False, path_type=Path), default=None,
               help="Where to draw it.  [default: kassow-NAME.png]")  # fmt: skip
 def demo_fault(name: str, output: Path | None) -> None:
     """Let a simulated controller fail in one of the ways that streaming to it can fail, and cure it.

@@ -15,12 +15,14 @@ import click
 from station import python_child
 from station.cli import log_lines
 from station.cli.options import COMPLETION_VARIABLE, PROGRAM, Verbs
-from station.errors import StationError
+from station.errors import StationError, UsageError
 from station.printable import printable
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
+_BAD_NAME = (errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EISDIR)
+_SHOWN = 100  # characters of such a name
 
 VERBS = {
     "demo": "Drive a simulated G1 once, record it, print the report.",
@@ -119,11 +121,17 @@ def main() -> NoReturn:
         _drop_output()  # its reader (head, less) has gone
         code = 0
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        if error.errno in _BAD_NAME and error.filename is not None:
+            _complain(
+                f"{printable(os.fsdecode(error.filename), _SHOWN)}: {error.strerror}; name another file or folder"
+            )
+            code = UsageError.exit_code
+        elif error.errno in (errno.ENOSPC, errno.EDQUOT):
+            _complain(f"{error.filename or 'the output'}: cannot be written: {error.strerror}")
+            _drop_output()
+            code = 1
+        else:
             raise
-        _complain(f"{error.filename or 'the output'}: cannot be written: {error.strerror}")
-        _drop_output()
-        code = 1
     sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -25,6 +25,8 @@ Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 def _without_password(_context: click.Context, _option: click.Parameter, url: str | None) -> str | None:
     """Warn of a password among the arguments; a URL that is none is told of where it is read."""
+    if url == "":
+        raise click.UsageError("--bus: expected an address such as redis://robot:6379 or unix:///path, got nothing")
     if url and re.match(r"^[^/]*//[^/@]*:[^/@]+@", url):
         from station.bus import address as addresses
 
@@ -36,12 +38,22 @@ def _without_password(_context: click.Context, _option: click.Parameter, url: st
     return url
 
 
+class NamedPath(click.Path):
+    """A file or folder that has a name: an unset variable of a script does not name the folder that one is in."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path that a word of the command line names."""
+        if value == "":
+            self.fail("expected a path, got nothing", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 bus_option: Decorator = click.option(
     "--bus", metavar="URL", default=None, callback=_without_password,
     help="redis://, rediss:// or unix:// address.  [default: $STATION_BUS, else of your config, else your own socket]",
 )  # fmt: skip
 data_option: Decorator = click.option(
-    "--data", metavar="DIR", default=None, type=click.Path(file_okay=False, path_type=Path),
+    "--data", metavar="DIR", default=None, type=NamedPath(file_okay=False, path_type=Path),
     help="Folder of episodes.  [default: $STATION_DATA, else of your config, else ./data]",
 )  # fmt: skip
 jobs_option: Decorator = click.option(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from station.cli.options import bus_option, data_option, episode_argument, json_option
+from station.cli.options import NamedPath, bus_option, data_option, episode_argument, json_option
 from station.stop_signals import set_on_signals
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     "--role", "roles", multiple=True, help="Only keys of this role: command, state, policy, … (bus); may repeat."
 )
 @click.option("--allow-live", is_flag=True, help="Send commands even where a robot is being driven (bus).")
-@click.option("--save", "save_as", type=click.Path(dir_okay=False, path_type=Path), default=None,
+@click.option("--save", "save_as", type=NamedPath(dir_okay=False, path_type=Path), default=None,
               help="Write this .rrd file instead of opening the viewer (rerun).")  # fmt: skip
 @click.option("--robot-model", default=None, help="MJCF to draw.  [default: the one that was recorded] (rerun)")
 @data_option

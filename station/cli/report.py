@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from station.cli import candidates
-from station.cli.options import data_option, task_option
+from station.cli.options import NamedPath, data_option, task_option
 from station.errors import UsageError
 from station.printable import printable
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 @click.command("report")
 @click.argument("episodes", metavar="[EPISODE]...", nargs=-1, shell_complete=candidates.episodes)
-@click.option("--out", metavar="FILE.html", required=True, type=click.Path(dir_okay=False, path_type=Path),
+@click.option("--out", metavar="FILE.html", required=True, type=NamedPath(dir_okay=False, path_type=Path),
               help="The file; replaced when it is there.")  # fmt: skip
 @task_option
-@click.option("--rules", metavar="FILE", default=None, type=click.Path(dir_okay=False, path_type=Path),
+@click.option("--rules", metavar="FILE", default=None, type=NamedPath(dir_okay=False, path_type=Path),
               help="Judge every episode anew by these rules; manifests stay as they are.")  # fmt: skip
 @click.option("--draw", "pictured", metavar="N", type=click.IntRange(min=0), default=None,
               help="Draw at most N episodes that are not named, the bad ones first.  [default: 40]")  # fmt: skip

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from station.cli import candidates
-from station.cli.options import Verbs, json_option
+from station.cli.options import NamedPath, Verbs, json_option
 from station.errors import UsageError
 from station.supervision import runbook as runbooks
 
@@ -46,7 +46,7 @@ def show(runbook: str) -> None:
 
 @command.command("copy")
 @click.argument("runbook", shell_complete=candidates.shipped_runbooks)
-@click.argument("file", required=False, type=click.Path(path_type=Path))
+@click.argument("file", required=False, type=NamedPath(path_type=Path))
 def copy(runbook: str, file: Path | None) -> None:
     """Write a copy of RUNBOOK that you can change to FILE, in the current folder if none is named."""
     source = runbooks.find(runbook)

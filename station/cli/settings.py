@@ -15,7 +15,7 @@ from station import config, registry
 from station.cli import candidates
 from station.cli.fields import described
 from station.cli.options import json_option, set_option
-from station.errors import ConfigError
+from station.errors import ConfigError, UsageError
 from station.life.server import ServerKind
 from station.printable import printable
 
@@ -58,6 +58,8 @@ def command(server: str, sets: tuple[str, ...], as_json: bool) -> None:
     What a driver, a robot or a camera's source takes is listed for the one that is set: `--set driver=body` shows
     another.
     """
+    if sets and not server:
+        raise UsageError(f"--set {sets[0]}: of which server? `station settings SERVER --set …`")
     if server:
         show(registry.find("server", server), sets, as_json=as_json)
         return

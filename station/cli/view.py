@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from station.cli import candidates
-from station.cli.options import address_of, bus_option, data_option
+from station.cli.options import NamedPath, address_of, bus_option, data_option
 from station.errors import StationError, UsageError
 from station.stop_signals import set_on_signals
 
@@ -25,7 +25,7 @@ _IN_ITS_FOLDER = ""  # FILE was left out
 
 @click.command("view")
 @click.argument("episode", required=False, shell_complete=candidates.episodes)
-@click.option("--save", "save_as", type=click.Path(dir_okay=False, path_type=Path), default=None,
+@click.option("--save", "save_as", type=NamedPath(dir_okay=False, path_type=Path), default=None,
               help="Write this .rrd file instead of opening the viewer; needs no display.")  # fmt: skip
 @click.option("--contact-sheet", metavar="[FILE]", is_flag=False, flag_value=_IN_ITS_FOLDER, default=None,
               help="Draw moments of EPISODE as PNG; without FILE in its folder.")  # fmt: skip

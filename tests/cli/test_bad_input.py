@@ -107,6 +107,11 @@ def test_a_bad_motion_file(bus_home: Home, tmp_path: Path, name: str) -> None:
         (["check", "latest"], "which holds 0 episodes"),
         (["audit", "latest"], "which holds 0 episodes"),
         (["replay", "latest", "--to", "bs"], "'bs' is not one of 'bus', 'sim', 'rerun'"),
+        (["estop", "--bus", ""], "--bus: expected an address such as redis://robot:6379 or unix:///path, got nothing"),
+        (["episodes", "list", "--data", ""], "'--data': expected a path, got nothing"),
+        (["settings", "--set", "x=1"], "--set x=1: of which server?"),
+        (["devices", "voices", "--words", "hi"], "--words: of which voice?"),
+        (["demo", "--for", "9" * 310], "--for: expected a duration such as 20s, 500ms or 2min"),
         (["rehearse", "builtin:wve", "--policy", "twst2"], "unknown policy 'twst2' (did you mean 'twist2'?)"),
     ],
     ids=lambda value: "-".join(value) if isinstance(value, list) else "",
@@ -139,6 +144,15 @@ def test_a_mistake_in_a_runbook(home: Home, tmp_path: Path, steps: str, told: st
     line = one_line(home.run("up", str(path), "--dry-run"))
     assert told in line
     assert "book.yaml" in line or "unknown server" in line
+
+
+def test_a_file_where_a_socket_is_to_be_stays(home: Home, tmp_path: Path) -> None:
+    kept = tmp_path / "notes.txt"
+    kept.write_text("mine")
+    assert "expected a socket or a new name, got a file" in one_line(
+        home.run("kassow", "controller", "--socket", str(kept))
+    )
+    assert kept.read_text() == "mine"
 
 
 def test_a_port_that_is_in_use(home: Home) -> None:

@@ -216,6 +216,8 @@ def test_acl_command_prints_hashes_and_leaves_the_passwords_in_a_closed_file(tmp
     assert len(passwords) == 7
     assert not [word for word in passwords if word in done.stdout + done.stderr]
     assert done.stdout.startswith("user default reset off\n")
+    assert "exists, and may hold passwords in use" in _acl("--passwords", str(file), code=2).stderr
+    assert [line.split()[1] for line in file.read_text().splitlines()] == passwords
     assert "PASSWORD-OF-command" in _acl().stdout
     digest = "ab" * 32
     assert f"user viewer reset on #{digest}" in _acl("--password-hash", f"viewer={digest}").stdout
