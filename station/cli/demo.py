@@ -18,6 +18,8 @@ from station.errors import StationError
 if TYPE_CHECKING:
     from station.episode.reading.reader import EpisodeReader
 
+RUNBOOK = "g1-demo"
+
 _INTERRUPTED = 130
 
 
@@ -44,7 +46,7 @@ def command(for_: str | None, sets: tuple[str, ...], data: Path | None, bus: str
     from station.supervision import runbook as runbooks
     from station.supervision.session import Recording
 
-    book = runbooks.load(runbooks.find("g1-demo"), sets)
+    book = runbooks.load(runbooks.find(RUNBOOK), sets)
     book.expect_found()
     seconds = None if for_ is None else config.seconds(for_, where="--for")
     gl = _leave_drawing_to_the_end()

@@ -27,6 +27,7 @@ _SHOWN = 100  # characters of such a name
 VERBS = {
     "demo": "Drive a simulated G1 once, record it, print the report.",
     "up": "Run a runbook: start a station, watch over it, take it down.",
+    "init": "Make a folder to work in: a runbook, rules, a place for episodes.",
     "runbooks": "List the runbooks that ship, show one, or copy one to change it.",
     "motions": "List the motions that can be played, or look whether a file of yours can.",
     "serve": "Run one server in this terminal.",

@@ -82,6 +82,7 @@ PAGES = {
         "station serve g1": Typed(until="active on"),
         "station serve recorder": Typed(until="active on"),
     }, has_upstream_data=False),
+    "docs/files-and-versions.md": Page(has_upstream_data=False),
     "docs/motions.md": Page(prepare=_motions),
     "docs/operators.md": Page({
         "pip install": _INSTALLS,

@@ -72,6 +72,10 @@ State = Literal["recording", "finished", "failed"]
 _Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
+class LaterManifest(EpisodeError):
+    """A manifest that a later station wrote: not broken, and not ours to mend."""
+
+
 class Manifest(msgspec.Struct, kw_only=True):
     """Everything that is known of an episode without reading its signals.
 
@@ -173,6 +177,7 @@ def parse_manifest(data: bytes, name: str) -> Manifest:
 
     Raises:
         EpisodeError: not YAML, or a field of the wrong type.
+        LaterManifest: its version is later than ours; its fields may mean something else.
     """
     try:
         document = safe_yaml.load(data)
@@ -184,6 +189,11 @@ def parse_manifest(data: bytes, name: str) -> Manifest:
         manifest = msgspec.convert(document, Manifest)
     except msgspec.ValidationError as error:
         raise EpisodeError(f"{name}: {error}") from error
+    if manifest.manifest_version > VERSION:
+        raise LaterManifest(
+            f"{name}: manifest of version {manifest.manifest_version}, by a later station; this one reads up to "
+            f"version {VERSION}: upgrade it"
+        )
     manifest.foreign = _foreign_keys(document, Manifest)
     return manifest
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from station.atomic_file import free_path
 from station.episode.storage import layout
-from station.episode.storage.manifest import Manifest, load_manifest, parse_manifest
+from station.episode.storage.manifest import LaterManifest, Manifest, load_manifest, parse_manifest
 from station.episode.storage.records import walk
 from station.errors import EpisodeError
 
@@ -44,6 +44,8 @@ def choose_manifest(folder: Path, signals: Path, attachments: Mapping[str, bytes
     file = folder / layout.MANIFEST
     try:
         return FoundManifest(load_manifest(file), "")
+    except LaterManifest:
+        raise
     except EpisodeError as error:
         found = walk(signals).attachments if attachments is None else attachments
         inside = found.get(layout.MANIFEST)

@@ -96,6 +96,24 @@ def test_a_repair_and_a_discard_do_the_same(tmp_path: Path) -> None:
     assert (last / "manifest.yaml.broken").exists()
 
 
+def test_that_of_a_later_station_is_refused_and_left_alone_though_a_copy_could_be_read(tmp_path: Path) -> None:
+    folder = recorded(tmp_path, [foreign("own", b"1")])
+    file = folder / layout.MANIFEST
+    later = file.read_text().replace("manifest_version: 1", "manifest_version: 2")
+    file.write_text(later)
+    (row,) = list_episodes(tmp_path)
+    assert "of version 2, by a later station" in row.problem
+    for words in (
+        ["check", str(folder)],
+        ["episodes", "repair", str(folder)],
+        ["export", "csv", str(folder), "--out", "x"],
+    ):
+        done = run(*words)
+        assert "of version 2, by a later station" in f"{done.output}{done.exception}"
+    assert file.read_text() == later
+    assert not (folder / "manifest.yaml.broken").exists()
+
+
 def test_where_there_is_no_copy_either_the_episode_is_broken_and_the_signals_say_why(tmp_path: Path) -> None:
     builder = EpisodeBuilder(tmp_path)
     builder.write({"own": b"[1]"}, at_s=0.5)

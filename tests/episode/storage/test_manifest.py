@@ -73,6 +73,7 @@ def test_a_misspelt_field_cannot_be_written() -> None:
         ("task: 3", r"task"),
         ("quality_flags: {falls: many}", r"quality_flags\.falls"),
         ("!!python/object/apply:os.system ['true']", "not YAML"),
+        ("manifest_version: 2", "of version 2, by a later station; this one reads up to version 1: upgrade it"),
     ],
 )
 def test_a_bad_manifest_is_refused_in_one_line_that_names_the_place(tmp_path: Path, text: str, words: str) -> None:
