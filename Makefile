@@ -6,7 +6,7 @@ JOBS   ?= 6# processes that run tests: on two cores, since most of them wait for
 
 KORD_SOURCES := $(shell find bridges/kord -type f -not -name '*.pyc' -not -path '*/build/*' 2>/dev/null)
 
-.PHONY: help demo test quick prove hunt mutants check format bench soak kord clean
+.PHONY: help docs demo test quick prove hunt mutants check format bench soak kord clean
 
 help:   ## this list
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
@@ -42,6 +42,10 @@ format: $(VENV)/.installed-test
 bench: $(VENV)/.installed-test   ## measure, and write docs/performance.md's table
 	$(BIN)/python -m benchmarks --write
 
+docs: $(VENV)/.installed-docs   ## the docs as a site, into site/
+	@$(BIN)/python -m sphinx -q -b html -W --keep-going -d build/site docs site
+	@echo "site/index.html"
+
 MINUTES ?= 60
 soak: $(VENV)/.installed-test   ## break a whole station for an hour, under load; prints figures as JSON
 	$(BIN)/python -m tests.faults.soak --minutes $(MINUTES)
@@ -68,6 +72,10 @@ $(VENV)/.installed-test: $(VENV)/.installed pyproject.toml
 	@echo "Installing what the tests need; this takes a few minutes …"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check torch==2.13.0
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,torch,train]'
+	@touch $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed pyproject.toml
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	@touch $@
 
 # Only who drives a Kassow arm needs a compiler; without one the tests of its bridge are skipped, and say so.

@@ -26,6 +26,12 @@ DISTRIBUTION = "teleop-station"
 _ELSE = "or give the station an environment of its own"
 
 
+def docs() -> Path:
+    """Return the folder of the pages of the docs: of a checkout, or those that were installed."""
+    installed = HOME / "station" / "docs"
+    return installed if installed.is_dir() else HOME / "docs"
+
+
 class Foreign(NamedTuple):
     """A foreign package under the name of one of ours.
 

@@ -169,6 +169,7 @@ def test_every_file_of_our_packages_is_in_the_wheel(built_wheel: Path) -> None:
         if path.is_file() and "__pycache__" not in path.parts
     }
     wanted = {name for name in files if not name.startswith(tuple(f"{folder}/" for folder in ELSEWHERE))}
+    wanted |= {f"station/docs/{path.name}" for path in (ROOT / "docs").glob("*.md")}
     assert wanted - packed == set()
     assert {name.partition("/")[0] for name in packed} == {*PACKAGES, f"teleop_station-{PROJECT['version']}.dist-info"}
     assert {name.rpartition("/")[2] for name in packed if "/licenses/" in name} == {"LICENSE", "NOTICE"}
@@ -193,6 +194,7 @@ def test_a_robot_walks_is_recorded_and_checked_in_an_empty_folder(python: Path, 
     page = tmp_path / "page.html"
     assert run(home, empty, "station", "report", "latest", "--out", str(page)).returncode == 0
     assert "<style>" in page.read_text()
+    assert run(home, empty, "station", "docs", "first-episode").stdout.startswith("# Record a first episode")
     doctor = run(home, empty, "station", "doctor").stdout
     assert f"teleop-station {PROJECT['version']}" in doctor
     assert "✗ package" not in doctor
@@ -217,10 +219,10 @@ def test_a_strict_type_checker_knows_our_types(python: Path, tmp_path: Path, req
 
 
 def test_the_extra_all_has_every_library_that_a_user_may_want() -> None:
-    """All but the tests' tools and those that train a policy."""
+    """All but the tools of tests and docs, and those that train a policy."""
     extras: dict[str, list[str]] = PROJECT["optional-dependencies"]
     (everything,) = extras["all"]
-    assert set(re.split("[][,]", everything)[1:-1]) == set(extras) - {"all", "test", "train"}
+    assert set(re.split("[][,]", everything)[1:-1]) == set(extras) - {"all", "docs", "test", "train"}
 
 
 def test_what_asks_for_an_extra_names_one_that_there_is() -> None:

@@ -33,6 +33,11 @@ def runbooks(context: click.Context, parameter: click.Parameter, begun: str) -> 
     return files(context, parameter, begun) + shipped_runbooks(context, parameter, begun)
 
 
+def pages(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Pages of the docs."""
+    return _fitting(begun, sorted(path.stem for path in packages.docs().glob("*.md")))
+
+
 def shipped_runbooks(_context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
     """Runbooks that ship."""
     return _fitting(begun, sorted(path.stem for path in packages.RUNBOOKS.glob("*.yaml")))

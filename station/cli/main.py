@@ -56,6 +56,7 @@ VERBS = {
     "describe": "Show a robot's joints, limits and keys, or what a key holds now.",
     "devices": "Find operators' devices, play fakes of them, show their buttons, calibrate.",
     "assets": "Find and fetch policies, robot models and motions.",
+    "docs": "Read the docs of this version.",
     "completion": "Print a script that lets bash, zsh or fish complete all of this.",
 }
 """What each verb does; its module holds its ``command``."""

@@ -1,4 +1,4 @@
-"""``station init`` makes a folder in which the commands that it names work."""
+"""``station init`` makes a folder in which the commands that it names work; ``station docs`` says how to go on."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tests.cli.conftest import Wave
 from tests.cli.running import Home, one_line
+from tests.tiers import ROOT
 
 
 def test_a_folder_holds_a_runbook_rules_and_a_place_for_episodes(home: Home, tmp_path: Path) -> None:
@@ -39,3 +40,12 @@ def test_what_cannot_be_made_is_said(home: Home, tmp_path: Path) -> None:
         home.run("init", str(tmp_path / "lab"), "g1-dmo")
     )
     assert not (tmp_path / "lab").exists()
+
+
+def test_the_docs_are_read_in_a_terminal(home: Home) -> None:
+    listed = home.run("docs").stdout
+    pages = sorted(path.stem for path in (ROOT / "docs").glob("*.md") if path.stem != "index")
+    assert [line.split()[0] for line in listed.splitlines()[1 : len(pages) + 1]] == pages
+    text = (ROOT / "docs" / "motions.md").read_text(encoding="utf-8")
+    assert home.run("docs", "motions").stdout == home.run("docs", "docs/motions.md").stdout == text
+    assert "(did you mean 'motions'?)" in one_line(home.run("docs", "motons"))

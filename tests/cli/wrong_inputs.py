@@ -14,7 +14,7 @@ from station.cli.main import cli
 from tests.waiting import DEADLINE_S
 
 ODD = (
-    "", "nope", "/nowhere/x", "folder", "file.txt", "-1", "9" * 400, "\x1b[31mred", "日本語", "nan", "1e999", "a=b",
+    "", "nope", "/dev/null/x", "folder", "file.txt", "-1", "9" * 400, "\x1b[31mred", "日本語", "nan", "1e999", "a=b",
     "../..", "\udcff\udcfe", "x" * 5000,
 )  # fmt: skip
 """What somebody may type, paste, or leave to an unset variable."""
