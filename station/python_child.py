@@ -3,13 +3,19 @@ leave the processors to each other."""
 
 from __future__ import annotations
 
+import faulthandler
 import os
+import signal
 import sys
+from pathlib import Path
 
 SAFE_PATH = "PYTHONSAFEPATH"
 """Python's own variable: set, ``python -m`` and ``python -c`` do not look for modules in the current folder."""
 BLAS_THREADS = "OPENBLAS_NUM_THREADS"
 """NumPy's own: how many threads multiply matrices."""
+
+STACKS = signal.SIGUSR1
+"""Asks a process that called `write_stacks_when_asked` where each of its threads stands."""
 
 
 def command(*arguments: str) -> list[str]:
@@ -30,3 +36,18 @@ def spare_processors() -> None:
     user has set stays.
     """
     os.environ.setdefault(BLAS_THREADS, "1")
+
+
+def write_stacks_when_asked() -> None:
+    """Have `STACKS` write to stderr where each thread stands, also where one waits for ever in a library's code."""
+    faulthandler.register(STACKS, all_threads=True)
+
+
+def writes_stacks(pid: int) -> bool:
+    """Whether a process listens to `STACKS`; one that does not would be killed by it."""
+    try:
+        facts = Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False
+    caught = next((line.split()[1] for line in facts.splitlines() if line.startswith("SigCgt:")), "0")
+    return bool(int(caught, 16) >> (STACKS - 1) & 1)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from station import config, registry
+from station import config, python_child, registry
 from station.cli import candidates
 from station.cli.options import bus_option, set_option
 from station.cli.settings import show
@@ -33,6 +33,7 @@ def command(server: str, bus: str | None, sets: tuple[str, ...], name: str, conf
         return
     values = config.merged(_base(config_json), config.overrides(sets, servers=None).get("", {}))
     built = config.build(kind.config, values, where=f"server {server} (`station settings {server}` lists them)")
+    python_child.write_stacks_when_asked()
     raise SystemExit(serve(kind, built, address=address_of(bus), name=name))
 
 

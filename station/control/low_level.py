@@ -23,6 +23,7 @@ from station.control.command_receiver import CommandReceiver, CommandWatch
 from station.control.command_validator import CommandSample, Samples
 from station.control.control import StepRecord
 from station.control.gate import Decision
+from station.control.phase_lock import PhaseLock
 from station.errors import BusError, Refused
 from station.life import estop
 from station.life.arm_request import ArmAnswer, ArmRequest
@@ -95,7 +96,11 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         self._keeper.close()
 
     def run_at(self, rate: Rate) -> None:
-        """Tick at a fixed rate until the server is asked to stop; an emergency stop does not wait for its tick."""
+        """Tick at a fixed rate until the server is asked to stop; an emergency stop does not wait for its tick.
+
+        Ticks move, within that rate, to just behind the commands (of the first part, where there are several).
+        """
+        phase, followed = PhaseLock(rate.period_ns * 1e-9), None
         self._begin()
         while not self._life.stopping:
             rate.wait(self._watch.urgent)
@@ -103,12 +108,16 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             state = self._sense()
             now_s = self._clock.monotonic_s()
             self._obey(now_s)
-            self._act(state, tuple(receiver.newest() for receiver in self._receivers), now_s)
+            commands = tuple(receiver.newest() for receiver in self._receivers)
+            if (first := commands[0]) is not None and first is not followed and first.arrived_s is not None:
+                followed = first
+                rate.shift(phase.on_tick(first.source, now_s - first.arrived_s))
+            self._act(state, commands, now_s)
             if self._is_time_to_report():
                 stats = rate.stats()
                 self._report(
                     rate_hz=stats.rate_hz, jitter_p50_ms=stats.jitter_p50_ms, jitter_p99_ms=stats.jitter_p99_ms,
-                    overruns=stats.overruns,
+                    overruns=stats.overruns, follows_commander=phase.is_locked,
                 )  # fmt: skip
 
     def run_in_lock_step(self, timeout_s: float) -> None:
@@ -284,7 +293,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
         self._said_s = now_s
         return True
 
-    def _report(self, **loop: float) -> None:
+    def _report(self, **loop: float | bool) -> None:
         commanded = self._control.commanded
         validator = self._paths[0].validator
         refused = sum((path.validator.refused for path in self._paths), Counter[str]())

@@ -77,6 +77,11 @@ class Rate:
         woke_ns = self._clock.monotonic_ns()
         self._wakes.append((woke_ns, woke_ns - self._deadline_ns))
 
+    def shift(self, seconds: float) -> None:
+        """Move the deadlines from the next one on; later where positive [s]."""
+        if self._deadline_ns is not None:
+            self._deadline_ns += round(seconds * 1e9)
+
     def stats(self) -> LoopStats:
         """Return how the loop has kept its time over the last ten seconds or so."""
         wakes = list(self._wakes)

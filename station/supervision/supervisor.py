@@ -36,6 +36,7 @@ from station.life.server import Health, State, decode_health
 
 NAME = "supervisor"
 
+_STACKS_S = 0.2  # writing them takes a millisecond, once the child is given a processor
 _STOP_S = 15.0  # a command server blends for 2 s, a recorder closes its episode; then the child is killed
 _HURRY_S = 5.0  # a blend and a flush to the disk still fit
 _LOOK_S = 0.01
@@ -128,10 +129,11 @@ class Supervisor:
             if stop is not None and stop.is_set():
                 raise NotReady(f"asked to stop before server {name!r} was {state}")
             if self.clock.monotonic_s() > deadline:
-                seen = health.state if health else "unconfigured"
+                seen, words = health.state if health else "unconfigured", self.last_words(name)
+                self._have_stacks_written(child)
                 raise NotReady(
-                    f"server {name!r} is {seen}, not {state}, after {timeout_s:g} s: {self.last_words(name)}; "
-                    "give it longer with ready_within, or see its log " + str(child.log)
+                    f"server {name!r} is {seen}, not {state}, after {timeout_s:g} s: {words}; give it longer with "
+                    f"ready_within, or see in its log {child.log} where it stands"
                 )
             self.clock.sleep(_LOOK_S)
 
@@ -239,6 +241,7 @@ class Supervisor:
         try:
             code = child.process.wait(timeout_s)
         except subprocess.TimeoutExpired:
+            self._have_stacks_written(child)
             child.process.kill()
             code = child.process.wait()
         with self._lock:
@@ -267,6 +270,12 @@ class Supervisor:
         log = self.children[name].log
         lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
         return lines[-1].removeprefix("station: ") if lines else f"it printed nothing to {log}"
+
+    def _have_stacks_written(self, child: Child) -> None:
+        """Have a child that does not do what it is asked for write to its log where each of its threads stands."""
+        if python_child.writes_stacks(child.process.pid):
+            child.process.send_signal(python_child.STACKS)
+            self.clock.sleep(_STACKS_S)
 
     def _child_environment(self, descriptor: int) -> dict[str, str]:
         return {

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -29,9 +29,10 @@ IN_STEP = tuple(word for setting in LOCK_STEP for word in ("--set", setting))
 
 
 class Running:
-    """A verb that runs; its stderr is gathered line by line."""
+    """A verb that runs; its stderr is gathered line by line, and in a file that the report of a failure shows."""
 
     def __init__(self, terminal: Terminal, *arguments: str) -> None:
+        self._file = Path(terminal.environment["XDG_RUNTIME_DIR"]) / f"{arguments[0]}.stderr"
         self.process = subprocess.Popen(
             [sys.executable, "-m", "station", *arguments],
             cwd=ROOT, env=terminal.environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
@@ -57,6 +58,11 @@ class Running:
 
         wait_until(is_there, DEADLINE_S)
 
+    def wait_until(self, condition: Callable[[], object], timeout_s: float = DEADLINE_S) -> None:
+        """Wait until a condition holds; fail when the process ends before."""
+        wait_until(lambda: condition() or self.process.poll() is not None, timeout_s)
+        assert condition(), f"ended with {self.process.returncode} before it held:\n{self.text}"
+
     def interrupt(self) -> None:
         self.process.send_signal(signal.SIGINT)
 
@@ -77,8 +83,11 @@ class Running:
 
     def _read(self) -> None:
         assert self.process.stderr is not None
-        for line in self.process.stderr:
-            self.lines.append(line.rstrip("\n"))
+        with self._file.open("a") as file:
+            for line in self.process.stderr:
+                self.lines.append(line.rstrip("\n"))
+                file.write(line)
+                file.flush()
 
 
 class Home(Terminal):

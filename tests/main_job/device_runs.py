@@ -10,7 +10,7 @@ from station.bus import keys
 from station.episode.quality.findings import Quality
 from tests.cli.running import Home
 from tests.servers.g1_station import LIGHT, ROBOT, Log, logged
-from tests.waiting import DEADLINE_S, wait_until
+from tests.waiting import DEADLINE_S
 
 PAD = {"gamepad": "builtin:gamepad/example.json"}
 SCRIPTS: dict[str, dict[str, str]] = {
@@ -38,7 +38,7 @@ def drive(device: str, home: Home, is_over: Callable[[Log], bool], *gate: str) -
     with home.running("up", f"runbooks/g1-sim-{device}.yaml", *arguments) as station:
         station.wait_for("✓ start g1")
         with logged(home.bus) as log:
-            wait_until(lambda: is_over(log), 2 * DEADLINE_S)
+            station.wait_until(lambda: is_over(log), 2 * DEADLINE_S)
         station.interrupt()
         code, out = station.finish()
     assert code == 0, station.text
