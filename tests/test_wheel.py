@@ -7,13 +7,13 @@ import re
 import subprocess
 import sys
 import tomllib
-import venv
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tests import wheels
 from tests.cli.running import SHORT, Home, new_home
 
 ROOT = Path(__file__).parents[1]
@@ -117,38 +117,20 @@ reveal_type(registry.names("server"))
 @pytest.fixture(scope="module")
 def built_wheel(processes: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel, built of this checkout."""
-    folder = tmp_path_factory.mktemp("wheel")
-    pip("wheel", str(ROOT), "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(folder))
-    (built,) = folder.glob("*.whl")
-    return built
+    return wheels.build(tmp_path_factory.mktemp("wheel"))
 
 
 @pytest.fixture(scope="module")
 def python(built_wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An interpreter where the wheel is installed; what it depends on is that of the tests."""
-    folder = tmp_path_factory.mktemp("installed") / "env"
-    venv.create(folder)
-    made = folder / "bin" / "python"
-    (site,) = folder.glob("lib/python*/site-packages")
-    pip("--python", str(made), "install", "--no-deps", "--no-index", "--no-compile", str(built_wheel))
-    # Of a folder that a .pth names no .pth is read: the checkout stays unknown.
-    (site / "dependencies.pth").write_text("\n".join(path for path in sys.path if path.endswith("-packages")))
-    return made
+    return wheels.install(built_wheel, tmp_path_factory.mktemp("installed") / "env")
 
 
 @pytest.fixture
 def home(python: Path) -> Iterator[Home]:
     with new_home() as made:
-        made.environment = {name: value for name, value in made.environment.items() if name != "PYTHONPATH"}
-        made.environment["PATH"] = f"{python.parent}:{made.environment['PATH']}"
-        made.environment.pop("STATION_ASSETS", None)
+        wheels.use(made, python)
         yield made
-
-
-def pip(*arguments: str) -> None:
-    command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0, done.stderr
 
 
 def run(home: Home, folder: Path, *command: str) -> subprocess.CompletedProcess[str]:

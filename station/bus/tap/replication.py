@@ -74,7 +74,7 @@ class ReplicationTap:
         self._lag: ServerLag | None = None
         self.is_catching_up = self.resumed is True
         try:
-            self._probe = self._write_probe()
+            self._stream.awaited = self._write_probe()
             if self.is_catching_up:  # that the server goes on tells that it sends us what is written
                 self._lag = ServerLag(address)
             else:
@@ -95,7 +95,7 @@ class ReplicationTap:
         else:
             writes = self._read(timeout_s)
         self._consumed = self._place()
-        if self.is_catching_up and self._stream.probe == self._probe:
+        if self.is_catching_up and self._stream.awaited is None:
             behind = self._behind()
             self.is_catching_up = behind is not None and behind > _NEAR_BYTES
         return writes
@@ -144,7 +144,7 @@ class ReplicationTap:
     def _arm(self) -> None:
         """Wait until the probe has come back."""
         progress_at = self._clock.monotonic_s()
-        while self._stream.probe != self._probe:
+        while self._stream.awaited is not None:
             before = self._stream.offset
             self._early += self._receive(0.1)
             now = self._clock.monotonic_s()

@@ -58,7 +58,7 @@ class Stream:
     Attributes:
         offset: Bytes of the server's history up to the end of the last whole command.
         selected_db: Database selected there.
-        probe: Value of the last probe key that came by.
+        awaited: Value of the probe key that is to come by; None once it has, whatever other taps write there after it.
         wants_answer: Whether the server asked for an acknowledgement; sending it resets this.
         snapshot: What the tapped database held when a probe was written; taken in when that probe comes by.
 
@@ -69,7 +69,7 @@ class Stream:
     def __init__(self, *, db: int, offset: int, selected_db: int, clock: Clock = SYSTEM) -> None:
         self.offset = offset
         self.selected_db = selected_db
-        self.probe: bytes | None = None
+        self.awaited: bytes | None = None
         self.wants_answer = False
         self.snapshot: Snapshot | None = None
         self._db, self._clock = db, clock
@@ -237,7 +237,8 @@ class Stream:
         self._writes.append(Write(name, value, stamp, self._now_ns))
 
     def _on_probe(self, value: bytes | None) -> None:
-        self.probe = value or self.probe  # keep it when it expires
+        if value == self.awaited:
+            self.awaited = None
         snapshot = self.snapshot
         if snapshot is None or value != snapshot.probe:
             return

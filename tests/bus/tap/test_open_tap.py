@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import shutil
 import socket
@@ -17,6 +18,7 @@ import pytest
 from station.bus.address import BusAddress
 from station.bus.connection import Connection
 from station.bus.tap import BACKENDS, Position, TapRefused, open_tap
+from station.bus.tap.base import PROBE, new_token
 from station.errors import BusError, UnknownName
 from tests.bus.tap.traffic import read
 
@@ -38,6 +40,31 @@ def test_tap_is_armed_when_it_is_handed_out(bus_server: BusAddress, writer: Conn
         writer.call("MSET", "a", number, "a@", number)
         assert [write[:3] for write in read(tap, 1)] == [("a", b"%d" % number, b"%d" % number)]
         tap.close()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.timeout(40)
+def test_taps_that_open_at_the_same_instant_are_all_armed(bus_server: BusAddress, backend: str) -> None:
+    """Each writes the probe that the others wait for."""
+    done = threading.Event()
+
+    def open_others() -> None:
+        with contextlib.closing(Connection(bus_server, timeout_s=10.0)) as line:
+            while not done.is_set():
+                line.call("SET", PROBE, new_token())
+
+    others = [threading.Thread(target=open_others) for _ in range(2)]
+    for other in others:
+        other.start()
+    try:
+        for _ in range(5):
+            tap = open_tap(bus_server, backend=backend)
+            assert tap.backend == backend
+            tap.close()
+    finally:
+        done.set()
+        for other in others:
+            other.join()
 
 
 def test_user_without_the_right_to_replicate_gets_notifications_and_one_warning(

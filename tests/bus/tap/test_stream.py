@@ -208,6 +208,15 @@ def test_snapshot_counts_from_its_own_probe_on() -> None:
     assert {write[:2] for write in stream.feed(pack("FLUSHALL"))} == {("a", None), ("large", None), ("new", None)}
 
 
+def test_a_probe_has_come_by_whatever_other_taps_write_before_and_after_it() -> None:
+    stream = _stream()
+    stream.awaited = b"token"
+    stream.feed(pack("SET", PROBE, "of another tap"))
+    assert stream.awaited == b"token"
+    stream.feed(pack("SET", PROBE, "token") + pack("SET", PROBE, "of a third tap") + pack("DEL", PROBE))
+    assert stream.awaited is None
+
+
 def test_memory_for_values_is_bounded() -> None:
     stream = _stream()
     for number in range(80):
