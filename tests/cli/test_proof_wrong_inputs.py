@@ -8,13 +8,12 @@ from pathlib import Path
 import pytest
 
 from tests.cli.running import Home
-from tests.cli.wrong_inputs import cases, complaint, furnish
+from tests.cli.wrong_inputs import BARE, cases, complaint, furnish
 from tests.figures import Figures
 
 pytestmark = pytest.mark.timeout(900)  # each starts a cold interpreter
 
 EACH = 10
-BARE = {"COLUMNS": "60", "PYTHONIOENCODING": "latin-1", "LC_ALL": "C", "DISPLAY": "", "WAYLAND_DISPLAY": ""}
 
 
 def test_wrong_inputs_end_in_a_line_and_an_exit_code(home: Home, tmp_path: Path, proof: Figures) -> None:

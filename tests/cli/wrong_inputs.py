@@ -19,6 +19,9 @@ ODD = (
 )  # fmt: skip
 """What somebody may type, paste, or leave to an unset variable."""
 
+BARE = {"COLUMNS": "60", "PYTHONIOENCODING": "latin-1", "LC_ALL": "C", "DISPLAY": "", "WAYLAND_DISPLAY": ""}
+"""Variables of a narrow terminal that is not UTF-8, on a machine without a display."""
+
 RUNS_ON = frozenset([
     "demo", "up", "serve", "bus start", "rehearse", "view", "status", "logs", "devices fake", "devices voices",
     "kassow controller", "devices calibrate gello", "devices calibrate pico",
