@@ -18,7 +18,7 @@ from station.life.loop import Rate, real_time
 
 _WRITER_HZ, _LOOP_HZ = 97.0, 50.0  # no common period: the phase between them sweeps
 _SETTLE_S = 4.0  # until a loop that follows its commander stands where it should
-STOCK, PLAIN, FIFO, FOLLOWS = "stock poll each cycle", "Watch", "Watch, FIFO", "Watch, follows 50 Hz"
+STOCK, PLAIN, FIFO, FOLLOWS = "stock poll each cycle", "Watch", "Watch, FIFO", "Watch, FIFO, follows 50 Hz"
 
 METHOD = """\
 A process writes the command at 97 Hz, another runs a 50 Hz loop with the policy's network (or 0.5 ms of work where
@@ -50,7 +50,7 @@ def run(settings: Settings) -> list[Row]:
         workers = {STOCK: _start_stock(stack), PLAIN: _start(stack)}
         if processes.fifo_is_permitted():
             workers |= {FIFO: _start(stack, is_fifo=True)}
-        workers |= {FOLLOWS: _start(stack, follows=True)}
+            workers |= {FOLLOWS: _start(stack, is_fifo=True, follows=True)}
         for condition, beside in (("quiet", processes.nothing), ("loaded", processes.burners)):
             with beside():
                 turns = {name: _turn(worker, seconds) for name, worker in workers.items()}
@@ -156,7 +156,7 @@ def _rows(condition: str, taken: dict[str, list[Seen]]) -> list[Row]:
 
     rows = []
     for name in [name for name in taken if name != STOCK]:
-        arrival_p99_ms = 0.6 if name == FIFO else 1.0
+        arrival_p99_ms = 1.0 if name == PLAIN else 0.6
         label = f"{name}, {condition}"
         for field, by, target in (
             ("arrival_ms", p50, Target(limit=0.45) if condition == "quiet" else None),
