@@ -98,7 +98,7 @@ class LowLevelLoop(Generic[StateT, RecordT]):
     def run_at(self, rate: Rate) -> None:
         """Tick at a fixed rate until the server is asked to stop; an emergency stop does not wait for its tick.
 
-        Ticks move, within that rate, to just behind the commands (of the first part, where there are several).
+        Ticks move to just behind the commands, those of the first part where there are several.
         """
         phase, followed = PhaseLock(rate.period_ns * 1e-9), None
         self._begin()
@@ -109,10 +109,10 @@ class LowLevelLoop(Generic[StateT, RecordT]):
             now_s = self._clock.monotonic_s()
             self._obey(now_s)
             commands = tuple(receiver.newest() for receiver in self._receivers)
+            self._act(state, commands, now_s)
             if (first := commands[0]) is not None and first is not followed and first.arrived_s is not None:
                 followed = first
                 rate.shift(phase.on_tick(first.source, now_s - first.arrived_s))
-            self._act(state, commands, now_s)
             if self._is_time_to_report():
                 stats = rate.stats()
                 self._report(
