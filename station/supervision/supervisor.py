@@ -130,10 +130,10 @@ class Supervisor:
                 raise NotReady(f"asked to stop before server {name!r} was {state}")
             if self.clock.monotonic_s() > deadline:
                 seen, words = health.state if health else "unconfigured", self.last_words(name)
-                self._have_stacks_written(child)
+                where = " where it stands" if self._have_stacks_written(child) else ""
                 raise NotReady(
                     f"server {name!r} is {seen}, not {state}, after {timeout_s:g} s: {words}; give it longer with "
-                    f"ready_within, or see in its log {child.log} where it stands"
+                    f"ready_within, or see in its log {child.log}{where}"
                 )
             self.clock.sleep(_LOOK_S)
 
@@ -271,11 +271,14 @@ class Supervisor:
         lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
         return lines[-1].removeprefix("station: ") if lines else f"it printed nothing to {log}"
 
-    def _have_stacks_written(self, child: Child) -> None:
-        """Have a child that does not do what it is asked for write to its log where each of its threads stands."""
-        if python_child.writes_stacks(child.process.pid):
-            child.process.send_signal(python_child.STACKS)
-            self.clock.sleep(_STACKS_S)
+    def _have_stacks_written(self, child: Child) -> bool:
+        """Have a child that does not do what it is asked for write to its log where each of its threads stands; return
+        False for one that is too young to do so."""
+        if not python_child.writes_stacks(child.process.pid):
+            return False
+        child.process.send_signal(python_child.STACKS)
+        self.clock.sleep(_STACKS_S)
+        return True
 
     def _child_environment(self, descriptor: int) -> dict[str, str]:
         return {
