@@ -120,7 +120,8 @@ def main(config: TeleopConfig, life: Life) -> int:
     with life.bus.watch(watched) as watch:
         if not life.ready():
             return 0
-        life.report(scheduling=real_time())
+        help_line = "; ".join(filter(None, (kind.moves.get(config.button_kind), bound.beside_driving)))
+        life.report(scheduling=real_time(), help=help_line)
         teleop = Teleop(config, life, driver, bound, watch)
         try:
             teleop.run()

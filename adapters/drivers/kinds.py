@@ -67,6 +67,10 @@ def _arm_tcp(options: ArmOptions, operator: str) -> Driver:
 
 
 _ARM_RATE_HZ = 250.0  # a target for each tick of a Kassow's controller
+_ARM_MOVES = {
+    "keyboard": "joints: 1 to 7, left, right choose one, up, down turn it; tool: w s a d, page up and down, i k, j l",
+    "gamepad": "joints: right stick sideways chooses one, left stick turns it; tool: left stick, right stick, d-pad",
+}
 
 ARM_JOINTS = DriverKind(
     name="arm-joints",
@@ -74,6 +78,7 @@ ARM_JOINTS = DriverKind(
     options=ArmOptions,
     make=_arm_joints,
     rate_hz=_ARM_RATE_HZ,
+    moves=_ARM_MOVES,
 )
 ARM_TCP = DriverKind(
     name="arm-tcp",
@@ -81,6 +86,7 @@ ARM_TCP = DriverKind(
     options=ArmOptions,
     make=_arm_tcp,
     rate_hz=_ARM_RATE_HZ,
+    moves=_ARM_MOVES,
 )
 BODY = DriverKind(
     name="body", summary="the robot does what the operator's whole body does", options=BodyOptions, make=_body
@@ -96,6 +102,10 @@ WALK = DriverKind(
     summary="sticks or keys walk, turn, squat",
     options=NoOptions,
     make=lambda options, operator: WalkDriver(),
+    moves={
+        "keyboard": "w s forwards and back, a d turn, j l sideways, i k height",
+        "gamepad": "left stick forwards and sideways, right stick turn and height",
+    },
 )
 JOG = DriverKind(
     name="jog",

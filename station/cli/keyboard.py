@@ -7,22 +7,24 @@ sleeps, or waits for its screen, watches over nobody.
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
 import select
 import sys
 import termios
 import threading
-from collections import deque
+import tty
 from collections.abc import Callable
 from types import TracebackType
 from typing import Any
 
 _ERASE = ("\x7f", "\b")
 _ENTER = ("\n", "\r")
-_ESCAPE = b"\x1b"  # an arrow or function key: a sequence whose letters are no keys of ours
+_KEY = re.compile(r"\x1b(?:\[[0-9;]*[A-Za-z~]|O[A-Za-z])|.", re.DOTALL)
+"""A key as a terminal sends it: an arrow or function key is a sequence, whose letters are no keys."""
 _IDLE_S = 0.25
 _LISTEN_S = 0.05
-_MOST = 64  # keys that nobody has taken; a cat may sit on them
 
 _LFLAG, _IFLAG, _CC = 3, 0, 6  # places in what termios returns
 
@@ -33,29 +35,36 @@ class Keyboard:
     Args:
         act_at_once: Called in the keyboard's thread with each key, and whether an answer is being typed; True where
             that was all, and nobody else is to see the key.
+        take: Called in the same thread with each other key that is typed while no question is open; True where that
+            was all. What nobody takes goes to the terminal that is lent to servers.
         idle: Called in the same thread a few times a second.
         show: Prints what is typed as the answer to a question.
     """
 
     def __init__(
-        self, act_at_once: Callable[[str, bool], bool], idle: Callable[[], None], show: Callable[[str], None]
+        self,
+        act_at_once: Callable[[str, bool], bool],
+        take: Callable[[str], bool],
+        idle: Callable[[], None],
+        show: Callable[[str], None],
     ) -> None:
-        self._act_at_once, self._idle, self._show = act_at_once, idle, show
-        self._keys: deque[str] = deque(maxlen=_MOST)
+        self._act_at_once, self._take, self._idle, self._show = act_at_once, take, idle, show
         self._typed: str | None = None  # the answer so far, while a question is open
         self._answered = threading.Event()
         self._before: list[Any] | None = None
         self._thread: threading.Thread | None = None
         self._wake = -1
+        self._lent: LentTerminal | None = None
 
     @property
     def is_there(self) -> bool:
         """Whether a person can type."""
         return self._before is not None
 
-    def pop(self) -> str:
-        """Return the oldest key that nobody has taken, "" for none."""
-        return self._keys.popleft() if self._keys else ""
+    @property
+    def lent_name(self) -> str:
+        """Name of the terminal that is lent to servers; "" without a person at this one."""
+        return self._lent.name if self._lent is not None else ""
 
     def ask(self, question: str, stop: threading.Event) -> str:
         """Show a question; return the line that is typed from now on, or "" when `stop` is set before it ends."""
@@ -70,7 +79,7 @@ class Keyboard:
     def __enter__(self) -> Keyboard:
         if not _is_ours(sys.stdin):
             return self
-        self._before = termios.tcgetattr(sys.stdin)
+        self._before, self._lent = termios.tcgetattr(sys.stdin), LentTerminal()
         reading, self._wake = os.pipe()
         _set(_one_at_a_time(self._before))
         termios.tcflush(sys.stdin, termios.TCIFLUSH)  # what was typed before is no answer to anything
@@ -86,6 +95,8 @@ class Keyboard:
             _set(before)
             os.close(self._wake)
             self._thread.join()
+        if self._lent is not None:
+            self._lent.close()
 
     def _listen(self, wake: int) -> None:
         try:
@@ -99,21 +110,21 @@ class Keyboard:
                 data = os.read(sys.stdin.fileno(), 256)
                 if not data:
                     return  # the terminal is gone; so is who typed
-                if not data.startswith(_ESCAPE):
-                    for key in data.decode(errors="replace"):
-                        self.press(key)
+                for key in keys_of(data):
+                    self.press(key)
         except OSError:
             return  # likewise
         finally:
             os.close(wake)
 
     def press(self, key: str) -> None:
-        """Add a key that was typed; called in the keyboard's thread."""
+        """Give a key that was typed to whom it belongs; called in the keyboard's thread."""
         typed = self._typed
         if self._act_at_once(key, bool(typed)):
             return
         if typed is None or self._answered.is_set():
-            self._keys.append(key)
+            if not self._take(key) and self._lent is not None:
+                self._lent.type(key.encode())
         elif key in _ENTER:
             self._show("\n")
             self._answered.set()
@@ -123,6 +134,39 @@ class Keyboard:
         elif key.isprintable():
             self._typed = typed + key
             self._show(key)
+
+
+class LentTerminal:
+    """A pseudo terminal for servers, which have none of their own: they read there what nobody else needs.
+
+    Its name stands in their environment (`station.operator.device.LENT_TERMINAL`); a device that reads keys opens it as
+    it would any other. `close` takes it away, as a closed window does.
+
+    Attributes:
+        name: Its name, such as ``/dev/pts/3``.
+    """
+
+    def __init__(self) -> None:
+        self._master, self._slave = os.openpty()
+        os.set_blocking(self._master, False)
+        tty.setcbreak(self._slave)  # what is typed before anybody has opened it is not echoed
+        self.name = os.ttyname(self._slave)
+
+    def type(self, keys: bytes) -> None:
+        """Type keys; where nobody has read for long, they are lost."""
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._master, keys)
+
+    def close(self) -> None:
+        """Take it away."""
+        os.close(self._slave)
+        os.close(self._master)
+
+
+def keys_of(data: bytes) -> list[str]:
+    """Return the keys in what a terminal sent at once, in order."""
+    found: list[str] = _KEY.findall(data.decode(errors="replace"))
+    return found
 
 
 def _is_ours(stream: Any) -> bool:

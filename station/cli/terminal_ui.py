@@ -42,7 +42,7 @@ _REPEATS_S = 1.0  # a key that is held down repeats thirty times a second
 
 class TerminalUI:
     """Prints steps and events to stderr; a real terminal has a footer below them that tells how the run is going, and
-    keys: for the emergency stop, at any time, and for what a session offers.
+    keys: for the emergency stop, at any time, for what a session offers, and for a device that reads keys.
 
     Args:
         stop: Ends a question without an answer when it is set.
@@ -66,8 +66,8 @@ class TerminalUI:
         self._stop_key: StopKey | None = None
         self.estop_directly: Callable[[], None] = lambda: None
         self.look_for_dead: Callable[[], Mapping[str, str]] = dict
-        self._keyboard = Keyboard(self._act_at_once, self._watch_stop, self._echo)
-        self._offered = ""
+        self._keyboard = Keyboard(self._act_at_once, self._take, self._watch_stop, self._echo)
+        self._offered, self._is_taken = "", False
 
     @contextmanager
     def watching(self, bus: Bus, names: Sequence[str]) -> Iterator[None]:
@@ -85,22 +85,23 @@ class TerminalUI:
             self._progress = None
 
     @property
+    def lent_terminal(self) -> str:
+        """Name of the terminal in which servers read what is typed here; "" where no person can type."""
+        return self._keyboard.lent_name
+
+    @property
     def is_attended(self) -> bool:
         """Whether a person is at the terminal."""
         return self._keyboard.is_there
 
     def offer(self, restart: str) -> None:
         """Show that a key starts some servers again, or no more."""
-        self._offered = restart
-        while self._keyboard.pop():  # what was typed before the offer does not take it
-            pass
+        self._offered, self._is_taken = restart, False
 
     def pop_restart(self) -> bool:
         """Whether that key was pressed since the last call."""
-        found = False
-        while key := self._keyboard.pop():
-            found = found or key in _AGAIN
-        return found and bool(self._offered)
+        taken, self._is_taken = self._is_taken, False
+        return taken
 
     def __enter__(self) -> TerminalUI:
         root = logging.getLogger()
@@ -208,6 +209,11 @@ class TerminalUI:
             return False
         self._stop_key.press()
         return True
+
+    def _take(self, key: str) -> bool:
+        """Take up an offer if that is what a key does; every other one is for a server that reads keys."""
+        self._is_taken |= (takes := bool(self._offered) and key in _AGAIN)
+        return takes
 
     def _stop_directly(self) -> None:
         self.estop_directly()

@@ -16,6 +16,7 @@ from station.cli import candidates
 from station.cli.options import bus_option, data_option, set_option
 from station.episode.storage.folder import data_folder
 from station.episode.storage.request import RecordAnswer
+from station.operator.device import LENT_TERMINAL
 from station.stop_signals import ENDING, set_on_signals
 from station.supervision import claims
 from station.supervision import runbook as runbooks
@@ -84,7 +85,8 @@ def run(
         found_or_started(named, on_restart=lambda text: face.report(text, "warning")) as address,
     ):
         with Bus(address, name="supervisor", timeout_s=1.0) as line, face.watching(line, names):
-            supervisor = Supervisor(line, log_folder(address), {"STATION_DATA": str(data.absolute())})
+            variables = {"STATION_DATA": str(data.absolute()), LENT_TERMINAL: face.lent_terminal}
+            supervisor = Supervisor(line, log_folder(address), variables)
             face.estop_directly, face.look_for_dead = supervisor.estop, lambda: _died(supervisor)
             session = Session(book, line, supervisor, face, data=data, recording=recording, is_unattended=unattended)
             try:

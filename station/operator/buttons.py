@@ -83,6 +83,15 @@ class ButtonMap:
         return " or ".join([*holds, *self._told("start_pause")]) + " to drive"
 
     @property
+    def beside_driving(self) -> str:
+        """Which controls ask for what an operator needs beside driving, for a help line; "" for none."""
+        return ", ".join(
+            f"{' or '.join(map(str, self.gestures[action]))} {action}"
+            for action in ("mode", "record", "mark", "exit")
+            if self.gestures.get(action)
+        )
+
+    @property
     def how_to_arm(self) -> str:
         """Which controls arm, for a status line; "" for none."""
         return " or ".join(self._told("arm")) + " to arm" if self.gestures.get("arm") else ""

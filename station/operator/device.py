@@ -7,6 +7,9 @@ from typing import Any, Protocol, runtime_checkable
 from station.errors import StationError
 from station.operator.sample import OperatorSample
 
+LENT_TERMINAL = "STATION_TERMINAL"
+"""Variable with the name of the terminal that ``station up`` lends to its servers; unset or "" where it lends none."""
+
 
 class DeviceError(StationError):
     """A device that is missing, refused, torn out or misconfigured; one line that says what to do."""

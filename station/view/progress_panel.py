@@ -51,6 +51,8 @@ def panel(
     for health in progress.servers:
         if health.state == "active" and "engaged" in health.detail:
             table.add_row("operator", _operator(health))
+            if said := health.detail.get("help"):
+                table.add_row("controls", Text(printable(str(said)), style="dim"))
     if progress.robot is not None:
         table.add_row("robot", Text.from_markup(_robot(progress.robot)))
     if progress.arm is not None:

@@ -145,7 +145,7 @@ def test_a_device_of_somebody_s_package_brings_its_buttons(lab: Home, tmp_path: 
     assert "a lab-arm has no control 'pedla' (did you mean 'pedal'?)" in said
 
 
-SHOWN = {"gamepad": "left_bumper=1", "keyboard": "key_space=1", "spacemouse": "button_0=1"}
+SHOWN = {"gamepad": "left_bumper=1", "keyboard": "key_enter=1", "spacemouse": "button_0=1"}
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "terminated"])

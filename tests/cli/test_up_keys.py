@@ -108,6 +108,31 @@ def test_space_stops_the_robot_at_a_question_and_nothing_goes_past_the_stop(home
         assert terminal.settings() == terminal.before, "the terminal is as it was"
 
 
+def test_keys_drive_from_this_terminal_and_space_stops_here_too(home: Home, tmp_path: Path) -> None:
+    teleop = "  - start: teleop\n    with: {device: keyboard, driver: walk}\n    ready_within: 60s\n"
+    with AtTerminal(home, "up", written(tmp_path, G1 + ASK + "  - start: keyboard\n" + teleop)) as terminal:
+        terminal.wait_for("[y/N]")
+        terminal.type(b"y\r")
+        place = terminal.wait_for("press key_enter to drive")
+        terminal.wait_for("w s forwards and back")
+        with Bus(home.bus, name="test", timeout_s=5.0) as bus:
+            terminal.type(b"\r")
+            wait_until(lambda: gate(bus) == "tracking")
+
+            def walks() -> bool:
+                terminal.type(b"w")
+                time.sleep(0.05)
+                return float(codec.parse_json_vector(bus.get(twist_keys.action_body()) or b"[0]")[0]) > 0.0
+
+            wait_until(walks)
+            terminal.type(b"\x1b[A ")  # an arrow comes with it: it stops all the same
+            wait_until(lambda: gate(bus) == "stopped")
+        terminal.wait_for("EMERGENCY STOP", place)
+        terminal.send(signal.SIGINT)
+        terminal.finish()
+        assert terminal.settings() == terminal.before
+
+
 def test_space_stops_the_robot_while_a_step_waits_for_a_server(home: Home, tmp_path: Path) -> None:
     check = "  - check: key-rate\n    key: nobody\n    min_hz: 1\n    within_s: 3600\n"
     with AtTerminal(home, "up", written(tmp_path, G1 + check)) as terminal:

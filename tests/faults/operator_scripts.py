@@ -140,15 +140,15 @@ def gello(plan: Plan) -> Session:
 
 
 def keyboard(plan: Plan) -> Session:
-    """Space starts and pauses, keys walk; the terminal is closed. After a loss nobody drives, so nothing is paused."""
+    """Enter starts and pauses, keys walk; the terminal is closed. After a loss nobody drives, so nothing is paused."""
     steps = _unplugged(plan)
     for cycle, at_s in plan.begins_s():
         steps += [
-            {"at_s": at_s, "press": "space"},
+            {"at_s": at_s, "press": "enter"},
             {"at_s": at_s + _MOVES_AFTER_S, "press": _KEYS[cycle % len(_KEYS)], "for_s": _MOVES_FOR_S},
         ]
         if cycle not in (*plan.lossy, plan.fatal):
-            steps.append({"at_s": at_s + HELD_S, "press": "space"})
+            steps.append({"at_s": at_s + HELD_S, "press": "enter"})
     return Session({"keyboard": _in_order("keyboard", steps)})
 
 

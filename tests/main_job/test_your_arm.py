@@ -34,7 +34,7 @@ PAD = [
     {"at_s": 4.5, "set": {"left_bumper": 0}},
 ]
 KEYS = [
-    {"at_s": 1.0, "press": "space"},
+    {"at_s": 1.0, "press": "enter"},
     {"at_s": 2.0, "press": "up", "for_s": 1.0},
     {"at_s": 5.0, "plugged": False},
     {"at_s": 9.0, "plugged": True},

@@ -74,7 +74,7 @@ def test_without_a_terminal_it_says_how_to_give_it_one(typist: Station) -> None:
     typist.start(before="import os; os.setsid()\n")  # as a supervisor's child is
     code, words = typist.ends()
     assert code == 1
-    assert words.startswith("this process has no terminal; run `station serve keyboard` in a terminal of its own")
+    assert words.startswith("this process has no terminal; run `station up` or `station serve keyboard` in a terminal")
 
 
 def test_what_is_no_terminal_is_refused(typist: Station) -> None:

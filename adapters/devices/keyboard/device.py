@@ -18,7 +18,7 @@ from collections.abc import Callable
 from typing import Any
 
 from adapters.devices.keyboard import keys
-from station.operator.device import DeviceError
+from station.operator.device import LENT_TERMINAL, DeviceError
 from station.operator.sample import OperatorSample
 
 HOLD_S = 0.15
@@ -29,8 +29,8 @@ _CHUNK = 1024
 _LFLAG, _IFLAG, _CC = 3, 0, 6  # places in what termios returns
 
 _HOW = (
-    "run `station serve keyboard` in a terminal of its own beside `station up`, or name with tty: a terminal in which "
-    "nothing else reads (there: `tty; sleep infinity`)"
+    "run `station up` or `station serve keyboard` in a terminal, or name with tty one in which nothing else reads "
+    "(there: `tty; sleep infinity`)"
 )
 
 
@@ -42,7 +42,8 @@ class Keyboard:
     without keys, before it is gone.
 
     Args:
-        tty: Name of the terminal, such as ``/dev/pts/3``; "" for that of the process.
+        tty: Name of the terminal, such as ``/dev/pts/3``; "" for the one that ``station up`` lends, and without it for
+            that of the process.
         hold_s: For how long a key counts as held after each press [s].
         clock: Tells the time [s]; replaced in tests.
 
@@ -51,7 +52,7 @@ class Keyboard:
     """
 
     def __init__(self, *, tty: str = "", hold_s: float = HOLD_S, clock: Callable[[], float] = time.monotonic) -> None:
-        self._tty, self._hold_s, self._clock = tty or OWN_TERMINAL, hold_s, clock
+        self._tty, self._hold_s, self._clock = _named(tty), hold_s, clock
         self._terminal = _open(self._tty)
         self._before: list[Any] = []
         try:
@@ -118,6 +119,10 @@ class Keyboard:
         is_all = not data and now_s - self._waiting_since_s >= _ESCAPE_S
         pressed, self._waiting = keys.parse(self._waiting + data, is_all=is_all)
         return pressed
+
+
+def _named(tty: str) -> str:
+    return tty or os.environ.get(LENT_TERMINAL, "") or OWN_TERMINAL
 
 
 def _open(tty: str) -> int:

@@ -15,13 +15,14 @@ from station.operator.device_kind import DeviceConfig, DeviceKind, Source
 class KeyboardConfig(DeviceConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the keyboard server, beside `rate_hz` and `fake`.
 
-    A supervisor's children have no terminal. So either run it beside ``station up``, in a terminal of its own
-    (``station serve keyboard``), or name one in which nothing else reads (``--set keyboard.tty=/dev/pts/3``, where the
-    command ``tty`` says the name and ``sleep infinity`` keeps the shell from reading). The terminal is put back as it
-    was when the server ends.
+    ``station up`` lends its terminal: what is typed there drives, but for the keys that it needs itself. Elsewhere the
+    server reads the terminal in which it runs (``station serve keyboard``), or one that is named and in which nothing
+    else reads (``--set keyboard.tty=/dev/pts/3``; there the command ``tty`` says the name, and ``sleep infinity`` keeps
+    the shell from reading). A terminal is put back as it was when the server ends.
 
     Attributes:
-        tty: Name of the terminal, such as ``/dev/pts/3``; "" for that of the process.
+        tty: Name of the terminal, such as ``/dev/pts/3``; "" for the one that ``station up`` lends, and without it for
+            that of the process.
         hold_s: For how long a key counts as held after each press [s]; a terminal does not tell when it comes up.
     """
 
@@ -59,7 +60,8 @@ KIND = DeviceKind(
     plugged_in=_plugged_in,
     controls=tuple(f"key_{name}" for name in sorted(NAMES)),
     buttons={
-        "start_pause": "key_space", "exit": "key_q", "estop": "key_escape", "mode": "key_tab", "record": "key_r",
+        "start_pause": "key_enter", "exit": "key_q", "mode": "key_tab", "record": "key_r",
+        "estop": ["key_space", "key_e", "key_escape"],  # the first two stop in the terminal of `station up`, too
         "mark": "key_m", "discard": "key_delete", "rerecord": "key_backspace", "success": "key_y",
         "arm": "key_o+key_p",  # two at once, since a terminal does not tell how long one is held
         "disarm": "key_x",

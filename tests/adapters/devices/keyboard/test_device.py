@@ -157,15 +157,18 @@ def test_a_terminal_that_is_closed_gives_no_keys_and_is_then_gone(opened: Open, 
     os.close(terminal[0])
     assert held(device) == set(), "never the last key"
     for _ in range(2):
-        with pytest.raises(DeviceError, match=r"the terminal was closed; run `station serve keyboard`"):
+        with pytest.raises(DeviceError, match=r"the terminal was closed; run `station up` or `station serve keyboard`"):
             device.read()
 
 
 @pytest.mark.parametrize(
     ("tty", "told"),
     [
-        ("/dev/pts/none", "/dev/pts/none: cannot be opened: No such file or directory; run `station serve keyboard`"),
-        ("/dev/null", "/dev/null: is no terminal; run `station serve keyboard` in a terminal of its own"),
+        (
+            "/dev/pts/none",
+            "/dev/pts/none: cannot be opened: No such file or directory; run `station up` or `station serve keyboard`",
+        ),
+        ("/dev/null", "/dev/null: is no terminal; run `station up` or `station serve keyboard` in a terminal"),
     ],
 )
 def test_what_is_no_terminal_is_one_line(tty: str, told: str) -> None:
