@@ -18,6 +18,7 @@ WIDE = 1000
 
 _COLOURS = {"active": "green", "inactive": "yellow", "unconfigured": "yellow", "finalized": "dim", "dead": "red"}
 _WORDS = {"why_not": "not driving:"}
+_HELP = "help"  # for who operates; `station up` has a line of its own for it
 _EMPTY: tuple[object, ...] = ("", None, 0, {}, [])
 
 
@@ -89,7 +90,7 @@ def _detail(health: Health) -> str:
     if health.state == "finalized":
         return plain(health.reason)
     shown = [f"{_WORDS.get(key) or key.replace('_', ' ')} {_value(value)}"
-             for key, value in health.detail.items() if value not in _EMPTY]  # fmt: skip
+             for key, value in health.detail.items() if value not in _EMPTY and key != _HELP]  # fmt: skip
     return plain(" · ".join(shown))
 
 

@@ -131,6 +131,7 @@ def test_keys_drive_from_this_terminal_and_space_stops_here_too(home: Home, tmp_
         terminal.send(signal.SIGINT)
         terminal.finish()
         assert terminal.settings() == terminal.before
+        assert "help w s" not in terminal.screen, "said once, in a line of its own"
 
 
 def test_space_stops_the_robot_while_a_step_waits_for_a_server(home: Home, tmp_path: Path) -> None:
