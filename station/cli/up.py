@@ -16,7 +16,6 @@ from station.cli import candidates
 from station.cli.options import bus_option, data_option, set_option
 from station.episode.storage.folder import data_folder
 from station.episode.storage.request import RecordAnswer
-from station.operator.device import LENT_TERMINAL
 from station.stop_signals import ENDING, set_on_signals
 from station.supervision import claims
 from station.supervision import runbook as runbooks
@@ -75,6 +74,7 @@ def run(
     from station.bus import address as addresses
     from station.bus.discovery import found_or_started
     from station.cli.terminal_ui import TerminalUI
+    from station.operator.device import LENT_TERMINAL
 
     named = addresses.parse(bus) if bus else None
     names = [step.start for step in book.servers]
