@@ -68,7 +68,8 @@ def _arm_tcp(options: ArmOptions, operator: str) -> Driver:
 
 _ARM_RATE_HZ = 250.0  # a target for each tick of a Kassow's controller
 _ARM_MOVES = {
-    "keyboard": "joints: 1 to 7, left, right choose one, up, down turn it; tool: w s a d, page up and down, i k, j l",
+    "keyboard": "joints: 1 to 7, left, right choose one, up, down turn it; "
+    "tool: w s a d, page up, page down move, i k pitch, j l turn, comma, period roll",
     "gamepad": "joints: right stick sideways chooses one, left stick turns it; tool: left stick, right stick, d-pad",
 }
 

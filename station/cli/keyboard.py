@@ -35,8 +35,8 @@ class Keyboard:
     Args:
         act_at_once: Called in the keyboard's thread with each key, and whether an answer is being typed; True where
             that was all, and nobody else is to see the key.
-        take: Called in the same thread with each other key that is typed while no question is open; True where that
-            was all. What nobody takes goes to the terminal that is lent to servers.
+        take: Called in the same thread with each other key that is typed while no question is open; True if it
+            was used. A key that was not used is sent to the servers (`LentTerminal`).
         idle: Called in the same thread a few times a second.
         show: Prints what is typed as the answer to a question.
     """
@@ -63,7 +63,7 @@ class Keyboard:
 
     @property
     def lent_name(self) -> str:
-        """Name of the terminal that is lent to servers; "" without a person at this one."""
+        """Name of the pseudo terminal for servers; "" where nobody can type here."""
         return self._lent.name if self._lent is not None else ""
 
     def ask(self, question: str, stop: threading.Event) -> str:
@@ -118,7 +118,7 @@ class Keyboard:
             os.close(wake)
 
     def press(self, key: str) -> None:
-        """Give a key that was typed to whom it belongs; called in the keyboard's thread."""
+        """Use a key that was typed, or send it to the servers; called in the keyboard's thread."""
         typed = self._typed
         if self._act_at_once(key, bool(typed)):
             return
@@ -137,10 +137,10 @@ class Keyboard:
 
 
 class LentTerminal:
-    """A pseudo terminal for servers, which have none of their own: they read there what nobody else needs.
+    """A pseudo terminal for the servers of a station, which are started without a terminal.
 
-    Its name stands in their environment (`station.operator.device.LENT_TERMINAL`); a device that reads keys opens it as
-    it would any other. `close` takes it away, as a closed window does.
+    Keys that are typed here and that `station up` does not use are sent to it. Servers find its name in their
+    environment (`station.operator.device.LENT_TERMINAL`), and open it like any other terminal.
 
     Attributes:
         name: Its name, such as ``/dev/pts/3``.
@@ -153,12 +153,12 @@ class LentTerminal:
         self.name = os.ttyname(self._slave)
 
     def type(self, keys: bytes) -> None:
-        """Type keys; where nobody has read for long, they are lost."""
+        """Send keys to the server that reads them. They are dropped while its buffer is full: nothing reads."""
         with contextlib.suppress(BlockingIOError):
             os.write(self._master, keys)
 
     def close(self) -> None:
-        """Take it away."""
+        """Close both ends; a server that still reads sees a closed terminal."""
         os.close(self._slave)
         os.close(self._master)
 

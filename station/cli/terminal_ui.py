@@ -86,7 +86,7 @@ class TerminalUI:
 
     @property
     def lent_terminal(self) -> str:
-        """Name of the terminal in which servers read what is typed here; "" where no person can type."""
+        """Name of the pseudo terminal for servers; "" where nobody can type here."""
         return self._keyboard.lent_name
 
     @property
@@ -150,7 +150,7 @@ class TerminalUI:
             self.report(f"{answer!r} is no answer: y goes on; n, or Enter alone, takes the station down", "warning")
 
     def show(self, health: list[Health]) -> None:
-        """Show how the run goes; the footer looks for itself, more often than it is told."""
+        """Begin the footer, which reads by itself how the servers are; without a screen print progress if brief."""
         self._begin_footer()
         if self._is_brief and not self._console.is_terminal:
             self._print_progress()
@@ -211,7 +211,7 @@ class TerminalUI:
         return True
 
     def _take(self, key: str) -> bool:
-        """Take up an offer if that is what a key does; every other one is for a server that reads keys."""
+        """Start servers again if that is offered and the key asks for it; return whether the key was used."""
         self._is_taken |= (takes := bool(self._offered) and key in _AGAIN)
         return takes
 

@@ -84,7 +84,7 @@ class ButtonMap:
 
     @property
     def beside_driving(self) -> str:
-        """Which controls ask for what an operator needs beside driving, for a help line; "" for none."""
+        """Controls for mode, record, mark and exit, for a help line; "" for none."""
         return ", ".join(
             f"{' or '.join(map(str, self.gestures[action]))} {action}"
             for action in ("mode", "record", "mark", "exit")

@@ -8,7 +8,7 @@ from station.errors import StationError
 from station.operator.sample import OperatorSample
 
 LENT_TERMINAL = "STATION_TERMINAL"
-"""Variable with the name of the terminal that ``station up`` lends to its servers; unset or "" where it lends none."""
+"""Environment variable: name of the pseudo terminal to which ``station up`` sends keys; unset or "" for none."""
 
 
 class DeviceError(StationError):

@@ -110,7 +110,7 @@ class DriverKind(msgspec.Struct, frozen=True, kw_only=True):
         make: Makes a driver of options and an operator's name ("" where none is known); imports what is heavy only when
             called, and raises a `station.errors.StationError` that says what is missing.
         rate_hz: Commands per second that its robot expects [Hz].
-        moves: What moves with which controls, in a line by kind of device, for the screen; of devices that have labels.
+        moves: A help line per kind of device: which of its controls move what.
     """
 
     name: str

@@ -90,7 +90,7 @@ def doing(motion: MotionProgress) -> str:
 
 
 def _operator(health: Health) -> Text:
-    """Whether an operator drives; if not, why: beside an operator in a headset somebody reads this."""
+    """Return whether an operator drives and, if not, why."""
     said = health.detail
     mode = f" ({printable(str(said['mode']))})" if said.get("mode") else ""
     if said["engaged"]:

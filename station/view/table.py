@@ -18,7 +18,7 @@ WIDE = 1000
 
 _COLOURS = {"active": "green", "inactive": "yellow", "unconfigured": "yellow", "finalized": "dim", "dead": "red"}
 _WORDS = {"why_not": "not driving:"}
-_HELP = "help"  # for who operates; `station up` has a line of its own for it
+_HELP = "help"  # which controls move what; `station up` shows it in its row `controls`
 _EMPTY: tuple[object, ...] = ("", None, 0, {}, [])
 
 

@@ -6,6 +6,7 @@ import getpass
 import os
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,7 @@ from tests.cli.screen import screen
 from tests.cli.stopped import release
 from tests.waiting import wait_until
 
+REPEAT_S = 1 / 30
 GATE = keys.command_gate(twist_keys.TWIST2_ROBOT)
 HEAD = "runbook: t\nrobot: unitree_g1_with_hands\nsteps:\n"
 G1 = "  - start: g1\n    with: {physics_dt_s: 0.002, real_time_priority: 0}\n    ready_within: 60s\n"
@@ -46,20 +48,26 @@ def written_ns(bus: Bus, key: str) -> int:
 
 
 def writes_of(bus: Bus, key: str) -> int:
-    """Return how often who wrote a key last has written it."""
+    """Return the count of writes by the newest writer of a key."""
     stamp = decode(bus.get(keys.stamp(key)) or b"")
     return stamp.seq if stamp is not None else 0
+
+
+def hold(terminal: AtTerminal, key: bytes, until: Callable[[], bool]) -> None:
+    """Repeat a key, as a keyboard does while it is held down, until something is so."""
+
+    def repeated() -> bool:
+        terminal.type(key)
+        time.sleep(REPEAT_S)
+        return until()
+
+    wait_until(repeated)
 
 
 def press_until(terminal: AtTerminal, key: bytes, text: str, after: int) -> int:
     """Press a key again and again until the screen shows a text behind a place; return the place behind it."""
 
-    def is_shown() -> bool:
-        terminal.type(key)
-        time.sleep(0.2)
-        return text in terminal.screen[after:]
-
-    wait_until(is_shown)
+    hold(terminal, key, lambda: text in terminal.screen[after:])
     return terminal.wait_for(text, after)
 
 
@@ -120,16 +128,14 @@ def test_keys_drive_from_this_terminal_and_space_stops_here_too(home: Home, tmp_
             wait_until(lambda: gate(bus) == "tracking")
 
             def walks() -> bool:
-                terminal.type(b"w")
-                time.sleep(0.05)
                 return float(codec.parse_json_vector(bus.get(twist_keys.action_body()) or b"[0]")[0]) > 0.0
 
-            wait_until(walks)
+            hold(terminal, b"w", walks)
             terminal.type(b"\x1b[A ")  # an arrow comes with it: it stops all the same
             wait_until(lambda: gate(bus) == "stopped")
         terminal.wait_for("EMERGENCY STOP", place)
         terminal.send(signal.SIGINT)
-        terminal.finish()
+        assert terminal.finish() == 0, terminal.screen
         assert terminal.settings() == terminal.before
         assert "help w s" not in terminal.screen, "said once, in a line of its own"
 

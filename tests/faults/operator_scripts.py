@@ -140,7 +140,7 @@ def gello(plan: Plan) -> Session:
 
 
 def keyboard(plan: Plan) -> Session:
-    """Enter starts and pauses, keys walk; the terminal is closed. After a loss nobody drives, so nothing is paused."""
+    """Enter starts and pauses, keys walk; the terminal is closed. After a loss nothing is paused: nobody drives."""
     steps = _unplugged(plan)
     for cycle, at_s in plan.begins_s():
         steps += [

@@ -42,8 +42,8 @@ class Keyboard:
     without keys, before it is gone.
 
     Args:
-        tty: Name of the terminal, such as ``/dev/pts/3``; "" for the one that ``station up`` lends, and without it for
-            that of the process.
+        tty: Name of the terminal, such as ``/dev/pts/3``; "" for the keys of the terminal of ``station up``, or
+            else for the terminal of the process.
         hold_s: For how long a key counts as held after each press [s].
         clock: Tells the time [s]; replaced in tests.
 
@@ -52,7 +52,8 @@ class Keyboard:
     """
 
     def __init__(self, *, tty: str = "", hold_s: float = HOLD_S, clock: Callable[[], float] = time.monotonic) -> None:
-        self._tty, self._hold_s, self._clock = _named(tty), hold_s, clock
+        self._tty = tty or os.environ.get(LENT_TERMINAL, "") or OWN_TERMINAL
+        self._hold_s, self._clock = hold_s, clock
         self._terminal = _open(self._tty)
         self._before: list[Any] = []
         try:
@@ -119,10 +120,6 @@ class Keyboard:
         is_all = not data and now_s - self._waiting_since_s >= _ESCAPE_S
         pressed, self._waiting = keys.parse(self._waiting + data, is_all=is_all)
         return pressed
-
-
-def _named(tty: str) -> str:
-    return tty or os.environ.get(LENT_TERMINAL, "") or OWN_TERMINAL
 
 
 def _open(tty: str) -> int:

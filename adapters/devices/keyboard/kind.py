@@ -15,14 +15,15 @@ from station.operator.device_kind import DeviceConfig, DeviceKind, Source
 class KeyboardConfig(DeviceConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the keyboard server, beside `rate_hz` and `fake`.
 
-    ``station up`` lends its terminal: what is typed there drives, but for the keys that it needs itself. Elsewhere the
-    server reads the terminal in which it runs (``station serve keyboard``), or one that is named and in which nothing
-    else reads (``--set keyboard.tty=/dev/pts/3``; there the command ``tty`` says the name, and ``sleep infinity`` keeps
-    the shell from reading). A terminal is put back as it was when the server ends.
+    In a station, keys that are typed in the terminal of ``station up`` drive, except those that it uses itself: SPACE
+    and e, answers, and r where it offers a restart. Elsewhere the server reads the terminal in which it runs (``station
+    serve keyboard``), or one that is named and in which nothing else reads (``--set keyboard.tty=/dev/pts/3``; there
+    the command ``tty`` says the name, and ``sleep infinity`` keeps the shell from reading). A terminal is put back as
+    it was when the server ends.
 
     Attributes:
-        tty: Name of the terminal, such as ``/dev/pts/3``; "" for the one that ``station up`` lends, and without it for
-            that of the process.
+        tty: Name of the terminal, such as ``/dev/pts/3``; "" for the keys of the terminal of ``station up``, or
+            else for the terminal of the process.
         hold_s: For how long a key counts as held after each press [s]; a terminal does not tell when it comes up.
     """
 
