@@ -40,17 +40,17 @@ class Camera:
         self._scene = mujoco.MjvScene(model, maxgeom=_GEOM_LIMIT)
         self._options = mujoco.MjvOption()
 
-    def capture(self, data: mujoco.MjData, camera: str | None = None) -> Picture:
+    def capture(self, data: mujoco.MjData, camera: str) -> Picture:
         """Return a picture, shape (height, width, 3), RGB, uint8.
 
         Args:
             data: State of the model.
-            camera: Name of a camera of the model; None looks at the robot from its left front.
+            camera: Name of a camera of the model.
 
         Raises:
             UnknownName: no such camera; the message lists those there are.
         """
-        view = self._named(camera) if camera is not None else self._following(data)
+        view = self._named(camera)
         self._gl.make_current()
         mujoco.mjv_updateScene(
             self._model, data, self._options, None, view, mujoco.mjtCatBit.mjCAT_ALL.value, self._scene
@@ -75,13 +75,6 @@ class Camera:
         if view.fixedcamid < 0:
             raise UnknownName("camera", name, [self._model.camera(i).name for i in range(self._model.ncam)])
         view.type = mujoco.mjtCamera.mjCAMERA_FIXED
-        return view
-
-    @staticmethod
-    def _following(data: mujoco.MjData) -> mujoco.MjvCamera:
-        view = mujoco.MjvCamera()
-        view.lookat[:] = data.xpos[1]
-        view.distance, view.azimuth, view.elevation = 2.6, -130.0, -15.0
         return view
 
 

@@ -12,11 +12,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.robots import model_cache
 from adapters.robots.g1 import mjcf
 from adapters.robots.g1.addresses import Addresses
 from adapters.robots.g1.joints import G1_29, select
-from adapters.robots.picture import Camera, Picture
 from station.assets import sha256
 from station.errors import ConfigError
 from station.protocols import FALL_TILT_RAD, Fall, Floats, JointTargets, RobotState
@@ -58,13 +56,12 @@ class MujocoG1:
         self._steps = _whole_steps(control_dt_s, physics_dt_s)
         self._path = Path(model)
         mujoco.set_mju_user_warning(_log_warning)  # else MuJoCo prints and writes MUJOCO_LOG.TXT where we stand
-        self._model = model_cache.load(self._path, mjcf.prepare, salt=mjcf.salt())
+        self._model = mjcf.load(self._path, is_drawn=viewer)
         self._model.opt.timestep = physics_dt_s
         self._data = mujoco.MjData(self._model)
         self._at = Addresses(self._model)
         self._may_touch = _feet(self._model)
         self._kp, self._kd = np.zeros(len(G1_29)), np.zeros(len(G1_29))
-        self._camera: Camera | None = None
         self.reset()
         self._viewer = Window(self._model, self._data) if viewer else None
 
@@ -158,30 +155,11 @@ class MujocoG1:
             "has_hands": any("_hand_" in self._model.joint(joint).name for joint in range(self._model.njnt)),
         }
 
-    def render(self, width: int = 640, height: int = 480, camera: str | None = None) -> Picture:
-        """Return a picture, shape (height, width, 3), RGB.
-
-        Args:
-            width, height: Size [px].
-            camera: Name of a camera of the model; None follows the robot.
-
-        Raises:
-            StationError: this machine cannot render, or there is no such camera.
-        """
-        if self._camera is None or (self._camera.width, self._camera.height) != (width, height):
-            if self._camera is not None:
-                self._camera.close()
-            self._camera = Camera(self._model, width, height)
-        return self._camera.capture(self._data, camera)
-
     def close(self) -> None:
-        """Close the window and the camera; a second call does nothing."""
+        """Close the window; a second call does nothing."""
         if self._viewer is not None:
             self._viewer.close()
             self._viewer = None
-        if self._camera is not None:
-            self._camera.close()
-            self._camera = None
 
     def _set_gains(self, kp: Floats, kd: Floats) -> None:
         if np.array_equal(kp, self._kp) and np.array_equal(kd, self._kd):

@@ -47,6 +47,12 @@ def test_a_second_load_takes_the_cached_model(pendulum: Path) -> None:
     assert (second.nq, second.nmesh, second.body_mass[1]) == (first.nq, first.nmesh, first.body_mass[1])
 
 
+def test_what_compiling_read_from_files_is_not_kept_in_memory(pendulum: Path) -> None:
+    mujoco.mj_clearCache(mujoco.mj_getCache())
+    assert model_cache.load(pendulum, _no_change).nmesh == 1
+    assert mujoco.mj_getCacheSize(mujoco.mj_getCache()) == 0
+
+
 def test_a_changed_mesh_an_included_file_and_a_salt_each_make_another_model(pendulum: Path) -> None:
     keys = {model_cache.model_hash(pendulum), model_cache.model_hash(pendulum, b"salt")}
     (pendulum.parent / "bob.obj").write_text(_TETRAHEDRON.replace("v 1 0 0", "v 2 0 0"))

@@ -11,7 +11,6 @@ import mujoco
 import numpy as np
 
 from adapters.policies.tracker.training import recipe
-from adapters.robots import model_cache
 from adapters.robots.g1 import mjcf
 from adapters.robots.g1.addresses import Addresses
 from adapters.robots.g1.joints import G1_29
@@ -134,7 +133,7 @@ def _varied(
     path: Path, kp: Floats, kd: Floats, config: recipe.Crowd, rng: np.random.Generator, *, is_nominal: bool
 ) -> mujoco.MjModel:
     """Return a body: that of the file, or one that differs from it as real ones do."""
-    model = model_cache.load(path, mjcf.prepare, salt=mjcf.salt())
+    model = mjcf.load(path, is_drawn=False)
     model.opt.timestep = config.physics_dt_s
     gains = np.ones(len(G1_29)) if is_nominal else 1 + rng.uniform(-1, 1, len(G1_29)) * config.gain_spread
     u = _addresses(model).u
