@@ -28,7 +28,7 @@ class G1Config(PolicyServerConfig, frozen=True, kw_only=True, forbid_unknown_fie
     viewer: bool = False
 
     def __post_init__(self) -> None:
-        registry.expect("policy", self.policy)
+        self.expect_policies()
         registry.expect("robot", f"g1-{self.backend}")
 
     @property

@@ -110,6 +110,8 @@ class AsyncStation(_Asynchronous[Station]):
     release = _awaited(Station.release)
     arm = _awaited(Station.arm)
     disarm = _awaited(Station.disarm)
+    policies = _awaited(Station.policies)
+    switch_policy = _awaited(Station.switch_policy)
 
     async def follow(self, key: str, *, silent_s: float | None = None) -> AsyncIterator[Value]:
         """Begin to follow a key; return what yields each newest value, as `Station.follow`."""

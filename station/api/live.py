@@ -21,9 +21,10 @@ from station.bus.watch import Watch
 from station.contract import Contract
 from station.description import RobotDescription
 from station.errors import BusError, NotReady, UsageError
-from station.life import arm_request
+from station.life import arm_request, policy_request
 from station.life.event_feed import EventFeed
 from station.life.events import Event
+from station.life.policy_request import Policies
 from station.life.server import Health, read_configurations, read_health
 from station.life.stop_button import StopButton, keep_for_the_next_start
 from station.printable import printable
@@ -350,6 +351,27 @@ class Station:
     def disarm(self, robot: str = "", *, reason: str = "") -> dict[str, list[str]]:
         """Send nothing to a robot any more; as `arm`."""
         return arm_request.ask(self._bus, "disarm", name=robot, reason=reason)
+
+    def policies(self, robot: str = "") -> list[Policies]:
+        """Return the policies that drive the robots here, and may: of one, or of all for "".
+
+        Raises:
+            NotReady: no such robot, or it has not said so yet.
+        """
+        return policy_request.policies(self._bus, robot)
+
+    def switch_policy(self, policy: str, robot: str = "") -> str:
+        """Have another policy drive a robot while it moves, and wait until it does; return the robot's name.
+
+        Args:
+            policy: Its name, as the settings of the robot's server have it.
+            robot: Name of the robot, or of its server; "" for the one that has several policies.
+
+        Raises:
+            NotReady: no such robot, or no answer in time.
+            Refused: the policy does not take over, with the reason; or the robot has to be named.
+        """
+        return policy_request.ask(self._bus, policy, name=robot)
 
     def _given_by(
         self, source: Watch | EventFeed, newer: Callable[[], Sequence[_Given]], silent_s: float | None

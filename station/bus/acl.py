@@ -91,6 +91,7 @@ def _of_robots() -> dict[str, tuple[str, ...]]:
             keys.ESTOP,
             keys.ESTOP_PRESSED,
             keys.CONTROLLER,
+            keys.POLICY,
             keys.EVENT,
             keys.MOTION_CONTROL,
         ),

@@ -166,6 +166,7 @@ ESTOP = "station:estop"
 ESTOP_PRESSED = "station:estop:pressed"  # whatever is written here stops: who may press need not be able to release
 ARM = "station:arm"
 CONTROLLER = "station:controller"
+POLICY = "station:policy"
 EVENT = "station:event"
 MOTION_CONTROL = "station:motion"
 RECORD = "station:record"

@@ -67,6 +67,10 @@ def story(found: Audit) -> str:
     return "\n".join(
         (
             f"{found.episode_id} ({found.robot}): {found.policy} {found.checkpoint} sha256 {found.sha256[:12]}…",
+            *(
+                f"  took over     {each.policy} {each.checkpoint} sha256 {each.sha256[:12]}…"
+                for each in found.took_over
+            ),
             f"  actions       {found.steps} steps, {found.different} different, max |Δ| {found.max_abs_difference:.3g}",
             f"  observations  {_compared(found.observations, 'steps', '', found.not_derived)}",
             f"  recorded on   {found.recorded_runtime or 'unknown'}\n  audited on    {found.runtime}",
@@ -80,7 +84,8 @@ def in_short(found: Audit) -> str:
     """Return in a line that an audit found nothing different; the whole story otherwise."""
     if not found.is_equal:
         return story(found)
-    return f"{found.policy}, run again on what was recorded: {found.steps} steps, {found.different} different"
+    policies = " and ".join(each.policy for each in (found, *found.took_over))
+    return f"{policies}, run again on what was recorded: {found.steps} steps, {found.different} different"
 
 
 def arm_story(found: ArmAudit) -> str:

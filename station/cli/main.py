@@ -39,6 +39,7 @@ VERBS = {
     "estop": "Stop every robot on the bus; --reset releases.",
     "arm": "Let targets go to a robot, with a gentle start.",
     "disarm": "Send nothing to a robot any more.",
+    "policy": "See which policy drives a robot; have another take over.",
     "record": "Start, stop, mark or discard an episode.",
     "episodes": "List, show and check what has been recorded.",
     "check": "Measure an episode from its file, and judge it.",

@@ -19,6 +19,7 @@ from station.control.command_path import CommandPath, StepEvent
 from station.control.command_validator import Samples
 from station.control.gate import Decision, Gate, GateConfig
 from station.control.parted_path import PartedPath
+from station.control.policy_switch import PolicySwitch
 from station.errors import ConfigError
 from station.parts import PartedCommand
 from station.protocols import CommandFormat, Fall, Floats, Floats32, JointTargets, Policy, Robot, RobotState
@@ -49,6 +50,8 @@ class StepRecord:
         command_seq: Sequence number of the command that was used; 0 when foreign or none.
         timing_ns: The six instants of `station.contract.TIMING_STAGES`; 0 where unknown.
         step_events: What happened, in order.
+        policy, next_policy: Name of the policy whose observation and action they are, and of the one that listens to
+            take over, or ""; both "" where a robot has but one.
     """
 
     tick: int
@@ -61,6 +64,8 @@ class StepRecord:
     command_seq: int
     timing_ns: tuple[int, int, int, int, int, int]
     step_events: tuple[StepEvent, ...]
+    policy: str = ""
+    next_policy: str = ""
 
 
 class ControlStep:
@@ -77,6 +82,7 @@ class ControlStep:
 
     Attributes:
         commanded: Validator, gate and arming; of each part, where parts are commanded apart.
+        policies: The policies that hand over to each other; None where there is one alone.
 
     Raises:
         ConfigError: the policy's joints are not the robot's, or it follows another format.
@@ -95,6 +101,7 @@ class ControlStep:
     ) -> None:
         _check_fit(robot, policy, command_format)
         self.robot, self.policy, self._clock = robot, policy, clock
+        self.policies = policy if isinstance(policy, PolicySwitch) else None
         self.arming = Arming(is_armed=is_armed)
         config = gate or GateConfig()
         self.commanded = (
@@ -145,6 +152,7 @@ class ControlStep:
         if not self._has_jumped:
             self._asked = None if is_limp else sent.q
         self._has_jumped = False
+        policy, listening = self._policies_of_step()
         good = self.commanded.paths[0].validator.good
         stages = (good.written_ns if good else 0, good.arrived_ns if good else 0)
         record = StepRecord(
@@ -158,6 +166,8 @@ class ControlStep:
             command_seq=good.seq if good else 0,
             timing_ns=(*stages, state.mono_ns, observed_ns, inferred_ns, sent_ns),
             step_events=self.commanded.taken(),
+            policy=policy,
+            next_policy=listening,
         )
         if self._reset_after_s is not None and now_s - self._fell_at_s >= self._reset_after_s:
             self._fell_at_s = math.inf
@@ -253,6 +263,14 @@ class ControlStep:
             q = np.where(np.isfinite(state.q), state.q, self.policy.spec.default_q)
             return JointTargets(q, np.zeros_like(targets.kp), targets.kd)
         return targets
+
+    def _policies_of_step(self) -> tuple[str, str]:
+        """Return the names of the policy that drove and of the one that listened; tell what became of a switch."""
+        if self.policies is None:
+            return "", ""
+        for name, severity, detail in self.policies.taken():
+            self._note(name, severity, **detail)
+        return self.policies.acted
 
     def _detect_fall(self, now_s: float) -> Fall | None:
         fall = self.robot.fallen()

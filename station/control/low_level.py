@@ -28,6 +28,7 @@ from station.errors import BusError, Refused
 from station.life import estop
 from station.life.arm_request import ArmAnswer, ArmRequest
 from station.life.loop import Rate
+from station.life.policy_request import PolicyAnswer
 from station.life.request import OVERTAKEN, Asked, DoneRequests, NewRequests, parse
 from station.life.server import Life
 from station.life.stop_file import StopKeeper
@@ -314,7 +315,11 @@ def _age_by(command: CommandSample | None) -> str:
 
 
 def result_values(
-    suffix: str, record: StepRecord, commanded: CommandPath, answer: ArmAnswer | None = None
+    suffix: str,
+    record: StepRecord,
+    commanded: CommandPath,
+    answer: ArmAnswer | None = None,
+    switch: PolicyAnswer | None = None,
 ) -> dict[str, bytes]:
     """Return what a step of a policy publishes after its targets were sent, by key.
 
@@ -323,11 +328,16 @@ def result_values(
         record: The step.
         commanded: Its command's way.
         answer: To the last request to arm.
+        switch: To the last request for another policy.
     """
     decision, sent = record.decision, record.sent
     gate = commanded.status(decision)
     if answer is not None:
         gate["arm"] = msgspec.structs.asdict(answer)
+    if record.policy:
+        gate |= {"policy": record.policy, "next_policy": record.next_policy}
+    if switch is not None:
+        gate["switch"] = msgspec.structs.asdict(switch)
     return {
         **_values_of_parts(decision, commanded),
         keys.policy_obs(suffix): codec.f32(record.observation),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -14,9 +14,24 @@ from station.bus import codec, keys
 from station.clock import SYSTEM, Clock
 from station.control.control import ControlStep
 from station.control.gate import GateConfig
+from station.control.policy_switch import BLEND_S, PolicySwitch
 from station.errors import ConfigError, did_you_mean
 from station.protocols import CommandFormat, HasGroundTruth, Policy, Robot, RobotState
 from station.robot_kind import RobotKind
+
+
+class PolicyChoice(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A policy that may take over while the robot moves.
+
+    Attributes:
+        policy: Registered name of the policy family; "" for the name that it is asked for with.
+        checkpoint: Its file, a path or ``collection:path``; "" for the robot's, else the family's default.
+        policy_options: Further keyword arguments of the policy.
+    """
+
+    policy: str = ""
+    checkpoint: str = ""
+    policy_options: dict[str, Any] = {}
 
 
 class RigConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -28,6 +43,8 @@ class RigConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         policy: Registered name of the policy family; "" for the robot's.
         checkpoint: Its file, a path or ``collection:path``; "" for the robot's, else the family's default.
         policy_options: Further keyword arguments of the policy, for example ``wrist_gains: real``.
+        policies: Others that may take over while the robot moves, by the names that they are asked for with.
+        blend_s: How long the targets of two policies are blended when one takes over [s].
         rate_hz: Rate of the policy [Hz]; 0 for the rate it was trained at.
     """
 
@@ -36,7 +53,27 @@ class RigConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     policy: str = ""
     checkpoint: str = ""
     policy_options: dict[str, Any] = {}
+    policies: dict[str, PolicyChoice] = {}
+    blend_s: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = BLEND_S
     rate_hz: float = 0.0
+
+    @property
+    def choices(self) -> dict[str, PolicyChoice]:
+        """The policy that drives at the start, then those that may take over; each says its family.
+
+        Raises:
+            ConfigError: one is called like the first.
+        """
+        first = self.policy or self.kind.policy
+        if first in self.policies:
+            raise ConfigError(
+                f"policies: {first!r} is the name of the policy that drives at the start; give the other one a name of "
+                f"its own, and its family with `policy: {self.policies[first].policy or first}`"
+            )
+        found = {first: PolicyChoice(policy=first, checkpoint=self.checkpoint, policy_options=self.policy_options)}
+        for name, choice in self.policies.items():
+            found[name] = msgspec.structs.replace(choice, policy=choice.policy or name)
+        return found
 
     @property
     def kind(self) -> RobotKind:
@@ -87,7 +124,8 @@ class Rig(msgspec.Struct, frozen=True):
         name = self.command_format.robot
         values = {keys.robot_state(name): codec.f64(np.concatenate([state.q, state.dq, state.quat_wxyz, state.gyro]))}
         if self.kind.values is not None:
-            values |= self.kind.values(state, self.policy, name)
+            driving = self.policy.policy if isinstance(self.policy, PolicySwitch) else self.policy
+            values |= self.kind.values(state, driving, name)
         if isinstance(self.robot, HasGroundTruth):
             values[keys.sim_qpos(name)] = codec.f64(self.robot.qpos)
         return values
@@ -129,7 +167,8 @@ def expect(config: RigConfig) -> None:
     options = config.kind.typed(config.robot_options)
     if config.rate_hz:
         _expect_rate(config.rate_hz)
-    _checkpoint(config)
+    for choice in config.choices.values():
+        _checkpoint(config, choice)
     if isinstance(model := getattr(options, "model", None), str) and model:
         assets.resolve(model)
 
@@ -152,9 +191,12 @@ def build(config: RigConfig, *, may_be_real: bool = False) -> Rig:
     if not (kind.is_simulated or may_be_real):
         raise ConfigError(f"robot {kind.name!r} is a real one; only its server drives it: name a simulated one")
     options = kind.typed(config.robot_options)
-    policy = _policy(config)
+    policies = {name: _policy(config, choice) for name, choice in config.choices.items()}
+    policy = next(iter(policies.values()))
     rate_hz = config.rate_hz or policy.spec.rate_hz
     _expect_rate(rate_hz)
+    if len(policies) > 1:
+        policy = PolicySwitch(policies, period_s=1.0 / rate_hz, blend_s=config.blend_s)
     command_format = registry.find("command", policy.spec.command)
     return Rig(kind, kind.make(options, 1.0 / rate_hz), policy, command_format, 1.0 / rate_hz)
 
@@ -164,24 +206,23 @@ def _expect_rate(rate_hz: float) -> None:
         raise ConfigError(f"rate_hz {rate_hz:g}: expected 1 to 1000 Hz, or 0 for the policy's own")
 
 
-def _checkpoint(config: RigConfig) -> Path:
-    name = config.policy or config.kind.policy
-    reference = checkpoint_of(name, config.checkpoint, config.kind)
+def _checkpoint(config: RigConfig, choice: PolicyChoice) -> Path:
+    reference = checkpoint_of(choice.policy, choice.checkpoint, config.kind)
     if not reference:
-        raise ConfigError(f"policy {name!r} has no default checkpoint; name its file with `checkpoint`")
+        raise ConfigError(f"policy {choice.policy!r} has no default checkpoint; name its file with `checkpoint`")
     return assets.resolve(reference)
 
 
-def _policy(config: RigConfig) -> Policy:
-    name, checkpoint = config.policy or config.kind.policy, _checkpoint(config)
-    make = registry.find("policy", name)
+def _policy(config: RigConfig, choice: PolicyChoice) -> Policy:
+    checkpoint = _checkpoint(config, choice)
+    make = registry.find("policy", choice.policy)
     known = [parameter for parameter in inspect.signature(make).parameters if parameter != "checkpoint"]
-    for option in config.policy_options:
+    for option in choice.policy_options:
         if option not in known:
             listed = ", ".join(known) or "none"
             raise ConfigError(
-                f"policy_options: policy {name!r} has no option {option!r}{did_you_mean(option, known)}; "
+                f"policy_options: policy {choice.policy!r} has no option {option!r}{did_you_mean(option, known)}; "
                 f"known: {listed}"
             )
-    policy: Policy = make(checkpoint, **config.policy_options)
+    policy: Policy = make(checkpoint, **choice.policy_options)
     return policy

@@ -6,20 +6,27 @@ a newer command, and the gate's clock is that of the ticks, so a run is the same
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 import msgspec
 
 from station import registry
+from station.bus import keys
 from station.config import to_plain
 from station.control import rig as rigs
+from station.control.control import ControlStep
 from station.control.gate import GateConfig
 from station.control.low_level import LowLevelLoop, result_values
-from station.control.rig import Rig, RigConfig, build
-from station.errors import ConfigError
+from station.control.policy_switch import BLEND_S, PolicySwitch
+from station.control.rig import PolicyChoice, Rig, RigConfig, build
+from station.errors import ConfigError, Refused, StationError
 from station.life.loop import Rate, real_time
+from station.life.policy_request import PolicyAnswer, PolicyRequest
+from station.life.request import OVERTAKEN, Asked, DoneRequests, parse
 from station.life.server import Life
 from station.parts import PartedCommand
+from station.protocols import PolicySpec
 from station.software import software
 
 _RESET_AFTER_S = 1.0  # so that a fall can be seen, and stands in the episode
@@ -32,6 +39,9 @@ class PolicyServerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         policy: Registered name of the policy family; "" for the robot's.
         checkpoint: Its file; "" for the family's default.
         policy_options: Further arguments of the policy, for example ``wrist_gains: real``.
+        policies: Others that may take over while the robot moves, by the names that `station policy switch` takes; each
+            with ``policy``, ``checkpoint`` and ``policy_options`` of its own.
+        blend_s: How long the targets of two policies are blended when one takes over [s].
         rate_hz: Rate of the loop [Hz]; 0 for the one that the policy was trained at.
         pace: ``wall`` or ``command`` (lock-step).
         command_timeout_s: Longest wait for the next command in lock-step [s]; then ticks go on at `rate_hz`.
@@ -44,6 +54,8 @@ class PolicyServerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     policy: Annotated[str, registry.named("policy")] = ""
     checkpoint: str = ""
     policy_options: dict[str, Any] = {}
+    policies: dict[str, PolicyChoice] = {}
+    blend_s: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = BLEND_S
     rate_hz: float = 0.0
     pace: Literal["wall", "command"] = "wall"
     command_timeout_s: float = 1.0
@@ -56,8 +68,18 @@ class PolicyServerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         """Return what drives what, for a robot by its registered name, with its settings."""
         return RigConfig(
             robot=robot, robot_options=options, policy=self.policy, checkpoint=self.checkpoint,
-            policy_options=self.policy_options, rate_hz=self.rate_hz,
+            policy_options=self.policy_options, policies=self.policies, blend_s=self.blend_s, rate_hz=self.rate_hz,
         )  # fmt: skip
+
+    def expect_policies(self) -> None:
+        """Check that each policy family that is named is registered.
+
+        Raises:
+            UnknownName: one is not.
+        """
+        named = [choice.policy or name for name, choice in self.policies.items()]
+        for family in [self.policy, *named] if self.policy else named:
+            registry.expect("policy", family)
 
     @property
     def rig(self) -> RigConfig:
@@ -83,8 +105,7 @@ class RobotConfig(PolicyServerConfig, frozen=True, kw_only=True, forbid_unknown_
 
     def __post_init__(self) -> None:
         registry.expect("robot", self.robot)
-        if self.policy:
-            registry.expect("policy", self.policy)
+        self.expect_policies()
         try:
             self.rig.kind.typed(self.robot_options)
         except ConfigError as error:
@@ -123,14 +144,18 @@ def serve(config: PolicyServerConfig, life: Life) -> int:
         reset_after_s = _RESET_AFTER_S if config.on_fall == "reset" else None
         control = rig.control(gate=config.gate, is_armed=config.is_armed, reset_after_s=reset_after_s,
                               clock=life.clock)  # fmt: skip
+        requests = PolicyRequests(control, suffix, lambda: life.configured(facts(config, life.name, rig)))
         with LowLevelLoop(
             life,
             control,
             state_values=rig.state_values,
-            result_values=lambda record, answer: result_values(suffix, record, control.commanded, answer),
+            result_values=lambda record, answer: result_values(
+                suffix, record, control.commanded, answer, requests.poll()
+            ),
             period_s=rig.period_s,
+            requests={keys.POLICY: requests.on_request},
         ) as loop:
-            life.configured(_facts(config, life.name, rig))
+            life.configured(facts(config, life.name, rig))
             if not life.ready():
                 return 0
             _warn_of_rate(life, rig)
@@ -145,6 +170,70 @@ def serve(config: PolicyServerConfig, life: Life) -> int:
     return 0
 
 
+class PolicyRequests:
+    """Has another policy drive the robot when that is asked for.
+
+    Args:
+        control: The step of the robot.
+        robot: Suffix of its keys; requests to other robots are none of ours.
+        on_switched: Called when another policy drives, to state that.
+    """
+
+    def __init__(self, control: ControlStep, robot: str, on_switched: Callable[[], None]) -> None:
+        self._control, self._robot, self._on_switched = control, robot, on_switched
+        self._driving = control.policies.driving if control.policies is not None else ""
+        self._under_way: PolicyRequest | None = None
+        self._answer: PolicyAnswer | None = None
+        self._done = DoneRequests[PolicyAnswer]()
+
+    def on_request(self, asked: Asked) -> None:
+        """Do what came on the key of requests."""
+        note = self._control.commanded.add_event
+        try:
+            request = parse(asked.data, PolicyRequest, "a request for a policy")
+        except Refused as error:
+            note("request-refused", "warning", reason=str(error))
+            return
+        if request.robot != self._robot or (self._under_way is not None and request.id == self._under_way.id != ""):
+            return
+        if (known := self._done.get(request.id)) is not None:  # its asker has not seen the answer yet
+            self._answer = known
+            return
+        refused = OVERTAKEN if self._done.begin(asked.first_ns(request.late_s)) else self._switch(request)
+        if refused:
+            note("policy-switch-refused", "warning", policy=request.policy, reason=refused, who=request.who)
+            self._reply(request, refused)
+        else:
+            self._under_way = request
+
+    def poll(self) -> PolicyAnswer | None:
+        """Answer what is done by now; return the newest answer."""
+        policies = self._control.policies
+        if policies is None:
+            return self._answer
+        if self._driving != policies.driving:
+            self._driving = policies.driving
+            self._on_switched()
+        if self._under_way is not None and not policies.is_switching:
+            request, self._under_way = self._under_way, None
+            self._reply(request, policies.refusal)
+        return self._answer
+
+    def _switch(self, request: PolicyRequest) -> str:
+        policies = self._control.policies
+        if policies is None:
+            return "this robot's server has one policy alone; name others in its settings, `policies`"
+        try:
+            policies.switch(request.policy, request.who)
+        except StationError as error:
+            return str(error)
+        return ""
+
+    def _reply(self, request: PolicyRequest, refused: str) -> None:
+        self._answer = PolicyAnswer(id=request.id, policy=request.policy, refused=refused)
+        self._done.put(request.id, self._answer)
+
+
 def _warn_of_rate(life: Life, rig: Rig) -> None:
     """Say when the policy runs at another rate than in training: TWIST2 at 100 Hz falls in two of ten walks."""
     rate_hz, trained_hz = 1.0 / rig.period_s, rig.policy.spec.rate_hz
@@ -152,12 +241,17 @@ def _warn_of_rate(life: Life, rig: Rig) -> None:
         life.event("rate-differs", severity="warning", rate_hz=rate_hz, trained_hz=trained_hz)
 
 
-def _facts(config: PolicyServerConfig, name: str, rig: Rig) -> dict[str, Any]:
+def facts(config: PolicyServerConfig, name: str, rig: Rig) -> dict[str, Any]:
     """What a recording must know of this server."""
-    spec = rig.policy.spec
     code = software()
     robot_facts = rig.robot.facts()
     physics = {"physics_dt_s": robot_facts["physics_dt_s"]} if "physics_dt_s" in robot_facts else {}
+    specs = rig.policy.specs if isinstance(rig.policy, PolicySwitch) else {"": rig.policy.spec}
+    policies = {
+        called: _policy_facts(spec, choice.policy_options)
+        for (called, spec), choice in zip(specs.items(), config.rig.choices.values(), strict=True)
+    }
+    driving = rig.policy.driving if isinstance(rig.policy, PolicySwitch) else ""
     return {
         "server": name,
         "role": "low-level",
@@ -169,21 +263,26 @@ def _facts(config: PolicyServerConfig, name: str, rig: Rig) -> dict[str, Any]:
         ),
         "description": to_plain(rig.kind.describe(rig.command_format)),
         "robot_facts": robot_facts,
-        "policy": {
-            "name": spec.name,
-            "checkpoint": str(spec.checkpoint),
-            "sha256": spec.sha256,
-            "runtime": spec.runtime,
-            "rate_hz": spec.rate_hz,
-            "command": spec.command,
-            "options": config.policy_options,
-            "kp": spec.kp.tolist(),
-            "kd": spec.kd.tolist(),
-            "default_q": spec.default_q.tolist(),
-            "joint_names": list(spec.joint_names),
-        },
+        "policy": policies[driving] | ({"called": driving} if driving else {}),
+        **({"policies": policies} if driving else {}),
         "rates": {"control_hz": 1.0 / rig.period_s, "pace": config.pace, **physics},
         "gate": to_plain(config.gate),
         "software": {"version": code.version, "revision": code.revision, "dirty": code.dirty},
         "config": to_plain(config),
+    }
+
+
+def _policy_facts(spec: PolicySpec, options: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "name": spec.name,
+        "checkpoint": str(spec.checkpoint),
+        "sha256": spec.sha256,
+        "runtime": spec.runtime,
+        "rate_hz": spec.rate_hz,
+        "command": spec.command,
+        "options": options,
+        "kp": spec.kp.tolist(),
+        "kd": spec.kd.tolist(),
+        "default_q": spec.default_q.tolist(),
+        "joint_names": list(spec.joint_names),
     }

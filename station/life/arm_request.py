@@ -83,7 +83,7 @@ def ask(
         NotReady: no such server runs, the bus did not take the request, or a server did not answer.
         Refused: a server said no; with its reason.
     """
-    robots = {health.name: robot_of(bus, health.name) for health in _low_level(bus, name)}
+    robots = robots_of(bus, name)
     server = next(iter(robots)) if name else ""
     wanted = ArmRequest(action=action, id=request.new_id(), server=server, who=getpass.getuser(), reason=reason)
     deadline_s = bus.clock.monotonic_s() + within_s
@@ -92,6 +92,19 @@ def ask(
         answers = dict.fromkeys(gates.values(), lambda data: _answer(data, wanted.id))
         request.ask(bus, watch, keys.ARM, wanted, answers, what=action, within_s=within_s)
         return {each: _follow(watch, each, gate, wanted, deadline_s) for each, gate in gates.items()}
+
+
+def robots_of(bus: Bus, name: str = "") -> dict[str, str]:
+    """Return the suffixes of the robots that low-level servers drive, by the servers' names.
+
+    Args:
+        bus: The bus that they run on.
+        name: Of the one server, or of the robot that it drives; "" for all.
+
+    Raises:
+        NotReady: none of that name runs, or it has not said so yet.
+    """
+    return {health.name: robot_of(bus, health.name) for health in _low_level(bus, name)}
 
 
 def server_of(bus: Bus, robot: str) -> str:

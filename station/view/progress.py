@@ -48,7 +48,8 @@ class RobotProgress:
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyProgress:
-    """What drives it: name, rate [Hz], medians of the inference and of the way from command to joints [s]."""
+    """What drives it: name (of several, as the settings call it), rate [Hz], medians of the inference and of the way
+    from command to joints [s]."""
 
     name: str
     rate_hz: float | None
@@ -142,7 +143,7 @@ class ProgressReader:
             self._add_timing(sample.value)
         stated = facts[health.name].get("policy")
         return PolicyProgress(
-            name=str(stated.get("name", "")) if isinstance(stated, Mapping) else "",
+            name=str(stated.get("called") or stated.get("name", "")) if isinstance(stated, Mapping) else "",
             rate_hz=health.rate_hz,
             inference_s=statistics.median(self._inference_s) if self._inference_s else None,
             latency_s=statistics.median(self._latency_s) if self._latency_s else None,

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-
-import msgspec
 
 from servers.g1 import G1Config
 from station import registry
@@ -16,13 +15,21 @@ from station.control.command_validator import CommandSample
 from station.control.control import ControlStep
 from station.control.low_level import result_values
 from station.control.rig import Rig, build
+from station.control.robot_server import facts
 from station.motion.playback import Playback
 from tests.episode.synthetic import EpisodeBuilder
 
 MOTION = "builtin:walk-forward"
 
 
-def record(builder: EpisodeBuilder, *, seconds: float, skip: int = 0, config: G1Config | None = None) -> Path:
+def record(
+    builder: EpisodeBuilder,
+    *,
+    seconds: float,
+    skip: int = 0,
+    config: G1Config | None = None,
+    switches: Mapping[int, str] | None = None,
+) -> Path:
     """Run a motion for some seconds, write what the servers would write, and return the episode's folder.
 
     Args:
@@ -30,14 +37,17 @@ def record(builder: EpisodeBuilder, *, seconds: float, skip: int = 0, config: G1
         seconds: Simulated time [s].
         skip: First steps that are run but not recorded, as when the recording starts late.
         config: Of the G1 server.
+        switches: Names of policies that are asked for, by the tick at which.
     """
-    config = config or G1Config(pace="command")
+    config = config or G1Config(pace="command", physics_dt_s=0.002)
     rig = build(config.rig)
     control = rig.control(gate=config.gate)
     motion = registry.find("loader", "motion")(MOTION)
     playback = Playback(motion, rig.command_format, enter_s=0.2)
     command_key = rig.command_format.key
     for tick in range(round(seconds / rig.period_s)):
+        if switches and tick in switches and control.policies is not None:
+            control.policies.switch(switches[tick])
         frame = playback.step(rig.period_s)
         values = _tick(control, rig, codec.json_vector(frame.command), tick)
         source = json.dumps({"file": "walk.pkl", "frame": frame.frame_index, "phase": frame.phase}).encode()
@@ -57,22 +67,7 @@ def record(builder: EpisodeBuilder, *, seconds: float, skip: int = 0, config: G1
 
 def manifest(config: G1Config, rig: Rig) -> dict[str, Any]:
     """What the G1 server states of itself."""
-    spec = rig.policy.spec
-    facts = {
-        "server": "g1",
-        "role": "low-level",
-        "robot": rig.command_format.robot,
-        "robot_facts": rig.robot.facts(),
-        "policy": {
-            "name": spec.name,
-            "checkpoint": str(spec.checkpoint),
-            "sha256": spec.sha256,
-            "runtime": spec.runtime,
-        },
-        "rates": {"control_hz": 1.0 / rig.period_s, "pace": config.pace},
-        "config": msgspec.to_builtins(config),
-    }
-    return {"servers": {"g1": facts}}
+    return {"servers": {"g1": facts(config, "g1", rig)}}
 
 
 def _tick(control: ControlStep, rig: Rig, command: bytes, tick: int) -> list[tuple[str, dict[str, bytes]]]:

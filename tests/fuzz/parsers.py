@@ -48,7 +48,7 @@ from station.episode.storage.manifest import Manifest, Timing, dump_manifest
 from station.episode.storage.request import parse_answer, parse_request, request_id
 from station.episode.writing import servers_seen, summary
 from station.errors import NotReady, Refused, UnknownName, UsageError
-from station.life import arm_request, controller_request, estop, events, stop_button, stop_file
+from station.life import arm_request, controller_request, estop, events, policy_request, stop_button, stop_file
 from station.life.request import parse
 from station.life.server import Health, decode_health
 from station.life.stop_file import StopFile
@@ -110,6 +110,7 @@ DESCRIPTION: dict[str, Any] = {
 CONFIG: dict[str, Any] = {
     "kind": "g1", "role": "low-level", "robot": ROBOT, "rate_hz": 50.0, "fake_began_wall_ns": NOW_NS,
     "policy": {"name": "tracker", "checkpoint": "a.onnx", "sha256": "ab", "command": "twist2", "rate_hz": 50},
+    "policies": {"tracker": {"name": "tracker"}, "b": {"name": "tracker", "checkpoint": "b.onnx"}},
     "robot_facts": {"model": "builtin:g1.xml", "model_sha256": "ab"},
     "motion": {"file": "builtin:tour", "duration_s": 20.0, "clips": _CLIPS},
     "config": {"fake": "here/script.json"}, "device": {"library": "none"}, "fps": 30, "key": "camera_image_a",
@@ -119,6 +120,7 @@ SOURCE = {"kind": "motion", "file": "a.pkl", "sha256": "ab", "phase": "playing",
 GATE: dict[str, Any] = {
     "state": "tracking", "reason": "", "arming": "armed", "age_s": 0.01, "clamped": 0, "refused": 3,
     "arm": {"id": "1", "action": "arm", "refused": ""}, "controller": {"id": "1", "action": "clear", "refused": ""},
+    "policy": "tracker", "next_policy": "b", "switch": {"id": "1", "policy": "b", "refused": ""},
 }  # fmt: skip
 RECORDER = {"state": "recording", "episode_id": "e-1", "path": "/d/t/e-1", "messages": 3, "bytes": 9, "free_mb": 2.5}
 REQUEST: dict[str, Any] = {
@@ -201,6 +203,12 @@ def _folder() -> Path:
 def _robot_of(key: str, data: bytes) -> None:
     shelf: Any = Shelf({keys.server("g1"): health(), keys.server_config("g1"): dumped(CONFIG), key: data})
     arm_request.server_of(shelf, ROBOT)
+
+
+def _policies_of(key: str, data: bytes) -> None:
+    shelf: Any = Shelf({keys.server("g1"): health(), keys.server_config("g1"): dumped(CONFIG), key: data})
+    for each in policy_request.policies(shelf):
+        ", ".join((each.robot, each.driving, *each.names))
 
 
 # ---- what servers say ----
@@ -518,6 +526,13 @@ def _stops_and_requests() -> list[Parser]:
                (_LIFE + "request",), (Refused,)),
         Parser("controller answer", partial(controller_request._answer, asked="1"), (dumped(GATE),),
                (_LIFE + "controller_request",)),
+        Parser("policy request", partial(parse, kind=policy_request.PolicyRequest, what="one"),
+               (b'{"policy": "b", "id": "1", "robot": "a", "who": "ada", "late_s": 1}',),
+               (_LIFE + "request",), (Refused,)),
+        Parser("policy answer", partial(policy_request._answer, asked="1"), (dumped(GATE),),
+               (_LIFE + "policy_request",)),
+        Parser("policies of a robot", partial(_policies_of, keys.server_config("g1")), (dumped(CONFIG),),
+               (_LIFE + "policy_request",), (NotReady,)),
         Parser("stop, obeyed", stop_button._gate, (dumped(GATE),), (_LIFE + "stop_button",)),
         Parser("motion request", _motion_control, (b'{"action": "seek", "time_s": 1.5, "on": true}', b"1"),
                ("station.motion.playback_requests",)),

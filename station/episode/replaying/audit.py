@@ -7,6 +7,7 @@ and command give the recorded observations? With two times yes, the file holds e
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,8 +20,8 @@ from station.contract import Contract
 from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step
-from station.episode.replaying.recorded_policy import load_policy, recorded_policy
-from station.protocols import CommandFormat, Floats, Floats32, Policy
+from station.episode.replaying.recorded_policy import StatedPolicy, load_policy, recorded_policies
+from station.protocols import CommandFormat, Floats, Floats32, Policy, RobotState
 
 
 class Comparison(msgspec.Struct, kw_only=True):
@@ -55,14 +56,29 @@ class Comparison(msgspec.Struct, kw_only=True):
         return False
 
 
-class Audit(msgspec.Struct, kw_only=True):
-    """What an audit found.
+class AuditedPolicy(msgspec.Struct, kw_only=True):
+    """A policy that drove in an episode.
 
     Attributes:
-        episode_id, robot: What was audited.
         policy, checkpoint, sha256: What it was audited with.
         recorded_sha256: Hash of the checkpoint that ran, as its server stated it; "" when it did not.
         recorded_runtime, runtime: What ran the network then, and now. Other runtimes give other last bits.
+    """
+
+    policy: str
+    checkpoint: str
+    sha256: str
+    recorded_sha256: str
+    recorded_runtime: str
+    runtime: str
+
+
+class Audit(AuditedPolicy, kw_only=True):
+    """What an audit found; the policy is the one that drove first.
+
+    Attributes:
+        episode_id, robot: What was audited.
+        took_over: The other policies that drove.
         steps: Policy steps whose observation and action are in the file.
         different: Those whose action differs in any bit.
         max_abs_difference: Greatest difference of an element of an action.
@@ -78,12 +94,7 @@ class Audit(msgspec.Struct, kw_only=True):
 
     episode_id: str
     robot: str
-    policy: str
-    checkpoint: str
-    sha256: str
-    recorded_sha256: str
-    recorded_runtime: str
-    runtime: str
+    took_over: list[AuditedPolicy] = []
     steps: int
     different: int
     max_abs_difference: float
@@ -122,25 +133,24 @@ def audit(
         EpisodeError: no policy steps, the episode does not name its policy, or another checkpoint than that.
         AssetMissing, BadFile: the checkpoint is not on this machine.
     """
-    suspect = recorded_policy(reader, robot)
-    policy = policy or load_policy(reader, suspect, checkpoint)
+    suspects = recorded_policies(reader, robot)
+    policies = {name: policy or load_policy(reader, each, checkpoint) for name, each in suspects.items()}
+    (suspect, *_) = suspects.values()
     began = time.perf_counter()
-    run = _Run(policy, suspect.robot, reader.contract(keys.robot_state(suspect.robot)))
-    families = (keys.policy_obs, keys.policy_action, keys.command_used)
+    run = _Run(policies, suspect.robot, reader.contract(keys.robot_state(suspect.robot)))
+    gate = (keys.command_gate,) if len(policies) > 1 else ()  # says which of them drove
+    families = (keys.policy_obs, keys.policy_action, keys.command_used, *gate)
     for step in steps.iterate(reader, suspect.robot, results=families):
         run.on_step(step)
     seconds = time.perf_counter() - began
-    spec, actions = policy.spec, run.actions
+    actions = run.actions
+    first, *others = [_audited(suspects[name], policies[name]) for name in run.drove or [next(iter(policies))]]
     recorded_s = (run.last_ns - run.first_ns) * 1e-9
     return Audit(
         episode_id=reader.episode_id,
         robot=suspect.robot,
-        policy=spec.name,
-        checkpoint=str(spec.checkpoint),
-        sha256=spec.sha256,
-        recorded_sha256=suspect.sha256,
-        recorded_runtime=suspect.runtime,
-        runtime=spec.runtime,
+        **msgspec.structs.asdict(first),
+        took_over=others,
         steps=actions.compared,
         different=actions.different,
         max_abs_difference=actions.max_abs_difference,
@@ -155,15 +165,27 @@ def audit(
     )
 
 
+def _audited(suspect: StatedPolicy, policy: Policy) -> AuditedPolicy:
+    spec = policy.spec
+    return AuditedPolicy(
+        policy=spec.name, checkpoint=str(spec.checkpoint), sha256=spec.sha256, recorded_sha256=suspect.sha256,
+        recorded_runtime=suspect.runtime, runtime=spec.runtime,
+    )  # fmt: skip
+
+
 @dataclass
 class _Run:
-    """Follows the steps of an episode with a policy of our own; `state` says what `keys.robot_state` holds."""
+    """Follows the steps of an episode with policies of our own; `state` says what `keys.robot_state` holds.
 
-    policy: Policy
+    `drove` has the names of those that drove, in order.
+    """
+
+    policies: Mapping[str, Policy]
     robot: str
     state: Contract | None
     actions: Comparison = field(default_factory=Comparison)
     observations: Comparison = field(default_factory=Comparison)
+    drove: list[str] = field(default_factory=list)
     not_derived: str = ""
     segments: int = 0
     incomplete: int = 0
@@ -171,8 +193,12 @@ class _Run:
     last_ns: int = 0
     _count: int = 0
     _before: Step | None = None
+    _driving: str = ""
+    _next: str | None = None  # who listened in the step before; None where that is not in the file
+    _heard: str = ""  # the same, where every step since it began to listen is in the file
 
     def __post_init__(self) -> None:
+        self.policy = next(iter(self.policies.values()))
         command_format: CommandFormat = registry.find("command", self.policy.spec.command)
         self._command_size = len(command_format.default)
 
@@ -181,6 +207,9 @@ class _Run:
         number, self._count = self._count, self._count + 1
         self.first_ns = self.first_ns or step.at_ns
         self.last_ns = step.at_ns
+        if self._before is None or not _follows(self._before, step):
+            self._before, self._next, self._heard = None, None, ""
+        listening = self._choose(step)
         seen, done = step.values.get(keys.policy_obs(self.robot)), step.values.get(keys.policy_action(self.robot))
         spec = self.policy.spec
         if seen is None or done is None or len(seen) != 4 * spec.observation_size or len(done) % 4:
@@ -191,24 +220,58 @@ class _Run:
         self._derive(number, step, observation)
         self.actions.add(number, codec.parse_f32(done), self.policy.act(observation))
         self._before = step
+        self._listen(listening, step)
 
-    def _derive(self, number: int, step: Step, observation: Floats32) -> None:
-        """Compare the observation with one made from state and command; the recorded one is the history in any case."""
-        is_next = self._before is not None and _follows(self._before, step)
-        self.segments += not is_next
+    def _choose(self, step: Step) -> str:
+        """Take the policy that drove in a step; return the name of the one that listened, or ""."""
+        driving, listening = next(iter(self.policies)), ""
+        if len(self.policies) > 1:
+            gate = codec.parse_facts(step.values.get(keys.command_gate(self.robot)))
+            driving, listening = (
+                name if isinstance(name := gate.get(which), str) and name in self.policies else other
+                for which, other in (("policy", self._driving or driving), ("next_policy", ""))
+            )
+        if driving not in (self._driving, self._heard):
+            self._before = None  # what it had seen before it drove is not known
+        if driving not in self.drove:
+            self.drove.append(driving)
+        self._driving, self.policy = driving, self.policies[driving]
+        return listening
+
+    def _listen(self, name: str, step: Step) -> None:
+        """Have the policy that is to take over observe and act too, as it did beside the one that drove."""
+        begins = name != self._next
+        is_heard = bool(name) and (self._next == "" if begins else self._heard == name)
+        given = self._given(step) if is_heard else None
+        self._next, self._heard = name, name if given is not None else ""
+        if given is not None:
+            if begins:
+                self.policies[name].reset()
+            self.policies[name].act(self.policies[name].observe(*given))
+
+    def _given(self, step: Step) -> tuple[RobotState, Floats] | None:
+        """Return what a policy was given in a step, state and command; None where either is not in the file."""
         state = steps.robot_state(self.state, step.values.get(keys.robot_state(self.robot), b""))
         used = step.values.get(keys.command_used(self.robot))
         if state is None or used is None or len(used) != 8 * self._command_size:
-            lacking = keys.robot_state(self.robot) if state is None else keys.command_used(self.robot)
+            return None
+        return state, codec.parse_f64(used)
+
+    def _derive(self, number: int, step: Step, observation: Floats32) -> None:
+        """Compare the observation with one made from state and command; the recorded one is the history in any case."""
+        is_next = self._before is not None
+        self.segments += not is_next
+        if (given := self._given(step)) is None:
+            has_state = steps.robot_state(self.state, step.values.get(keys.robot_state(self.robot), b"")) is not None
+            lacking = keys.command_used(self.robot) if has_state else keys.robot_state(self.robot)
             self.not_derived = self.not_derived or f"step {number} has no {lacking} that fits what the key holds"
             self.policy.restore(observation)
             return
-        command = codec.parse_f64(used)
-        derived = self.policy.observe(state, command) if is_next else None
+        derived = self.policy.observe(*given) if is_next else None
         if derived is None or derived.tobytes() != observation.tobytes():
             # At the start of an episode, and after an operator's reset, a policy knows no past.
             self.policy.reset()
-            fresh = self.policy.observe(state, command)
+            fresh = self.policy.observe(*given)
             if fresh.tobytes() == observation.tobytes():
                 derived = fresh
             else:

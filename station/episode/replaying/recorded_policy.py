@@ -32,8 +32,10 @@ class StatedPolicy(msgspec.Struct, frozen=True, kw_only=True):
     reference: str = ""
 
 
-def recorded_policy(reader: EpisodeReader, robot: str | None = None) -> StatedPolicy:
-    """Return the policy that an episode says it was recorded with.
+def recorded_policies(reader: EpisodeReader, robot: str | None = None) -> dict[str, StatedPolicy]:
+    """Return the policies that an episode says it was recorded with, by the name that its steps know them by.
+
+    Where a robot has but one, its name is "".
 
     Raises:
         EpisodeError: it has no policy steps, or those of several robots and none is named.
@@ -50,15 +52,29 @@ def recorded_policy(reader: EpisodeReader, robot: str | None = None) -> StatedPo
         raise EpisodeError(f"episode {reader.episode_id}: no steps of {robot!r}; it has {', '.join(present)}")
     chosen = robot or present[0]
     facts = _stated(reader, chosen)
-    stated = facts.get("policy", {})
+    several = facts.get("policies")
+    if not isinstance(several, dict) or not several:
+        return {"": _of_facts(reader, chosen, facts, facts.get("policy", {}), _config(facts))}
+    further = _mapping(_config(facts).get("policies"))
+    return {
+        str(name): _of_facts(
+            reader, chosen, facts, _mapping(each), _mapping(further[name]) if name in further else _config(facts)
+        )
+        for name, each in several.items()
+    }
+
+
+def _of_facts(
+    reader: EpisodeReader, robot: str, facts: dict[str, Any], stated: dict[str, Any], config: dict[str, Any]
+) -> StatedPolicy:
     manifest = reader.manifest.policy
     text = {
         name: str(stated.get(name) or getattr(manifest, name)) for name in ("name", "checkpoint", "sha256", "runtime")
     }
     options = stated.get("options")
     return StatedPolicy(
-        robot=chosen, **text, options=options if isinstance(options, dict) else {},
-        reference=_reference(facts, text["name"]),
+        robot=robot, **text, options=options if isinstance(options, dict) else {},
+        reference=_reference(facts, config, text["name"]),
     )  # fmt: skip
 
 
@@ -111,10 +127,18 @@ def _stated(reader: EpisodeReader, robot: str) -> dict[str, Any]:
     return {}
 
 
-def _reference(facts: dict[str, Any], policy: str) -> str:
-    config = facts.get("config")
-    if not isinstance(config, dict):
+def _config(facts: dict[str, Any]) -> dict[str, Any]:
+    return _mapping(facts.get("config"))
+
+
+def _mapping(value: object) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _reference(facts: dict[str, Any], config: dict[str, Any], policy: str) -> str:
+    """Return how the user named a policy's file, in the settings of the server or of that policy; "" where unknown."""
+    if not _config(facts):
         return ""
-    named, robot = str(config.get("checkpoint") or ""), config.get("robot")
+    named, robot = str(config.get("checkpoint") or ""), _config(facts).get("robot")
     kind = registry.find("robot", robot) if robot in registry.names("robot") else None
     return checkpoint_of(policy, named, kind) if policy in registry.names("policy") else named

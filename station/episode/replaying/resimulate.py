@@ -6,8 +6,9 @@ wall clock: the instants of the gate are found again from the ages it reported, 
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,12 +20,13 @@ from station.bus import codec, keys
 from station.control.command_validator import CommandSample
 from station.control.control import ControlStep, StepRecord
 from station.control.gate import GateConfig
+from station.control.policy_switch import PolicySwitch
 from station.control.rig import Rig, RigConfig, build
 from station.episode.reading.reader import EpisodeReader, Message
 from station.episode.reading.steps import Step, StepJoiner, timing_row
-from station.episode.replaying.recorded_policy import recorded_policy
+from station.episode.replaying.recorded_policy import recorded_policies
 from station.episode.storage import layout
-from station.errors import EpisodeError, UnknownName
+from station.errors import EpisodeError, Refused, UnknownName
 from station.life.server import ServerKind
 
 _REMEMBERED = 1000  # commands; a step uses the newest or, after refusals, one not much older
@@ -85,8 +87,9 @@ def to_sim(
         EpisodeError: no policy steps, no stated configuration, or another checkpoint than the recorded one.
         StationError: policy or robot model cannot be loaded.
     """
-    suspect = recorded_policy(reader, robot)
-    facts = facts_of(reader, suspect.robot)
+    suspects = list(recorded_policies(reader, robot).values())
+    suffix = suspects[0].robot
+    facts = facts_of(reader, suffix)
     config = configuration(reader, facts)
     recorded = config.rig.headless()
     fields = {name: value for name, value in (changes or {}).items() if name in RigConfig.__struct_fields__}
@@ -94,10 +97,10 @@ def to_sim(
     rig = build(msgspec.structs.replace(recorded, **fields, robot_options=recorded.robot_options | options))
     try:
         if "policy" not in (changes or {}) and "checkpoint" not in (changes or {}):
-            _same_checkpoint(reader, suspect.sha256, rig)
+            _same_checkpoints(reader, [each.sha256 for each in suspects], rig)
         report = Resimulation(
             episode_id=reader.episode_id,
-            robot=suspect.robot,
+            robot=suffix,
             lock_step=facts.get("rates", {}).get("pace") == "command",
             notes=[
                 *_other_than_recorded(facts, rig),
@@ -110,13 +113,14 @@ def to_sim(
     return report
 
 
-def _same_checkpoint(reader: EpisodeReader, recorded: str, rig: Rig) -> None:
-    came = rig.policy.spec.sha256
-    if recorded and came != recorded:
-        raise EpisodeError(
-            f"episode {reader.episode_id}: ran checkpoint sha256 {recorded[:12]}…, {rig.policy.spec.checkpoint} is "
-            f"{came[:12]}…; put the file that ran in its place, or change the checkpoint on purpose"
-        )
+def _same_checkpoints(reader: EpisodeReader, recorded: Sequence[str], rig: Rig) -> None:
+    specs = list(rig.policy.specs.values()) if isinstance(rig.policy, PolicySwitch) else [rig.policy.spec]
+    for sha256, spec in zip(recorded, specs, strict=False):
+        if sha256 and spec.sha256 != sha256:
+            raise EpisodeError(
+                f"episode {reader.episode_id}: ran checkpoint sha256 {sha256[:12]}…, {spec.checkpoint} is "
+                f"{spec.sha256[:12]}…; put the file that ran in its place, or change the checkpoint on purpose"
+            )
 
 
 def _other_than_recorded(facts: Mapping[str, Any], rig: Rig) -> Iterator[str]:
@@ -185,13 +189,25 @@ class _Run:
         timing = timing_row(step.values.get(keys.policy_timing(self.report.robot)))
         if timing is None:
             return
+        gate = codec.parse_facts(step.values.get(keys.command_gate(self.report.robot)))
+        self._switch(gate, is_at_once=self._count == 0)
         if self._count == 0:
             self._warm_up(timing[_TICK] - 1)
-        now_s = self._now_s(timing, codec.parse_facts(step.values.get(keys.command_gate(self.report.robot))))
+        now_s = self._now_s(timing, gate)
         state = self.control.sense()
         record = self.control.step(state, self._heard(timing, now_s), now_s)
         self._compare(step, record)
         self._count += 1
+
+    def _switch(self, gate: Mapping[str, Any], *, is_at_once: bool) -> None:
+        """Hand over as the recorded step began to, or as had been done where the file begins."""
+        policies, wanted = self.control.policies, gate.get("next_policy") or gate.get("policy")
+        if policies is None or wanted not in policies.names or wanted in (policies.next, policies.driving):
+            return
+        with contextlib.suppress(Refused):  # the new run differs by then, which is what is compared
+            policies.switch(wanted)
+        if is_at_once:
+            policies.reset()
 
     def _now_s(self, timing: list[int], gate: Mapping[str, Any]) -> float:
         """Return the time that the gate was given [s]: the tick's, or from the command age that it reported."""

@@ -99,7 +99,7 @@ def test_more_than_the_legs_can_is_cut_off() -> None:
 @pytest.mark.parametrize("turn", some([1.0, -1.0]))
 def test_the_tracker_stays_in_a_fast_curve(turn: float) -> None:
     asked = (FASTEST[0], 0.0, turn * FASTEST[2])
-    reached = velocity_reached(build(RigConfig()), asked)
+    reached = velocity_reached(build(RigConfig(robot_options={"physics_dt_s": 0.002})), asked)
     assert np.hypot(*(reached - asked)[:2]) < 0.2, "without the way inward it is 0.26 m/s"
     assert abs(reached[1]) < 0.08
 
@@ -176,9 +176,9 @@ def reversals(seed: int) -> Callable[[float], VelocityCommand]:
 
 
 def test_the_tracker_keeps_its_feet_under_sudden_reversals() -> None:
-    rig = build(RigConfig())
+    rig = build(RigConfig(robot_options={"physics_dt_s": 0.002}))
     control, walker, wishes = rig.control(), Walker(), reversals(seed=4)
-    for tick in range(round(20.0 / TICK_S)):
+    for tick in range(round(12.0 / TICK_S)):
         now_s = tick * TICK_S
         command = np.clip(FORMAT.encode(walker.step(TICK_S, wishes(now_s)), G1_29), FORMAT.lower, FORMAT.upper)
         record = control.step(control.sense(), CommandSample(codec.json_vector(command), arrived_s=now_s), now_s)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+from functools import cache
 from pathlib import Path
 
 import mujoco
@@ -37,7 +39,8 @@ def robot() -> MujocoG1:
     return MujocoG1(G1)
 
 
-def _explicit(path: Path, physics_dt_s: float) -> tuple[mujoco.MjModel, mujoco.MjData]:
+@cache
+def _explicit(path: Path) -> mujoco.MjModel:
     """The model as upstream scripts use it: torque motors, driven from outside."""
     spec = mujoco.MjSpec.from_file(str(path))
     mjcf.prepare(spec)
@@ -45,16 +48,16 @@ def _explicit(path: Path, physics_dt_s: float) -> tuple[mujoco.MjModel, mujoco.M
         actuator.gainprm[0] = 1.0
         actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
         actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
-    spec.option.timestep = physics_dt_s
-    model = spec.compile()
-    return model, mujoco.MjData(model)
+    return spec.compile()
 
 
 class _StockLoop:
     """The PD law as the stock scripts run it, one torque per physics step."""
 
     def __init__(self, path: Path, robot: MujocoG1, physics_dt_s: float) -> None:
-        self.model, self.data = _explicit(path, physics_dt_s)
+        self.model = copy(_explicit(path))
+        self.model.opt.timestep = physics_dt_s
+        self.data = mujoco.MjData(self.model)
         joints = [self.model.joint(joint.mjcf_name) for joint in select(G1_29)]
         self.q_at, self.v_at = [j.qposadr[0] for j in joints], [j.dofadr[0] for j in joints]
         motor_of = {int(self.model.actuator_trnid[u, 0]): u for u in range(self.model.nu)}

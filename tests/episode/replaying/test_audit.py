@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from servers.g1 import G1Config
 from station.bus import codec, keys
 from station.cli.audit import in_short, story
+from station.control.rig import PolicyChoice
 from station.episode.reading.reader import open_episode
 from station.episode.replaying.audit import Audit, Comparison, audit
 from station.episode.storage.manifest import load_manifest, save_manifest
@@ -216,3 +218,46 @@ def test_real_policy_is_taken_up_in_mid_run(builder: EpisodeBuilder) -> None:
     found = audit(open_episode(lock_step.record(builder, seconds=2.0, skip=50)))
     assert (found.steps, found.observations.compared) == (50, 49)
     assert found.is_equal
+
+
+STIFF = {"stiff": PolicyChoice(policy="tracker", policy_options={"wrist_gains": "training"})}
+"""The same network under another name, with other gains."""
+
+
+def handed_over(builder: EpisodeBuilder, *, skip: int = 0) -> Path:
+    """An episode of 3 s in which policies hand over to each other twice: asked for at steps 60 and 100."""
+    config = G1Config(pace="command", physics_dt_s=0.002, policies=STIFF, blend_s=0.2)
+    return lock_step.record(builder, seconds=3.0, skip=skip, config=config, switches={60: "stiff", 100: "tracker"})
+
+
+def test_across_a_hand_over_each_step_is_derived_by_the_policy_that_drove(builder: EpisodeBuilder) -> None:
+    found = audit(open_episode(handed_over(builder)))
+    assert (found.steps, found.different) == (150, 0)
+    assert (found.observations.compared, found.observations.different, found.segments) == (150, 0, 1)
+    assert found.is_equal
+    assert (found.policy, [each.policy for each in found.took_over]) == ("tracker", ["tracker"])
+    assert "took over     tracker" in story(found)
+
+
+@pytest.mark.parametrize(("skip", "compared"), [(65, 83), (70, 79), (90, 59)])
+def test_a_recording_that_begins_during_a_hand_over_derives_what_it_can(
+    builder: EpisodeBuilder, skip: int, compared: int
+) -> None:
+    found = audit(open_episode(handed_over(builder, skip=skip)))
+    assert (found.steps, found.different) == (150 - skip, 0)
+    assert (found.observations.compared, found.observations.different) == (compared, 0)
+
+
+def test_an_action_of_the_other_policy_is_noticed(builder: EpisodeBuilder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who says that the old one drove on is not believed."""
+    folder = handed_over(builder)
+    true = codec.parse_facts
+
+    def denied(data: bytes | None) -> dict[str, Any]:
+        facts = true(data)
+        return facts | {"policy": "tracker", "next_policy": ""} if "policy" in facts else facts
+
+    monkeypatch.setattr(codec, "parse_facts", denied)
+    found = audit(open_episode(folder))
+    assert not found.is_equal
+    assert found.observations.first_different == 70

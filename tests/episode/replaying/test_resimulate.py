@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from servers.g1 import G1Config
+from station.control.rig import PolicyChoice
 from station.episode.reading.reader import EpisodeReader, open_episode
 from station.episode.replaying.resimulate import to_sim
 from station.episode.storage.manifest import load_manifest, save_manifest
@@ -27,7 +29,7 @@ def test_lock_step_episode_comes_out_the_same_to_the_last_bit(tmp_path: Path) ->
 
 def test_another_physics_step_is_reported_from_the_first_step_that_differs(tmp_path: Path) -> None:
     reader = open_episode(lock_step.record(EpisodeBuilder(tmp_path), seconds=1.0))
-    found = to_sim(reader, changes={"physics_dt_s": 0.002})
+    found = to_sim(reader, changes={"physics_dt_s": 0.001})
     assert found.first_different == 1
     assert found.max_q_difference_rad > 0.0
     assert any("physics_dt_s" in note for note in found.notes)
@@ -108,3 +110,15 @@ def test_a_server_that_told_its_name_alone_is_read_as_its_kind_once_that_is_adde
     )
     assert "\n" not in told
     assert to_sim(restated(folder, kind="g1")).different == 0
+
+
+def test_a_hand_over_comes_out_the_same_to_the_last_bit(tmp_path: Path) -> None:
+    config = G1Config(
+        pace="command", physics_dt_s=0.002, blend_s=0.2,
+        policies={"stiff": PolicyChoice(policy="tracker", policy_options={"wrist_gains": "training"})},
+    )  # fmt: skip
+    folder = lock_step.record(
+        EpisodeBuilder(tmp_path), seconds=3.0, config=config, switches={60: "stiff", 100: "tracker"}
+    )
+    found = to_sim(open_episode(folder))
+    assert (found.steps, found.different, found.gates_different) == (150, 0, 0)
