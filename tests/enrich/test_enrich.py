@@ -269,4 +269,4 @@ def test_a_longer_episode_takes_no_more_memory(tmp_path: Path) -> None:
             tracemalloc.stop()
 
     peak(0.5, 1)  # what is made once
-    assert peak(30.0, 2) < 1.2 * peak(10.0, 3)  # ten seconds fill a chunk
+    assert peak(20.0, 2) < 1.2 * peak(10.0, 3)  # ten seconds fill a chunk

@@ -31,7 +31,7 @@ from tests.virtual.network import Network
 from tests.virtual.written import Log
 
 SEEDS = some(range(12))
-SECONDS = 8.0
+SECONDS = 12.0
 FRESH_S = 0.1 + 0.1 + 0.25 + 0.1
 """The oldest sample by which anybody drives: live by its server's word, newly heard, on its way; and the ticks [s]."""
 
@@ -174,6 +174,15 @@ def spoil(trial: Trial, rng: random.Random) -> None:
     ))()  # fmt: skip
 
 
+def engage(trial: Trial) -> None:
+    """Release the stop and press anew, as an operator does who wants to go on; what was spoilt has mostly healed."""
+    trial.say_stop(b"0")
+    trial.pad.is_held = False
+    trial.clock.sleep(1.5)
+    trial.pad.is_held = True
+    trial.clock.sleep(0.5)
+
+
 def drive(seed: int) -> tuple[Trial, float]:
     """Run a trial; return it, and when the operator pressed at the end, with nothing spoilt any more [s]."""
     rng = random.Random(seed)
@@ -184,6 +193,8 @@ def drive(seed: int) -> tuple[Trial, float]:
         trial.pad.is_held = True
         end_s = clock.monotonic_s() + SECONDS
         while clock.monotonic_s() < end_s:
+            if rng.random() < 0.4:
+                engage(trial)
             clock.sleep(rng.choice((0.03, 0.1, 0.3, 0.8)))
             if rng.random() < 0.25:
                 trial.pad.is_held = not trial.pad.is_held
