@@ -170,8 +170,17 @@ def _refuse_unknown_keys(kind: type[msgspec.Struct], values: Mapping[str, Any], 
             listed = ", ".join(sorted(fields)) or "none"
             raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(str(key), fields)}; known: {listed}")
         inner = fields[key]
-        if isinstance(inner, type) and issubclass(inner, msgspec.Struct) and isinstance(value, Mapping):
+        if get_origin(inner) is dict and _is_struct(of := get_args(inner)[1]) and isinstance(value, Mapping):
+            for name, member in value.items():
+                if not isinstance(member, Mapping):
+                    raise ConfigError(f"{where}: {key}.{name}: expected a mapping, got {member!r}")
+                _refuse_unknown_keys(of, member, f"{where}: {key}.{name}")
+        elif _is_struct(inner) and isinstance(value, Mapping):
             _refuse_unknown_keys(inner, value, f"{where}: {key}")
+
+
+def _is_struct(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
 
 
 def _plain(error: msgspec.ValidationError, kind: type[msgspec.Struct], values: Mapping[str, Any]) -> str:
@@ -194,8 +203,7 @@ def _plain(error: msgspec.ValidationError, kind: type[msgspec.Struct], values: M
 def _at(place: str, kind: Any, values: Any) -> tuple[Any, Any]:
     """Return the value at a place such as ``gate.hold_after_s``, and the type that is wanted there."""
     for key in place.split("."):
-        is_struct = isinstance(kind, type) and issubclass(kind, msgspec.Struct)
-        if not (is_struct and isinstance(values, Mapping) and key in values):
+        if not (_is_struct(kind) and isinstance(values, Mapping) and key in values):
             return {}, None  # within a list: the message has its index already
         fields = {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
         values, kind = values[key], fields.get(key)

@@ -97,9 +97,8 @@ def _parse(path: Path) -> ElementTree.Element:
 
 
 def _compile(path: Path, prepare: Prepare) -> mujoco.MjModel:
-    mujoco.mj_setCacheCapacity(
-        mujoco.mj_getCache(), 0
-    )  # of what was read from files: 150 MB that nobody asks for again
+    # What it read from files is not asked for again; of a meshed robot that is 150 MB.
+    mujoco.mj_setCacheCapacity(mujoco.mj_getCache(), 0)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         prepare(spec)

@@ -353,7 +353,7 @@ class Station:
         return arm_request.ask(self._bus, "disarm", name=robot, reason=reason)
 
     def policies(self, robot: str = "") -> list[Policies]:
-        """Return the policies that drive the robots here, and may: of one, or of all for "".
+        """Return for each robot here, or for the one that is named, which policy drives it and which ones may.
 
         Raises:
             NotReady: no such robot, or it has not said so yet.

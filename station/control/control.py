@@ -268,9 +268,9 @@ class ControlStep:
         """Return the names of the policy that drove and of the one that listened; tell what became of a switch."""
         if self.policies is None:
             return "", ""
-        for name, severity, detail in self.policies.taken():
-            self._note(name, severity, **detail)
-        return self.policies.acted
+        for event in self.policies.taken():
+            self._note(event.name, event.severity, **event.detail)
+        return self.policies.of_step
 
     def _detect_fall(self, now_s: float) -> Fall | None:
         fall = self.robot.fallen()

@@ -8,12 +8,13 @@ and its replay switch at the same ones. Pure: no bus, no clock.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Annotated, Protocol, runtime_checkable
 
+import msgspec
 import numpy as np
 
+from station.control.command_path import StepEvent
 from station.errors import ConfigError, Refused, UnknownName
-from station.life.events import Severity
 from station.protocols import Floats, Floats32, JointTargets, Policy, PolicySpec, RobotState
 
 LISTEN_S = 0.2
@@ -21,6 +22,12 @@ LISTEN_S = 0.2
 
 BLEND_S = 0.5
 """How long the targets are blended [s]."""
+
+BlendS = Annotated[float, msgspec.Meta(ge=0.0, le=5.0)]
+"""How long they may be [s]: who asks for a policy waits until it drives alone."""
+
+
+_NOT_FINITE = "its output is not finite"
 
 
 @runtime_checkable
@@ -30,14 +37,6 @@ class TakesOver(Protocol):
     def why_not_take_over(self, state: RobotState, command: Floats) -> str:
         """Return why it cannot drive from here on, in words, or ""; asked once, just before it would."""
         ...
-
-
-class SwitchEvent(NamedTuple):
-    """What happened to a switch, for an event on the bus."""
-
-    name: str
-    severity: Severity
-    detail: dict[str, Any]
 
 
 class PolicySwitch:
@@ -51,7 +50,7 @@ class PolicySwitch:
     Attributes:
         driving: Name of the policy whose observation and action a step has.
         next: Name of the one that listens, to take over; "" for none.
-        acted: Both as they were when the newest step observed.
+        of_step: Both as they were when the newest step observed.
         refusal: Why the last switch came to nothing; "" where it did not fail.
 
     Raises:
@@ -61,7 +60,7 @@ class PolicySwitch:
     def __init__(self, policies: Mapping[str, Policy], *, period_s: float, blend_s: float = BLEND_S) -> None:
         self._policies = dict(policies)
         self.driving, self.next, self.refusal = next(iter(self._policies)), "", ""
-        self.acted = (self.driving, "")
+        self.of_step = (self.driving, "")
         self._listen_steps = max(1, round(LISTEN_S / period_s))
         self._blend_s, self._blend_steps = blend_s, max(1, round(blend_s / period_s))
         self._before = ""  # the one that drove, while targets are blended
@@ -70,7 +69,7 @@ class PolicySwitch:
         self._beside_action: Floats32 = np.zeros(0, dtype=np.float32)
         self._is_bad = False  # whether what drives gave no number
         self._who = ""
-        self._events: list[SwitchEvent] = []
+        self._events: list[StepEvent] = []
         first = self._policies[self.driving].spec
         for name, policy in self._policies.items():
             _check_alike(self.driving, first, name, policy.spec)
@@ -117,7 +116,7 @@ class PolicySwitch:
         self.next, self._step, self._who, self.refusal = name, 0, who, ""
         self._policies[name].reset()
 
-    def taken(self) -> list[SwitchEvent]:
+    def taken(self) -> list[StepEvent]:
         """Return what happened since the last call, in order."""
         taken, self._events = self._events, []
         return taken
@@ -131,6 +130,7 @@ class PolicySwitch:
         is_bad, self._is_bad = self._is_bad, False
         other = self._before if is_bad and self._before else self.next
         if other:
+            self.refusal = _NOT_FINITE if other == self._before else ""
             self._drive(other, blend_s=0.0)
         if not (other and is_bad):
             self.policy.reset()
@@ -140,7 +140,7 @@ class PolicySwitch:
         """Build the observation of this step, that of the policy that drives, shape (observation_size,)."""
         if self.next and self._step >= self._listen_steps:
             self._take_over(state, command)
-        self.acted = (self.driving, self.next)
+        self.of_step = (self.driving, self.next)
         beside = self.next or self._before
         self._beside = self._policies[beside].observe(state, command) if beside else None
         return self.policy.observe(state, command)
@@ -153,7 +153,7 @@ class PolicySwitch:
             self._step += 1
             self._beside_action = self._policies[self.next or self._before].act(self._beside)
             if self.next and not np.isfinite(self._beside_action).all():
-                self._refuse("its output is not finite")
+                self._refuse(_NOT_FINITE)
         return action
 
     def targets(self, action: Floats32, command: Floats) -> JointTargets:
@@ -187,12 +187,12 @@ class PolicySwitch:
 
     def _drive(self, name: str, *, blend_s: float) -> None:
         detail = {"policy": name, "before": self.driving, "blend_s": blend_s, "who": self._who}
-        self._events.append(SwitchEvent("policy-switched", "info" if blend_s else "warning", detail))
+        self._events.append(StepEvent("policy-switched", "info" if blend_s else "warning", detail))
         self.driving, self.next = name, ""
 
     def _refuse(self, reason: str) -> None:
         detail = {"policy": self.next, "drives": self.driving, "reason": reason, "who": self._who}
-        self._events.append(SwitchEvent("policy-switch-refused", "warning", detail))
+        self._events.append(StepEvent("policy-switch-refused", "warning", detail))
         self.refusal, self.next = reason, ""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -14,13 +14,13 @@ from station.bus import codec, keys
 from station.clock import SYSTEM, Clock
 from station.control.control import ControlStep
 from station.control.gate import GateConfig
-from station.control.policy_switch import BLEND_S, PolicySwitch
+from station.control.policy_switch import BLEND_S, BlendS, PolicySwitch
 from station.errors import ConfigError, did_you_mean
 from station.protocols import CommandFormat, HasGroundTruth, Policy, Robot, RobotState
 from station.robot_kind import RobotKind
 
 
-class PolicyChoice(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class PolicyChoice(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """A policy that may take over while the robot moves.
 
     Attributes:
@@ -54,7 +54,7 @@ class RigConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     checkpoint: str = ""
     policy_options: dict[str, Any] = {}
     policies: dict[str, PolicyChoice] = {}
-    blend_s: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = BLEND_S
+    blend_s: BlendS = BLEND_S
     rate_hz: float = 0.0
 
     @property

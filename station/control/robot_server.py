@@ -18,7 +18,7 @@ from station.control import rig as rigs
 from station.control.control import ControlStep
 from station.control.gate import GateConfig
 from station.control.low_level import LowLevelLoop, result_values
-from station.control.policy_switch import BLEND_S, PolicySwitch
+from station.control.policy_switch import BLEND_S, BlendS, PolicySwitch
 from station.control.rig import PolicyChoice, Rig, RigConfig, build
 from station.errors import ConfigError, Refused, StationError
 from station.life.loop import Rate, real_time
@@ -55,7 +55,7 @@ class PolicyServerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     checkpoint: str = ""
     policy_options: dict[str, Any] = {}
     policies: dict[str, PolicyChoice] = {}
-    blend_s: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = BLEND_S
+    blend_s: BlendS = BLEND_S
     rate_hz: float = 0.0
     pace: Literal["wall", "command"] = "wall"
     command_timeout_s: float = 1.0

@@ -9,7 +9,6 @@ import msgspec
 
 from station.bus import codec, keys
 from station.bus.client import Bus
-from station.errors import NotReady, Refused
 from station.life import arm_request, request
 from station.life.request import LateS
 
@@ -72,14 +71,9 @@ def ask(
         action=action, id=request.new_id(), robot=robot, profile=profile, throttle=throttle, who=getpass.getuser()
     )
     arm_request.server_of(bus, robot)
-    gate = keys.command_gate(robot)
-    with bus.watch([gate]) as watch:
-        answers = {gate: lambda data: _answer(data, wanted.id)}
-        answer = request.ask(bus, watch, keys.CONTROLLER, wanted, answers, what=action, within_s=within_s).get(gate)
-    if answer is None:
-        raise NotReady(f"{robot}: no answer within {within_s:g} s; does its server run? `station status` tells")
-    if answer.refused:
-        raise Refused(f"{robot}: {answer.refused}")
+    request.ask_robot(
+        bus, robot, keys.CONTROLLER, wanted, lambda data: _answer(data, wanted.id), what=action, within_s=within_s
+    )
 
 
 def _answer(data: bytes, asked: str) -> ControllerAnswer | None:

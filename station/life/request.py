@@ -11,11 +11,11 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Generic, NamedTuple, TypeVar
+from typing import Annotated, Any, Generic, NamedTuple, Protocol, TypeVar
 
 import msgspec
 
-from station.bus import codec
+from station.bus import codec, keys
 from station.bus.client import Bus
 from station.bus.watch import Watch
 from station.errors import NotReady, Refused
@@ -100,6 +100,45 @@ def ask(
     if sent_s == -math.inf:
         raise NotReady(f"{what}: the bus {bus.address} has been gone for {within_s:g} s ({bus.last_error})")
     return found
+
+
+class Answer(Protocol):
+    """What came of a request to one robot."""
+
+    @property
+    def refused(self) -> str:
+        """Why nothing was done, or ""."""
+        ...
+
+
+def ask_robot(
+    bus: Bus,
+    robot: str,
+    key: str,
+    request: msgspec.Struct,
+    answer_in: Callable[[bytes], Answer | None],
+    *,
+    what: str,
+    within_s: float,
+) -> None:
+    """Ask the server of one robot, which answers in that robot's ``command_gate``, and wait until it is done.
+
+    Args:
+        bus, key, request, what, within_s: As in `ask`.
+        robot: Suffix of the robot's keys.
+        answer_in: Returns the answer where a value of the gate has it, else None.
+
+    Raises:
+        NotReady: the bus did not take the request, or no answer came.
+        Refused: it said no; with its reason.
+    """
+    gate = keys.command_gate(robot)
+    with bus.watch([gate]) as watch:
+        answer = ask(bus, watch, key, request, {gate: answer_in}, what=what, within_s=within_s).get(gate)
+    if answer is None:
+        raise NotReady(f"{robot}: no answer within {within_s:g} s; does its server run? `station status` tells")
+    if answer.refused:
+        raise Refused(f"{robot}: {answer.refused}")
 
 
 class Asked(NamedTuple):

@@ -87,7 +87,7 @@ def test_the_next_policy_observes_then_its_targets_are_blended_in_then_it_drives
     bench = Bench()
     before = bench.step()
     assert (before.policy, before.next_policy) == ("old", "")
-    assert bench.new.seen == 0, "who is not asked for costs nothing"
+    assert bench.new.seen == 0, "a policy that is not asked for costs nothing"
     bench.switch.switch("new", who="ada")
 
     listening = bench.steps(LISTEN)
@@ -185,6 +185,7 @@ def test_where_the_new_one_breaks_while_targets_are_blended_the_old_one_drives_o
     assert (record.policy, record.next_policy) == ("old", "")
     assert (record.sent.kp == 50.0).all()
     assert bench.old.resets == resets, "its history goes on"
+    assert bench.switch.refusal == "its output is not finite", "whoever asked must not be told that it drives"
     assert [(name, detail["policy"]) for name, detail in bench.events()] == [
         ("policy-switched", "new"), ("policy-switched", "old"),
     ]  # fmt: skip

@@ -124,10 +124,12 @@ def test_a_request_that_is_written_again_is_done_once(bus_server: BusAddress) ->
             "policies: 'tracker' is the name of the policy that drives at the start",
         ),
         (("policies.trakcer.policy_options.wrist_gains=real",), "unknown policy 'trakcer' (did you mean 'tracker'?)"),
-        ((STIFF[0], "policies.stiff.wrist_gains=real"), "wrist_gains"),
+        ((STIFF[0], "policies.stiff.wrist_gains=real"), "policies.stiff: unknown key 'wrist_gains'; known: checkpoint"),
+        (("policies.stiff=tracker",), "policies.stiff: expected a mapping, got 'tracker'"),
         ((STIFF[0], "policies.stiff.checkpoint=nowhere.onnx"), "nowhere.onnx"),
         ((STIFF[0], "policies.stiff.policy_options.wrist=real"), "has no option 'wrist'"),
         (("blend_s=-1",), "blend_s"),
+        (("blend_s=6",), "blend_s"),  # whoever asks would not wait for so long
     ],
 )
 def test_settings_that_cannot_work_are_refused_before_the_robot_moves(

@@ -7,20 +7,22 @@ and command give the recorded observations? With two times yes, the file holds e
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
-from station import registry
+from station import assets, registry
 from station.bus import codec, keys
 from station.contract import Contract
 from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step
 from station.episode.replaying.recorded_policy import StatedPolicy, load_policy, recorded_policies
+from station.errors import EpisodeError
 from station.protocols import CommandFormat, Floats, Floats32, Policy, RobotState
 
 
@@ -134,17 +136,24 @@ def audit(
         AssetMissing, BadFile: the checkpoint is not on this machine.
     """
     suspects = recorded_policies(reader, robot)
-    policies = {name: policy or load_policy(reader, each, checkpoint) for name, each in suspects.items()}
     (suspect, *_) = suspects.values()
+    if policy is not None:
+        suspects = {"": suspect}
+    places = _places(reader, suspects, checkpoint)
+
+    @cache
+    def load(name: str) -> Policy:
+        return policy or load_policy(reader, suspects[name], places[name])
+
     began = time.perf_counter()
-    run = _Run(policies, suspect.robot, reader.contract(keys.robot_state(suspect.robot)))
-    gate = (keys.command_gate,) if len(policies) > 1 else ()  # says which of them drove
+    run = _Run(load, tuple(suspects), suspect.robot, reader.contract(keys.robot_state(suspect.robot)))
+    gate = (keys.command_gate,) if len(suspects) > 1 else ()  # says which of them drove
     families = (keys.policy_obs, keys.policy_action, keys.command_used, *gate)
     for step in steps.iterate(reader, suspect.robot, results=families):
         run.on_step(step)
     seconds = time.perf_counter() - began
     actions = run.actions
-    first, *others = [_audited(suspects[name], policies[name]) for name in run.drove or [next(iter(policies))]]
+    first, *others = [_audited(suspects[name], load(name)) for name in run.drove or list(suspects)[:1]]
     recorded_s = (run.last_ns - run.first_ns) * 1e-9
     return Audit(
         episode_id=reader.episode_id,
@@ -165,6 +174,22 @@ def audit(
     )
 
 
+def _places(
+    reader: EpisodeReader, suspects: Mapping[str, StatedPolicy], checkpoint: str | Path | None
+) -> dict[str, str | Path | None]:
+    """Return by name where a policy's checkpoint is, if that is given; of several policies it is that of one."""
+    if checkpoint is None or len(suspects) == 1:
+        return dict.fromkeys(suspects, checkpoint)
+    came = assets.sha256(assets.resolve(str(checkpoint)))
+    found = {name: checkpoint if each.sha256 == came else None for name, each in suspects.items()}
+    if not any(found.values()):
+        ran = ", ".join(f"{name} {each.sha256[:12]}…" for name, each in suspects.items())
+        raise EpisodeError(
+            f"episode {reader.episode_id}: ran checkpoints of sha256 {ran}; {checkpoint} is {came[:12]}…, none of them"
+        )
+    return found
+
+
 def _audited(suspect: StatedPolicy, policy: Policy) -> AuditedPolicy:
     spec = policy.spec
     return AuditedPolicy(
@@ -177,10 +202,12 @@ def _audited(suspect: StatedPolicy, policy: Policy) -> AuditedPolicy:
 class _Run:
     """Follows the steps of an episode with policies of our own; `state` says what `keys.robot_state` holds.
 
-    `drove` has the names of those that drove, in order.
+    `load` returns one of `names` when it is needed: what never drove need not be on this machine. `drove` has the names
+    of those that drove, in order.
     """
 
-    policies: Mapping[str, Policy]
+    load: Callable[[str], Policy]
+    names: tuple[str, ...]
     robot: str
     state: Contract | None
     actions: Comparison = field(default_factory=Comparison)
@@ -196,11 +223,6 @@ class _Run:
     _driving: str = ""
     _next: str | None = None  # who listened in the step before; None where that is not in the file
     _heard: str = ""  # the same, where every step since it began to listen is in the file
-
-    def __post_init__(self) -> None:
-        self.policy = next(iter(self.policies.values()))
-        command_format: CommandFormat = registry.find("command", self.policy.spec.command)
-        self._command_size = len(command_format.default)
 
     def on_step(self, step: Step) -> None:
         """Compare one step."""
@@ -224,18 +246,20 @@ class _Run:
 
     def _choose(self, step: Step) -> str:
         """Take the policy that drove in a step; return the name of the one that listened, or ""."""
-        driving, listening = next(iter(self.policies)), ""
-        if len(self.policies) > 1:
+        driving, listening = self.names[0], ""
+        if len(self.names) > 1:
             gate = codec.parse_facts(step.values.get(keys.command_gate(self.robot)))
             driving, listening = (
-                name if isinstance(name := gate.get(which), str) and name in self.policies else other
+                name if (name := gate.get(which)) in self.names else other
                 for which, other in (("policy", self._driving or driving), ("next_policy", ""))
             )
         if driving not in (self._driving, self._heard):
             self._before = None  # what it had seen before it drove is not known
         if driving not in self.drove:
             self.drove.append(driving)
-        self._driving, self.policy = driving, self.policies[driving]
+            command_format: CommandFormat = registry.find("command", self.load(driving).spec.command)
+            self._command_size = len(command_format.default)
+        self._driving, self.policy = driving, self.load(driving)
         return listening
 
     def _listen(self, name: str, step: Step) -> None:
@@ -245,9 +269,10 @@ class _Run:
         given = self._given(step) if is_heard else None
         self._next, self._heard = name, name if given is not None else ""
         if given is not None:
+            policy = self.load(name)
             if begins:
-                self.policies[name].reset()
-            self.policies[name].act(self.policies[name].observe(*given))
+                policy.reset()
+            policy.act(policy.observe(*given))
 
     def _given(self, step: Step) -> tuple[RobotState, Floats] | None:
         """Return what a policy was given in a step, state and command; None where either is not in the file."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -87,8 +87,8 @@ def to_sim(
         EpisodeError: no policy steps, no stated configuration, or another checkpoint than the recorded one.
         StationError: policy or robot model cannot be loaded.
     """
-    suspects = list(recorded_policies(reader, robot).values())
-    suffix = suspects[0].robot
+    suspects = recorded_policies(reader, robot)
+    suffix = next(iter(suspects.values())).robot
     facts = facts_of(reader, suffix)
     config = configuration(reader, facts)
     recorded = config.rig.headless()
@@ -97,7 +97,7 @@ def to_sim(
     rig = build(msgspec.structs.replace(recorded, **fields, robot_options=recorded.robot_options | options))
     try:
         if "policy" not in (changes or {}) and "checkpoint" not in (changes or {}):
-            _same_checkpoints(reader, [each.sha256 for each in suspects], rig)
+            _same_checkpoints(reader, {name: each.sha256 for name, each in suspects.items()}, rig)
         report = Resimulation(
             episode_id=reader.episode_id,
             robot=suffix,
@@ -113,9 +113,10 @@ def to_sim(
     return report
 
 
-def _same_checkpoints(reader: EpisodeReader, recorded: Sequence[str], rig: Rig) -> None:
-    specs = list(rig.policy.specs.values()) if isinstance(rig.policy, PolicySwitch) else [rig.policy.spec]
-    for sha256, spec in zip(recorded, specs, strict=False):
+def _same_checkpoints(reader: EpisodeReader, recorded: Mapping[str, str], rig: Rig) -> None:
+    specs = rig.policy.specs if isinstance(rig.policy, PolicySwitch) else {"": rig.policy.spec}
+    for name, spec in specs.items():
+        sha256 = recorded.get(name)
         if sha256 and spec.sha256 != sha256:
             raise EpisodeError(
                 f"episode {reader.episode_id}: ran checkpoint sha256 {sha256[:12]}…, {spec.checkpoint} is "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from servers.g1 import G1Config
+from station import assets
 from station.bus import codec, keys
 from station.cli.audit import in_short, story
 from station.control.rig import PolicyChoice
@@ -248,16 +250,35 @@ def test_a_recording_that_begins_during_a_hand_over_derives_what_it_can(
     assert (found.observations.compared, found.observations.different) == (compared, 0)
 
 
-def test_an_action_of_the_other_policy_is_noticed(builder: EpisodeBuilder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who says that the old one drove on is not believed."""
-    folder = handed_over(builder)
-    true = codec.parse_facts
+class Liar(EpisodeBuilder):
+    """Writes down that the policy of the start drove all the time."""
 
-    def denied(data: bytes | None) -> dict[str, Any]:
-        facts = true(data)
-        return facts | {"policy": "tracker", "next_policy": ""} if "policy" in facts else facts
+    def write(self, values: Mapping[str, bytes], **where: Any) -> None:
+        gate, lied = keys.command_gate(ROBOT), dict(values)
+        if gate in values:
+            lied[gate] = codec.json_object(codec.parse_facts(values[gate]) | {"policy": "tracker", "next_policy": ""})
+        super().write(lied, **where)
 
-    monkeypatch.setattr(codec, "parse_facts", denied)
-    found = audit(open_episode(folder))
+
+def test_an_action_of_the_other_policy_is_noticed(tmp_path: Path) -> None:
+    found = audit(open_episode(handed_over(Liar(tmp_path))))
     assert not found.is_equal
     assert found.observations.first_different == 70
+
+
+def test_a_policy_that_never_drove_need_not_be_here_and_one_that_is_elsewhere_is_named(
+    builder: EpisodeBuilder, tmp_path: Path
+) -> None:
+    folder = handed_over(builder)
+    elsewhere = tmp_path / "moved.onnx"
+    elsewhere.write_bytes(assets.resolve("builtin:tracker.onnx").read_bytes())
+    manifest = load_manifest(folder)
+    policies = manifest.servers["g1"]["policies"]
+    policies["idle"] = policies["stiff"] | {"checkpoint": "nowhere.onnx", "sha256": "0" * 64}
+    for name in ("tracker", "stiff"):
+        policies[name]["checkpoint"] = "gone.onnx"
+    save_manifest(manifest, folder)
+    assert audit(open_episode(folder), checkpoint=elsewhere).is_equal
+    elsewhere.write_bytes(b"another network")
+    with pytest.raises(EpisodeError, match=r"ran checkpoints of sha256 stiff .*, tracker .*, idle 000.* none of them"):
+        audit(open_episode(folder), checkpoint=elsewhere)

@@ -112,13 +112,17 @@ def test_a_server_that_told_its_name_alone_is_read_as_its_kind_once_that_is_adde
     assert to_sim(restated(folder, kind="g1")).different == 0
 
 
-def test_a_hand_over_comes_out_the_same_to_the_last_bit(tmp_path: Path) -> None:
-    config = G1Config(
-        pace="command", physics_dt_s=0.002, blend_s=0.2,
-        policies={"stiff": PolicyChoice(policy="tracker", policy_options={"wrist_gains": "training"})},
-    )  # fmt: skip
-    folder = lock_step.record(
-        EpisodeBuilder(tmp_path), seconds=3.0, config=config, switches={60: "stiff", 100: "tracker"}
-    )
+@pytest.mark.parametrize(
+    "other",
+    [
+        PolicyChoice(policy="tracker", policy_options={"wrist_gains": "training"}),
+        pytest.param(PolicyChoice(policy="twist2"), marks=pytest.mark.assets),
+    ],
+)
+def test_a_hand_over_comes_out_the_same_to_the_last_bit(tmp_path: Path, other: PolicyChoice) -> None:
+    """In a manifest names stand in the order of the alphabet."""
+    config = G1Config(pace="command", physics_dt_s=0.002, blend_s=0.2, policies={"another": other})
+    switches = {60: "another", 100: "tracker"}
+    folder = lock_step.record(EpisodeBuilder(tmp_path), seconds=3.0, config=config, switches=switches)
     found = to_sim(open_episode(folder))
     assert (found.steps, found.different, found.gates_different) == (150, 0, 0)
