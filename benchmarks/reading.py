@@ -16,7 +16,7 @@ from benchmarks.harness import Benchmark, Row, Settings, Target, alternate, comp
 from station import python_child
 from station.episode.reading.reader import EpisodeReader
 from station.episode.replaying.audit import audit
-from station.episode.replaying.recorded_policy import load_policy, recorded_policy
+from station.episode.replaying.recorded_policy import load_policy, recorded_policies
 from station.episode.storage.folder import signals_file
 
 _RUN_S = 180.0
@@ -33,8 +33,7 @@ def run(settings: Settings) -> list[Row]:
     with _episode(settings.pick(25.0, 5.0)) as path:
         reader = EpisodeReader(path)
         recorded_s = _recorded_s(reader)
-        suspect = recorded_policy(reader, None)
-        policy = load_policy(reader, suspect, None)
+        policy = load_policy(reader, recorded_policies(reader)[""])
         taken = alternate(
             {
                 "ours": lambda: [recorded_s / _read(path)],
