@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import fcntl
 import math
 import os
 import select
@@ -134,6 +135,11 @@ def _open(tty: str) -> int:
         why = "is no terminal"
     elif tty == OWN_TERMINAL and os.tcgetpgrp(terminal) != os.getpgrp():
         why = "is read by another program, this one is in the background"  # setting it would stop us
+    else:
+        try:
+            fcntl.flock(terminal, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until it is closed
+        except BlockingIOError:
+            why = "is read by another keyboard server: each would get some of the keys"
     if why:
         os.close(terminal)
         raise DeviceError(f"{tty}: {why}; {_HOW}")

@@ -178,6 +178,16 @@ def test_what_is_no_terminal_is_one_line(tty: str, told: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_two_never_share_the_keys_of_a_terminal(opened: Open, terminal: tuple[int, int]) -> None:
+    first = opened()
+    with pytest.raises(DeviceError, match=r"read by another keyboard server.*with tty one in which nothing else reads"):
+        opened()
+    typed(first, terminal, b"w")
+    assert held(first) == {"w"}, "the first goes on"
+    first.close()
+    opened()
+
+
 def test_a_keyboard_says_that_no_dead_man_may_hang_on_it(opened: Open) -> None:
     assert opened().facts()["tells_release"] is False
 
