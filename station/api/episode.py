@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Iterator, Sequence
+from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -133,13 +134,15 @@ class Episode:
         """Return the numbers of a key: values (n, m) float64 with names and units, and a time per row.
 
         Args:
-            key: The key.
+            key: The key; where it fits but one, a pattern (``"robot_state_*"``) or the beginning of its name
+                (``"robot_state"``) will do, here and wherever a key is named.
             columns: Names of columns, or patterns such as ``"*_pos"``; none for all columns.
 
         Raises:
             UnknownName: the episode has no such key, or the key no such column; says which there are.
             EpisodeError: the key holds no numbers, or its file is damaged.
         """
+        key = self._key(key)
         held = self._holds(key)
         if held != "numbers":
             self._refuse(key, held)
@@ -189,8 +192,7 @@ class Episode:
             UnknownName: the episode has no such key.
             EpisodeError: its file is damaged.
         """
-        self._holds(key)
-        return self._json(key)
+        return self._json(self._key(key))
 
     def events(self) -> Records:
         """Return every event of the station in order of arrival: ``value`` has name, severity, source and detail."""
@@ -203,8 +205,7 @@ class Episode:
             UnknownName: the episode has no such key.
             EpisodeError: its file is damaged.
         """
-        self._holds(key)
-        for message in self._reader.messages([key]):
+        for message in self._reader.messages([self._key(key)]):
             if not message.channel.is_deletion:
                 yield (message.log_ns - self._reader.start_ns) * _NANOSECONDS, message.data
 
@@ -303,9 +304,18 @@ class Episode:
             by_key.setdefault(channel.topic, []).append(channel)
         return by_key
 
-    def _holds(self, key: str) -> Holds:
-        if key not in self._channels:
+    def _key(self, key: str) -> str:
+        """Return the key that is meant: by its name, by a pattern, or by its beginning, without the robot's name."""
+        if key in self._channels:
+            return key
+        fitting = [name for name in self.keys if fnmatchcase(name, key) or name.startswith(f"{key}_")]
+        if len(fitting) > 1:
+            raise EpisodeError(f"{self.id}: {key!r} fits {len(fitting)} keys, {', '.join(fitting)}; name one")
+        if not fitting:
             raise UnknownName(f"key of {self.id}", key, self._channels)
+        return fitting[0]
+
+    def _holds(self, key: str) -> Holds:
         return found.holds(self._channels[key])
 
     def _refuse(self, key: str, held: Holds) -> NoReturn:
@@ -317,7 +327,8 @@ class Episode:
         raise EpisodeError(f"{self.id}: key {key!r} {why}; episode.{how} reads it")
 
     def _table(self, key: str, columns: Sequence[str]) -> Table | Records:
-        return self.json(key) if self._holds(key) == "json" and not columns else self.numpy(key, *columns)
+        key = self._key(key)
+        return self._json(key) if self._holds(key) == "json" and not columns else self.numpy(key, *columns)
 
     def _json(self, key: str) -> Records:
         start_ns = self._reader.start_ns

@@ -14,6 +14,7 @@ from station.bus import codec, keys
 from station.contract import TIMING_STAGES, Contract, elements, positions
 from station.episode.reading.reader import open_episode
 from station.episode.reading.show import count_streams
+from station.errors import EpisodeError, UnknownName
 from tests.api.libraries import needs
 from tests.episode.synthetic import MONO_START_NS, ROBOT, STANDING, WALL_START_NS, EpisodeBuilder, walk
 from tests.export.pictured import number_in, pose, shoot, walked
@@ -96,6 +97,17 @@ def test_columns_are_chosen_by_name_or_pattern_in_the_order_of_the_key(episode: 
         station.StationError, match=r"unknown column of robot_state_.*'\*_poz'.*; known: .*left_knee_pos"
     ):
         episode.numpy(STATE, "*_poz")
+
+
+def test_a_key_may_be_named_by_its_beginning_or_a_pattern_where_that_fits_but_one(episode: station.Episode) -> None:
+    whole = episode.numpy(f"robot_state_{episode.robots[0]}")
+    for short in ("robot_state", "robot_sta*"):
+        assert episode.numpy(short).key == whole.key
+        assert list(episode.pandas(short)) == list(whole.names)
+    with pytest.raises(EpisodeError, match=r"'\*' fits \d+ keys, .*robot_state_.*; name one"):
+        episode.numpy("*")
+    with pytest.raises(UnknownName, match=r"unknown key of .* 'robot_st'"):
+        episode.numpy("robot_st")
 
 
 def test_numbers_that_the_recording_does_not_name_are_called_by_their_place(episode: station.Episode) -> None:
