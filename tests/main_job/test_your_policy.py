@@ -10,7 +10,7 @@ from tests.main_job.page_package import install
 from tests.main_job.station_runs import LOCK_STEP, Terminal, up
 
 CHECKPOINT = "zoo:policies/holosoma_fastsac_g1_29dof.onnx"
-MOTION = "twist2:motions/0807_yanjie_walk_002.pkl"
+MOTION = "builtin:walk-forward"
 
 pytestmark = [pytest.mark.assets, pytest.mark.timeout(300), pytest.mark.usefixtures("processes")]
 
@@ -28,7 +28,7 @@ def test_example_walks_and_its_episode_is_audited_with_its_option(terminal: Term
     episode = str(terminal.episode("own-policy"))
     check = terminal.json("check", episode)
     (robot,) = check["steps"]
-    assert (check["falls"], robot["missing_steps"]) == (0, 0)
+    assert (check["falls"], robot["missing_steps"], check["verdict"]) == (0, 0, "good"), check["reasons"]
     audit = terminal.json("audit", episode)
     assert (audit["policy"], audit["steps"]) == ("holosoma-walk", robot["steps"])
     assert (audit["different"], audit["observations"]["different"]) == (0, 0)
