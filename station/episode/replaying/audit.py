@@ -25,7 +25,7 @@ from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step
 from station.episode.replaying.comparison import Comparison
-from station.episode.replaying.gate_audit import GateReplay, replay
+from station.episode.replaying.gate_audit import GateReplay, GateTold, gate_told, replay
 from station.episode.replaying.recorded_policy import (
     StatedPolicy,
     is_simulated,
@@ -262,36 +262,34 @@ class _Run:
     def on_step(self, step: Step) -> None:
         """Compare one step."""
         number, self.count = self.count, self.count + 1
+        told = gate_told(step, self.robot)
         if self.gate is not None:
-            self.gate.on_step(number, step)
+            self.gate.on_step(number, step, told)
         self.first_ns = self.first_ns or step.at_ns
         self.last_ns = step.at_ns
         if self._before is None or not _follows(self._before, step):
             self._before, self._next, self._heard = None, None, ""
-        listening = self._choose(step)
+        listening = self._choose(step, told)
         seen, done = step.values.get(keys.policy_obs(self.robot)), step.values.get(keys.policy_action(self.robot))
         spec = self.policy.spec
         if seen is None or done is None or len(seen) != 4 * spec.observation_size or len(done) % 4:
             self.incomplete += 1
             self._before = None
             return
-        observation = codec.parse_f32(seen)
-        self._derive(number, step, observation)
+        observation, given = codec.parse_f32(seen), self._given(step)
+        self._derive(number, step, given, observation)
         action = codec.parse_f32(done)
         self.actions.add(number, action, self.policy.act(observation))
-        self.targets.on_step(number, step, self.policy, self._given(step), action)
+        self.targets.on_step(number, step, told, self.policy, given, action)
         self._before = step
-        self._listen(listening, step)
+        self._listen(listening, given)
 
-    def _choose(self, step: Step) -> str:
+    def _choose(self, step: Step, told: GateTold) -> str:
         """Take the policy that drove in a step; return the name of the one that listened, or ""."""
         driving, listening = self.names[0], ""
         if len(self.names) > 1:
-            gate = codec.parse_facts(step.values.get(keys.command_gate(self.robot)))
-            driving, listening = (
-                name if (name := gate.get(which)) in self.names else other
-                for which, other in (("policy", self._driving or driving), ("next_policy", ""))
-            )
+            driving = told.policy if told.policy in self.names else self._driving or driving
+            listening = told.next_policy if told.next_policy in self.names else ""
         if driving not in (self._driving, self._heard):
             self._before = None  # what it had seen before it drove is not known
         if driving not in self.drove:
@@ -301,11 +299,11 @@ class _Run:
         self._driving, self.policy = driving, self.load(driving)
         return listening
 
-    def _listen(self, name: str, step: Step) -> None:
+    def _listen(self, name: str, known: tuple[RobotState, Floats] | None) -> None:
         """Have the policy that is to take over observe and act too, as it did beside the one that drove."""
         begins = name != self._next
         is_heard = bool(name) and (self._next == "" if begins else self._heard == name)
-        given = self._given(step) if is_heard else None
+        given = known if is_heard else None
         self._next, self._heard = name, name if given is not None else ""
         if given is not None:
             policy = self.load(name)
@@ -321,11 +319,11 @@ class _Run:
             return None
         return state, codec.parse_f64(used)
 
-    def _derive(self, number: int, step: Step, observation: Floats32) -> None:
+    def _derive(self, number: int, step: Step, given: tuple[RobotState, Floats] | None, observation: Floats32) -> None:
         """Compare the observation with one made from state and command; the recorded one is the history in any case."""
         is_next = self._before is not None
         self.segments += not is_next
-        if (given := self._given(step)) is None:
+        if given is None:
             has_state = steps.robot_state(self.state, step.values.get(keys.robot_state(self.robot), b"")) is not None
             lacking = keys.command_used(self.robot) if has_state else keys.robot_state(self.robot)
             self.not_derived = self.not_derived or f"step {number} has no {lacking} that fits what the key holds"

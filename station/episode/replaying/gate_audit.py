@@ -47,6 +47,29 @@ _NO_INSTANT = "its instant is not in the file"
 _INCOMPLETE = "it lacks a timing, a state of the gate or a command that fits"
 
 
+class GateTold(msgspec.Struct, frozen=True):
+    """What a step's `command_gate` tells (`station.control.command_path.CommandPath.status`), as far as it is needed."""
+
+    state: str = ""
+    age_s: float | None = None
+    limited: int | None = None
+    needs_silence: str = ""
+    arming: str = ""
+    policy: str = ""
+    next_policy: str = ""
+
+
+def gate_told(step: Step, robot: str) -> GateTold:
+    """Return what the gate told in a step; nothing where that is not in the file, or nothing of ours."""
+    try:
+        return codec.parse_struct(step.values.get(keys.command_gate(robot), b"{}"), GateTold)
+    except codec.BadValue:
+        return _NOTHING
+
+
+_NOTHING = GateTold()
+
+
 class GateSetting(NamedTuple):
     """What a gate was set to.
 
@@ -124,11 +147,10 @@ class GateReplay:
         if codec.parse_facts(message.data).get("name") in _RESETS:
             self._resets.add(message.channel.source)
 
-    def on_step(self, number: int, step: Step) -> None:
-        """Compare one step."""
+    def on_step(self, number: int, step: Step, told: GateTold) -> None:
+        """Compare one step, of which the gate told something."""
         row = timing_row(step.values.get(keys.policy_timing(self.robot)))
-        told = codec.parse_facts(step.values.get(keys.command_gate(self.robot)))
-        data, state = step.values.get(keys.command_used(self.robot)), told.get("state")
+        data, state = step.values.get(keys.command_used(self.robot)), told.state
         follows_on = self._before is not None and (step.source, step.number) == (
             self._before.source,
             self._before.number + 1,
@@ -136,7 +158,7 @@ class GateReplay:
         was_reset = step.source in self._resets
         self._resets.clear()
         self._before = step
-        if row is None or not isinstance(state, str) or data is None or len(data) != 8 * len(self._default):
+        if row is None or not state or data is None or len(data) != 8 * len(self._default):
             self._lose(_INCOMPLETE)
             return
         used, now_s = codec.parse_f64(data), self._now_s(row, told)
@@ -148,10 +170,10 @@ class GateReplay:
         if was_reset or (was_latched and state not in LATCHED) or is_at_rest:
             self._gate = self._fresh()  # it waits, and asks the robot to stand
         if self._gate is None:
-            self._resume(used, now_s, told, state, row)
+            self._resume(used, now_s, told, row)
             self.not_proven[_IN_THE_MIDDLE] += 1
             return
-        self._derive(number, self._gate, row, told, state, used, now_s)
+        self._derive(number, self._gate, row, told, used, now_s)
 
     @property
     def _default(self) -> Floats:
@@ -162,10 +184,10 @@ class GateReplay:
         bounds = Bounds.of(command_format, config.rate_factor)
         return Gate(command_format.default, config, bounds, velocities=command_format.velocities)
 
-    def _resume(self, used: Floats, now_s: float | None, told: Mapping[str, Any], state: str, row: list[int]) -> None:
+    def _resume(self, used: Floats, now_s: float | None, told: GateTold, row: list[int]) -> None:
         """Go on from what the gate let through in a step, where nothing else of its past counts."""
         self._gate = None
-        if now_s is not None and state == "tracking" and told.get("limited") == 0 and self._is_steady(now_s):
+        if now_s is not None and told.state == "tracking" and told.limited == 0 and self._is_steady(now_s):
             self._gate = self._fresh()
             self._gate.restore(used, now_s)
             command = self._command(row)
@@ -179,14 +201,13 @@ class GateReplay:
         return since_s is not None and now_s - since_s >= self.of.config.velocity_fade_s - _ROUNDING
 
     def _derive(
-        self, number: int, gate: Gate, row: list[int], told: Mapping[str, Any], state: str, used: Floats,
-        now_s: float | None,
-    ) -> None:  # fmt: skip
-        age_s = told.get("age_s")
+        self, number: int, gate: Gate, row: list[int], told: GateTold, used: Floats, now_s: float | None
+    ) -> None:
+        age_s, state = told.age_s, told.state
         vector, is_refused = None, False
         if state in LATCHED:
             gate.stop("as recorded")
-        elif isinstance(age_s, (int, float)) and not told.get("needs_silence"):
+        elif age_s is not None and not told.needs_silence:
             found = self._command(row)
             if isinstance(found, str):
                 self._lose(found)
@@ -203,30 +224,27 @@ class GateReplay:
             now_s = row[_READ] * 1e-9  # nothing moves by then, so it does not matter
         if is_refused:  # what no gate lets through was let through
             self.commands.add(number, used, np.full(len(used), np.nan))
-            self._resume(used, now_s, told, state, row)
+            self._resume(used, now_s, told, row)
             return
-        age = float(age_s) if vector is not None and isinstance(age_s, (int, float)) else math.inf
+        age = math.inf if vector is None or age_s is None else age_s
         decision = gate.step(now_s, vector, age, delay_s=self._delay_s(row))
         is_same_state = decision.state == state
         self.states_different += not is_same_state
         if not (self.commands.add(number, used, decision.vector) and is_same_state):
-            self._resume(used, now_s, told, state, row)  # what follows is not compared with what is wrong already
+            self._resume(used, now_s, told, row)  # what follows is not compared with what is wrong already
 
     def _lose(self, why: str) -> None:
         self.not_proven[why] += 1
         self._gate = None
 
-    def _now_s(self, row: list[int], told: Mapping[str, Any]) -> float | None:
+    def _now_s(self, row: list[int], told: GateTold) -> float | None:
         """Return the instant that the gate was given [s]; None where that is not known to the last bit.
 
         The age is the difference of two instants that lie near each other, so it is exact, and so is this sum.
         """
         if self.of.period_s is not None:
             return (row[_TICK] - 1) * self.of.period_s
-        age_s = told.get("age_s")
-        if row[_ARRIVED] and isinstance(age_s, (int, float)):
-            return row[_ARRIVED] * 1e-9 + age_s
-        return None
+        return row[_ARRIVED] * 1e-9 + told.age_s if row[_ARRIVED] and told.age_s is not None else None
 
     def _delay_s(self, row: list[int]) -> float:
         is_known = self.of.period_s is None and row[_WRITTEN] > 0 and row[_ARRIVED] > 0

@@ -8,9 +8,7 @@ differs on a robot that may limit what it is sent.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -18,6 +16,7 @@ from station.bus import codec, keys
 from station.control.gate import LATCHED
 from station.episode.reading.steps import Step
 from station.episode.replaying.comparison import Comparison
+from station.episode.replaying.gate_audit import GateTold
 from station.protocols import Floats, Floats32, Policy, RobotState
 
 _BLENDED = "targets of two policies were blended"
@@ -50,19 +49,20 @@ class TargetReplay:
     _blended: int = 0  # steps that are still blended
 
     def on_step(
-        self, number: int, step: Step, policy: Policy, given: tuple[RobotState, Floats] | None, action: Floats32
-    ) -> None:
+        self, number: int, step: Step, told: GateTold, policy: Policy, given: tuple[RobotState, Floats] | None,
+        action: Floats32,
+    ) -> None:  # fmt: skip
         """Compare one step, of which the policy has just observed and acted.
 
         Args:
             number: Of the step, from 0 in the file.
             step: The step.
+            told: What the gate told in it.
             policy: The one that drove.
             given: State and command that it was given; None where they are not in the file.
             action: As recorded.
         """
-        told = codec.parse_facts(step.values.get(keys.command_gate(self.robot)))
-        driving = str(told.get("policy", ""))
+        driving = told.policy
         if self.has_several and driving != self._driving:
             self._blended = self.blend_steps
         self._driving, blended, self._blended = driving, self._blended, max(0, self._blended - 1)
@@ -77,11 +77,11 @@ class TargetReplay:
             self._compare(number, codec.parse_f64(data).reshape(3, count), told, policy, given, action)
 
     def _compare(
-        self, number: int, sent: Floats, told: Mapping[str, Any], policy: Policy, given: tuple[RobotState, Floats],
+        self, number: int, sent: Floats, told: GateTold, policy: Policy, given: tuple[RobotState, Floats],
         action: Floats32,
     ) -> None:  # fmt: skip
         wanted = _wanted(told, policy, given, action)
-        if told.get("arming") == "arming":
+        if told.arming == "arming":
             self.not_proven[_RAMPED] += 1
             sent, wanted = sent[[0, 2]], wanted[[0, 2]]
         if self.may_limit and sent.tobytes() != wanted.tobytes():
@@ -90,15 +90,15 @@ class TargetReplay:
         self.targets.add(number, sent.ravel(), wanted.ravel())
 
 
-def _wanted(told: Mapping[str, Any], policy: Policy, given: tuple[RobotState, Floats], action: Floats32) -> Floats:
+def _wanted(told: GateTold, policy: Policy, given: tuple[RobotState, Floats], action: Floats32) -> Floats:
     """Return positions, stiffness and damping that a step sends, shape (3, joints)."""
     state, used = given
     targets = policy.targets(action, used)
     q, kp, kd = targets.q, targets.kp, targets.kd
     is_bad = not (np.isfinite(action).all() and np.isfinite(q).all())
-    if is_bad or told.get("state") in LATCHED:  # damped where it is
+    if is_bad or told.state in LATCHED:  # damped where it is
         q, kp = np.where(np.isfinite(state.q), state.q, policy.spec.default_q), np.zeros_like(kp)
-    if told.get("arming") == "disarmed":
+    if told.arming == "disarmed":
         kp, kd = np.zeros_like(kp), np.zeros_like(kd)
     found: Floats = np.stack([q, kp, kd])
     return found
