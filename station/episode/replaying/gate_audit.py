@@ -48,7 +48,7 @@ _INCOMPLETE = "it lacks a timing, a state of the gate or a command that fits"
 
 
 class GateTold(msgspec.Struct, frozen=True):
-    """What a step's `command_gate` tells (`station.control.command_path.CommandPath.status`), as far as it is needed."""
+    """What a step's `command_gate` tells (`station.control.command_path.CommandPath.status`), as far as needed."""
 
     state: str = ""
     age_s: float | None = None
