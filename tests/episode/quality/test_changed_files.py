@@ -60,10 +60,17 @@ def retouched(cameras: Path) -> None:
     start = place.offset - 9
     *_, size, _ = _CHUNK_HEAD.unpack_from(data, start)
     records = start + _CHUNK_HEAD.size + 4 + 8  # no name of a compression
-    data[records + size - 100] ^= 1
+    data[data.index(b"\xff\xd8", records) + 100] ^= 1  # within the first picture
     checksum = zlib.crc32(data[records : records + size])
     data[start + _CHUNK_HEAD.size - 4 : start + _CHUNK_HEAD.size] = struct.pack("<L", checksum)
     cameras.write_bytes(data)
+
+
+def touched(folder: Path) -> None:
+    """Change one byte, of a record that no checksum covers."""
+    data = bytearray((folder / layout.SIGNALS).read_bytes())
+    data[data.index(b"station.summary")] ^= 1
+    (folder / layout.SIGNALS).write_bytes(data)
 
 
 def said(folder: Path, *options: str) -> tuple[int, Any]:
@@ -100,10 +107,7 @@ def test_a_recording_that_was_replaced_after_it_was_closed_is_rejected_with_what
 
 def test_one_byte_of_the_signals_is_enough(tmp_path: Path) -> None:
     folder = episode(tmp_path)
-    data = bytearray((folder / layout.SIGNALS).read_bytes())
-    name = data.index(b"station.summary")
-    data[name] ^= 1  # of a record that no checksum covers
-    (folder / layout.SIGNALS).write_bytes(data)
+    touched(folder)
     assert changes(load_manifest(folder).files, glance(folder)) == [], "a list does not read it all"
     (change,) = check(open_episode(folder)).changed
     assert (change.name, change.expected[:7]) == ("signals.mcap", "sha256 ")
@@ -171,8 +175,9 @@ def test_its_verdict_is_of_the_file_that_was_checked_all_the_same(tmp_path: Path
     forgotten(folder)
     write_measured(folder, judged_good(folder))
     assert stands(open_episode(folder)) is not None
-    replaced(folder, by=other)
+    touched(folder)
     assert stands(open_episode(folder)) is None
+    replaced(folder, by=other)
     assert list_episodes(tmp_path / "a")[0].verdict == ""
 
 

@@ -122,7 +122,8 @@ class WallRun:
         self._tick, self._seqs = 0, dict[str, int]()
         self._told: list[str] = []
 
-    def ask(self, writer: str = "motion", vector: Floats | None = None, *, is_recorded: bool = True) -> None:
+    def ask(self, writer: str = "motion", vector: Floats | None = None, *, is_recorded: bool = True,
+            is_obeyed: bool = True) -> None:  # fmt: skip
         """Write a command some milliseconds before the next step."""
         seq = self._seqs[writer] = self._seqs.get(writer, 0) + 1
         q = STANDING + 0.1 * np.sin(0.07 * self._tick + np.arange(29))
@@ -135,8 +136,9 @@ class WallRun:
             self.builder.write({self.format.key: data}, at_s=at_s, writer=writer)
         else:
             self.builder.skip(self.format.key, writer=writer)
-        self._sample = CommandSample(data, arrived_ns * 1e-9, (arrived_ns - written_ns) * 1e-9, written_ns, arrived_ns,
-                                     seq, source)  # fmt: skip
+        if is_obeyed:
+            delay_s = (arrived_ns - written_ns) * 1e-9
+            self._sample = CommandSample(data, arrived_ns * 1e-9, delay_s, written_ns, arrived_ns, seq, source)
 
     def reset(self) -> None:
         """As an operator, or as a server does it whose robot fell."""
@@ -224,6 +226,14 @@ def test_another_writer_is_entered_again_and_equal_numbers_of_both_are_told_apar
     run.follow(80)
     run.follow(90, "pico")  # its numbers begin at 1 too
     assert_proven(run.audited(), 170)
+
+
+def test_a_command_of_a_refused_rival_with_the_same_number_is_not_taken_for_the_one_that_was_used(run: WallRun) -> None:
+    for _ in range(90):
+        run.ask()
+        run.ask("pico", command(STANDING + 0.5), is_obeyed=False)
+        run.step()
+    assert_proven(run.audited(), 90)
 
 
 def test_a_stop_and_a_reset_are_followed(run: WallRun) -> None:

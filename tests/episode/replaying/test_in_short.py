@@ -59,7 +59,7 @@ def test_a_policy_that_is_not_here_is_told_and_no_reject(tmp_path: Path) -> None
     _, quality = checked(folder, "--audit")
     assert (quality["audit"]["compared"], quality["audit"]["different"]) == (0, 0)
     (line,) = quality["audit"]["not_audited"]
-    assert line.endswith("/nowhere/policy.onnx: no such file")
+    assert "/nowhere/policy.onnx: no such file" in line
     assert "audit-differs" not in rules(quality)
     told = CliRunner().invoke(cli, ["check", str(folder), "--audit", "--no-write"]).stdout
     assert "not audited: " in told
