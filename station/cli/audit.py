@@ -13,7 +13,8 @@ from station.errors import StationError, UsageError
 
 if TYPE_CHECKING:
     from station.episode.replaying.arm_audit import ArmAudit
-    from station.episode.replaying.audit import Audit, Comparison
+    from station.episode.replaying.audit import Audit
+    from station.episode.replaying.comparison import Comparison
 
 
 @click.command("audit")
@@ -73,6 +74,9 @@ def story(found: Audit) -> str:
             ),
             f"  actions       {found.steps} steps, {found.different} different, max |Δ| {found.max_abs_difference:.3g}",
             f"  observations  {_compared(found.observations, 'steps', '', found.not_derived)}",
+            f"  after gate    {_proven(found.commands, found.commands_not_proven)}"
+            + (f"; its state differs in {found.gates_different}" if found.gates_different else ""),
+            f"  targets       {_proven(found.targets, found.targets_not_proven)}",
             f"  recorded on   {found.recorded_runtime or 'unknown'}\n  audited on    {found.runtime}",
             f"  {found.segments} segment{'s' * (found.segments != 1)}, {found.incomplete} incomplete steps; "
             f"{found.speed_x_realtime:.0f} x real time",
@@ -101,6 +105,13 @@ def arm_story(found: ArmAudit) -> str:
             f"{found.incomplete} incomplete",
         )
     )
+
+
+def _proven(found: Comparison, not_proven: dict[str, int]) -> str:
+    """Return what was compared, and what was not, and why."""
+    why = "; ".join(f"{count} steps not proven: {reason}" for reason, count in not_proven.items())
+    told = _compared(found, "steps", "", why or "nothing to compare")
+    return f"{told}; {why}" if found.compared and why else told
 
 
 def _compared(found: Comparison, what: str, unit: str, why_not: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import msgspec
@@ -10,6 +11,10 @@ import msgspec
 from station.cli.options import NamedPath, data_option, episode_argument, json_option
 from station.errors import EpisodeError, StationError
 from station.printable import printable
+
+if TYPE_CHECKING:
+    from station.episode.quality.finding_parts import AuditFound
+    from station.episode.reading.reader import EpisodeReader
 
 
 def _print_rules(context: click.Context, _option: click.Parameter, is_wanted: bool) -> None:
@@ -27,6 +32,13 @@ class _NotCheckedError(StationError):
     exit_code = 2
 
 
+def _audited(reader: EpisodeReader) -> AuditFound:
+    from station.episode.quality.finding_parts import AuditFound
+    from station.episode.replaying.in_short import audit_in_short
+
+    return msgspec.convert(audit_in_short(reader), AuditFound, from_attributes=True)
+
+
 @click.command("check")
 @episode_argument
 @click.option("--rules", metavar="FILE", default=None, type=NamedPath(dir_okay=False, path_type=Path),
@@ -34,10 +46,15 @@ class _NotCheckedError(StationError):
 @click.option("--print-rules", is_flag=True, is_eager=True, expose_value=False, callback=_print_rules,
               help="Print the rules that ship, every limit explained, and leave.")  # fmt: skip
 @click.option("--all", "is_whole", is_flag=True, help="Show the streams of the station's own too.")
+@click.option("--audit/--no-audit", "is_audited", default=False, show_default=True,
+              help="Have policy and gate run again too, and reject what differs (`station audit`).")  # fmt: skip
 @click.option("--no-write", is_flag=True, help="Leave the manifest as it is.")
 @data_option
 @json_option
-def command(episode: str, rules: Path | None, is_whole: bool, no_write: bool, data: Path | None, as_json: bool) -> None:
+def command(
+    episode: str, rules: Path | None, is_whole: bool, is_audited: bool, no_write: bool, data: Path | None,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Check EPISODE (a path, an id, the beginning of one, or `latest`).
 
     Exit code 1 when it is to be rejected, 2 when it could not be checked.
@@ -50,7 +67,7 @@ def command(episode: str, rules: Path | None, is_whole: bool, no_write: bool, da
     book = rule_file.of_user() if rules is None else rule_file.load(rules)
     try:
         reader = open_episode(episode, data)
-        quality = check(reader, book)
+        quality = check(reader, book, audit=_audited(reader) if is_audited else None)
     except EpisodeError as error:
         raise _NotCheckedError(str(error)) from None
     if as_json:

@@ -79,6 +79,8 @@ def listing(
     for row in rows:
         if row.problem:
             click.echo(f"{printable(row.episode_id)}: {printable(row.problem)}")
+        if row.changed:
+            click.echo(f"{printable(row.episode_id)}: changed after it was closed or checked: {printable(row.changed)}")
 
 
 def _print_rows(rows: Sequence[EpisodeRow]) -> None:

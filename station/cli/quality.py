@@ -7,7 +7,7 @@ from rich.console import Console
 from station.bus import keys
 from station.cli.tables import Column, plain, print_table
 from station.episode.quality import timing
-from station.episode.quality.finding_parts import Alignment, ArmQuality, CameraQuality, MotionQuality
+from station.episode.quality.finding_parts import Alignment, ArmQuality, AuditFound, CameraQuality, MotionQuality
 from station.episode.quality.findings import Interruption, Quality, Spread, StepQuality, StreamQuality
 from station.episode.storage.manifest import words_of_shortened
 
@@ -67,8 +67,20 @@ def _print_verdict(console: Console, quality: Quality) -> None:
         )
     for line in timing.told(quality.not_judged):
         console.print(f"  [dim]not judged: {plain(line)}[/]", soft_wrap=True)
+    if quality.audit is not None:
+        console.print(f"  [dim]{plain(_audit_line(quality.audit))}[/]", soft_wrap=True)
+        for line in quality.audit.not_audited:
+            console.print(f"  [dim]not audited: {plain(line)}[/]", soft_wrap=True)
     if quality.shortened:
         console.print(f"  [dim]{plain(words_of_shortened(quality.shortened))}[/]", soft_wrap=True)
+
+
+def _audit_line(found: AuditFound) -> str:
+    """Return in a line what an audit found, and how much it could not."""
+    if not found.compared:
+        return "audit: nothing was compared"
+    told = f"audit: {found.compared} vectors computed again, {found.different} different"
+    return told if not found.not_proven else f"{told}; not proven in {found.not_proven} steps, see `station audit`"
 
 
 def _headline(quality: Quality) -> str:

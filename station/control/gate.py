@@ -280,6 +280,12 @@ class Gate:
         self._is_entered = False
         self._move("waiting", self._now_s or 0.0, reason)
 
+    def restore(self, vector: Floats, now_s: float) -> None:
+        """Go on from an instant [s] in which a command had long been tracked, shape (m,): an audit may begin there."""
+        self._state, self._reason, self._vector = "tracking", "restored", np.array(vector, dtype=np.float64)
+        self._start, self._since_s, self._now_s, self._is_entered = self._vector, now_s, now_s, True
+        self._fade.end()
+
     def _follow(self, now_s: float, command: Floats) -> None:
         if self._state in ("waiting", "returning") or (self._state == "holding" and not self._is_entered):
             self._move("entering", now_s, "a good command came")

@@ -67,7 +67,7 @@ def expect(source: Source, least: MinQuality, book: RuleBook | None = None) -> V
         raise EpisodeError(f"{source.episode_id}: holds no message; there is nothing to export")
     if least == "any":
         return VerdictCheck(None)
-    book, written = book or of_user(), stands(reader.manifest)
+    book, written = book or of_user(), stands(reader)
     quality = written or standing(reader, book)
     found = quality.verdict
     if _RANK[found] < _RANK[least]:

@@ -17,7 +17,7 @@ from station.contract import Contract
 from station.episode.quality import arms, falls, interruptions, motion, pauses, presence, rule_file, timing
 from station.episode.quality.alignment import AlignmentMeter
 from station.episode.quality.cameras import CameraMeter, stated_hz
-from station.episode.quality.finding_parts import KeyChanges
+from station.episode.quality.finding_parts import AuditFound, KeyChanges
 from station.episode.quality.findings import FallSeen, Quality
 from station.episode.quality.policy_steps import StepMeter
 from station.episode.quality.presence import Heartbeats
@@ -28,10 +28,12 @@ from station.episode.reading import frames, steps
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step, StepJoiner
+from station.episode.storage import layout
 from station.episode.storage.drops import Drops
+from station.episode.storage.file_hashes import changes, measure
 from station.episode.storage.manifest import MAX_STREAMS, Manifest, save_manifest
-from station.episode.storage.manifest_copy import manifest_to_change
-from station.episode.storage.manifest_parts import Recorder
+from station.episode.storage.manifest_copy import changed_fields, manifest_to_change
+from station.episode.storage.manifest_parts import RecordedFile, Recorder
 from station.errors import EpisodeError
 
 _LONGEST_NAME, _MOST_CONTACTS = 60, 20  # of what an event tells of a fall; anybody may write events
@@ -43,13 +45,14 @@ DELETED = "deleted"
 _MOST = 1000  # kinds; a client may invent keys
 
 
-def check(reader: EpisodeReader, book: RuleBook | None = None) -> Quality:
+def check(reader: EpisodeReader, book: RuleBook | None = None, *, audit: AuditFound | None = None) -> Quality:
     """Measure an episode and judge it, by our own rules where no others are given.
 
-    A torn or unfinished file is measured as far as it goes.
+    A torn or unfinished file is measured as far as it goes. What an audit found is judged too, where there was one.
     """
     rules = book or rule_file.shipped()
     quality = _assemble(reader, Measurements(reader))
+    quality.audit = audit
     quality.not_judged = timing.not_judged(quality)
     quality.verdict, quality.reasons = judge(quality, rules.limits)
     quality.rules = list(rules.files)
@@ -79,6 +82,20 @@ def write_measured(folder: Path, quality: Quality) -> Manifest:
     return manifest
 
 
+def files_of(reader: EpisodeReader) -> list[RecordedFile]:
+    """Return what tells the files of a finished episode from others; nothing of one whose file has another name.
+
+    Raises:
+        EpisodeError: one cannot be read.
+    """
+    if reader.path.name != layout.SIGNALS:
+        return []
+    try:
+        return measure(reader.folder)
+    except OSError as error:
+        raise EpisodeError(f"{error.filename or reader.folder}: cannot be read: {error.strerror}") from error
+
+
 def is_lock_step(manifest: Manifest) -> bool:
     """Whether a server of the episode paced itself by states instead of by the clock."""
     return any(_paces_by_state(facts) for facts in manifest.servers.values())
@@ -96,6 +113,7 @@ def _assemble(reader: EpisodeReader, measured: Measurements) -> Quality:
     counter, start_ns = measured.counter, measured.start_ns
     streams, commands = counter.streams(start_ns, drops, measured.ends), list(counter.commands())
     paused = pauses.find(commands, measured.ends)
+    files = files_of(reader)
     span_s, cameras = presence.ends_s(manifest, streams), measured.cameras.result(streams)
     return Quality(
         episode_id=reader.episode_id,
@@ -123,6 +141,9 @@ def _assemble(reader: EpisodeReader, measured: Measurements) -> Quality:
         torn=reader.torn,
         success=flags.success,
         discarded=flags.discarded,
+        files=files,
+        changed=changes(manifest.files, files),
+        manifest_changed=changed_fields(manifest, reader.attachments()),
         shortened=manifest.shortened,
     )
 

@@ -9,6 +9,7 @@ import msgspec
 from station.episode.quality.finding_parts import (
     Alignment,
     ArmQuality,
+    AuditFound,
     CameraQuality,
     KeyChanges,
     KeyPresence,
@@ -16,6 +17,8 @@ from station.episode.quality.finding_parts import (
     MotionQuality,
     RulesFile,
 )
+from station.episode.storage.file_hashes import FileChange
+from station.episode.storage.manifest_parts import RecordedFile
 
 Verdict = Literal["good", "usable", "reject"]
 
@@ -238,6 +241,10 @@ class Quality(msgspec.Struct, kw_only=True):
         torn: What was cut off, in a line; None for a whole file.
         success: What the operator said; None when nobody did.
         discarded: Whether it was marked as not to be used.
+        files: The files that were measured, so that it can be told later whether the verdict is of these.
+        changed: Files that are not those that were closed, by the manifest; empty where it tells nothing of them.
+        manifest_changed: Fields of the manifest that are not what the recording says of itself.
+        audit: What an audit found; None where there was none.
         shortened: What did not fit into the manifest, see `station.episode.storage.manifest.Manifest`.
     """
 
@@ -282,6 +289,10 @@ class Quality(msgspec.Struct, kw_only=True):
     torn: str | None = None
     success: bool | None = None
     discarded: bool = False
+    files: list[RecordedFile] = []
+    changed: list[FileChange] = []
+    manifest_changed: list[str] = []
+    audit: AuditFound | None = None
     shortened: dict[str, int] = {}
 
     @property

@@ -134,6 +134,9 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     empty: Rule
     torn: Rule
     unfinished: Rule
+    changed: Rule
+    manifest_changed: Rule
+    audit_differs: Rule
     discarded: Rule
     failed_task: Rule
     fell: Rule

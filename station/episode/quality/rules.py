@@ -10,6 +10,7 @@ from station.episode.quality.findings import Interruption, Quality, Reason, Step
 from station.episode.quality.rule_file import Ends, GradedRule, Limits, Rule
 from station.episode.quality.sensed_rules import GAP_PERIODS, SENSED, Finder
 from station.episode.quality.timing import not_judged
+from station.episode.storage.file_hashes import words
 
 _JUDGED_ROLES = ("command", "state", "policy")
 
@@ -57,6 +58,22 @@ def _torn(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
 def _unfinished(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
     if not quality.is_finished and quality.torn is None:
         yield "reject", "the recorder has not closed the file"
+
+
+def _changed(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    for change in quality.changed:
+        yield "reject", f"the recording was changed after it was closed: {words([change])}"
+
+
+def _manifest_changed(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if fields := quality.manifest_changed:
+        yield "reject", f"the manifest says other than the recording itself, in {_listed(fields)}"
+
+
+def _audit_differs(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if (audit := quality.audit) is not None and audit.different:
+        text = f"{audit.different} of {audit.compared} recorded vectors are not what they are computed to be again"
+        yield "reject", f"{text}; `station audit` says which"
 
 
 def _discarded(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -406,6 +423,9 @@ RULES: dict[str, Finder] = {
     "empty": _empty,
     "torn": _torn,
     "unfinished": _unfinished,
+    "changed": _changed,
+    "manifest-changed": _manifest_changed,
+    "audit-differs": _audit_differs,
     "discarded": _discarded,
     "failed-task": _failed_task,
     "fell": _fell,

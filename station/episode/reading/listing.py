@@ -12,9 +12,11 @@ import msgspec
 from station import config
 from station.episode.storage import layout
 from station.episode.storage.claim import is_claimed
+from station.episode.storage.file_hashes import changes, glance, words
 from station.episode.storage.folder import data_folder, find_episodes
 from station.episode.storage.manifest import Manifest
 from station.episode.storage.manifest_copy import find_manifest
+from station.episode.storage.manifest_parts import RecordedFile
 from station.episode.storage.progress import load_resume_point
 from station.errors import ConfigError, EpisodeError
 
@@ -38,6 +40,8 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
         dropped: Writes that the recorder could not keep; not among the lost.
         success, falls, is_discarded: Quality flags.
         verdict: What the last check said, "" before one.
+        changed: Which of its files are not those that were closed, or that were judged, by size and summary; "" for
+            none. A verdict of other files is none.
         problem: Why its manifest cannot be read, also where the copy inside the signals can be; "" otherwise.
     """
 
@@ -57,6 +61,7 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
     falls: int = 0
     is_discarded: bool = False
     verdict: str = ""
+    changed: str = ""
     problem: str = ""
 
 
@@ -137,7 +142,7 @@ def _row(folder: Path, *, is_live: bool) -> EpisodeRow:
         manifest, problem = find_manifest(folder)
     except EpisodeError as error:
         return EpisodeRow(episode_id=folder.name, path=str(folder), state="broken", size_bytes=size, problem=str(error))
-    flags, point = manifest.quality_flags, load_resume_point(folder)
+    flags, point, changed = manifest.quality_flags, load_resume_point(folder), _changed(manifest, folder)
     return EpisodeRow(
         episode_id=manifest.episode_id or folder.name,
         path=str(folder),
@@ -154,9 +159,25 @@ def _row(folder: Path, *, is_live: bool) -> EpisodeRow:
         success=flags.success,
         falls=flags.falls,
         is_discarded=flags.discarded,
-        verdict=str(manifest.quality.get("verdict", "")),
+        verdict="" if changed else str(manifest.quality.get("verdict", "")),
+        changed=changed,
         problem=problem,
     )
+
+
+def _changed(manifest: Manifest, folder: Path) -> str:
+    """Return in a line which files are not those that were closed, or not those that a check measured."""
+    try:
+        judged = msgspec.convert(manifest.quality.get("files", []), list[RecordedFile])
+    except msgspec.ValidationError:
+        judged = []
+    if not manifest.files and not judged:
+        return ""
+    try:
+        found = glance(folder)
+    except OSError as error:
+        return f"{error.filename or folder}: cannot be read: {error.strerror}"
+    return words(changes(manifest.files, found) or changes(judged, found))
 
 
 def _state(manifest: Manifest, folder: Path, *, is_live: bool) -> RowState:

@@ -20,7 +20,7 @@ from station.episode.storage.drops import DropPeriods
 from station.episode.storage.manifest import Manifest, dump_manifest, facts_of, save_manifest, snapshot
 from station.episode.storage.progress import ResumePoint, Totals, WriterOptions, save_resume_point
 from station.episode.writing.checkpoint import EVERY_S, save_checkpoints
-from station.episode.writing.closing import summary_record
+from station.episode.writing.closing import note_files, summary_record
 from station.episode.writing.files import EpisodeFiles, Lag
 from station.errors import EpisodeError
 from station.life.events import Severity
@@ -251,7 +251,7 @@ class EpisodeWriter:
         manifest = closing(totals)
         files.finish(dump_manifest(manifest), summary_record(totals))
         files.name()
-        manifest.recorder.bytes = files.size
+        note_files(manifest, self.folder)  # whoever is killed before leaves it to the repair
         save_manifest(manifest, self.folder)
         give_back(self.folder)
         self._ledger.remove()  # last: by it all see that something is left to do

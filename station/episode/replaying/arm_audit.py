@@ -25,7 +25,7 @@ from station.control.gate import FOLLOWING, MOVING, Bounds, Gate, GateConfig
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step, StepJoiner, timing_row
-from station.episode.replaying.audit import Comparison
+from station.episode.replaying.comparison import Comparison
 from station.errors import ConfigError, EpisodeError
 from station.protocols import Floats
 

@@ -1,7 +1,10 @@
-"""Auditing an episode: the policy runs again on what was recorded, and every bit is compared.
+"""Auditing an episode: policy and gate run again on what was recorded, and every bit is compared.
 
-Two questions. Does the checkpoint give the recorded actions for the recorded observations? And do the recorded state
-and command give the recorded observations? With two times yes, the file holds everything that decided a motion.
+Four questions, in the order of a step. Do the recorded commands give what the gate let through
+(`station.episode.replaying.gate_audit`)? Do state and that command give the recorded observations? Does the checkpoint
+give the recorded actions for them? And do those give the targets that were sent
+(`station.episode.replaying.target_audit`)? With four times yes, the file holds everything that decided a motion. What
+cannot be proven is counted, and never called equal.
 """
 
 from __future__ import annotations
@@ -11,9 +14,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import msgspec
-import numpy as np
 
 from station import assets, registry
 from station.bus import codec, keys
@@ -21,41 +24,22 @@ from station.contract import Contract
 from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step
-from station.episode.replaying.recorded_policy import StatedPolicy, load_policy, recorded_policies
+from station.episode.replaying.comparison import Comparison
+from station.episode.replaying.gate_audit import GateReplay, GateTold, gate_told, replay
+from station.episode.replaying.recorded_policy import (
+    StatedPolicy,
+    is_simulated,
+    load_policy,
+    recorded_policies,
+    stated_facts,
+)
+from station.episode.replaying.target_audit import TargetReplay
 from station.errors import EpisodeError
 from station.protocols import CommandFormat, Floats, Floats32, Policy, RobotState
 
-
-class Comparison(msgspec.Struct, kw_only=True):
-    """Recorded against computed vectors.
-
-    Attributes:
-        compared: Vectors that were compared.
-        different: Those with any bit that differs.
-        max_abs_difference: Greatest difference of an element; infinite where a length or a NaN differs.
-        first_different: Number of the first step that differs, from 0 in the file; None when none does.
-    """
-
-    compared: int = 0
-    different: int = 0
-    max_abs_difference: float = 0.0
-    first_different: int | None = None
-
-    def add(self, step: int, recorded: Floats32 | Floats, computed: Floats32 | Floats) -> bool:
-        """Add a pair; return whether it is equal bit for bit."""
-        self.compared += 1
-        if recorded.tobytes() == computed.tobytes():
-            return True
-        self.different += 1
-        if self.first_different is None:
-            self.first_different = step
-        if recorded.shape != computed.shape:
-            self.max_abs_difference = np.inf
-        else:
-            gap = np.abs(recorded.astype(np.float64) - computed.astype(np.float64))
-            gap = np.where(np.isnan(recorded) & np.isnan(computed), 0.0, gap)
-            self.max_abs_difference = max(self.max_abs_difference, float(np.nan_to_num(gap, nan=np.inf).max()))
-        return False
+_COMPARED = (
+    keys.policy_obs, keys.policy_action, keys.command_used, keys.command_gate, keys.policy_timing, keys.target,
+)  # fmt: skip
 
 
 class AuditedPolicy(msgspec.Struct, kw_only=True):
@@ -87,6 +71,11 @@ class Audit(AuditedPolicy, kw_only=True):
         first_different: Number of the first step that differs, or None.
         observations: The same for observations derived again from recorded state and command.
         not_derived: Why an observation could not be derived, of the first such step; "" where there is none.
+        commands: The same for what the gate let through, derived from the recorded commands.
+        gates_different: Steps in which the gate was in another state than derived.
+        commands_not_proven: How many steps the gate could not be followed through, by why.
+        targets: The same for what was sent to the joints, positions and gains, derived from the recorded actions.
+        targets_not_proven: How many steps their targets could not be derived in, wholly or in part, by why.
         segments: Runs of steps without a missing one; derivation starts anew at each.
         incomplete: Steps that lack an observation or an action of a size that the policy has.
         seconds: Time that the audit took [s].
@@ -103,6 +92,11 @@ class Audit(AuditedPolicy, kw_only=True):
     first_different: int | None
     observations: Comparison
     not_derived: str
+    commands: Comparison
+    gates_different: int
+    commands_not_proven: dict[str, int]
+    targets: Comparison
+    targets_not_proven: dict[str, int]
     segments: int
     incomplete: int
     seconds: float
@@ -111,9 +105,14 @@ class Audit(AuditedPolicy, kw_only=True):
 
     @property
     def is_equal(self) -> bool:
-        """Whether actions and observations were compared, and every bit of them is the same."""
-        is_audited = self.steps > 0 and self.observations.compared > 0
-        return is_audited and not self.different and not self.observations.different
+        """Whether actions and observations were compared, and no bit of what was compared differs."""
+        return self.steps > 0 and self.observations.compared > 0 and not self.differences
+
+    @property
+    def differences(self) -> int:
+        """How many vectors and states of the gate are not what was computed."""
+        compared = (self.observations, self.commands, self.targets)
+        return self.different + self.gates_different + sum(one.different for one in compared)
 
 
 def audit(
@@ -146,11 +145,15 @@ def audit(
         return policy or load_policy(reader, suspects[name], places[name])
 
     began = time.perf_counter()
-    run = _Run(load, tuple(suspects), suspect.robot, reader.contract(keys.robot_state(suspect.robot)))
-    gate = (keys.command_gate,) if len(suspects) > 1 else ()  # says which of them drove
-    families = (keys.policy_obs, keys.policy_action, keys.command_used, *gate)
-    for step in steps.iterate(reader, suspect.robot, results=families):
-        run.on_step(step)
+    facts = stated_facts(reader, suspect.robot)
+    followed = suspect.command or (load(next(iter(suspects))).spec.command if policy is not None else "")
+    gate = replay(suspect.robot, facts, followed, reader.anchor)
+    targets = TargetReplay(
+        suspect.robot, may_limit=not is_simulated(facts), blend_steps=_blend_steps(facts), has_several=len(suspects) > 1
+    )
+    state = reader.contract(keys.robot_state(suspect.robot))
+    run = _Run(load, tuple(suspects), suspect.robot, state, targets, None if isinstance(gate, str) else gate)
+    run.on_file(reader)
     seconds = time.perf_counter() - began
     actions = run.actions
     first, *others = [_audited(suspects[name], load(name)) for name in run.drove or list(suspects)[:1]]
@@ -166,6 +169,11 @@ def audit(
         first_different=actions.first_different,
         observations=run.observations,
         not_derived=run.not_derived,
+        commands=Comparison() if isinstance(gate, str) else gate.commands,
+        gates_different=0 if isinstance(gate, str) else gate.states_different,
+        commands_not_proven={gate: run.count} if isinstance(gate, str) else dict(gate.not_proven),
+        targets=targets.targets,
+        targets_not_proven=dict(targets.not_proven),
         segments=run.segments,
         incomplete=run.incomplete,
         seconds=seconds,
@@ -190,12 +198,23 @@ def _places(
     return found
 
 
+def _blend_steps(facts: Mapping[str, Any]) -> int:
+    """Return for how many steps the targets of two policies were blended; many where nothing says."""
+    try:
+        return max(1, round(float(facts["config"]["blend_s"]) * float(facts["rates"]["control_hz"])))
+    except (KeyError, TypeError, ValueError, OverflowError):
+        return _LONGEST_BLEND
+
+
 def _audited(suspect: StatedPolicy, policy: Policy) -> AuditedPolicy:
     spec = policy.spec
     return AuditedPolicy(
         policy=spec.name, checkpoint=str(spec.checkpoint), sha256=spec.sha256, recorded_sha256=suspect.sha256,
         recorded_runtime=suspect.runtime, runtime=spec.runtime,
     )  # fmt: skip
+
+
+_LONGEST_BLEND = 1000  # steps, where an episode does not say
 
 
 @dataclass
@@ -210,6 +229,8 @@ class _Run:
     names: tuple[str, ...]
     robot: str
     state: Contract | None
+    targets: TargetReplay
+    gate: GateReplay | None
     actions: Comparison = field(default_factory=Comparison)
     observations: Comparison = field(default_factory=Comparison)
     drove: list[str] = field(default_factory=list)
@@ -218,41 +239,57 @@ class _Run:
     incomplete: int = 0
     first_ns: int = 0
     last_ns: int = 0
-    _count: int = 0
+    count: int = 0
     _before: Step | None = None
     _driving: str = ""
     _next: str | None = None  # who listened in the step before; None where that is not in the file
     _heard: str = ""  # the same, where every step since it began to listen is in the file
 
+    def on_file(self, reader: EpisodeReader) -> None:
+        """Compare all steps of a file."""
+        joiner, key = steps.StepJoiner(self.robot, _COMPARED), self.gate.of.command_format.key if self.gate else ""
+        topics = {*joiner.topics, *((key, keys.EVENT) if self.gate else ())}
+        for message in reader.messages(topics):
+            if self.gate is not None and message.topic == key:
+                self.gate.on_command(message)
+            elif self.gate is not None and message.topic == keys.EVENT:
+                self.gate.on_event(message)
+            elif (step := joiner.feed(message)) is not None:
+                self.on_step(step)
+        for step in joiner.finish():
+            self.on_step(step)
+
     def on_step(self, step: Step) -> None:
         """Compare one step."""
-        number, self._count = self._count, self._count + 1
+        number, self.count = self.count, self.count + 1
+        told = gate_told(step, self.robot)
+        if self.gate is not None:
+            self.gate.on_step(number, step, told)
         self.first_ns = self.first_ns or step.at_ns
         self.last_ns = step.at_ns
         if self._before is None or not _follows(self._before, step):
             self._before, self._next, self._heard = None, None, ""
-        listening = self._choose(step)
+        listening = self._choose(step, told)
         seen, done = step.values.get(keys.policy_obs(self.robot)), step.values.get(keys.policy_action(self.robot))
         spec = self.policy.spec
         if seen is None or done is None or len(seen) != 4 * spec.observation_size or len(done) % 4:
             self.incomplete += 1
             self._before = None
             return
-        observation = codec.parse_f32(seen)
-        self._derive(number, step, observation)
-        self.actions.add(number, codec.parse_f32(done), self.policy.act(observation))
+        observation, given = codec.parse_f32(seen), self._given(step)
+        self._derive(number, step, given, observation)
+        action = codec.parse_f32(done)
+        self.actions.add(number, action, self.policy.act(observation))
+        self.targets.on_step(number, step, told, self.policy, given, action)
         self._before = step
-        self._listen(listening, step)
+        self._listen(listening, given)
 
-    def _choose(self, step: Step) -> str:
+    def _choose(self, step: Step, told: GateTold) -> str:
         """Take the policy that drove in a step; return the name of the one that listened, or ""."""
         driving, listening = self.names[0], ""
         if len(self.names) > 1:
-            gate = codec.parse_facts(step.values.get(keys.command_gate(self.robot)))
-            driving, listening = (
-                name if (name := gate.get(which)) in self.names else other
-                for which, other in (("policy", self._driving or driving), ("next_policy", ""))
-            )
+            driving = told.policy if told.policy in self.names else self._driving or driving
+            listening = told.next_policy if told.next_policy in self.names else ""
         if driving not in (self._driving, self._heard):
             self._before = None  # what it had seen before it drove is not known
         if driving not in self.drove:
@@ -262,11 +299,11 @@ class _Run:
         self._driving, self.policy = driving, self.load(driving)
         return listening
 
-    def _listen(self, name: str, step: Step) -> None:
+    def _listen(self, name: str, known: tuple[RobotState, Floats] | None) -> None:
         """Have the policy that is to take over observe and act too, as it did beside the one that drove."""
         begins = name != self._next
         is_heard = bool(name) and (self._next == "" if begins else self._heard == name)
-        given = self._given(step) if is_heard else None
+        given = known if is_heard else None
         self._next, self._heard = name, name if given is not None else ""
         if given is not None:
             policy = self.load(name)
@@ -282,11 +319,11 @@ class _Run:
             return None
         return state, codec.parse_f64(used)
 
-    def _derive(self, number: int, step: Step, observation: Floats32) -> None:
+    def _derive(self, number: int, step: Step, given: tuple[RobotState, Floats] | None, observation: Floats32) -> None:
         """Compare the observation with one made from state and command; the recorded one is the history in any case."""
         is_next = self._before is not None
         self.segments += not is_next
-        if (given := self._given(step)) is None:
+        if given is None:
             has_state = steps.robot_state(self.state, step.values.get(keys.robot_state(self.robot), b"")) is not None
             lacking = keys.command_used(self.robot) if has_state else keys.robot_state(self.robot)
             self.not_derived = self.not_derived or f"step {number} has no {lacking} that fits what the key holds"

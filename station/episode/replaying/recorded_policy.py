@@ -20,7 +20,8 @@ from station.protocols import Policy
 class StatedPolicy(msgspec.Struct, frozen=True, kw_only=True):
     """The policy that an episode says it was recorded with; "" for what it does not say.
 
-    `checkpoint` is where the file was on the machine that recorded; `reference` is how its user named it.
+    `checkpoint` is where the file was on the machine that recorded; `reference` is how its user named it; `command` is
+    the registered name of the commands that it follows.
     """
 
     robot: str
@@ -30,6 +31,7 @@ class StatedPolicy(msgspec.Struct, frozen=True, kw_only=True):
     runtime: str
     options: dict[str, Any] = {}
     reference: str = ""
+    command: str = ""
 
 
 def recorded_policies(reader: EpisodeReader, robot: str | None = None) -> dict[str, StatedPolicy]:
@@ -51,7 +53,7 @@ def recorded_policies(reader: EpisodeReader, robot: str | None = None) -> dict[s
     if robot is not None and robot not in present:
         raise EpisodeError(f"episode {reader.episode_id}: no steps of {robot!r}; it has {', '.join(present)}")
     chosen = robot or present[0]
-    facts = _stated(reader, chosen)
+    facts = stated_facts(reader, chosen)
     several = facts.get("policies")
     if not isinstance(several, dict) or not several:
         return {"": _of_facts(reader, chosen, facts, facts.get("policy", {}), _config(facts))}
@@ -69,7 +71,8 @@ def _of_facts(
 ) -> StatedPolicy:
     manifest = reader.manifest.policy
     text = {
-        name: str(stated.get(name) or getattr(manifest, name)) for name in ("name", "checkpoint", "sha256", "runtime")
+        name: str(stated.get(name) or getattr(manifest, name))
+        for name in ("name", "checkpoint", "sha256", "runtime", "command")
     }
     options = stated.get("options")
     return StatedPolicy(
@@ -119,12 +122,21 @@ def _find(suspect: StatedPolicy, wanted: str, *, is_given: bool) -> Path:
         return assets.resolve(suspect.reference)
 
 
-def _stated(reader: EpisodeReader, robot: str) -> dict[str, Any]:
+def stated_facts(reader: EpisodeReader, robot: str) -> dict[str, Any]:
     """Return what the low-level server of a robot stated; empty when none did."""
     for facts in reader.manifest.servers.values():
         if facts.get("robot") == robot and isinstance(facts.get("policy"), dict):
             return dict(facts)
     return {}
+
+
+def is_simulated(facts: dict[str, Any]) -> bool:
+    """Whether a robot, by what its server stated, is a simulation that does what it is told; False where unknown."""
+    named = str(_config(facts).get("robot") or facts.get("kind") or "")
+    described = _mapping(facts.get("robot_facts"))
+    if named in registry.names("robot"):
+        return bool(registry.find("robot", named).is_simulated)
+    return "physics_dt_s" in described
 
 
 def _config(facts: dict[str, Any]) -> dict[str, Any]:

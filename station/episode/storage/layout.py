@@ -25,6 +25,10 @@ def _names(final: str) -> Names:
 
 
 MANIFEST = "manifest.yaml"
+MANIFEST_START = "manifest.start.yaml"
+"""The attachment at the head of the signals: the manifest before the first write. Earlier stations gave it the name of
+the one at their end."""
+
 SIGNALS_NAMES = _names("signals.mcap")
 CAMERAS_NAMES = _names("cameras.mcap")
 SIGNALS, ACTIVE, TORN, REPAIRING = SIGNALS_NAMES

@@ -25,6 +25,7 @@ from station.episode.storage.manifest_parts import (
     Operator,
     Policy,
     QualityFlags,
+    RecordedFile,
     Recorder,
     Robot,
     Stream,
@@ -41,6 +42,7 @@ __all__ = [
     "Operator",
     "Policy",
     "QualityFlags",
+    "RecordedFile",
     "Recorder",
     "Robot",
     "State",
@@ -87,6 +89,8 @@ class Manifest(msgspec.Struct, kw_only=True):
         streams: Bounded; of a client that invents keys, the first ones, and how many more are in the signals.
         events, marks: Bounded; what did not fit is counted beside them and stays in the signals.
         holes: Bounded: the last one reaches to the end of all that did not fit, which are counted beside them.
+        files: The files of the recording as they were when they were closed; none while it is recorded, and in
+            episodes of earlier stations.
         quality: What a later measurement (`check`) found; free form.
         recovery: A note for each time that a recorder took the episode up again (``kind: resumed``), or that a repair
             closed it (``kind: repaired``): when, how long nothing was recorded, what was cut. The newest ones; how many
@@ -116,6 +120,7 @@ class Manifest(msgspec.Struct, kw_only=True):
     marks: list[Mark] = []
     holes: list[Hole] = []
     holes_not_listed: int = 0
+    files: list[RecordedFile] = []
     quality_flags: QualityFlags = msgspec.field(default_factory=QualityFlags)
     quality: dict[str, Any] = {}
     recovery: list[dict[str, Any]] = []

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import msgspec
 
 from station.atomic_file import free_path
 from station.episode.storage import layout
@@ -14,6 +16,14 @@ from station.episode.storage.records import walk
 from station.errors import EpisodeError
 
 log = logging.getLogger(__name__)
+
+_MAY_CHANGE = frozenset({
+    "manifest_version", "state", "files", "recorder.bytes",  # known only once the copy is written
+    "quality_flags", "marks", "quality", "recovery", "recovery_not_listed",  # what people and programs say of it later
+    "foreign", "shortened",
+})  # fmt: skip
+_DEEPEST = 3  # parts of a name
+_MOST_FIELDS = 50
 
 
 class FoundManifest(NamedTuple):
@@ -48,13 +58,55 @@ def choose_manifest(folder: Path, signals: Path, attachments: Mapping[str, bytes
         raise
     except EpisodeError as error:
         found = walk(signals).attachments if attachments is None else attachments
-        inside = found.get(layout.MANIFEST)
-        if inside is None:
+        name = next((name for name in (layout.MANIFEST, layout.MANIFEST_START) if name in found), None)
+        if name is None:
             raise
-        copy = parse_manifest(inside, f"{signals}, attachment {layout.MANIFEST}")
+        copy = parse_manifest(found[name], f"{signals}, attachment {name}")
         if not file.exists():
             return FoundManifest(copy, "")
         return FoundManifest(copy, f"{error}; the copy inside {signals.name} serves, without what was changed later")
+
+
+def changed_fields(manifest: Manifest, attachments: Mapping[str, bytes]) -> list[str]:
+    """Return which fields of a manifest are not what the recording says of itself, of those that nothing may change.
+
+    Args:
+        manifest: The one beside the files.
+        attachments: Those of the signals; the copy of before the first write is not compared.
+    """
+    inside = attachments.get(layout.MANIFEST)
+    if inside is None:
+        return []
+    try:
+        copy = parse_manifest(inside, f"attachment {layout.MANIFEST}")
+    except EpisodeError:
+        return []  # nothing can be said; one of a later station has other fields
+    if copy.state == "recording":  # of an earlier station, never closed
+        return []
+    cut = {*manifest.shortened, *copy.shortened}  # what did not fit into either says nothing
+    said, now = (_facts(one, cut) for one in (copy, manifest))
+    return list(_differing(said, now, ""))[:_MOST_FIELDS]
+
+
+def _facts(manifest: Manifest, cut: set[str]) -> dict[str, Any]:
+    return {
+        name: msgspec.to_builtins(getattr(manifest, name))
+        for name in manifest.__struct_fields__
+        if name not in _MAY_CHANGE and name not in cut
+    }
+
+
+def _differing(said: Mapping[Any, Any], now: Mapping[Any, Any], inside: str) -> Iterator[str]:
+    """Iterate over the names of what differs, as deep as that is a mapping."""
+    for key in dict.fromkeys((*said, *now)):
+        name = f"{inside}{key}"
+        one, other = said.get(key), now.get(key)
+        if name in _MAY_CHANGE or one == other:
+            continue
+        if isinstance(one, Mapping) and isinstance(other, Mapping) and name.count(".") < _DEEPEST:
+            yield from _differing(one, other, f"{name}.")
+        elif repr(one) != repr(other):  # no number is not equal to itself
+            yield name
 
 
 def manifest_to_change(folder: Path) -> Manifest:

@@ -98,6 +98,24 @@ class Stream(msgspec.Struct, kw_only=True):
     last_s: float | None = None
 
 
+class RecordedFile(msgspec.Struct, kw_only=True):
+    """A file of the recording, as it was when it was closed; `station.episode.storage.file_hashes` takes its measure.
+
+    Attributes:
+        name: Its name, ``signals.mcap`` or ``cameras.mcap``.
+        bytes: Its size.
+        summary_crc: Checksum of its MCAP summary, 8 hexadecimal digits; "" where it has none.
+        sha256: Of all its bytes; "" for pictures, which are gigabytes.
+        chunks_sha256: Of the checksums of its chunks, in order, for pictures; "" for signals.
+    """
+
+    name: str
+    bytes: int
+    summary_crc: str = ""
+    sha256: str = ""
+    chunks_sha256: str = ""
+
+
 class Timing(msgspec.Struct, kw_only=True):
     """When, and on which clocks.
 

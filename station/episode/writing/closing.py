@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from station.episode.storage.anchor import Anchor
+from station.episode.storage.file_hashes import measure
 from station.episode.storage.manifest import MAX_STREAMS, Manifest
 from station.episode.storage.progress import Gap, Totals
 
@@ -36,6 +38,16 @@ def close_manifest(manifest: Manifest, anchor: Anchor, totals: Totals) -> None:
     recorder.messages, recorder.bytes, recorder.dropped = totals.messages, totals.bytes, totals.dropped
     recorder.lag_p50_ms, recorder.lag_p99_ms = totals.lag_p50_ms, totals.lag_p99_ms
     measure_holes(manifest, anchor, totals.gaps)
+
+
+def note_files(manifest: Manifest, folder: Path) -> None:
+    """Put into the manifest of an episode what tells its closed files from all others.
+
+    Raises:
+        OSError: one cannot be read.
+    """
+    manifest.files = measure(folder)
+    manifest.recorder.bytes = sum(file.bytes for file in manifest.files)
 
 
 def summary_record(totals: Totals) -> dict[str, str]:

@@ -84,7 +84,7 @@ class EpisodeFile:
         made._writer.write_metadata(layout.ANCHOR_RECORD, {name: str(value) for name, value in asdict(anchor).items()})
         made._writer.write_metadata(layout.EPISODE_RECORD, dict(facts))
         if manifest:
-            made._attach(manifest)
+            made._attach(layout.MANIFEST_START, manifest)
         made._register(layout.STAMPS_TOPIC, layout.TEXT, _BOOKKEEPING)
         made.sync()
         return made
@@ -185,7 +185,7 @@ class EpisodeFile:
         """
         self.sync()
         if manifest:
-            self._attach(manifest)
+            self._attach(layout.MANIFEST, manifest)
         self._writer.write_metadata(layout.SUMMARY_RECORD, dict(summary))
         if self._writer.is_indexed:
             self._writer.finish(self._schemas, self._records)
@@ -199,8 +199,8 @@ class EpisodeFile:
         """Release the file."""
         self._disk.close()
 
-    def _attach(self, manifest: bytes) -> None:
-        self._writer.attach(layout.MANIFEST, layout.MANIFEST_MEDIA_TYPE, manifest, self.last_log_ns)
+    def _attach(self, name: str, manifest: bytes) -> None:
+        self._writer.attach(name, layout.MANIFEST_MEDIA_TYPE, manifest, self.last_log_ns)
 
     def _add_native(self, key: str, value: bytes, stamp: bytes, log_ns: int) -> bool:
         """Add a write with a stamp of ours; return False when it turns out to be none."""

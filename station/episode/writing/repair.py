@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import BinaryIO, Literal, NamedTuple
+from typing import Any, BinaryIO, Literal, NamedTuple
 
 import mcap.records
 import msgspec
@@ -16,6 +16,7 @@ from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor, iso
 from station.episode.storage.claim import is_claimed
 from station.episode.storage.drops import Drops, drops_of, larger
+from station.episode.storage.file_hashes import changes
 from station.episode.storage.folder import signals_file
 from station.episode.storage.left_open import is_left_open, not_begun, remove_not_begun, remove_temporary
 from station.episode.storage.manifest import (
@@ -31,7 +32,7 @@ from station.episode.storage.manifest_copy import find_manifest, manifest_to_cha
 from station.episode.storage.progress import ResumePoint, load_resume_point
 from station.episode.storage.records import MAGIC, RawMessage, metadata_at_head, walk
 from station.episode.writing.checkpoint import SummaryState
-from station.episode.writing.closing import close_manifest, summary_record
+from station.episode.writing.closing import close_manifest, note_files, summary_record
 from station.episode.writing.file import EpisodeFile
 from station.episode.writing.files import EpisodeFiles
 from station.episode.writing.salvage import SalvageResult, salvage
@@ -164,8 +165,12 @@ def _finish_repair(folder: Path, manifest: Manifest) -> None:
 def _save_final(folder: Path, manifest: Manifest) -> None:
     if (folder / layout.MANIFEST).exists():
         manifest_to_change(folder)  # one that cannot be read is kept beside the new one
-    files = (folder / names.final for names in _FILES)
-    manifest.recorder.bytes = sum(file.stat().st_size for file in files if file.exists())
+    before = manifest.files
+    note: dict[str, Any] = manifest.recovery[-1] if manifest.recovery else {}
+    note_files(manifest, folder)
+    changed = [msgspec.structs.asdict(change) for change in changes(before, manifest.files)]
+    if changed and note.get("kind") == "repaired":
+        note["changed"] = changed  # a repair may: the files have other hashes now, and it says so
     save_manifest(manifest, folder)
 
 

@@ -16,6 +16,7 @@ from station.bus.client import Bus
 from station.cli.main import cli
 from station.episode.reading.reader import open_episode
 from station.episode.storage import layout
+from station.episode.storage.file_hashes import measure
 from station.episode.storage.left_open import left_open
 from station.episode.storage.manifest import load_manifest
 from tests.episode.recorder.killed_recorder import CLOSING, HELD, Client, Orders, Recorder
@@ -65,6 +66,7 @@ class Trial:
             assert numbers[0] <= first
             manifest = load_manifest(folder)
             assert (manifest.state, manifest.recorder.ended_by, manifest.holes) == ("finished", "stop", [])
+            assert manifest.files == measure(folder), "whoever closed it wrote what its files are"
             assert {file.name for file in folder.iterdir()} == {"manifest.yaml", "signals.mcap"}
 
 

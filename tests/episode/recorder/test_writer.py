@@ -101,7 +101,9 @@ def test_the_library_and_rerun_read_the_file_and_channels_tell_contract_and_writ
         assert {record.name for record in reader.iter_metadata()} == {
             "station.anchor", "station.episode", "station.summary",
         }  # fmt: skip
-        assert [attachment.name for attachment in reader.iter_attachments()] == ["manifest.yaml"] * 2
+        assert [attachment.name for attachment in reader.iter_attachments()] == [
+            "manifest.start.yaml", "manifest.yaml",
+        ]  # fmt: skip
     assert msgspec.json.decode(found[BODY, "json", "g1", g1.source], type=Contract).key == BODY
     assert found[BODY, "json", "foreign", ""] == found[BODY, "json", "g1", g1.source]
     assert found["mystery", "application/octet-stream", "foreign", ""] == "none"

@@ -15,7 +15,8 @@ from station.bus import codec, keys
 from station.cli.audit import in_short, story
 from station.control.rig import PolicyChoice
 from station.episode.reading.reader import open_episode
-from station.episode.replaying.audit import Audit, Comparison, audit
+from station.episode.replaying.audit import Audit, audit
+from station.episode.replaying.comparison import Comparison
 from station.episode.storage.manifest import load_manifest, save_manifest
 from station.errors import AssetMissing, BadFile, EpisodeError, UnknownName
 from station.protocols import RobotState

@@ -1,0 +1,40 @@
+"""Recorded vectors beside those that were computed again, and how far they are apart."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from station.protocols import Floats, Floats32
+
+
+class Comparison(msgspec.Struct, kw_only=True):
+    """Recorded against computed vectors.
+
+    Attributes:
+        compared: Vectors that were compared.
+        different: Those with any bit that differs.
+        max_abs_difference: Greatest difference of an element; infinite where a length or a NaN differs.
+        first_different: Number of the first step that differs, from 0 in the file; None when none does.
+    """
+
+    compared: int = 0
+    different: int = 0
+    max_abs_difference: float = 0.0
+    first_different: int | None = None
+
+    def add(self, step: int, recorded: Floats32 | Floats, computed: Floats32 | Floats) -> bool:
+        """Add a pair; return whether it is equal bit for bit."""
+        self.compared += 1
+        if recorded.tobytes() == computed.tobytes():
+            return True
+        self.different += 1
+        if self.first_different is None:
+            self.first_different = step
+        if recorded.shape != computed.shape:
+            self.max_abs_difference = np.inf
+        else:
+            gap = np.abs(recorded.astype(np.float64) - computed.astype(np.float64))
+            gap = np.where(np.isnan(recorded) & np.isnan(computed), 0.0, gap)
+            self.max_abs_difference = max(self.max_abs_difference, float(np.nan_to_num(gap, nan=np.inf).max()))
+        return False
