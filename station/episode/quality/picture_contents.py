@@ -73,7 +73,7 @@ class PictureMeter:
         self._cameras = {key: _Camera(name, key, apart_ns) for name, key in frames.cameras(reader).items()}
         self._decoder, self._decode = decoder() if self._cameras else ("", _by_pillow)
         self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="pictures") if self._cameras else None
-        self._pending: deque[tuple[_Camera, int, Future[_Look | None]]] = deque()
+        self._pending: deque[tuple[_Camera, int, Future[Look | None]]] = deque()
 
     def __enter__(self) -> PictureMeter:
         return self
@@ -91,7 +91,7 @@ class PictureMeter:
             return
         taken_ns = frames.captured_ns(message)
         if camera.feed(message.data, taken_ns) and self._pool is not None:
-            self._pending.append((camera, taken_ns, self._pool.submit(_look, self._decode, message.data)))
+            self._pending.append((camera, taken_ns, self._pool.submit(look, self._decode, message.data)))
             if len(self._pending) > _MOST_PENDING:
                 self._gather()
 
@@ -118,7 +118,7 @@ def _apart_ns(duration_s: float | None) -> int:
     return round(min(max(_LEAST_APART_S, length_s / _MOST_SAMPLES), _MOST_APART_S) * 1e9)
 
 
-class _Look(NamedTuple):
+class Look(NamedTuple):
     """What one picture shows: figures of grey (0 to 255), thumbnail, and all that was decoded, to be compared."""
 
     mean: float
@@ -192,7 +192,7 @@ class _Camera:
         self._due_ns = 0
         self._looks = 0
         self._unreadable, self._black, self._white, self._flat, self._jumps = (_Tally() for _ in range(5))
-        self._before: _Look | None = None
+        self._before: Look | None = None
         self._brightness, self._sharpness = array("d"), array("d")
         self._first: list[Floats] = []
 
@@ -217,7 +217,7 @@ class _Camera:
         self._due_ns = taken_ns + self._apart_ns
         return True
 
-    def add_look(self, taken_ns: int, look: _Look | None) -> None:
+    def add_look(self, taken_ns: int, look: Look | None) -> None:
         """Add what a picture shows, in the order of the pictures; None for one that cannot be decoded."""
         self._looks += 1
         before, self._before = self._before, look
@@ -290,7 +290,7 @@ def _overlap_ns(span: tuple[int, int], spans: Spans) -> int:
     return int(np.maximum(0, np.minimum(ends, span[1]) - np.maximum(begins, span[0])).sum())
 
 
-def _is_jump(before: _Look, look: _Look) -> bool:
+def _is_jump(before: Look, look: Look) -> bool:
     """Whether two pictures show the same in another brightness."""
     if abs(look.mean - before.mean) <= JUMP or look.thumb.shape != before.thumb.shape:
         return False
@@ -299,7 +299,7 @@ def _is_jump(before: _Look, look: _Look) -> bool:
     return size > 0 and float((one * other).sum()) > JUMP_LIKENESS * size
 
 
-def _look(decode: Callable[[bytes], Grey | None], data: bytes) -> _Look | None:
+def look(decode: Callable[[bytes], Grey | None], data: bytes) -> Look | None:
     """Return what a picture shows; None for one that cannot be decoded."""
     grey = decode(data)
     if grey is None or min(grey.shape) < _THUMB:
@@ -309,7 +309,7 @@ def _look(decode: Callable[[bytes], Grey | None], data: bytes) -> _Look | None:
     mean = float(counts @ levels) / total
     rows, columns = grey.shape[0] // _THUMB, grey.shape[1] // _THUMB
     cut = grey[: rows * _THUMB, : columns * _THUMB].reshape(_THUMB, rows, _THUMB, columns)
-    return _Look(
+    return Look(
         mean=mean,
         std=float(np.sqrt(max(0.0, float(counts @ (levels * levels)) / total - mean * mean))),
         p99=float(np.searchsorted(np.cumsum(counts), 0.99 * total)),
