@@ -9,9 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from adapters.cameras import jpeg
 from adapters.cameras.encode import Encoder, library
 from adapters.cameras.pace import Pace
+from station import jpeg
 from station.camera.source import CameraError, Drops, Picture, PictureSettings
 
 _JPEG = (".jpg", ".jpeg")

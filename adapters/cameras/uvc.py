@@ -7,9 +7,10 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
 
-from adapters.cameras import jpeg, v4l2
+from adapters.cameras import v4l2
 from adapters.cameras.encode import Encoder
 from adapters.cameras.v4l2_device import Frame, Layout
+from station import jpeg
 from station.camera.source import CameraError, Drops, Picture, PictureSettings
 
 Form = Literal["auto", "MJPG", "YUYV"]

@@ -12,8 +12,8 @@ import time
 from importlib import metadata
 from typing import Any
 
-from adapters.cameras import jpeg
 from adapters.cameras.encode import library
+from station import jpeg
 from station.camera.source import CameraError, Drops, Picture, PictureSettings
 
 _HEAD = struct.Struct("=iii")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +18,7 @@ from station.printable import printable
 if TYPE_CHECKING:
     from station.episode.quality.finding_parts import AuditFound
     from station.episode.reading.reader import EpisodeReader
+_SOON_S = 2.0
 
 
 def _print_rules(context: click.Context, _option: click.Parameter, is_wanted: bool) -> None:
@@ -67,7 +71,9 @@ def command(
     book = rule_file.of_user() if rules is None else rule_file.load(rules)
     try:
         reader = open_episode(episode, data)
-        quality = check(reader, book, audit=_audited(reader) if is_audited else None)
+        audit = _audited(reader) if is_audited else None
+        with _progress(reader.manifest.timing.duration_s) as tell:
+            quality = check(reader, book, tell, audit=audit)
     except EpisodeError as error:
         raise _NotCheckedError(str(error)) from None
     if as_json:
@@ -82,3 +88,29 @@ def command(
                 f"station: {printable(str(error))}; the verdict is not kept there (--no-write asks for none)", err=True
             )
     raise SystemExit(1 if quality.verdict == "reject" else 0)
+
+
+@contextmanager
+def _progress(seconds: float | None) -> Iterator[Callable[[float], None]]:
+    """Show how far a check of an episode of some seconds is, on stderr, where that is a terminal and it takes 2 s.
+
+    None, or 0, is an episode of which nobody has said how long it is.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = TextColumn("checking"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn()
+    shown = Progress(*columns, console=console, transient=True)
+    task, begun_s = shown.add_task("", total=seconds or None), time.monotonic()
+
+    def tell(read_s: float) -> None:
+        if console.is_terminal and time.monotonic() - begun_s > _SOON_S:
+            shown.start()  # once more does nothing
+            shown.update(task, completed=read_s)
+
+    try:
+        yield tell
+    finally:
+        if console.is_terminal:
+            shown.stop()

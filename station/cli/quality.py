@@ -7,7 +7,14 @@ from rich.console import Console
 from station.bus import keys
 from station.cli.tables import Column, plain, print_table
 from station.episode.quality import timing
-from station.episode.quality.finding_parts import Alignment, ArmQuality, AuditFound, CameraQuality, MotionQuality
+from station.episode.quality.finding_parts import (
+    Alignment,
+    ArmQuality,
+    AuditFound,
+    CameraQuality,
+    MotionQuality,
+    PictureQuality,
+)
 from station.episode.quality.findings import Interruption, Quality, Spread, StepQuality, StreamQuality
 from station.episode.storage.manifest import words_of_shortened
 
@@ -37,6 +44,7 @@ def print_quality(quality: Quality, *, is_whole: bool = False) -> None:
     console.print()
     _print_streams(console, quality.streams, is_whole=is_whole)
     _print_cameras(console, quality.cameras)
+    _print_pictures(console, quality.pictures)
     if len(quality.rules) > 1:
         last = quality.rules[-1]
         console.print(
@@ -187,6 +195,33 @@ def _print_cameras(console: Console, cameras: list[CameraQuality]) -> None:
     ]  # fmt: skip
     console.print()
     print_table([Column("camera", "left"), *map(Column, titles)], rows)
+
+
+def _print_pictures(console: Console, pictures: list[PictureQuality]) -> None:
+    """Print what each camera's pictures are worth."""
+    if not pictures:
+        return
+    titles = ("size", "torn", "repeats", "longest still", "looked at", "black", "white", "flat", "grey", "sharpness")
+    rows = [
+        (
+            plain(item.name), ", ".join(item.sizes) or "–", _bad(item.torn.count + item.unreadable.count),
+            str(item.repeats), f"{item.still_s:.1f} s", str(item.looked_at), _bad(item.black.count),
+            _bad(item.white.count), _bad(item.flat.count), _unit(item.brightness, 1, "", digits=0).strip(),
+            _unit(item.sharpness, 1, "", digits=0).strip(),
+        )
+        for item in pictures
+    ]  # fmt: skip
+    console.print()
+    print_table([Column("pictures", "left"), *map(Column, titles)], rows)
+    if any(item.decoder == "pillow" for item in pictures):
+        console.print(
+            "[dim]damage within a picture is seen by simplejpeg alone: pip install 'teleop-station\\[video]'[/]",
+            soft_wrap=True,
+        )
+
+
+def _bad(count: int) -> str:
+    return f"[red]{count}[/]" if count else "0"
 
 
 def _print_arm(console: Console, arm: ArmQuality) -> None:

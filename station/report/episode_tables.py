@@ -111,7 +111,14 @@ def cameras(quality: Quality) -> Html | None:
          _ms(item.age_p50_s), _ms(item.age_p99_s))
         for item in quality.cameras[:_MOST_ROWS]
     ]  # fmt: skip
-    return join([tag("h3", "Cameras"), table(head, rows, class_="numbers")])
+    shown = ("camera", "size", "torn", "repeats", "longest still", "looked at", "black", "white", "flat", "grey")
+    worth = [
+        (item.name, ", ".join(item.sizes) or "–", _count(item.torn.count + item.unreadable.count), str(item.repeats),
+         f"{item.still_s:.1f} s", str(item.looked_at), _count(item.black.count), _count(item.white.count),
+         _count(item.flat.count), "–" if item.brightness is None else f"{item.brightness:.0f}")
+        for item in quality.pictures[:_MOST_ROWS]
+    ]  # fmt: skip
+    return join([tag("h3", "Cameras"), table(head, rows, class_="numbers"), table(shown, worth, class_="numbers")])
 
 
 def streams(found: Sequence[StreamQuality]) -> Html:

@@ -14,11 +14,22 @@ import msgspec
 from station.bus import codec, keys
 from station.bus.tap import not_mirrored
 from station.contract import Contract
-from station.episode.quality import arms, falls, interruptions, motion, pauses, presence, rule_file, timing
+from station.episode.quality import (
+    arms,
+    falls,
+    interruptions,
+    motion,
+    pauses,
+    presence,
+    rule_file,
+    swapped_cameras,
+    timing,
+)
 from station.episode.quality.alignment import AlignmentMeter
 from station.episode.quality.cameras import CameraMeter, stated_hz
 from station.episode.quality.finding_parts import AuditFound, KeyChanges
 from station.episode.quality.findings import FallSeen, Quality
+from station.episode.quality.picture_contents import PictureMeter
 from station.episode.quality.policy_steps import StepMeter
 from station.episode.quality.presence import Heartbeats
 from station.episode.quality.rule_file import RuleBook
@@ -43,15 +54,28 @@ DELETED = "deleted"
 """Stands for the command of a deletion, which may have been any: DEL, an expiry, FLUSHALL."""
 
 _MOST = 1000  # kinds; a client may invent keys
+_TOLD_EACH = 2000  # messages
 
 
-def check(reader: EpisodeReader, book: RuleBook | None = None, *, audit: AuditFound | None = None) -> Quality:
+def check(
+    reader: EpisodeReader,
+    book: RuleBook | None = None,
+    tell: Callable[[float], None] | None = None,
+    *,
+    audit: AuditFound | None = None,
+) -> Quality:
     """Measure an episode and judge it, by our own rules where no others are given.
 
-    A torn or unfinished file is measured as far as it goes. What an audit found is judged too, where there was one.
+    A torn or unfinished file is measured as far as it goes.
+
+    Args:
+        reader: The episode.
+        book: The rules.
+        tell: Is told now and then how far it has come, from the start of the episode [s].
+        audit: What an audit found, to be judged too.
     """
     rules = book or rule_file.shipped()
-    quality = _assemble(reader, Measurements(reader))
+    quality = _assemble(reader, Measurements(reader, tell))
     quality.audit = audit
     quality.not_judged = timing.not_judged(quality)
     quality.verdict, quality.reasons = judge(quality, rules.limits)
@@ -75,6 +99,7 @@ def write_measured(folder: Path, quality: Quality) -> Manifest:
         quality,
         streams=quality.streams[:MAX_STREAMS],
         cameras=quality.cameras[:MAX_STREAMS],
+        pictures=quality.pictures[:MAX_STREAMS],
         presence=quality.presence[:MAX_STREAMS],
     )
     manifest.quality = {"measured_at": datetime.now(UTC).isoformat(), **msgspec.to_builtins(listed)}
@@ -115,6 +140,7 @@ def _assemble(reader: EpisodeReader, measured: Measurements) -> Quality:
     paused = pauses.find(commands, measured.ends)
     files = files_of(reader)
     span_s, cameras = presence.ends_s(manifest, streams), measured.cameras.result(streams)
+    pictures = measured.pictures.result(motion.moves(measured.motion))
     return Quality(
         episode_id=reader.episode_id,
         duration_s=max((s.last_s for s in streams), default=0.0) - min((s.first_s for s in streams), default=0.0),
@@ -125,6 +151,8 @@ def _assemble(reader: EpisodeReader, measured: Measurements) -> Quality:
         motion=[moved for meter in measured.motion if (moved := meter.result()) is not None],
         arms=[arm for meter in measured.arms if (arm := meter.result()) is not None],
         cameras=cameras,
+        pictures=pictures,
+        swapped_cameras=swapped_cameras.find(reader, pictures),
         ends_s=span_s,
         presence=presence.find(streams, span_s, measured.ends, measured.heartbeats),
         no_pictures=presence.without_pictures(manifest, (camera.key for camera in cameras), measured.heartbeats),
@@ -202,13 +230,14 @@ class Measurements:
         motion: One for each robot whose joints are told of.
         arms: One for each arm.
         cameras: Counts pictures.
+        pictures: Looks at them.
         changes: Counts changes of keys that are no values in the file.
         heartbeats: Which servers lived.
         events: Every event with its time from the start [s].
         ends: Where commands ended because their server said so.
     """
 
-    def __init__(self, reader: EpisodeReader) -> None:
+    def __init__(self, reader: EpisodeReader, tell: Callable[[float], None] | None = None) -> None:
         topics = reader.topics()
         self.start_ns = reader.start_ns
         self.counter = StreamCounter()
@@ -219,13 +248,18 @@ class Measurements:
         self.motion = motion.meters(reader)
         self.arms = [arms.ArmMeter(robot) for robot in arms.robots(topics)]
         self.cameras = CameraMeter(frames.cameras(reader), stated_hz(reader.manifest))
+        self.pictures = PictureMeter(reader)
         self.changes = ChangeCounter(self.start_ns, reader.contract)
         self.heartbeats = Heartbeats(self.start_ns)
         self.events: list[tuple[float, dict[str, Any]]] = []
         self.ends: list[pauses.End] = []
         self._joiners = {robot: StepJoiner(robot, context=meter.context) for robot, meter in self.steps.items()}
-        for message in reader.messages(stamps=self.cameras.is_needed):  # they tell when a picture was taken
-            self._feed(message)
+        with self.pictures:
+            messages = reader.messages(stamps=self.cameras.is_needed)  # stamps tell when a picture was taken
+            for number, message in enumerate(messages):
+                self._feed(message)
+                if tell is not None and number % _TOLD_EACH == 0:
+                    tell((message.log_ns - self.start_ns) * 1e-9)
         for robot, joiner in self._joiners.items():
             for step in joiner.finish():
                 self._feed_step(robot, step)
@@ -233,6 +267,7 @@ class Measurements:
     def _feed(self, message: Message) -> None:
         self.counter.feed(message)
         self.cameras.feed(message)
+        self.pictures.feed(message)
         self.changes.feed(message)
         self.heartbeats.feed(message)
         for meter in self.motion:

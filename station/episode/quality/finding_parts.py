@@ -230,3 +230,76 @@ class Alignment(msgspec.Struct, frozen=True, kw_only=True):
     skipped: int
     lag_s: float | None
     lag_correlation: float | None
+
+
+class Seen(msgspec.Struct, frozen=True):
+    """How many pictures something was seen of, and when it was first seen, from the start of the episode [s]."""
+
+    count: int = 0
+    first_s: float | None = None
+
+
+class PictureQuality(msgspec.Struct, frozen=True, kw_only=True):
+    """What the pictures of one camera are worth; `station.episode.quality.picture_contents` says how it is measured.
+
+    Attributes:
+        name: The camera.
+        key: Its key on the bus.
+        pictures: Pictures in the file.
+        sizes: Their sizes [px] in the order in which they came, the first few.
+        resized: Pictures of another size than the first one.
+        torn: Pictures that are no whole JPEG file.
+        repeats: Pictures that are the one before once more, byte for byte.
+        moving: Pictures that were taken while joints surely moved.
+        repeats_moving: How many of those are such repeats, outside of freezes (the same picture for 0.5 s and longer).
+        still_s, still_at_s: Longest freeze, and when it began [s]; whether anything moved or not.
+        frozen_s, frozen_at_s: Longest time for which joints surely moved within one freeze, and when that began [s].
+        looked_at: Pictures that were decoded, or should have been; the next six count of these.
+        decoder: Library that decoded them.
+        unreadable: Whole by their ends, and not to be decoded.
+        black, white, flat: Pictures that show nothing: dark, blown out, or of one colour.
+        exposure_jumps: Pictures that show what the one looked at before showed, in a brightness quite different.
+        brightness: Mean grey, 0 to 255; None where nothing could be decoded.
+        sharpness: Median variance of the Laplacian of the small grey pictures; compares pictures of one size and scene.
+        first_view: Mean of the first pictures looked at, 12x12 bytes of grey in base64; "" for none.
+    """
+
+    name: str
+    key: str
+    pictures: int
+    sizes: list[str]
+    resized: Seen
+    torn: Seen
+    repeats: int
+    moving: int
+    repeats_moving: Seen
+    still_s: float
+    still_at_s: float | None
+    frozen_s: float
+    frozen_at_s: float | None
+    looked_at: int
+    decoder: str
+    unreadable: Seen
+    black: Seen
+    white: Seen
+    flat: Seen
+    exposure_jumps: Seen
+    brightness: float | None
+    sharpness: float | None
+    first_view: str = ""
+
+
+class CameraSwap(msgspec.Struct, frozen=True):
+    """A camera that took another's place.
+
+    Attributes:
+        camera: Name that it has.
+        was: Name that it had in the earlier episode.
+        told_by: ``serial``: by the serial number of its device. ``likeness``: by what both cameras see.
+        episode_id: The earlier episode.
+    """
+
+    camera: str
+    was: str
+    told_by: Literal["serial", "likeness"]
+    episode_id: str

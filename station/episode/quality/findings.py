@@ -11,10 +11,12 @@ from station.episode.quality.finding_parts import (
     ArmQuality,
     AuditFound,
     CameraQuality,
+    CameraSwap,
     KeyChanges,
     KeyPresence,
     Loss,
     MotionQuality,
+    PictureQuality,
     RulesFile,
 )
 from station.episode.storage.file_hashes import FileChange
@@ -213,6 +215,8 @@ class Quality(msgspec.Struct, kw_only=True):
         motion: How joints moved, by robot.
         arms: What the sessions of arms with their controllers counted, by robot.
         cameras: What became of the pictures, by camera.
+        pictures: What the pictures are worth, by camera.
+        swapped_cameras: Cameras that changed places since the first episode of the task.
         ends_s: From when to when there is an episode, from its start [s].
         presence: How each rated key lies in it.
         no_pictures: Keys of cameras that were there, and of which there is no picture.
@@ -260,6 +264,8 @@ class Quality(msgspec.Struct, kw_only=True):
     motion: list[MotionQuality] = []
     arms: list[ArmQuality] = []
     cameras: list[CameraQuality] = []
+    pictures: list[PictureQuality] = []
+    swapped_cameras: list[CameraSwap] = []
     ends_s: tuple[float, float] = (0.0, 0.0)
     presence: list[KeyPresence] = []
     no_pictures: list[str] = []

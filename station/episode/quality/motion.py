@@ -14,7 +14,7 @@ At its end is a joint within 1 mrad of its limit, or beyond it.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -37,10 +37,22 @@ AT_LIMIT_RAD = 1e-3
 _BLOCK = 512  # messages that are decoded at once
 _BUCKET_NS = 100_000_000
 _BUCKETS = round(IDLE_WINDOW_S * 1e9 / _BUCKET_NS)
+_UNSURE_NS = (_BUCKETS - 1) * _BUCKET_NS
 _JOINT = "_pos"
 
 _JERK_S, _LEAST_POINTS, _MOST_POINTS = 0.12, 7, 101
 _GAP = 1.5  # of the median interval
+
+
+def moves(found: Iterable[MotionMeter]) -> list[tuple[int, int]]:
+    """Return from when to when joints of any robot surely moved, in order [ns]."""
+    together: list[tuple[int, int]] = []
+    for begin, end in sorted(span for meter in found for span in meter.moves()):
+        if together and begin <= together[-1][1]:
+            together[-1] = together[-1][0], max(end, together[-1][1])
+        else:
+            together.append((begin, end))
+    return together
 
 
 def meters(reader: EpisodeReader) -> list[MotionMeter]:
@@ -110,6 +122,17 @@ class MotionMeter:
             beyond_limit_rad=self._ends.beyond_rad,
         )
 
+    def moves(self) -> list[tuple[int, int]]:
+        """Return from when to when measured joints surely moved [ns].
+
+        What was in motion may have begun as late as in the last part of the first window, and ended as early as in the
+        first part of the last: the rest of either is left out.
+        """
+        for side in self._sides.values():
+            side.flush()
+        found = self._stillness[0].moves_ns
+        return [(begin + _UNSURE_NS, end - _UNSURE_NS) for begin, end in found if end - begin > 2 * _UNSURE_NS]
+
     def _add_state(self, times: Ints, joints: tuple[str, ...], q: Floats) -> None:
         self._stillness[0].feed(times, q)
         self._jerk.feed(times, joints, q)
@@ -171,6 +194,7 @@ class Stillness:
     Attributes:
         first_ns, last_ns: First and last instant that was told of; None before one.
         moved_ns, rested_ns: Beginning of the first window in which something moved, and end of the last; None for none.
+        moves_ns: From when to when windows follow each other in which something moved.
     """
 
     def __init__(self) -> None:
@@ -178,6 +202,7 @@ class Stillness:
         self.last_ns = 0
         self.moved_ns: int | None = None
         self.rested_ns = 0
+        self.moves_ns: list[tuple[int, int]] = []
         self._buckets: list[tuple[int, Floats, Floats]] = []  # number, least and greatest position of each joint
 
     def feed(self, times: Ints, q: Floats) -> None:
@@ -202,9 +227,15 @@ class Stillness:
         least = np.min([one[1] for one in self._buckets], axis=0)
         most = np.max([one[2] for one in self._buckets], axis=0)
         if (most > least + IDLE_BELOW_RAD).any():
+            self._add_move(self.first_ns + self._buckets[0][0] * _BUCKET_NS, self.first_ns + (number + 1) * _BUCKET_NS)
             if self.moved_ns is None:
                 self.moved_ns = self.first_ns + self._buckets[0][0] * _BUCKET_NS
             self.rested_ns = min(self.first_ns + (number + 1) * _BUCKET_NS, self.last_ns)
+
+    def _add_move(self, from_ns: int, to_ns: int) -> None:
+        if self.moves_ns and from_ns <= self.moves_ns[-1][1]:
+            from_ns = self.moves_ns.pop()[0]
+        self.moves_ns.append((from_ns, to_ns))
 
 
 def _idle(sides: list[Stillness]) -> tuple[float, float]:

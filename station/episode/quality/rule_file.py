@@ -122,6 +122,12 @@ class MostRate(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
     above_hz: float
 
 
+class LeastSharpness(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The least sharpness: variance of the Laplacian of a small picture in grey of 0 to 255."""
+
+    below: float
+
+
 class MostJerk(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The greatest 99th percentile of a jerk [rad/s^3]."""
 
@@ -167,6 +173,16 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     camera_drops: Shares
     camera_gap: Seconds
     camera_slow: LeastShare
+    camera_torn: Losses
+    camera_resized: Rule
+    camera_frozen: Seconds
+    camera_repeats: MostShare
+    camera_black: Shares
+    camera_saturated: MostShare
+    camera_flat: MostShare
+    camera_exposure: MostShare
+    camera_blurred: LeastSharpness
+    cameras_swapped: Rule
     no_steps: Rule
     never_tracked: Rule
     commands_ended: Rule

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from station.bus import keys
+from station.episode.quality.finding_parts import PictureQuality, Seen
 from station.episode.quality.findings import Quality, Verdict
 from station.episode.quality.rule_file import Limits
 
@@ -98,10 +99,108 @@ def _arm_flood(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]
             yield "usable", f"{arm.robot}: {arm.sends_holding_hz:.1f} targets a second were sent at hold, 0 expected"
 
 
+def _camera_torn(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for found in quality.pictures:
+        told = []
+        if found.torn.count:
+            told.append(f"{_of(found.torn, found.pictures)} are no whole JPEG file")
+        if found.unreadable.count:
+            told.append(f"{_of(found.unreadable, found.looked_at)} looked at cannot be decoded")
+        if told:
+            # Of those that are whole by their ends a few are tried: one of them alone says nothing of a share.
+            tried = found.unreadable.count / found.looked_at if found.unreadable.count > 1 else 0.0
+            share = max((found.torn.count + found.unreadable.count) / found.pictures, tried)
+            verdict: Verdict = "reject" if share > limits.camera_torn.reject_above_share else "usable"
+            yield verdict, f"{_camera(found)}: {'; '.join(told)}"
+
+
+def _camera_resized(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    for found in quality.pictures:
+        if found.resized.count:
+            sizes = f"{found.sizes[0]} px at first, then {', '.join(found.sizes[1:])}"
+            yield "reject", f"{_camera(found)}: {sizes}: {_of(found.resized, found.pictures)} differ from the first"
+
+
+def _camera_frozen(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    nominal_hz = {camera.key: camera.nominal_hz for camera in quality.cameras}
+    for found in quality.pictures:
+        least_s = max(limits.camera_frozen.usable_above_s, GAP_PERIODS / (nominal_hz.get(found.key) or _ANY_HZ))
+        if found.frozen_s > least_s and found.frozen_at_s is not None:
+            verdict: Verdict = "reject" if found.frozen_s > limits.camera_frozen.reject_above_s else "usable"
+            text = f"the same picture from {found.frozen_at_s:.2f} s on, while joints moved for {found.frozen_s:.1f} s"
+            yield verdict, f"{_camera(found)}: {text}"
+
+
+def _camera_repeats(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for found in quality.pictures:
+        if found.repeats_moving.count > limits.camera_repeats.above_share * found.moving:
+            what = f"{_of(found.repeats_moving, found.moving)} taken while joints moved are the one before once more"
+            yield "usable", f"{_camera(found)}: {what}"
+
+
+def _camera_black(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for found in quality.pictures:
+        if found.black.count > limits.camera_black.usable_above_share * found.looked_at:
+            is_most = found.black.count > limits.camera_black.reject_above_share * found.looked_at
+            verdict: Verdict = "reject" if is_most else "usable"
+            yield verdict, f"{_camera(found)}: {_of(found.black, found.looked_at)} looked at are black"
+
+
+def _camera_saturated(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for found in quality.pictures:
+        if found.white.count > limits.camera_saturated.above_share * found.looked_at:
+            yield "usable", f"{_camera(found)}: {_of(found.white, found.looked_at)} looked at are blown out"
+
+
+def _camera_flat(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for found in quality.pictures:
+        if found.flat.count > limits.camera_flat.above_share * found.looked_at:
+            yield "usable", f"{_camera(found)}: {_of(found.flat, found.looked_at)} looked at show one colour"
+
+
+def _camera_exposure(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for found in quality.pictures:
+        if found.exposure_jumps.count > limits.camera_exposure.above_share * found.looked_at:
+            what = f"brightness jumps, of the same scene, in {_of(found.exposure_jumps, found.looked_at)} looked at"
+            yield "usable", f"{_camera(found)}: {what}"
+
+
+def _camera_blurred(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for found in quality.pictures:
+        if found.sharpness is not None and found.sharpness < limits.camera_blurred.below:
+            text = f"sharpness {found.sharpness:.1f}, expected {limits.camera_blurred.below:g} and more"
+            yield "usable", f"{_camera(found)}: {text}"
+
+
+def _cameras_swapped(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    if found := quality.swapped_cameras:
+        how = "serial numbers" if found[0].told_by == "serial" else "what they see"
+        what = ", ".join(f"{one.camera} is the one that was {one.was}" for one in found)
+        yield "usable", f"cameras changed places since {found[0].episode_id}, by {how}: {what}"
+
+
+def _camera(found: PictureQuality) -> str:
+    return f"camera {found.name} ({found.key})"
+
+
+def _of(seen: Seen, total: int) -> str:
+    return f"{seen.count} of {total} pictures (the first at {seen.first_s or 0.0:.2f} s)"
+
+
 SENSED: dict[str, Finder] = {
     "camera-drops": _camera_drops,
     "camera-gap": _camera_gap,
     "camera-slow": _camera_slow,
+    "camera-torn": _camera_torn,
+    "camera-resized": _camera_resized,
+    "camera-frozen": _camera_frozen,
+    "camera-repeats": _camera_repeats,
+    "camera-black": _camera_black,
+    "camera-saturated": _camera_saturated,
+    "camera-flat": _camera_flat,
+    "camera-exposure": _camera_exposure,
+    "camera-blurred": _camera_blurred,
+    "cameras-swapped": _cameras_swapped,
     "misaligned": _misaligned,
     "idle-ends": _idle_ends,
     "jerky": _jerky,

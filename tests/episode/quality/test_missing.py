@@ -15,6 +15,7 @@ from station.episode.quality.findings import Quality
 from station.episode.reading import steps
 from station.episode.reading.reader import open_episode
 from tests.episode.synthetic import ROBOT, WALL_START_NS, EpisodeBuilder, tick, walk
+from tests.export import pictured
 
 BODY = twist_keys.action_body()
 
@@ -235,7 +236,7 @@ CAMERA = {"head": {"role": "sensor", "key": HEAD, "camera": "head", "fps": 30}}
 
 def film(builder: EpisodeBuilder, from_s: float, to_s: float) -> None:
     for number in range(round(from_s * 30), round(to_s * 30)):
-        builder.write({HEAD: b"\xff\xd8 %d" % number}, at_s=number / 30, writer="head")
+        builder.write({HEAD: pictured.jpeg(number)}, at_s=number / 30, writer="head")
 
 
 @pytest.mark.parametrize(
@@ -261,7 +262,7 @@ def test_a_camera_is_asked_for_both_ends(
 def test_a_camera_of_few_pictures_a_second_may_be_three_periods_away(builder: EpisodeBuilder) -> None:
     run(builder)
     for at_s in (1.0, 3.0, 5.0):
-        builder.write({HEAD: b"\xff\xd8"}, at_s=at_s, writer="head")
+        builder.write({HEAD: pictured.jpeg(round(at_s))}, at_s=at_s, writer="head")
     assert said(finished(builder, servers=SERVERS | {"head": CAMERA["head"] | {"fps": 0.5}})) == []
 
 

@@ -149,7 +149,9 @@ def test_numbers_that_no_robot_writes_measure_nothing_and_break_nothing(builder:
 
 def jpeg() -> bytes:
     made = io.BytesIO()
-    Image.new("RGB", (32, 24), (200, 40, 40)).save(made, format="jpeg")
+    picture = Image.new("RGB", (32, 24), (200, 40, 40))
+    picture.paste((20, 90, 220), (0, 0, 16, 24))
+    picture.save(made, format="jpeg")
     return made.getvalue()
 
 

@@ -7,7 +7,7 @@ import io
 import pytest
 from PIL import Image
 
-from adapters.cameras import jpeg
+from station import jpeg
 from tests.adapters.cameras import pictures
 
 
