@@ -14,7 +14,17 @@ import msgspec
 from station.bus import codec, keys
 from station.bus.tap import not_mirrored
 from station.contract import Contract
-from station.episode.quality import arms, falls, interruptions, motion, pauses, presence, rule_file, timing
+from station.episode.quality import (
+    arms,
+    falls,
+    interruptions,
+    motion,
+    pauses,
+    plausibility,
+    presence,
+    rule_file,
+    timing,
+)
 from station.episode.quality.alignment import AlignmentMeter
 from station.episode.quality.cameras import CameraMeter, stated_hz
 from station.episode.quality.finding_parts import KeyChanges
@@ -106,6 +116,8 @@ def _assemble(reader: EpisodeReader, measured: Measurements) -> Quality:
         alignment=[meter.result() for meter in measured.alignment.values()],
         motion=[moved for meter in measured.motion if (moved := meter.result()) is not None],
         arms=[arm for meter in measured.arms if (arm := meter.result()) is not None],
+        plausibility=[meter.result() for meter in measured.plausibility.values()],
+        contract_differences=plausibility.differences(reader),
         cameras=cameras,
         ends_s=span_s,
         presence=presence.find(streams, span_s, measured.ends, measured.heartbeats),
@@ -180,6 +192,7 @@ class Measurements:
         steps, alignment: By robot.
         motion: One for each robot whose joints are told of.
         arms: One for each arm.
+        plausibility: By robot.
         cameras: Counts pictures.
         changes: Counts changes of keys that are no values in the file.
         heartbeats: Which servers lived.
@@ -197,6 +210,7 @@ class Measurements:
         }
         self.motion = motion.meters(reader)
         self.arms = [arms.ArmMeter(robot) for robot in arms.robots(topics)]
+        self.plausibility = plausibility.meters(reader, list(self.steps))
         self.cameras = CameraMeter(frames.cameras(reader), stated_hz(reader.manifest))
         self.changes = ChangeCounter(self.start_ns, reader.contract)
         self.heartbeats = Heartbeats(self.start_ns)
@@ -218,6 +232,8 @@ class Measurements:
             meter.feed(message)
         for arm in self.arms:
             arm.feed(message)
+        for plausible in self.plausibility.values():
+            plausible.feed(message)
         if message.topic == keys.EVENT:
             self._feed_event(message)
         for robot, joiner in self._joiners.items():
@@ -226,7 +242,9 @@ class Measurements:
                 self._feed_step(robot, step)
 
     def _feed_step(self, robot: str, step: Step) -> None:
-        self.alignment[robot].feed(step, self.steps[robot].feed(step))
+        gate = self.steps[robot].feed(step)
+        self.alignment[robot].feed(step, gate)
+        self.plausibility[robot].feed_step(step, gate)
 
     def _feed_event(self, message: Message) -> None:
         event = codec.parse_facts(message.data)

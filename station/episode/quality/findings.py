@@ -10,10 +10,12 @@ from station.episode.quality.finding_parts import (
     Alignment,
     ArmQuality,
     CameraQuality,
+    ContractDifference,
     KeyChanges,
     KeyPresence,
     Loss,
     MotionQuality,
+    Plausibility,
     RulesFile,
 )
 
@@ -209,6 +211,8 @@ class Quality(msgspec.Struct, kw_only=True):
         alignment: How commands lay beside states, by robot.
         motion: How joints moved, by robot.
         arms: What the sessions of arms with their controllers counted, by robot.
+        plausibility: Whether what states and commands say can be so, by robot.
+        contract_differences: Recorded contracts that are not what the robot's server states.
         cameras: What became of the pictures, by camera.
         ends_s: From when to when there is an episode, from its start [s].
         presence: How each rated key lies in it.
@@ -252,6 +256,8 @@ class Quality(msgspec.Struct, kw_only=True):
     alignment: list[Alignment] = []
     motion: list[MotionQuality] = []
     arms: list[ArmQuality] = []
+    plausibility: list[Plausibility] = []
+    contract_differences: list[ContractDifference] = []
     cameras: list[CameraQuality] = []
     ends_s: tuple[float, float] = (0.0, 0.0)
     presence: list[KeyPresence] = []
