@@ -256,7 +256,7 @@ def _plausible(found: Plausibility, *, lock_step: bool) -> list[str]:
         offsets = [f"states {found.times.state_off_s * 1e3:+.0f} ms"]
         if found.times.command_off_s is not None:
             offsets.append(f"commands {found.times.command_off_s * 1e3:+.0f} ms")
-        lines.append(f"beside the instants of the steps stand: {', '.join(offsets)} (median)")
+        lines.append(f"beside the instants of the steps stand: {', '.join(offsets)}")
     return lines
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from station import rotations
 from station.bus.robot_streams import GYRO, QUAT
@@ -97,7 +98,7 @@ class DerivativeMeter:
             return None
         return float(both / np.sqrt(turned * measured))
 
-    def _add_joints(self, values: Floats, fits: Floats) -> None:
+    def _add_joints(self, values: Floats, fits: NDArray[np.bool_]) -> None:
         if not self._q:
             return
         q, told = values[:, self._q], self._means(values[:, self._v])
@@ -108,7 +109,7 @@ class DerivativeMeter:
         self._told += (told**2).sum(axis=0)
         self._both += derived.T @ told
 
-    def _add_turning(self, values: Floats, fits: Floats) -> None:
+    def _add_turning(self, values: Floats, fits: NDArray[np.bool_]) -> None:
         if not self._quat:
             return
         quat, measured = rotations.normalized(values[:, self._quat]), self._means(values[:, self._gyro])

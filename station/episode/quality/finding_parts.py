@@ -300,7 +300,7 @@ class StepTimes(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         steps: Steps that saw a state.
         state_off_s, command_off_s: By how much the file's time of states, and of commands, is after the instant that
-            the steps have for it, median [s]; negative: before. None where nothing says.
+            the steps have for it, nine of ten at least [s]; negative: before. None where nothing says.
         before_written_share: Share of steps that used their command before it was written, 0..1.
         commands_ahead: By how many commands `command_used` is ahead of the one that its step names.
         command_difference: Mean difference of both; None where they were not compared.

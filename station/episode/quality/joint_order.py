@@ -1,9 +1,9 @@
 """Whether joints follow their own commands, or each other's: names that were exchanged.
 
 Over the steps that follow a command: the correlation of each joint's position with each joint's command, and the root
-of the mean squared distance of both. A joint is out of place where it hardly goes with its own command (below 0.5), goes
-with that of another (above 0.6), and is at most 0.6 times as far from that as from its own. Both have to move, and both
-have to be out of place: names that were exchanged are exchanged among themselves.
+of the mean squared distance of both. A joint is out of place where it hardly goes with its own command (below 0.5),
+goes with that of another (above 0.6), and is at most 0.6 times as far from that as from its own. Both have to move, and
+both have to be out of place: names that were exchanged are exchanged among themselves.
 """
 
 from __future__ import annotations

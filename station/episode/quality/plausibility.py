@@ -127,12 +127,14 @@ class PlausibilityMeter:
             blocks.flush()
         self._flush_steps()
         agreement, like, factor = self._derivatives.velocities()
+        with np.errstate(all="ignore"):
+            stuck = self._stuck.result()
         return Plausibility(
             robot=self._robot,
             state_key=self._state_key if self._state_key in self._blocks else "",
             values=[found for meter in self._values.values() if (found := meter.result()) is not None],
             frozen=self._frozen.result(),
-            stuck=self._stuck.result(),
+            stuck=stuck,
             orientation_agreement=self._derivatives.orientation(),
             velocity_agreement=agreement,
             velocity_like=like,
@@ -162,7 +164,7 @@ class PlausibilityMeter:
             return
         asked = self._asked([used if moves else b"" for _, _, _, used, moves in whole])
         q = states[:, self._columns[0]]
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):  # a damaged recording holds any number
             speeds = np.nan_to_num(np.abs(states[:, self._speeds]).max(axis=1, initial=0.0))
         moving = np.array([moves for *_, moves in whole], dtype=np.bool_)
         rows = StepRows(
@@ -173,9 +175,10 @@ class PlausibilityMeter:
             asked=asked,
             speed=np.where(moving, speeds, 0.0),
         )
-        self._frozen.take(rows)
-        self._stuck.take(rows)
-        self._order.take(q, asked)
+        with np.errstate(all="ignore"):
+            self._frozen.take(rows)
+            self._stuck.take(rows)
+            self._order.take(q, asked)
 
     def _asked(self, used: list[bytes]) -> Floats:
         """Return the commanded positions of the shared joints; NaN where there is no command."""

@@ -4,12 +4,13 @@ The steps of a policy carry instants of their machine's monotonic clock; the lea
 its last instant carries them over to the file's clock, to within the few milliseconds that a simulation needs for its
 physics. Blocks of steps in which that distance varies by more than half a second (another clock) tell nothing.
 
-* A state is written when it was read; a command when its writer stamped it. The median difference says by how much the
-  file's time of either is off.
+* A state is written when it was read; a command when its writer stamped it. By what nine of ten differ at least, to the
+  same side, the file's time of either is off.
 * A command that was observed before it was written has a wrong time.
 * The command after the gate is what its number says, or lags behind it where the gate bounds its rate. When it agrees
   with a command that came later, the two are shifted against each other.
-* Each step has a state of its own, where the robot's server writes one at the start of every step.
+* Each step has a state of its own, where the robot's server writes one at the start of every step. Those after the last
+  state are not counted: a stream that ends is told elsewhere.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ class StepTimesMeter:
         self._sources: set[str] = set()
         self._commands: dict[int, tuple[int, bytes]] = {}  # by number: when it was written, and what it holds
         self._states_off, self._commands_off = array("q"), array("q")
-        self._steps = self._early = self._stamped = self._reused = self._compared = 0
+        self._steps = self._early = self._stamped = self._reused = self._again = self._compared = 0
         self._distance = np.zeros(_MOST_AHEAD + 1)
 
     def add_command(self, source: str, number: int, at_ns: int, data: bytes) -> None:
@@ -87,8 +88,10 @@ class StepTimesMeter:
 
     def take(self, steps: list[Timed]) -> None:
         """Add steps, and forget the commands before them."""
-        self._steps += sum(step.state_ns > 0 for step in steps)
-        self._reused += sum(step.is_reused for step in steps)
+        for step in steps:
+            self._steps += step.state_ns > 0
+            self._again = self._again + 1 if step.is_reused else 0
+            self._reused += step.is_reused
         timed = [step for step in steps if step.timing is not None]
         rows = _rows([step.timing or b"" for step in timed])
         good = np.flatnonzero(rows[:, _SENT] > 0)
@@ -99,7 +102,7 @@ class StepTimesMeter:
 
     def result(self) -> StepTimes | None:
         """Return how times lie to each other; None where too little says when anything was."""
-        state_s, command_s = (_median_s(off) for off in (self._states_off, self._commands_off))
+        state_s, command_s = (_off_s(off) for off in (self._states_off, self._commands_off))
         ahead, differs = self._ahead()
         if self._steps < _LEAST_STEPS:
             return None
@@ -110,7 +113,7 @@ class StepTimesMeter:
             before_written_share=self._early / self._stamped if self._stamped else 0.0,
             commands_ahead=ahead,
             command_difference=differs,
-            reused_states_share=self._reused / self._steps,
+            reused_states_share=(self._reused - self._again) / self._steps,
         )
 
     def _compare(self, rows: Ints, steps: list[Timed]) -> None:
@@ -172,5 +175,9 @@ def _rows(data: list[bytes]) -> NDArray[np.int64]:
     return np.array(found, dtype=np.int64).reshape(len(data), width)
 
 
-def _median_s(values: array[int]) -> float | None:
-    return float(np.median(np.frombuffer(values, np.int64))) * 1e-9 if len(values) >= _LEAST_STEPS else None
+def _off_s(values: array[int]) -> float | None:
+    """Return by how much nine of ten are off at least, to the same side [s]; 0 where they are not."""
+    if len(values) < _LEAST_STEPS:
+        return None
+    low, high = np.percentile(np.frombuffer(values, np.int64), (10, 90)).tolist()
+    return (max(low, 0.0) + min(high, 0.0)) * 1e-9

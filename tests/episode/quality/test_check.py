@@ -21,6 +21,7 @@ from station.episode.quality.findings import Quality
 from station.episode.quality.rule_file import LeastShare
 from station.episode.quality.rules import RULES
 from station.episode.quality.sensed_rules import SENSED
+from station.episode.quality.state_rules import PLAUSIBLE
 from station.episode.reading.reader import open_episode
 from station.episode.storage.manifest import load_manifest
 from station.errors import EpisodeError
@@ -375,9 +376,9 @@ def test_every_rule_has_a_case() -> None:
         "began-late", "ended-early", "writer-gap", "server-died", "no-pictures", "camera-began-late",
         "camera-ended-early", "camera-lost", "not-mirrored", "deleted",
     }  # fmt: skip
-    assert set(RULES) == set(CASES) | {"torn", "unfinished", "dropped-images"} | in_test_missing | set(
-        SENSED
-    )  # test_motion has these
+    assert set(RULES) == set(CASES) | {"torn", "unfinished", "dropped-images"} | in_test_missing | set(SENSED) | set(
+        PLAUSIBLE
+    )  # test_motion and test_plausibility have these
 
 
 def test_limits_can_be_changed(builder: EpisodeBuilder) -> None:
