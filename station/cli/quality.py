@@ -14,6 +14,7 @@ from station.episode.quality.finding_parts import (
     CameraQuality,
     MotionQuality,
     PictureQuality,
+    Plausibility,
 )
 from station.episode.quality.findings import Interruption, Quality, Spread, StepQuality, StreamQuality
 from station.episode.storage.manifest import words_of_shortened
@@ -253,6 +254,9 @@ def _print_robot(console: Console, quality: Quality, robot: str) -> None:
     for found in (found for found in quality.alignment if found.robot == robot):
         for line in _aligned(found, lock_step=quality.lock_step):
             console.print(f"  {line}", soft_wrap=True)
+    for plausible in (item for item in quality.plausibility if item.robot == robot):
+        for line in _plausible(plausible, lock_step=quality.lock_step):
+            console.print(f"  {line}", soft_wrap=True)
     for arm in (arm for arm in quality.arms if arm.robot == robot):
         _print_arm(console, arm)
 
@@ -284,6 +288,23 @@ def _aligned(found: Alignment, *, lock_step: bool) -> list[str]:
         lines.append(f"each command was older than the state it was used with: by {p50} (p50), {p99} (p99)")
     if found.steps:
         lines.append(f"{found.repeated} steps reused the previous command; {found.skipped} commands were skipped")
+    return lines
+
+
+def _plausible(found: Plausibility, *, lock_step: bool) -> list[str]:
+    """Return how far what a robot says of itself agrees; nothing where nothing could be compared."""
+    words = []
+    if found.orientation_agreement is not None:
+        words.append(f"gyro and orientation agree by {found.orientation_agreement:.2f}")
+    if found.velocity_agreement:
+        worst = min(found.velocity_agreement, key=found.velocity_agreement.__getitem__)
+        words.append(f"velocities and positions by {found.velocity_agreement[worst]:.2f} or more ({plain(worst)})")
+    lines = [", ".join(words)] if words else []
+    if found.times is not None and found.times.state_off_s is not None and not lock_step:
+        offsets = [f"states {found.times.state_off_s * 1e3:+.0f} ms"]
+        if found.times.command_off_s is not None:
+            offsets.append(f"commands {found.times.command_off_s * 1e3:+.0f} ms")
+        lines.append(f"beside the instants of the steps stand: {', '.join(offsets)}")
     return lines
 
 

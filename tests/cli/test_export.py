@@ -194,7 +194,10 @@ def test_recordings_of_twist2_become_episodes_that_list_check_show_and_export(ho
     assert {(row["task"], row["state"], row["operator"]) for row in rows} == {("cabinet", "finished", "ada")}
     checked = home.run("check", rows[0]["episode_id"])
     assert "recorded by TWIST2's recorder, which polled: what came between is lost" in checked.stdout
-    assert "not judged: slow, old-command, misaligned, jerky, jerky-command: its recorder polled" in checked.stdout
+    assert (
+        "not judged: slow, old-command, misaligned, jerky, jerky-command, velocity-scale: its recorder polled"
+        in checked.stdout
+    )
     command = ("export", "lerobot", "--task", "cabinet", "--out", str(tmp_path / "set"))
     stock = ("--state", twist_keys.state_body(twist_keys.TWIST2_ROBOT), "--action", twist_keys.action_body())
     assert f"name other keys, such as {' '.join(stock)}" in one_line(home.run(*command))

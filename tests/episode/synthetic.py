@@ -66,6 +66,10 @@ class EpisodeBuilder:
         self._sequences[key, writer] = self._sequences.get((key, writer), 0) + 1
         return self._sequences[key, writer]
 
+    def written(self, key: str, *, writer: str) -> int:
+        """Return the number of the newest write."""
+        return self._sequences.get((key, writer), 0)
+
     def foreign(self, key: str, value: bytes, *, at_s: float) -> None:
         """A plain `SET` by a stock script."""
         self._add(self._channel(key, "", "foreign", value), value, at_s, at_s, self.skip(key, writer="foreign"))
@@ -165,6 +169,7 @@ def tick(
     slow_s: float = 0.0,
     is_commanded: bool = True,
     commander: str = "motion",
+    command_seq: int | None = None,
 ) -> None:
     """One step of the motion server and the G1 server: command, state, then what the policy did.
 
@@ -179,6 +184,7 @@ def tick(
         slow_s: How much longer than 3 ms the inference takes [s].
         is_commanded: Whether there is a command; without, the policy uses the last one it saw.
         commander: Server that writes the commands.
+        command_seq: Number of the command that the policy uses; None for the newest.
     """
     wanted = command(q, height=height) if asked is None else asked
     if is_commanded:
@@ -186,6 +192,7 @@ def tick(
         _ask(builder, wanted, source, at_s=at_s - age_s, writer=commander)
     _read(builder, q, quat, [0.02 * number, 0.0, height], at_s=at_s)
     read = MONO_START_NS + round(at_s * 1e9)
+    newest = command_seq or builder.written(twist_keys.action_body(), writer=commander)
     stages = [read - round(age_s * 1e9), read - round(age_s * 1e9) + 300_000, read, read + 100_000]
     inferred = read + 3_000_000 + round(slow_s * 1e9)
     builder.write(
@@ -195,7 +202,7 @@ def tick(
             keys.target(ROBOT): codec.f64(np.concatenate([q, np.full(29, 100.0), np.full(29, 2.0)])),
             keys.command_gate(ROBOT): json.dumps({"state": gate, "reason": "", "age_s": age_s}).encode(),
             keys.command_used(ROBOT): codec.f64(wanted),
-            keys.policy_timing(ROBOT): json.dumps([number, number + 1, *stages, inferred, inferred + 200_000]).encode(),
+            keys.policy_timing(ROBOT): json.dumps([number, newest, *stages, inferred, inferred + 200_000]).encode(),
         },
         at_s=at_s + 0.0035 + slow_s,
     )

@@ -18,6 +18,7 @@ from station.episode.quality.finding_parts import CameraQuality
 from station.episode.quality.findings import StreamQuality
 from station.episode.reading import frames
 from station.episode.reading.messages import Ints, Message
+from station.episode.storage import pictures
 from station.episode.storage.manifest import Manifest
 from station.protocols import Floats
 
@@ -30,6 +31,9 @@ def stated_hz(manifest: Manifest) -> dict[str, float]:
 
 _FOLLOWED = 0.1
 """Of the distance between a picture and its place on the beat: by so much the beat follows."""
+
+_CLOCKS_NS = 10_000_000_000
+"""A picture that was taken longer than this after its write has the time of another clock, which says nothing."""
 
 
 class CameraMeter:
@@ -45,6 +49,7 @@ class CameraMeter:
         self._names = {key: name for name, key in cameras.items()}
         self._taken = {key: array("q") for key in self._names}
         self._ages = {key: array("q") for key in self._names}
+        self._ahead_ns: dict[str, int] = {}
 
     @property
     def is_needed(self) -> bool:
@@ -56,7 +61,10 @@ class CameraMeter:
         taken = self._taken.get(message.topic)
         if taken is not None and not message.channel.is_deletion:
             taken.append(frames.captured_ns(message))
-            self._ages[message.topic].append(message.publish_ns - taken[-1])
+            age_ns = message.publish_ns - taken[-1]
+            self._ages[message.topic].append(age_ns)
+            if age_ns == 0 and -_CLOCKS_NS < (stated_ns := pictures.stated_age_ns(message.stamp) or 0) < 0:
+                self._ahead_ns[message.topic] = max(self._ahead_ns.get(message.topic, 0), -stated_ns)
 
     def result(self, streams: Iterable[StreamQuality]) -> list[CameraQuality]:
         """Return what became of each camera's pictures, by name; `streams` know of lost and dropped writes."""
@@ -87,6 +95,7 @@ class CameraMeter:
             longest_gap_s=float(intervals.max()) if len(intervals) else None,
             age_p50_s=float(np.percentile(ages, 50)),
             age_p99_s=float(np.percentile(ages, 99)),
+            ahead_s=self._ahead_ns.get(key, 0) * 1e-9,
         )
 
 

@@ -20,6 +20,7 @@ from station.episode.quality import (
     interruptions,
     motion,
     pauses,
+    plausibility,
     presence,
     rule_file,
     swapped_cameras,
@@ -150,6 +151,8 @@ def _assemble(reader: EpisodeReader, measured: Measurements) -> Quality:
         alignment=[meter.result() for meter in measured.alignment.values()],
         motion=[moved for meter in measured.motion if (moved := meter.result()) is not None],
         arms=[arm for meter in measured.arms if (arm := meter.result()) is not None],
+        plausibility=[meter.result() for meter in measured.plausibility.values()],
+        contract_differences=plausibility.differences(reader),
         cameras=cameras,
         pictures=pictures,
         swapped_cameras=swapped_cameras.find(reader, pictures),
@@ -229,6 +232,7 @@ class Measurements:
         steps, alignment: By robot.
         motion: One for each robot whose joints are told of.
         arms: One for each arm.
+        plausibility: By robot.
         cameras: Counts pictures.
         pictures: Looks at them.
         changes: Counts changes of keys that are no values in the file.
@@ -247,6 +251,7 @@ class Measurements:
         }
         self.motion = motion.meters(reader)
         self.arms = [arms.ArmMeter(robot) for robot in arms.robots(topics)]
+        self.plausibility = plausibility.meters(reader, list(self.steps))
         self.cameras = CameraMeter(frames.cameras(reader), stated_hz(reader.manifest))
         self.pictures = PictureMeter(reader)
         self.changes = ChangeCounter(self.start_ns, reader.contract)
@@ -274,6 +279,8 @@ class Measurements:
             meter.feed(message)
         for arm in self.arms:
             arm.feed(message)
+        for plausible in self.plausibility.values():
+            plausible.feed(message)
         if message.topic == keys.EVENT:
             self._feed_event(message)
         for robot, joiner in self._joiners.items():
@@ -282,7 +289,9 @@ class Measurements:
                 self._feed_step(robot, step)
 
     def _feed_step(self, robot: str, step: Step) -> None:
-        self.alignment[robot].feed(step, self.steps[robot].feed(step))
+        gate = self.steps[robot].feed(step)
+        self.alignment[robot].feed(step, gate)
+        self.plausibility[robot].feed_step(step, gate)
 
     def _feed_event(self, message: Message) -> None:
         event = codec.parse_facts(message.data)

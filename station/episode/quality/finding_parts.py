@@ -105,6 +105,7 @@ class CameraQuality(msgspec.Struct, frozen=True, kw_only=True):
         nominal_hz: Rate that it was set to, by the word of its server, else by contract [Hz].
         longest_gap_s: Longest time between two pictures [s].
         age_p50_s, age_p99_s: From the taking of a picture to its write [s]; 0 where the camera does not say.
+        ahead_s: How long before it was taken, by its own time, a picture was written at most [s]; 0 for never.
     """
 
     name: str
@@ -119,6 +120,7 @@ class CameraQuality(msgspec.Struct, frozen=True, kw_only=True):
     longest_gap_s: float | None
     age_p50_s: float | None
     age_p99_s: float | None
+    ahead_s: float = 0.0
 
 
 class MotionQuality(msgspec.Struct, frozen=True, kw_only=True):
@@ -303,3 +305,131 @@ class CameraSwap(msgspec.Struct, frozen=True):
     was: str
     told_by: Literal["serial", "likeness"]
     episode_id: str
+class ContractDifference(msgspec.Struct, frozen=True):
+    """A key whose recorded contract is not what the robot's server states of it, and the first element that differs."""
+
+    key: str
+    place: int
+    recorded: str
+    stated: str
+
+
+class ValueFaults(msgspec.Struct, frozen=True, kw_only=True):
+    """Values of one key that cannot be; `station.episode.quality.values` says which are looked at.
+
+    Times are of the first one, from the start of the episode [s].
+
+    Attributes:
+        key: The key.
+        writes: Its writes.
+        unfit, unfit_at_s: Writes that hold other than the numbers of its contract.
+        not_finite, not_finite_name, not_finite_at_s: Writes with a number that is none or infinite, and its element.
+        beyond_turn, beyond_turn_name, beyond_turn_rad, beyond_turn_at_s: Writes with an angle that no joint reaches,
+            more than one turn as a rule; the element that is furthest, and how far [rad].
+        odd_quaternions, odd_norm, odd_at_s: Quaternions whose length is not 1, and the length that is furthest from it.
+    """
+
+    key: str
+    writes: int
+    unfit: int = 0
+    unfit_at_s: float | None = None
+    not_finite: int = 0
+    not_finite_name: str = ""
+    not_finite_at_s: float | None = None
+    beyond_turn: int = 0
+    beyond_turn_name: str = ""
+    beyond_turn_rad: float = 0.0
+    beyond_turn_at_s: float | None = None
+    odd_quaternions: int = 0
+    odd_norm: float = 1.0
+    odd_at_s: float | None = None
+
+
+class FrozenState(msgspec.Struct, frozen=True, kw_only=True):
+    """Equal states in a row though the robot moved; `station.episode.quality.frozen` says when that is so.
+
+    Attributes:
+        seconds: Of all such times [s].
+        longest_s, at_s, writes: The longest, when it began from the start of the episode [s], and its writes.
+    """
+
+    seconds: float
+    longest_s: float
+    at_s: float
+    writes: int
+
+
+class StuckJoint(msgspec.Struct, frozen=True, kw_only=True):
+    """A joint that stood still at a position [rad] though its applied command covered an angle [rad].
+
+    `at_s` is when the longest such time began, from the start of the episode, and `seconds` how long it was [s].
+    """
+
+    joint: str
+    at_s: float
+    seconds: float
+    position_rad: float
+    asked_rad: float
+
+
+class MisplacedJoint(msgspec.Struct, frozen=True):
+    """A joint that follows the command of another one: how far it goes with its own, and with that one, up to 1."""
+
+    joint: str
+    follows: str
+    own_agreement: float
+    other_agreement: float
+
+
+class StepTimes(msgspec.Struct, frozen=True, kw_only=True):
+    """How states and commands lie to the recorded instants of the steps; see `station.episode.quality.step_times`.
+
+    Attributes:
+        steps: Steps that saw a state.
+        state_off_s, command_off_s: By how much the file's time of states, and of commands, is after the instant that
+            the steps have for it, nine of ten at least [s]; negative: before. None where nothing says.
+        before_written_share: Share of steps that used their command before it was written, 0..1.
+        commands_ahead: By how many commands `command_used` is ahead of the one that its step names.
+        command_difference: Mean difference of both; None where they were not compared.
+        reused_states_share: Share of steps that saw the state of the step before, 0..1; of robots that write one for
+            each step.
+    """
+
+    steps: int
+    state_off_s: float | None
+    command_off_s: float | None
+    before_written_share: float
+    commands_ahead: int
+    command_difference: float | None
+    reused_states_share: float
+
+
+class Plausibility(msgspec.Struct, frozen=True, kw_only=True):
+    """Whether one robot's states and commands can be so; `station.episode.quality.plausibility` says how it is found.
+
+    Attributes:
+        robot: Suffix of its keys.
+        state_key: The state that was looked at; "" for none.
+        values: Keys with values that cannot be.
+        frozen: Equal states in a row; None for none.
+        stuck: Joints that were stuck, the longest first.
+        orientation_agreement: How far the gyro agrees with the turning of the orientation, up to 1; None where too
+            little turned.
+        velocity_agreement: How far the velocity of each joint that moved agrees with its positions, up to 1.
+        velocity_like: Joints whose positions agree best with the velocity of another one, and of which.
+        velocity_factor: Velocity as recorded for each rad/s of the positions, median; None where nothing agrees.
+        misplaced: Joints that follow each other's commands.
+        times: How states and commands lie to the steps' instants; None where there are too few steps.
+    """
+
+    robot: str
+    state_key: str
+    values: list[ValueFaults]
+    frozen: FrozenState | None
+    stuck: list[StuckJoint]
+    orientation_agreement: float | None
+    velocity_agreement: dict[str, float]
+    velocity_like: dict[str, str]
+    velocity_factor: float | None
+    misplaced: list[MisplacedJoint]
+    times: StepTimes | None

@@ -12,11 +12,13 @@ from station.episode.quality.finding_parts import (
     AuditFound,
     CameraQuality,
     CameraSwap,
+    ContractDifference,
     KeyChanges,
     KeyPresence,
     Loss,
     MotionQuality,
     PictureQuality,
+    Plausibility,
     RulesFile,
 )
 from station.episode.storage.file_hashes import FileChange
@@ -214,6 +216,8 @@ class Quality(msgspec.Struct, kw_only=True):
         alignment: How commands lay beside states, by robot.
         motion: How joints moved, by robot.
         arms: What the sessions of arms with their controllers counted, by robot.
+        plausibility: Whether what states and commands say can be so, by robot.
+        contract_differences: Recorded contracts that are not what the robot's server states.
         cameras: What became of the pictures, by camera.
         pictures: What the pictures are worth, by camera.
         swapped_cameras: Cameras that changed places since the first episode of the task.
@@ -263,6 +267,8 @@ class Quality(msgspec.Struct, kw_only=True):
     alignment: list[Alignment] = []
     motion: list[MotionQuality] = []
     arms: list[ArmQuality] = []
+    plausibility: list[Plausibility] = []
+    contract_differences: list[ContractDifference] = []
     cameras: list[CameraQuality] = []
     pictures: list[PictureQuality] = []
     swapped_cameras: list[CameraSwap] = []

@@ -14,27 +14,25 @@ At its end is a joint within 1 mrad of its limit, or beyond it.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from station.bus import keys
-from station.contract import Contract
 from station.description import Joint, RobotDescription
+from station.episode.quality.blocks import Block, Blocks
 from station.episode.quality.finding_parts import MotionQuality
 from station.episode.reading import steps
 from station.episode.reading.messages import Ints, Message
 from station.episode.reading.reader import EpisodeReader
-from station.episode.reading.vectors import numbers
 from station.protocols import Floats
 
 IDLE_BELOW_RAD = 0.05
 IDLE_WINDOW_S = 0.5
 AT_LIMIT_RAD = 1e-3
 
-_BLOCK = 512  # messages that are decoded at once
 _BUCKET_NS = 100_000_000
 _BUCKETS = round(IDLE_WINDOW_S * 1e9 / _BUCKET_NS)
 _UNSURE_NS = (_BUCKETS - 1) * _BUCKET_NS
@@ -82,7 +80,7 @@ class MotionMeter:
         self._robot, self._state_key, self._command_key = robot, state_key, command_key
         self._stillness = [Stillness(), Stillness()]
         self._jerk, self._command_jerk, self._ends = Jerk(), Jerk(), Ends(description)
-        self._sides = {state_key: _Blocks(self._add_state), command_key: _Blocks(self._add_command)}
+        self._sides = {state_key: Blocks(self._add_state), command_key: Blocks(self._add_command)}
         self._sides.pop("", None)
 
     def feed(self, message: Message) -> None:
@@ -133,59 +131,38 @@ class MotionMeter:
         found = self._stillness[0].moves_ns
         return [(begin + _UNSURE_NS, end - _UNSURE_NS) for begin, end in found if end - begin > 2 * _UNSURE_NS]
 
-    def _add_state(self, times: Ints, joints: tuple[str, ...], q: Floats) -> None:
+    def _add_state(self, block: Block) -> None:
+        times, joints, q = _positions(block)
+        if not q.size:
+            return
         self._stillness[0].feed(times, q)
         self._jerk.feed(times, joints, q)
         self._ends.feed(joints, q)
 
-    def _add_command(self, times: Ints, joints: tuple[str, ...], q: Floats) -> None:
+    def _add_command(self, block: Block) -> None:
+        times, joints, q = _positions(block)
+        if not q.size:
+            return
         self._stillness[1].feed(times, q)
         self._command_jerk.feed(times, joints, q)
 
 
-class _Blocks:
-    """Gathers messages of one key and hands out times (k,) [ns], names and positions (k, n) [rad] of its joints."""
-
-    def __init__(self, take: Callable[[Ints, tuple[str, ...], Floats], None]) -> None:
-        self._take = take
-        self._held: list[Message] = []
-
-    def feed(self, message: Message) -> None:
-        self._held.append(message)
-        if len(self._held) >= _BLOCK:
-            self.flush()
-
-    def flush(self) -> None:
-        held, self._held = self._held, []
-        contract = next((message.channel.contract for message in held if message.channel.contract), None)
-        joints, columns = _joints(contract)
-        if contract is None or not joints or contract.codec == "integer":
-            return
-        found, _ = numbers(contract.key, held)
-        if len(found.values):
-            self._take(found.publish_ns, joints, np.asarray(found.values[:, columns], dtype=np.float64))
-
-
-def _joints(contract: Contract | None) -> tuple[tuple[str, ...], list[int]]:
-    """Return the joints that a contract names, and their columns."""
-    elements = contract.elements if contract is not None and contract.vector_codec is not None else ()
+def _positions(block: Block) -> tuple[Ints, tuple[str, ...], Floats]:
+    """Return times (k,) [ns], and names and positions (k, n) [rad] of the joints in a block."""
     pairs = [
         (element.name.removesuffix(_JOINT), column)
-        for column, element in enumerate(elements)
+        for column, element in enumerate(block.contract.elements)
         if element.name.endswith(_JOINT) and element.unit == "rad"
     ]
-    return tuple(name for name, _ in pairs), [column for _, column in pairs]
+    return block.times, tuple(name for name, _ in pairs), block.values[:, [column for _, column in pairs]]
 
 
-def _limits(robot: RobotDescription | None, joints: tuple[str, ...]) -> tuple[Floats, Floats] | None:
-    """Return the ends of joints, shape (n,) [rad], nan where one is not known; None where none is."""
+def ends_of(robot: RobotDescription | None, joints: Sequence[str]) -> Floats:
+    """Return least and greatest position of joints, shape (2, n) [rad], nan where one is not known."""
     known = {joint.name: joint for joint in robot.joints} if robot is not None else {}
     found = [known.get(name, Joint(name)) for name in joints]
-    lower, upper = (
-        np.array([np.nan if end is None else end for end in ends])
-        for ends in ([joint.lower for joint in found], [joint.upper for joint in found])
-    )
-    return (lower, upper) if np.isfinite([lower, upper]).any() else None
+    ends = [[joint.lower for joint in found], [joint.upper for joint in found]]
+    return np.array([[np.nan if end is None else end for end in side] for side in ends]).reshape(2, len(found))
 
 
 class Stillness:
@@ -260,7 +237,7 @@ class Ends:
     def __init__(self, description: RobotDescription | None) -> None:
         self._description = description
         self._joints: tuple[str, ...] = ()
-        self._limits: tuple[Floats, Floats] | None = None
+        self._limits: Floats | None = None
         self._counts: NDArray[np.int64] = np.empty(0, np.int64)
         self._was: NDArray[np.bool_] = np.empty(0, np.bool_)
         self.samples = self.hits = 0
@@ -269,12 +246,13 @@ class Ends:
     @property
     def said_by(self) -> str:
         """What says where the joints end."""
-        return f"description of {self._description.model}" if self._limits and self._description else ""
+        return f"description of {self._description.model}" if self._limits is not None and self._description else ""
 
     def feed(self, joints: tuple[str, ...], q: Floats) -> None:
         """Add positions (k, n) [rad]."""
         if not self._joints:
-            self._joints, self._limits = joints, _limits(self._description, joints)
+            ends = ends_of(self._description, joints)
+            self._joints, self._limits = joints, ends if np.isfinite(ends).any() else None
             self._counts, self._was = np.zeros(len(joints), np.int64), np.zeros(len(joints), np.bool_)
         self.samples += len(q)
         if self._limits is None or joints != self._joints:

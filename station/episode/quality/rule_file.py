@@ -134,6 +134,24 @@ class MostJerk(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
     p99_above_rad_s3: float
 
 
+class LeastAgreement(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The least agreement of two signals, up to 1."""
+
+    below: float
+
+
+class MostFactor(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """By what factor, or by one over it, a scale may be off."""
+
+    above_factor: float
+
+
+class PictureAges(Seconds, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Limits of the age of pictures, and of how much younger than nothing they may be [s]."""
+
+    ahead_above_s: float
+
+
 class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, rename="kebab"):
     """Every rule by its name, which has dashes in the file; what each looks at is told there."""
 
@@ -198,6 +216,22 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     arm_fault: Rule
     arm_sync: LeastShare
     arm_flood: MostRate
+    unfit_values: Losses
+    not_radians: Losses
+    quaternion_norm: Losses
+    frozen_state: Seconds
+    stuck_joint: Seconds
+    orientation_disagrees: LeastAgreement
+    velocity_disagrees: LeastAgreement
+    velocity_scale: MostFactor
+    joint_order: Rule
+    beyond_limits: Angles
+    step_times: Seconds
+    before_written: MostShare
+    command_ahead: Rule
+    reused_states: Shares
+    camera_times: PictureAges
+    contract_differs: Rule
 
     def rule(self, name: str) -> Rule:
         """Return a rule by its name in the file."""

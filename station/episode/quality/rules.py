@@ -9,6 +9,7 @@ from station.episode.quality.finding_parts import KeyChanges, KeyPresence, Loss
 from station.episode.quality.findings import Interruption, Quality, Reason, StepQuality, StreamQuality, Verdict
 from station.episode.quality.rule_file import Ends, GradedRule, Limits, Rule
 from station.episode.quality.sensed_rules import GAP_PERIODS, SENSED, Finder
+from station.episode.quality.state_rules import PLAUSIBLE
 from station.episode.quality.timing import not_judged
 from station.episode.storage.file_hashes import words
 
@@ -452,6 +453,7 @@ RULES: dict[str, Finder] = {
     "not-mirrored": _not_mirrored,
     "deleted": _deleted,
     **SENSED,
+    **PLAUSIBLE,
     "operator-reset": _reset,
     "estop": _estop,
     "no-steps": _no_steps,

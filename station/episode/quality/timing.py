@@ -14,7 +14,7 @@ _LOCK_STEP = "in lock-step commands wait for states"
 _POLLED = "its recorder polled the keys, so no time is that of a write"
 _NOMINAL = "its recorder wrote no times down; they are nominal"
 _ENDS = ("began-late", "ended-early", "writer-gap")
-_OF_THE_CONTROL = ("slow", "old-command", "misaligned", "jerky", "jerky-command")
+_OF_THE_CONTROL = ("slow", "old-command", "misaligned", "jerky", "jerky-command", "velocity-scale")
 
 
 def times_of(manifest: Manifest) -> TimesOf:

@@ -42,10 +42,18 @@ def captured_ns(publish_ns: int, stamp: bytes | None) -> int:
         publish_ns: When it was written, on the clock of the episode [ns].
         stamp: The exact stamp of its write.
     """
+    age_ns = stated_age_ns(stamp)
+    return publish_ns - (age_ns if age_ns is not None and 0 <= age_ns < _OLDEST_NS else 0)
+
+
+def stated_age_ns(stamp: bytes | None) -> int | None:
+    """Return how old a picture was when it was written, by its exact stamp [ns]; None where that does not say.
+
+    A device with a clock of its own may state anything: from a negative one on, and above `_OLDEST_NS`, its time is not
+    ours.
+    """
     mark = stamps.decode(stamp) if stamp is not None else None
-    if mark is None or mark.capture_ns is None or not 0 <= mark.mono_ns - mark.capture_ns < _OLDEST_NS:
-        return publish_ns
-    return publish_ns - (mark.mono_ns - mark.capture_ns)
+    return None if mark is None or mark.capture_ns is None else mark.mono_ns - mark.capture_ns
 
 
 def around(key: str, size: int, publish_ns: int, stamp: bytes | None) -> tuple[bytes, bytes]:

@@ -21,6 +21,7 @@ from station.episode.quality.findings import Quality
 from station.episode.quality.rule_file import LeastShare
 from station.episode.quality.rules import RULES
 from station.episode.quality.sensed_rules import SENSED
+from station.episode.quality.state_rules import PLAUSIBLE
 from station.episode.reading.reader import open_episode
 from station.episode.storage.manifest import load_manifest
 from station.errors import EpisodeError
@@ -377,7 +378,7 @@ def test_every_rule_has_a_case() -> None:
     }  # fmt: skip
     in_test_changed_files = {"changed", "manifest-changed", "audit-differs"}
     others = {"torn", "unfinished", "dropped-images"} | in_test_missing | in_test_changed_files
-    assert set(RULES) == set(CASES) | others | set(SENSED)  # test_motion has these
+    assert set(RULES) == set(CASES) | others | set(SENSED) | set(PLAUSIBLE)  # test_motion and test_plausibility have them
 
 
 def test_limits_can_be_changed(builder: EpisodeBuilder) -> None:

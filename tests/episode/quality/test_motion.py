@@ -133,7 +133,7 @@ def test_a_state_that_moves_before_its_command_is_misaligned(builder: EpisodeBui
 
 def test_a_command_that_is_used_again_is_told(builder: EpisodeBuilder) -> None:
     for number in range(100):
-        tick(builder, number // 2, at_s=0.1 + number / 50)
+        tick(builder, number, at_s=0.1 + number / 50, command_seq=number // 2 + 1)
     (found,) = check(open_episode(builder.finish())).alignment
     assert found.repeated == 50
 

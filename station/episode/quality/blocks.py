@@ -1,0 +1,85 @@
+"""The messages of one key, gathered into blocks of numbers: an hour takes no more memory than a minute."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from station.contract import Contract
+from station.episode.reading.messages import Ints, Message
+from station.episode.reading.vectors import fitting
+from station.protocols import Floats
+
+SIZE = 512
+"""Messages that are decoded at once."""
+
+_decode_rows = msgspec.json.Decoder(list[list[float]]).decode
+_TYPES: dict[str, Any] = {"f64": np.dtype("<f8"), "f32": np.dtype("<f4")}
+
+
+class Block(NamedTuple):
+    """Consecutive writes of a key.
+
+    Attributes:
+        contract: Names its m elements.
+        times: When those that fit were written, shape (k,) [ns since the epoch].
+        values: Their numbers, shape (k, m).
+        unfit: When those were written that hold other than m numbers, shape (j,) [ns since the epoch].
+    """
+
+    contract: Contract
+    times: Ints
+    values: Floats
+    unfit: Ints
+
+
+class Blocks:
+    """Gathers the messages of one key and hands out blocks; nothing of a key whose contract names no numbers."""
+
+    def __init__(self, take: Callable[[Block], None]) -> None:
+        self._take = take
+        self._held: list[Message] = []
+
+    def feed(self, message: Message) -> None:
+        """Add a message."""
+        self._held.append(message)
+        if len(self._held) >= SIZE:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand out what is there."""
+        held, self._held = [message for message in self._held if not message.channel.is_deletion], []
+        contract = next((message.channel.contract for message in held if message.channel.contract), None)
+        if contract is None or contract.vector_codec is None or not contract.elements:
+            return
+        values, fits = decoded(contract, [message.data for message in held])
+        times = np.fromiter((message.publish_ns for message in held), np.int64, len(held))
+        self._take(Block(contract, times[fits], values, times[~fits]))
+
+
+def decoded(contract: Contract, data: Sequence[bytes]) -> tuple[Floats, Any]:
+    """Return the numbers of those values that fit a contract of m elements, shape (k, m), and which fit, shape (n,)."""
+    width = len(contract.elements)
+    if (layout := _TYPES.get(contract.codec)) is not None:
+        fits = np.array([len(value) == width * layout.itemsize for value in data], dtype=np.bool_)
+        whole = b"".join(value for value, is_whole in zip(data, fits.tolist(), strict=True) if is_whole)
+        return np.frombuffer(whole, layout).reshape(-1, width).astype(np.float64), fits
+    rows = _all_rows(data)
+    if rows is None or len(rows) != len(data) or any(len(row) != width for row in rows):
+        found = fitting(contract, data)
+        fits = np.array([row is not None for row in found], dtype=np.bool_)
+        rows = [list(row) for row in found if row is not None]
+    else:
+        fits = np.ones(len(data), dtype=np.bool_)
+    return np.array(rows, dtype=np.float64).reshape(len(rows), width), fits
+
+
+def _all_rows(data: Sequence[bytes]) -> list[list[float]] | None:
+    """Return lists of numbers in one go, a quarter of the time that each by itself takes; None where one is none."""
+    try:
+        return _decode_rows(b"[" + b",".join(data) + b"]")
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return None
