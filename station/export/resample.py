@@ -305,8 +305,9 @@ def newest_picture(times_ns: Ints, ticks_ns: Ints) -> Ints:
     The first one stands for ticks before it.
     """
     ahead = _ascending(times_ns)
-    place: Ints = np.searchsorted(times_ns[ahead], ticks_ns, side="right") - 1
-    return ahead[place.clip(0)]
+    place = np.searchsorted(times_ns[ahead], ticks_ns, side="right") - 1
+    found: Ints = ahead[place.clip(0)]
+    return found
 
 
 def _ascending(times_ns: Ints) -> Ints:

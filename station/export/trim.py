@@ -13,9 +13,9 @@ from station.control.gate import MOVING
 from station.episode.quality.motion import moving_span
 from station.episode.reading.messages import Ints
 from station.episode.reading.reader import EpisodeReader
-from station.errors import EpisodeError
 from station.export.resample import NANOSECONDS, Table
 from station.export.tracks import Words
+from station.export.verdict import NotGoodEnough
 
 Trim = Literal["none", "idle", "waiting", "marks"]
 
@@ -59,7 +59,7 @@ def trimmed(reader: EpisodeReader, table: Table, rule: Trim, robot: str, gates: 
         gates: What its gate said, None where that was not recorded.
 
     Raises:
-        EpisodeError: no row is left: the robot followed no command, or nothing moved, or the marks are elsewhere.
+        NotGoodEnough: no row is left: the robot followed no command, or nothing moved, or the marks are elsewhere.
     """
     kept, why_not = np.ones(len(table.ticks_ns), dtype=np.bool_), ""
     if rule in ("waiting", "idle"):
@@ -72,7 +72,7 @@ def trimmed(reader: EpisodeReader, table: Table, rule: Trim, robot: str, gates: 
         kept &= (table.ticks_ns >= begin_ns) & (table.ticks_ns <= end_ns)
     rows = np.flatnonzero(kept)
     if not len(rows):
-        raise EpisodeError(
+        raise NotGoodEnough(
             f"{reader.episode_id}: {_NOTHING[rule]}; leave it out, or keep all its rows with --trim none"
         )
     begin, end = int(rows[0]), int(rows[-1]) + 1

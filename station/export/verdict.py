@@ -19,7 +19,7 @@ _RANK: dict[str, int] = {"any": 0, "reject": 0, "usable": 1, "good": 2}
 
 
 class NotGoodEnough(EpisodeError):
-    """An episode whose verdict is less than an export asks for."""
+    """An episode that is not asked for: by its verdict, by what its operator said, or for want of rows."""
 
 
 class VerdictCheck(NamedTuple):

@@ -90,9 +90,8 @@ def _cut(shard: Shard) -> tuple[float, str] | None:
     """Return how much of an episode can have no rows [s], and at which ends; None for little."""
     facts = shard.made.facts
     head_s, tail_s = (facts[f"{end}_s"] - facts["trim"][f"{end}_s"] for end in ("head", "tail"))
-    made_s = shard.made.seconds
-    cut_s = head_s + tail_s
-    if cut_s <= max(_LITTLE_S, min(_CUT_S, _CUT_SHARE * (made_s + cut_s))):
+    cut_s, every_s = head_s + tail_s, shard.made.seconds + facts["head_s"] + facts["tail_s"]
+    if cut_s <= max(_LITTLE_S, min(_CUT_S, _CUT_SHARE * every_s)):
         return None
     return cut_s, f"{head_s:.1f} at its beginning, {tail_s:.1f} at its end"
 

@@ -101,11 +101,15 @@ def test_rows_are_by_default_from_the_first_entering_to_the_last_tracking(tmp_pa
     assert "left out 0.4 s at its beginning" in card
 
 
-def test_an_episode_whose_command_was_never_followed_is_refused_by_name_and_kept_with_trim_none(tmp_path: Path) -> None:
+def test_an_episode_whose_command_was_never_followed_is_left_out_by_name_and_kept_with_trim_none(
+    tmp_path: Path,
+) -> None:
     source = gated(tmp_path / "data", gates=("waiting",) * 40)
     with pytest.raises(EpisodeError, match=r"its gate tracked no command.*--trim none"):
         exported([source], tmp_path / "set")
     assert looked([source]).sources == ()
+    beside = exported([source, gated(tmp_path / "data", 2)], tmp_path / "beside")
+    assert (beside.episodes, [each.source for each in beside.left_out], beside.failed) == (1, [source], ())
     exported([source], out := tmp_path / "all", trim="none")
     assert set(named_gates(out)) == {"waiting"}
 
