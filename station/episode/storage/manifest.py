@@ -19,6 +19,7 @@ from station.atomic_file import refuse_special, write_atomic
 from station.episode.storage import bounds
 from station.episode.storage.layout import MANIFEST
 from station.episode.storage.manifest_parts import (
+    Edit,
     Event,
     Hole,
     Mark,
@@ -34,6 +35,7 @@ from station.episode.storage.manifest_parts import (
 from station.errors import EpisodeError
 
 __all__ = [
+    "Edit",
     "Event",
     "Hole",
     "Manifest",
@@ -47,6 +49,7 @@ __all__ = [
     "Stream",
     "Task",
     "Timing",
+    "add_edit",
     "add_hole",
     "add_recovery",
     "dump_manifest",
@@ -66,6 +69,7 @@ MAX_MARKS = 500
 MAX_STREAMS = 2000  # a reader takes 200 000 values of YAML
 MAX_HOLES = 1000
 MAX_RECOVERY = 500
+MAX_EDITS = 500
 
 State = Literal["recording", "finished", "failed"]
 
@@ -82,11 +86,16 @@ class Manifest(msgspec.Struct, kw_only=True):
     Attributes:
         state: ``recording`` on disk without a live recorder means that the recorder was killed.
         servers: What every server stated on ``station:config:<name>``, by server name.
+        cameras: What is known of cameras that no server stated: those of an imported recording. The cameras of a live
+            one stand in `servers`, each with its ``camera`` and ``key``.
         motions: First statement of each motion file on a ``command_source`` key, with that key.
         runbook: Steps and answers, who and when, as the supervisor gave them.
         streams: Bounded; of a client that invents keys, the first ones, and how many more are in the signals.
         events, marks: Bounded; what did not fit is counted beside them and stays in the signals.
         holes: Bounded: the last one reaches to the end of all that did not fit, which are counted beside them.
+        tags: Words that people put on it, sorted.
+        edits: What people changed after the recording: when, who, what was there before. The newest ones; how many
+            older ones there were is counted beside them.
         quality: What a later measurement (`check`) found; free form.
         recovery: A note for each time that a recorder took the episode up again (``kind: resumed``), or that a repair
             closed it (``kind: repaired``): when, how long nothing was recorded, what was cut. The newest ones; how many
@@ -117,6 +126,9 @@ class Manifest(msgspec.Struct, kw_only=True):
     holes: list[Hole] = []
     holes_not_listed: int = 0
     quality_flags: QualityFlags = msgspec.field(default_factory=QualityFlags)
+    tags: list[str] = []
+    edits: list[Edit] = []
+    edits_not_listed: int = 0
     quality: dict[str, Any] = {}
     recovery: list[dict[str, Any]] = []
     recovery_not_listed: int = 0
@@ -144,6 +156,13 @@ def add_recovery(manifest: Manifest, note: dict[str, Any]) -> None:
     manifest.recovery.append(note)
     manifest.recovery_not_listed += max(0, len(manifest.recovery) - MAX_RECOVERY)
     del manifest.recovery[:-MAX_RECOVERY]
+
+
+def add_edit(manifest: Manifest, edit: Edit) -> None:
+    """Put a note into a manifest that a person changed something."""
+    manifest.edits.append(edit)
+    manifest.edits_not_listed += max(0, len(manifest.edits) - MAX_EDITS)
+    del manifest.edits[:-MAX_EDITS]
 
 
 def facts_of(manifest: Manifest) -> dict[str, str]:
