@@ -34,7 +34,7 @@ _LIMBS = {
     "arm": ("shoulder", "elbow", "wrist"),
     "hand": ("hand",),
 }
-_QUANTITY = re.compile(r"_(pos|vel|kp|kd|pos_from_default|previous_action)$")
+_QUANTITY = re.compile(r"_(pos|vel|torque|kp|kd|pos_from_default|previous_action)$")
 _ELEMENT = re.compile(r"_(x|y|z|w|roll|pitch|yaw|\d+)$")
 _SCALED = "scaled_"
 _LANGUAGE = "human.task_description"
