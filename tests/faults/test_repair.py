@@ -199,6 +199,19 @@ def test_a_length_that_is_damaged_hides_no_chunk(episode: Episode, tmp_path: Pat
     assert (load_manifest(folder).holes, [cut.from_s for cut in done.cuts]) == ([], [None])
 
 
+@pytest.mark.parametrize("begin", [8, 60, 200])
+def test_a_head_that_is_damaged_is_made_anew_and_costs_no_message(episode: Episode, tmp_path: Path, begin: int) -> None:
+    data = bytearray(episode.data)
+    end = episode.chunks[0].offset - HEAD - 10
+    data[begin:end] = bytes(end - begin)
+    folder = episode.torn(tmp_path / "e", bytes(data))
+    done = repair(folder)
+    assert_good(folder, episode, len(episode.messages))
+    assert (load_manifest(folder).holes, len(done.cuts)) == ([], 1)
+    assert open_episode(folder).anchor == episode.anchor
+    assert repair(folder).state == "whole"
+
+
 def test_several_damages_are_several_holes_with_what_is_missing_in_each(episode: Episode, tmp_path: Path) -> None:
     data = bytearray(episode.data)
     for number in (1, 3, 4):

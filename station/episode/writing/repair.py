@@ -37,9 +37,9 @@ from station.episode.storage.progress import ResumePoint, load_resume_point
 from station.episode.storage.records import MAGIC, RawMessage, metadata_at_head, walk
 from station.episode.writing.checkpoint import SummaryState
 from station.episode.writing.closing import close_manifest, summary_record
-from station.episode.writing.file import EpisodeFile
+from station.episode.writing.file import EpisodeFile, head_of
 from station.episode.writing.files import EpisodeFiles
-from station.episode.writing.salvage import Damage, SalvageResult, salvage
+from station.episode.writing.salvage import Damage, Head, SalvageResult, salvage
 from station.episode.writing.summary import EpisodeSummary
 from station.errors import EpisodeError
 from station.lock_file import is_locked
@@ -398,7 +398,7 @@ def mend(
     """
     copy.unlink(missing_ok=True)
     with copy.open("xb") as output:
-        salvaged = scan(source, names, output)
+        salvaged = scan(source, names, output, head_of(anchor, facts_of(manifest)))
     opened = _opened(copy, names, anchor, manifest, drops)
     if names is layout.CAMERAS_NAMES and opened is not None and not opened.messages:
         opened.close()
@@ -419,15 +419,19 @@ def _opened(copy: Path, names: layout.Names, anchor: Anchor, manifest: Manifest,
     return EpisodeFile.create(copy, anchor, facts_of(manifest), manifest=dump_manifest(manifest))
 
 
-def scan(source: Path, names: layout.Names, output: BinaryIO | None = None) -> SalvageResult:
-    """Go through a file for its wholeness alone; nothing is whole of pictures that are no MCAP file at all.
+def scan(
+    source: Path, names: layout.Names, output: BinaryIO | None = None, head: Head | None = None
+) -> SalvageResult:  # fmt: skip
+    """Go through a file for its wholeness, or have what is whole copied behind a head.
+
+    Nothing is whole of pictures that are no MCAP file at all.
 
     Raises:
         OSError: it cannot be read, or its copy not written.
         EpisodeError: it is that of the signals, and no MCAP file.
     """
     try:
-        return salvage(source, _ignore, output=output, keeps_rest=output is not None)
+        return salvage(source, _ignore, output=output, head=head)
     except EpisodeError:
         if names is not layout.CAMERAS_NAMES:
             raise

@@ -44,6 +44,13 @@ class Damage(NamedTuple):
     had_messages: bool
 
 
+class Head(NamedTuple):
+    """The records at the beginning of a file: the header, and those of its clock and its episode."""
+
+    header: bytes
+    facts: bytes
+
+
 class SalvageResult(NamedTuple):
     """How far a file is whole.
 
@@ -67,7 +74,7 @@ class SalvageResult(NamedTuple):
 
 def salvage(
     path: Path, take: Take, *, size: int | None = None, output: BinaryIO | None = None, start: int = len(MAGIC),
-    channels: Iterable[Channel] = (), keeps_rest: bool = False,
+    channels: Iterable[Channel] = (), head: Head | None = None,
 ) -> SalvageResult:  # fmt: skip
     """Go through a file up to the first record that is torn or damaged, or up to `size`.
 
@@ -78,8 +85,9 @@ def salvage(
         output: Gets a copy of what is whole, with the message indexes made anew; None for no copy.
         start: Begin at this byte, which ends a flush; what is before it is taken for whole.
         channels: What the chunks before it define.
-        keeps_rest: Leave out what is damaged and go on behind it, where something whole follows; needs an output. What
-            a chunk that is left out defined is taken from the index of the file, and defined where it is first needed.
+        head: What must stand before the first chunk. With it, what is damaged is left out and the rest behind it kept,
+            where something whole follows; needs an output. What a chunk that is left out defined is taken from the
+            index of the file, and defined where it is first needed.
 
     Raises:
         OSError: the file cannot be read, or the copy not written.
@@ -93,8 +101,8 @@ def salvage(
                 return SalvageResult({}, {}, 0, b"", is_finished=False)
             raise EpisodeError(f"{path}: not an MCAP file ({length} bytes that do not begin with its magic)")
         walk = _Walk(file, take, output, start, channels)
-        if keeps_rest:
-            walk.keep_rest(read_summary(file, length))
+        if head is not None:
+            walk.keep_rest(read_summary(file, length), head)
         return walk.run(end, length)
 
 
@@ -114,13 +122,14 @@ class _Walk:
         self._last_chunk: Place | None = None
         self._kept_to = start
         self._summary: Summary | None = None  # of a file of which the rest behind a damage is kept
+        self._head = Head(b"", b"")
         self._damages: list[Damage] = []
         self._last_ns: int | None = None
         self._is_behind_damage = False  # and has kept nothing since
 
-    def keep_rest(self, summary: Summary) -> None:
+    def keep_rest(self, summary: Summary, head: Head) -> None:
         """Go on behind what is damaged."""
-        self._summary = summary
+        self._summary, self._head = summary, head
 
     def run(self, end: int, length: int) -> SalvageResult:
         self._copy(MAGIC)
@@ -167,6 +176,10 @@ class _Walk:
         had_messages = not chunks or any(self._kept_to <= place < to for place in chunks)
         self._damages.append(Damage(self._kept_to, to - self._kept_to, self._last_ns, first_ns, had_messages))
         self._is_behind_damage = False
+        if self._last_chunk is None:  # it was in the head of the file
+            self._copy(self._head.header if self._kept_to == len(MAGIC) else b"")
+            self._copy(self._head.facts)
+            self._head = Head(b"", b"")
 
     def _has_footer(self, length: int, start: int) -> bool:
         last = None
