@@ -215,7 +215,8 @@ def _throw_away(
     from station.episode.storage.edits import note_bin
     from station.user_config import operator
 
-    who, moved, failed = operator(by), [], False
+    who, failed = operator(by), False
+    moved: list[dict[str, Any]] = []
     for row in rows:
         folder = Path(row.path)
         try:
@@ -234,37 +235,47 @@ def _throw_away(
         except (EpisodeError, OSError) as error:
             failed = True
             click.echo(f"station: {printable(str(error))}", err=True)
-    total = f"{sum(int(str(one['bytes'])) for one in moved) / 1e6:.1f} MB"
+    total = _total(moved)
     if as_json:
         click.echo(json.dumps(moved))
+    elif not moved and failed:
+        pass  # said already, of each
     elif not moved:
         click.echo(f"no episode in {base.absolute()} fits ({why}): nothing to move")
     elif is_dry:
-        click.echo(f"{len(moved)} episodes, {total}, would go into the bin ({why})")
+        click.echo(f"{total} would go into the bin ({why})")
     else:
         click.echo(
-            f"{len(moved)} episodes, {total}, are in the bin ({why}); back: station episodes restore ID, "
+            f"{total} moved into the bin ({why}); back: station episodes restore ID, "
             "gone for good: station episodes prune --empty-bin"
         )
     raise SystemExit(1 if failed else 0)
 
 
+def _total(episodes: Sequence[dict[str, Any]]) -> str:
+    """Return how many episodes there are and what they need."""
+    size = sum(one["bytes"] for one in episodes) / 1e6
+    return f"{len(episodes)} episode{'' if len(episodes) == 1 else 's'}, {size:.1f} MB,"
+
+
 def _empty(base: Path, *, is_dry: bool, is_asked: bool, as_json: bool) -> None:
     from station.episode.storage.bin import bin_folder, clear, delete, in_bin, size_of
 
-    found = [{"episode_id": folder.name, "path": str(folder), "bytes": size_of(folder)} for folder in in_bin(base)]
-    what = f"{len(found)} episodes, {sum(int(str(one['bytes'])) for one in found) / 1e6:.1f} MB"
+    found: list[dict[str, Any]] = [
+        {"episode_id": folder.name, "path": str(folder), "bytes": size_of(folder)} for folder in in_bin(base)
+    ]
+    what = _total(found)
     if not as_json and (is_dry or not is_asked):
         for one in found:
-            click.echo(printable(f"{one['episode_id']} {int(str(one['bytes'])) / 1e6:.1f} MB"))
+            click.echo(printable(f"{one['episode_id']} {one['bytes'] / 1e6:.1f} MB"))
     if found and not is_dry and not is_asked:
         if not sys.stdin.isatty():
-            raise UsageError(f"prune --empty-bin: there is no terminal to ask in; --yes deletes {what}")
-        if not click.confirm(f"Delete {what}, for good?", err=True):
+            raise UsageError(f"prune --empty-bin: there is no terminal to ask in; --yes deletes {what} for good")
+        if not click.confirm(f"Delete {what} for good?", err=True):
             raise SystemExit(1)
     if not is_dry:
         for one in found:
-            delete(Path(str(one["path"])), base)
+            delete(Path(one["path"]), base)
         clear(base)
     if as_json:
         click.echo(json.dumps(found))

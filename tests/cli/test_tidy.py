@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -106,7 +107,7 @@ def test_prune_moves_what_fits_every_option_and_a_dry_run_only_says_so(
 
 def test_what_was_pruned_says_when_why_and_by_whom_and_comes_back(data: Path) -> None:
     done = station("prune", "--verdict", "reject", "--by", "ada")
-    assert "1 episodes, 0.0 MB, are in the bin (verdict reject)" in done.output
+    assert "1 episode, 0.0 MB, moved into the bin (verdict reject)" in done.output
     (edit,) = load_manifest(data / ".bin" / "walk" / name(2)).edits
     assert (edit.what, edit.by, edit.after) == ("bin", "ada", "verdict reject")
     assert station("show", str(data / ".bin" / "walk" / name(2))).exit_code == 0
@@ -121,13 +122,25 @@ def test_what_was_pruned_says_when_why_and_by_whom_and_comes_back(data: Path) ->
 def test_the_bin_is_emptied_only_when_somebody_says_so(data: Path) -> None:
     station("prune", name(1))
     asked = station("prune", "--empty-bin")
-    assert (asked.exit_code, "there is no terminal to ask in; --yes deletes 1 episodes" in asked.output) == (2, True)
-    assert "1 episodes, 0.0 MB would be deleted" in station("prune", "--empty-bin", "--dry-run").output
+    assert (
+        asked.exit_code,
+        "there is no terminal to ask in; --yes deletes 1 episode, 0.0 MB, for good" in asked.output,
+    ) == (2, True)
+    assert "1 episode, 0.0 MB, would be deleted" in station("prune", "--empty-bin", "--dry-run").output
     assert listed("--bin") == ["0001"]
-    assert "1 episodes, 0.0 MB deleted" in station("prune", "--empty-bin", "--yes").output
+    assert "1 episode, 0.0 MB, deleted" in station("prune", "--empty-bin", "--yes").output
     assert not (data / ".bin").exists()
     assert listed() == ["0002", "0003", "0004"]
     assert "nothing in" in station("prune", "--empty-bin", "--yes").output
+
+
+def test_one_that_is_being_written_is_told_of_and_the_others_go(data: Path) -> None:
+    with (data / "walk" / name(1) / "signals.mcap").open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        done = station("prune", name(1))
+        assert (done.exit_code, done.stdout, "being written just now" in done.output) == (1, "", True)
+        assert station("prune", "--task", "walk").exit_code == 1
+    assert (listed(), listed("--bin")) == (["0001", "0004"], ["0002", "0003"])
 
 
 def test_prune_without_a_word_of_what_moves_nothing(data: Path) -> None:
