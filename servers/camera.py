@@ -26,6 +26,7 @@ from station.config import to_plain
 from station.life.server import Life, ServerKind
 
 _NAME = re.compile(r"[a-z0-9_]+")
+_JPEG_BYTES_PER_PIXEL = 0.2  # USB cameras gave 40 to 90 kB for 640x480 at quality 90; what is simulated needs half
 
 
 class CameraConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -83,6 +84,10 @@ class CameraConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             ValueError: they are none of its options; the message names the field.
         """
         return configs.build_options(self.kind.options, self.options, where=f"options of the source {self.source}")
+
+    def picture_bytes_per_s(self) -> float:
+        """Return about how much its pictures need [bytes/s]; where a source decides, 640x480 at 30 Hz counts."""
+        return (self.width or 640) * (self.height or 480) * _JPEG_BYTES_PER_PIXEL * (self.fps or 30.0)
 
     @property
     def settings(self) -> PictureSettings:

@@ -30,7 +30,7 @@ HEAVY = (
 
 NO_VERBS = {
     "__init__", "calibrate_operator", "candidates", "fields", "keyboard", "log_lines", "main", "options", "quality",
-    "tables", "terminal_ui",
+    "tables", "terminal_ui", "tidy",
 }  # fmt: skip
 """Modules of `station.cli` that verbs share."""
 

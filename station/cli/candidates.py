@@ -51,6 +51,14 @@ def episodes(context: click.Context, parameter: click.Parameter, begun: str) -> 
     return files(context, parameter, begun) + _fitting(begun, known)
 
 
+def in_bin(context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Episodes in the bin of the data folder."""
+    from station.episode.storage.bin import in_bin
+    from station.episode.storage.folder import data_folder
+
+    return _fitting(begun, [folder.name for folder in in_bin(data_folder(context.params.get("data")))])
+
+
 def tasks(context: click.Context, _parameter: click.Parameter, begun: str) -> list[CompletionItem]:
     """Tasks that have a folder of episodes."""
     from station.episode.storage.folder import tasks

@@ -25,14 +25,18 @@ if TYPE_CHECKING:
 @click.argument("episodes", metavar="[EPISODE]...", nargs=-1, shell_complete=candidates.episodes)
 @click.option("--all", "is_all", is_flag=True, help="Every finished episode that was not discarded.")
 @click.option("--force", "is_forced", is_flag=True, help="Make files anew though nothing has changed.")
+@click.option("--no-pictures", is_flag=True, help="Leave pictures where they are: a fraction of the size.")
 @data_option
 @json_option
-def command(episodes: Sequence[str], is_all: bool, is_forced: bool, data: Path | None, as_json: bool) -> None:
+def command(
+    episodes: Sequence[str], is_all: bool, is_forced: bool, no_pictures: bool, data: Path | None, as_json: bool
+) -> None:
     """Write enriched.mcap beside the signals of each EPISODE, for Rerun, Foxglove and any reader of MCAP.
 
     Every key whose elements have names gets a topic KEY/typed, protobuf with one named field per element and its unit;
     pictures, poses and events get Foxglove's own message types. The recording itself stays as it is. What is up to
-    date is left alone. Exit code 1 when an episode could not be enriched.
+    date is left alone. A viewer that opens cameras.mcap beside it needs no copy of the pictures: --no-pictures. Exit
+    code 1 when an episode could not be enriched.
     """
     if bool(episodes) == is_all:
         raise UsageError("name the EPISODEs to enrich, or give --all")
@@ -40,7 +44,7 @@ def command(episodes: Sequence[str], is_all: bool, is_forced: bool, data: Path |
     failed = False
     for name in _finished(data) if is_all else episodes:
         try:
-            done.append(_enriched(name, data, is_forced=is_forced, is_quiet=as_json))
+            done.append(_enriched(name, data, is_forced=is_forced, pictures=not no_pictures, is_quiet=as_json))
         except EpisodeError as error:
             failed = True
             click.echo(f"station: {printable(str(error), _LONGEST)}", err=True)
@@ -63,14 +67,16 @@ def _finished(data: Path | None) -> list[str]:
     return [row.path for row in rows if row.state == "finished"]
 
 
-def _enriched(name: str, data: Path | None, *, is_forced: bool, is_quiet: bool) -> Enriched:
+def _enriched(
+    name: str, data: Path | None, *, is_forced: bool, pictures: bool, is_quiet: bool
+) -> Enriched:  # fmt: skip
     """Enrich one episode and say in a line what became of it."""
     from station.enrich.enrich import enrich
     from station.episode.reading.reader import open_episode
 
     reader = open_episode(name, data)
     with _bar(reader.episode_id) as progress:
-        found = enrich(reader, is_forced=is_forced, progress=progress)
+        found = enrich(reader, is_forced=is_forced, pictures=pictures, progress=progress)
     if not is_quiet:
         size, unfit = f"{found.size_bytes / 1e6:.1f} MB", sum(found.unfit.values())
         words = f"{found.topics} typed topics, {found.messages} messages, {size} in {found.seconds:.1f} s"

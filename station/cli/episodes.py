@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 import msgspec
 
-from station.cli import candidates, check, enrich
+from station.cli import candidates, check, enrich, tidy
 from station.cli.options import NamedPath, Verbs, data_option, episode_argument, json_option
 from station.printable import printable
 
@@ -18,16 +18,18 @@ _LONGEST = 10_000  # characters of a line of a manifest
 
 if TYPE_CHECKING:
     from station.episode.reading.listing import EpisodeRow
-    from station.episode.writing.repair import Repaired
+    from station.episode.writing.repair import Cut, Repaired
 
 
 @click.group("episodes", cls=Verbs)
 def command() -> None:
-    """List, show, check, enrich and repair recorded episodes."""
+    """List, show, check, enrich, repair, tag and tidy up recorded episodes."""
 
 
 command.add_command(check.command, "check")
 command.add_command(enrich.command, "enrich")
+for verb in tidy.COMMANDS:
+    command.add_command(verb)
 
 
 @command.command("list")
@@ -38,20 +40,26 @@ command.add_command(enrich.command, "enrich")
 @click.option("--verdict", "verdicts", type=click.Choice(("good", "usable", "reject", "unchecked")), multiple=True,
               help="Of this verdict; may repeat.")  # fmt: skip
 @click.option("--success", type=click.Choice(("yes", "no", "unknown")), default=None, help="What the operator said.")
+@click.option("--tag", "tags", multiple=True, metavar="TAG", help="With this tag; may repeat: with all of them.")
 @click.option("--since", "since_", metavar="WHEN", default=None, help="Started within 2h or 3d, or since 2026-11-20.")
+@click.option("--bin", "is_bin", is_flag=True, help="List what `station episodes prune` moved into the bin.")
 @data_option
 @json_option
 def listing(
     task: str | None, operator: str | None, least: Literal["good", "usable"] | None, verdicts: tuple[str, ...],
-    success: Literal["yes", "no", "unknown"] | None, since_: str | None, data: Path | None, as_json: bool,
+    success: Literal["yes", "no", "unknown"] | None, tags: tuple[str, ...], since_: str | None, is_bin: bool,
+    data: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     """List the episodes of a data folder, oldest first; every option leaves out what does not fit it."""
     from station.episode.reading.listing import EpisodeFilter, list_episodes, since
+    from station.episode.storage.bin import bin_folder
     from station.episode.storage.folder import data_folder
     from station.episode.storage.left_open import offer
 
+    if is_bin:
+        data = bin_folder(data_folder(data))
     wanted = EpisodeFilter(
-        task=task, operator=operator, verdicts=verdicts, least=least, success=success,
+        task=task, operator=operator, verdicts=verdicts, least=least, success=success, tags=tags,
         since=None if since_ is None else since(since_),
     )  # fmt: skip
     if (line := offer(data_folder(data))) is not None:
@@ -70,6 +78,9 @@ def listing(
     if not rows:
         where = data_folder(data).absolute()
         is_all = wanted == EpisodeFilter()
+        if is_bin and is_all:
+            click.echo(f"nothing in {where}")
+            return
         click.echo(
             f"no episodes in {where}; record one, or name another folder with --data"
             if is_all else f"no episode in {where} fits; leave out an option, or name another folder with --data"
@@ -89,7 +100,7 @@ def _print_rows(rows: Sequence[EpisodeRow]) -> None:
     columns = [
         Column("episode", "left"), Column("state", "left"), Column("verdict", "left"), Column("length"),
         Column("messages"), Column("lost"), Column("falls"), Column("success"), Column("size"),
-        Column("operator", "left"),
+        Column("operator", "left"), *([Column("tags", "left")] if (has_tags := any(row.tags for row in rows)) else []),
     ]  # fmt: skip
     cells = [
         (
@@ -103,6 +114,7 @@ def _print_rows(rows: Sequence[EpisodeRow]) -> None:
             {None: "–", True: "yes", False: "no"}[row.success],
             f"{row.size_bytes / 1e6:.1f} MB",
             plain(row.operator),
+            *([plain(", ".join(row.tags))] if has_tags else []),
         )
         for row in rows
     ]
@@ -144,9 +156,10 @@ def show(episode: str, data: Path | None, as_json: bool) -> None:
 @data_option
 @json_option
 def repair(episode: str | None, is_all: bool, out: Path | None, data: Path | None, as_json: bool) -> None:
-    """Make a good episode of a torn one: EPISODE, or `--all` that were left open or are cut off.
+    """Make a good episode of a torn or damaged one: EPISODE, or `--all` that were left open or are cut off.
 
-    Every whole chunk is kept; a torn file stays as it is, beside the good one, as signals.mcap.torn or
+    Every whole chunk is kept; what was lost between two of them is said, and is a hole in the manifest, for which
+    `station check` rejects the episode. A torn file stays as it is, beside the good one, as signals.mcap.torn or
     cameras.mcap.torn.
     """
     from station.episode.storage.folder import data_folder, resolve
@@ -200,5 +213,13 @@ def _repaired(folder: Path, out: Path | None, *, is_quiet: bool) -> Repaired:
     if not is_quiet:
         click.echo(f"{done.episode_id} {words[done.state]}")
         for cut in done.cuts:
-            click.echo(f"  {cut.file}: cut {cut.bytes} bytes after byte {cut.at}; the torn file is {cut.original}")
+            click.echo(f"  {cut.file}: {_lost(cut)}; the torn file is {cut.original}")
     return done
+
+
+def _lost(cut: Cut) -> str:
+    """Return in words what was cut of a file."""
+    if cut.from_s is None:
+        return f"cut {cut.bytes} bytes after byte {cut.at}"
+    until = "the end" if cut.to_s is None else f"{cut.to_s:.2f} s ({cut.to_s - cut.from_s:.2f} s)"
+    return f"{cut.bytes} damaged bytes left out after byte {cut.at}: nothing of it from {cut.from_s:.2f} s to {until}"

@@ -41,7 +41,7 @@ VERBS = {
     "disarm": "Send nothing to a robot any more.",
     "policy": "See which policy drives a robot; have another take over.",
     "record": "Start, stop, mark or discard an episode.",
-    "episodes": "List, show and check what has been recorded.",
+    "episodes": "List, show, check and look after what has been recorded.",
     "check": "Measure an episode from its file, and judge it.",
     "enrich": "Write typed topics of an episode, for Rerun, Foxglove and others.",
     "export": "Make training data, or files for a quick look, of episodes.",

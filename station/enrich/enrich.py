@@ -16,6 +16,7 @@ from station.enrich import source
 from station.enrich.scalars import Shape
 from station.enrich.siblings import Siblings, siblings
 from station.enrich.vector import type_name
+from station.episode.reading.frames import cameras
 from station.episode.reading.messages import Channel
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.left_open import is_left_open
@@ -30,6 +31,7 @@ Progress = Callable[[int, int], None]
 
 _TELL_EVERY = 2000  # messages
 _NO_CONTRACT = "nothing describes it: it has no contract"
+_NO_PICTURES = "pictures were not wanted; they are in the recording"
 
 
 class Enriched(msgspec.Struct, frozen=True, kw_only=True):
@@ -55,7 +57,9 @@ class Enriched(msgspec.Struct, frozen=True, kw_only=True):
     seconds: float = 0.0
 
 
-def enrich(reader: EpisodeReader, *, is_forced: bool = False, progress: Progress | None = None) -> Enriched:
+def enrich(
+    reader: EpisodeReader, *, is_forced: bool = False, pictures: bool = True, progress: Progress | None = None
+) -> Enriched:  # fmt: skip
     """Write ``enriched.mcap`` beside the signals of an episode; log and publish times and sequence numbers are theirs.
 
     Interrupted at any moment, it leaves what was there. Needs no more memory than a chunk of the recording and the
@@ -64,6 +68,8 @@ def enrich(reader: EpisodeReader, *, is_forced: bool = False, progress: Progress
     Args:
         reader: The episode.
         is_forced: Make it anew though it is current.
+        pictures: Whether pictures get typed topics: then the file is as large as those are. Without, the file that
+            holds them is not even read.
         progress: Told how far it is.
 
     Raises:
@@ -73,16 +79,16 @@ def enrich(reader: EpisodeReader, *, is_forced: bool = False, progress: Progress
     began, path = time.perf_counter(), reader.folder / source.ENRICHED
     _expect_finished(reader)
     try:
-        before = source.identities(reader)
-        facts = source.facts(reader.episode_id, source.origins(before))
+        before = source.identities(reader, pictures=pictures)
+        facts = source.facts(reader.episode_id, source.origins(before), pictures=pictures)
         if not is_forced and source.is_current(path, facts):
             return Enriched(state="current", episode_id=reader.episode_id, path=str(path))
-        survey = _survey(reader)
+        survey = _survey(reader, _topics(reader, pictures=pictures))
         with whole_file(path) as file:
             made = _Output(file, facts, survey)
             made.fill(reader, survey, progress)
             made.finish()
-            if source.identities(reader) != before:
+            if source.identities(reader, pictures=pictures) != before:
                 raise EpisodeError(
                     f"{reader.folder}: changed while it was read; enrich it again when it is written no more"
                 )
@@ -94,7 +100,8 @@ def enrich(reader: EpisodeReader, *, is_forced: bool = False, progress: Progress
         ) from error
     return Enriched(
         state="written", episode_id=reader.episode_id, path=str(path), topics=len(made.topics), messages=made.messages,
-        left_out=made.left_out, unfit=dict(made.unfit), size_bytes=size_bytes, seconds=time.perf_counter() - began,
+        left_out={**made.left_out, **({} if pictures else dict.fromkeys(cameras(reader).values(), _NO_PICTURES))},
+        unfit=dict(made.unfit), size_bytes=size_bytes, seconds=time.perf_counter() - began,
     )  # fmt: skip
 
 
@@ -108,20 +115,26 @@ def _expect_finished(reader: EpisodeReader) -> None:
     raise EpisodeError(f"{reader.path}: {what} ({reader.torn}); repair it first: {remedy}")
 
 
-class _Survey(NamedTuple):
-    """Channels by number, messages in all, and what the JSON objects of each key hold."""
+def _topics(reader: EpisodeReader, *, pictures: bool) -> set[str] | None:
+    """Return the keys that are read; None for all."""
+    return None if pictures else {*reader.topics()} - {*cameras(reader).values()}
 
+
+class _Survey(NamedTuple):
+    """Keys that are read (None: all), channels by number, messages in all, what the JSON objects of each key hold."""
+
+    topics: set[str] | None
     channels: dict[int, Channel]
     messages: int
     shapes: dict[str, Shape]
 
 
-def _survey(reader: EpisodeReader) -> _Survey:
+def _survey(reader: EpisodeReader, topics: set[str] | None) -> _Survey:
     """Read the episode once: a schema must be written before the first message of it."""
     channels: dict[int, Channel] = {}
     shapes: dict[str, Shape] = {}
     count = 0
-    for message in reader.messages():
+    for message in reader.messages(topics):
         count += 1
         channel = message.channel
         if channel.id not in channels:
@@ -132,7 +145,7 @@ def _survey(reader: EpisodeReader) -> _Survey:
                 shapes[channel.topic].learn(codec.parse_json(message.data))
             except codec.BadValue:
                 continue  # counted as unfit when the file is written
-    return _Survey(channels, count, shapes)
+    return _Survey(topics, channels, count, shapes)
 
 
 class _Output:
@@ -156,7 +169,7 @@ class _Output:
     def fill(self, reader: EpisodeReader, survey: _Survey, progress: Progress | None) -> None:
         """Write the siblings of every message, in the order of the recording."""
         has_pictures = any(_is_picture(channel) for channel in survey.channels.values())
-        for done, message in enumerate(reader.messages(stamps=has_pictures)):
+        for done, message in enumerate(reader.messages(survey.topics, stamps=has_pictures)):
             if progress is not None and done % _TELL_EVERY == 0:
                 progress(done, survey.messages)
             route = self._routes.get(message.channel.id)

@@ -37,13 +37,13 @@ class Identity(NamedTuple):
     modified_ns: int
 
 
-def identities(reader: EpisodeReader) -> list[Identity]:
-    """Return what the system says of the files that an episode is read from.
+def identities(reader: EpisodeReader, *, pictures: bool = True) -> list[Identity]:
+    """Return what the system says of the files that an episode is read from; without pictures, of the signals alone.
 
     Raises:
         EpisodeError: one of them is gone.
     """
-    return [_identity(path) for path in reader.files]
+    return [_identity(path) for path in (reader.files if pictures else [reader.path])]
 
 
 def origins(found: list[Identity]) -> list[Origin]:
@@ -62,12 +62,13 @@ def origins(found: list[Identity]) -> list[Origin]:
     return made
 
 
-def facts(episode_id: str, made_of: list[Origin]) -> dict[str, str]:
+def facts(episode_id: str, made_of: list[Origin], *, pictures: bool = True) -> dict[str, str]:
     """Return the metadata record of an enriched file."""
     return {
         "version": str(VERSION),
         "episode_id": episode_id,
         "made_of": msgspec.json.encode(made_of).decode(),
+        **({} if pictures else {"pictures": "left out"}),
     }
 
 

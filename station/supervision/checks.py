@@ -14,7 +14,9 @@ import msgspec
 from station import assets
 from station.bus.client import Bus
 from station.bus.protection import REMEDY, inspect
+from station.episode.storage.bin import bin_folder
 from station.errors import NotReady
+from station.supervision.disk_need import SIGNALS_MB_PER_MINUTE, DiskNeed
 
 _BYTES_PER_GB = 1e9
 _LOOK_S = 0.1  # a request to stop is seen after so long
@@ -79,37 +81,45 @@ class DiskCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     Attributes:
         min_free_gb: Least free space [GB].
         min_minutes: Least time that must fit [min].
-        mb_per_minute: What an episode is taken to need [MB/min]. A simulated G1 without cameras wrote 7.6; pictures of
-            50 kB at 30 Hz are 90 more.
+        mb_per_minute: What an episode is taken to need [MB/min]; None for what the last episode of the task with the
+            same cameras needed, else for an estimate by the cameras that will run.
     """
 
     min_free_gb: float = 2.0
     min_minutes: float = 0.0
-    mb_per_minute: float = 8.0
+    mb_per_minute: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse a rate that fills no disk."""
-        if not self.mb_per_minute > 0:
+        if self.mb_per_minute is not None and not self.mb_per_minute > 0:
             raise ValueError(f"mb_per_minute is {self.mb_per_minute}, expected more than 0")
 
     def run(self, _bus: Bus, data: Path, _stop: threading.Event) -> str:
         """Check the data folder, or where it will be made."""
+        return self.look(data, DiskNeed(SIGNALS_MB_PER_MINUTE, ""))
+
+    def look(self, data: Path, need: DiskNeed) -> str:
+        """Do so with what an episode is expected to need, where the runbook does not say."""
+        if self.mb_per_minute is not None:
+            need = DiskNeed(self.mb_per_minute, "")
+        rate = f"{need.mb_per_minute:.3g} MB/min" + (f" ({need.why})" if need.why else "")
         folder = next(p for p in [data.absolute(), *data.absolute().parents] if p.exists())
         free_gb = shutil.disk_usage(folder).free / _BYTES_PER_GB
+        empty = "empty the bin (station episodes prune --empty-bin), " if bin_folder(data).is_dir() else ""
         if free_gb < self.min_free_gb:
             raise NotReady(
                 f"{folder}: {free_gb:.1f} GB free, {self.min_free_gb:g} needed; "
-                "make room or record elsewhere with --data"
+                f"{empty}make room or record elsewhere with --data"
             )
-        minutes = free_gb * 1e3 / self.mb_per_minute
+        minutes = free_gb * 1e3 / need.mb_per_minute
         if minutes < self.min_minutes:
             raise NotReady(
-                f"{folder}: {free_gb:.1f} GB free are {minutes:.0f} min at {self.mb_per_minute:g} MB/min, "
-                f"{self.min_minutes:g} needed; make room or record elsewhere with --data"
+                f"{folder}: {free_gb:.1f} GB free are {minutes:.0f} min at {rate}, "
+                f"{self.min_minutes:g} needed; {empty}make room or record elsewhere with --data"
             )
         if not folder.is_dir() or not os.access(folder, os.W_OK):
             raise NotReady(f"{folder}: not a folder that can be written; record elsewhere with --data")
-        return f"{free_gb:.0f} GB free at {folder}, {minutes:.0f} min at {self.mb_per_minute:g} MB/min"
+        return f"{free_gb:.0f} GB free at {folder}, {minutes:.0f} min at {rate}"
 
 
 class ClockCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

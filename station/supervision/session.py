@@ -21,6 +21,8 @@ from station.life import arm_request
 from station.life.event_feed import EventFeed
 from station.life.restarts import Restarts
 from station.life.server import Health, read_health
+from station.supervision.checks import DiskCheck
+from station.supervision.disk_need import DiskNeed, disk_need
 from station.supervision.exit_policy import ExitPolicy
 from station.supervision.runbook import CheckStep, ConfirmStep, NoteStep, Runbook, StartStep, Step
 from station.supervision.session_ui import SessionUI
@@ -179,10 +181,19 @@ class Session:
         if isinstance(step, StartStep):
             return self._start(step, stop)
         if isinstance(step, CheckStep):
-            return self._record_answer(step, step.what.run(self._bus, self._data, stop), who="station")
+            found = (
+                step.what.look(self._data, self._disk_need())
+                if isinstance(step.what, DiskCheck)
+                else step.what.run(self._bus, self._data, stop)
+            )
+            return self._record_answer(step, found, who="station")
         if isinstance(step, ConfirmStep):
             return self._confirm(step, memory, stop)
         return self._record_answer(step, "shown", who="station")
+
+    def _disk_need(self) -> DiskNeed:
+        configs: dict[str, object] = {server.start: server.config for server in self._runbook.servers}
+        return disk_need(configs, self._data, self._recording.task if self._recording else None)
 
     def _start(self, step: StartStep, stop: threading.Event) -> str:
         if step.start not in self._supervisor.children:

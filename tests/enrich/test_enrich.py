@@ -129,6 +129,19 @@ def test_a_picture_keeps_its_bytes_and_tells_when_it_was_taken(tmp_path: Path) -
     assert Image.open(BytesIO(found[1].message.data)).getpixel((0, 0)) == (200, 200, 200)
 
 
+def test_without_pictures_their_file_is_not_even_read_and_with_them_it_is_made_anew(tmp_path: Path) -> None:
+    folder = filmed(tmp_path / "film", [jpeg(10), jpeg(200)], [None, None])
+    camera, path = keys.camera_image("head"), folder / source.ENRICHED
+    done = enriched(folder, pictures=False)
+    assert (done.state, [*done.left_out]) == ("written", [camera])
+    assert not [topic for topic in topics(path) if topic.startswith(camera)]
+    assert "cameras.mcap" not in path.read_bytes().decode("latin-1")
+    assert enriched(folder, pictures=False).state == "current"
+    assert enriched(folder).state == "written"
+    assert f"{camera}/image" in topics(path)
+    assert enriched(folder, pictures=False).state == "written"
+
+
 def test_what_has_no_names_is_left_out_and_told_of(walk_folder: Path) -> None:
     done = enriched(walk_folder, is_forced=True)
     assert set(done.left_out) == {"strange", keys.policy_obs(ROBOT), keys.policy_action(ROBOT), "operator_joints_gello"}

@@ -14,6 +14,7 @@ import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 
 from adapters.robots.g1 import twist_keys
@@ -34,6 +35,7 @@ from tests.waiting import wait_until
 
 BODY = twist_keys.action_body()
 FLUSHES, PER_FLUSH = 6, 12
+HEAD = 9  # bytes of a record before what `ChunkPlace` names
 
 
 class Episode:
@@ -85,12 +87,16 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("data") / "walk" / "2026-11-21-g1-walk-0001"
 
 
-def assert_good(folder: Path, episode: Episode, kept: int) -> None:
-    """The file is whole for us and for the library, and holds exactly the first messages."""
+def assert_good(folder: Path, episode: Episode, kept: int, *, lost: int | None = None) -> None:
+    """The file is whole for us and for the library, and holds exactly the first messages, without those of a chunk."""
+    expected = episode.messages[:kept]
+    if lost is not None:
+        del expected[lost * episode.per_chunk : (lost + 1) * episode.per_chunk]
+        kept -= episode.per_chunk
     reader = open_episode(folder)
     assert (reader.torn, reader.is_active, reader.manifest.state) == (None, False, "finished")
     found = [(m.topic, m.data, m.sequence, m.log_ns, m.stamp) for m in reader.messages(stamps=True)]
-    assert found == episode.messages[:kept]
+    assert found == expected
     assert reader.manifest.recorder.messages == kept == sum(stream.count for stream in reader.manifest.streams)
     assert reader.manifest.quality_flags.falls == kept // episode.per_chunk
     with reader.path.open("rb") as file:
@@ -117,23 +123,112 @@ def test_a_file_cut_at_any_byte_becomes_one_that_holds_exactly_the_whole_chunks_
 
 
 @settings(max_examples=examples(40), deadline=None)
-@given(bit=st.integers(0, 1 << 40), cut=st.none() | st.integers(0, 1 << 30))
-def test_a_bit_that_flipped_costs_what_stands_behind_it_and_nothing_before(
-    episode: Episode, bench: Path, bit: int, cut: int | None
+@given(bit=st.integers(0, 1 << 40))
+def test_a_bit_that_flipped_in_a_finished_file_costs_its_chunk_and_nothing_else(
+    episode: Episode, bench: Path, bit: int
 ) -> None:
-    end = len(episode.data) if cut is None else episode.chunks[-1].offset + cut % episode.chunks[-1].length
+    first = episode.chunks[0].offset - HEAD
+    data = bytearray(episode.data)
+    place = first + bit // 8 % (len(data) - first)
+    data[place] ^= 1 << bit % 8
+    folder = episode.torn(bench, bytes(data))
+    done = repair(folder)
+    damaged = (n for n, one in enumerate(episode.chunks) if one.offset - HEAD <= place < one.offset + one.length)
+    lost = next(damaged, None)
+    assert len(load_manifest(folder).holes) == (lost is not None)
+    if done.state == "repaired":
+        assert_good(folder, episode, len(episode.messages), lost=lost)
+        assert (folder / "signals.mcap.torn").read_bytes() == data
+    else:  # the flipped bit is of no consequence: that of a time of creation, say
+        assert lost is None
+
+
+@settings(max_examples=examples(40), deadline=None)
+@given(bit=st.integers(0, 1 << 40), cut=st.integers(0, 1 << 30))
+def test_a_bit_that_flipped_in_a_torn_file_costs_nothing_before_it_and_mixes_nothing_up(
+    episode: Episode, bench: Path, bit: int, cut: int
+) -> None:
+    end = episode.chunks[-1].offset + cut % episode.chunks[-1].length
     first = episode.chunks[0].offset
     data = bytearray(episode.data[:end])
     place = first + bit // 8 % (end - first)
     data[place] ^= 1 << bit % 8
     folder = episode.torn(bench, bytes(data))
-    done = repair(folder)
+    repair(folder)
     found = [(m.topic, m.data, m.sequence, m.log_ns, m.stamp) for m in open_episode(folder).messages(stamps=True)]
-    assert found == episode.messages[: len(found)]
-    assert len(found) >= episode.whole_before(place)
-    if done.state == "repaired":
-        assert_good(folder, episode, len(found))
-        assert (folder / "signals.mcap.torn").read_bytes() == data
+    whole = episode.whole_before(place)
+    assert found[:whole] == episode.messages[:whole]
+    rest = iter(episode.messages)
+    assert all(message in rest for message in found), "in their order, each at most once"
+    assert (folder / "signals.mcap.torn").read_bytes() == data
+
+
+@pytest.mark.usefixtures("processes")
+def test_what_a_lost_chunk_defined_is_defined_again_and_its_time_is_a_hole_that_check_rejects(
+    episode: Episode, tmp_path: Path
+) -> None:
+    data = bytearray(episode.data)
+    data[episode.chunks[0].offset + 60] ^= 1
+    folder = episode.torn(tmp_path / "walk" / "2026-11-21-g1-walk-0001", bytes(data))
+    (folder / "signals.mcap.active").rename(folder / "signals.mcap")
+    save_manifest(episode.manifest, folder)
+    with pytest.raises(EpisodeError, match="keep all but what is damaged: station episodes repair"):
+        list(open_episode(folder).messages())
+    said = station("episodes", "repair", str(folder))
+    assert said.returncode == 0, said.stderr
+    assert "damaged bytes left out after byte" in said.stdout
+    assert_good(folder, episode, len(episode.messages), lost=0)
+    (hole,) = load_manifest(folder).holes
+    assert hole.reason.startswith("signals.mcap was damaged at byte")
+    assert (hole.from_s, hole.lost) == (0.0, 0), "nobody numbers what comes before the first"
+    (note,) = load_manifest(folder).recovery
+    assert note["cuts"][0]["from_s"] == 0.0
+    checked = station("check", str(folder))
+    assert (checked.returncode, "1 hole(s)" in checked.stdout) == (1, True)
+
+
+def test_a_length_that_is_damaged_hides_no_chunk(episode: Episode, tmp_path: Path) -> None:
+    data = bytearray(episode.data)
+    index = episode.chunks[1].offset + episode.chunks[1].length
+    behind = episode.chunks[3].offset - HEAD
+    assert data[index] == Opcode.MESSAGE_INDEX
+    data[index + 1 : index + HEAD] = (behind - index - HEAD).to_bytes(8, "little")
+    folder = episode.torn(tmp_path / "e", bytes(data))
+    done = repair(folder)
+    assert_good(folder, episode, len(episode.messages))
+    assert (load_manifest(folder).holes, [cut.from_s for cut in done.cuts]) == ([], [None])
+
+
+@pytest.mark.parametrize("begin", [8, 60, 200])
+def test_a_head_that_is_damaged_is_made_anew_and_costs_no_message(episode: Episode, tmp_path: Path, begin: int) -> None:
+    data = bytearray(episode.data)
+    end = episode.chunks[0].offset - HEAD - 10
+    data[begin:end] = bytes(end - begin)
+    folder = episode.torn(tmp_path / "e", bytes(data))
+    done = repair(folder)
+    assert_good(folder, episode, len(episode.messages))
+    assert (load_manifest(folder).holes, len(done.cuts)) == ([], 1)
+    assert open_episode(folder).anchor == episode.anchor
+    assert repair(folder).state == "whole"
+
+
+def test_several_damages_are_several_holes_with_what_is_missing_in_each(episode: Episode, tmp_path: Path) -> None:
+    data = bytearray(episode.data)
+    for number in (1, 3, 4):
+        start = episode.chunks[number].offset
+        data[start - HEAD : start + 100] = bytes(HEAD + 100)  # as a bad sector, head and all
+    folder = episode.torn(tmp_path / "e", bytes(data))
+    done = repair(folder)
+    assert (done.messages, done.cut_messages) == (3 * episode.per_chunk, 0)
+    times = [message[3] for message in episode.messages]
+    edges = [((times[n * episode.per_chunk - 1]), times[m * episode.per_chunk]) for n, m in ((1, 2), (3, 5))]
+    expected = [tuple(round((ns - episode.anchor.wall_ns) * 1e-9, 6) for ns in edge) for edge in edges]
+    holes = load_manifest(folder).holes
+    assert [(hole.from_s, hole.to_s) for hole in holes] == expected
+    numbered = PER_FLUSH + 1 + 2  # of the robot, its events, and what we count of a foreign writer
+    assert sum(hole.lost or 0 for hole in holes) == 3 * numbered
+    assert [cut.from_s for cut in done.cuts] == [hole.from_s for hole in holes]
+    assert repair(folder).state == "whole"
 
 
 def test_a_second_repair_changes_nothing(episode: Episode, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from station.episode.reading.reader import open_episode
 from station.episode.storage.manifest import save_manifest
 from station.episode.writing.repair import Repaired, close_whole, repair
 from tests.episode.filming import BODY, HEAD, Scene, film
+from tests.faults.test_repair import HEAD as RECORD
 from tests.faults.test_repair import killed_at, station
 
 FLUSHES, SIGNALS, PICTURES = 5, 6, 3
@@ -110,17 +111,24 @@ def test_signals_cut_at_any_byte_cost_no_picture(filmed: Film, bench: Path, cut:
 
 @settings(max_examples=25, deadline=None)
 @given(bit=st.integers(0, 1 << 40))
-def test_a_bit_that_flipped_in_the_cameras_costs_no_picture_before_it(filmed: Film, bench: Path, bit: int) -> None:
+def test_a_bit_that_flipped_in_the_cameras_costs_those_of_its_chunk_and_no_other(
+    filmed: Film, bench: Path, bit: int
+) -> None:
     data, first = bytearray(filmed.data["cameras.mcap"]), filmed.chunks["cameras.mcap"][0].offset
     place = first + bit // 8 % (len(data) - first)
     data[place] ^= 1 << bit % 8
     folder = filmed.torn(bench, None, None)
     (folder / "cameras.mcap.active").write_bytes(data)
     repair(folder)
-    found = [m.data for m in open_episode(folder).messages([HEAD])]
-    assert found == filmed.values[HEAD][: len(found)]
-    assert len(found) >= filmed.whole_before("cameras.mcap", place)
-    assert_good(folder, filmed, FLUSHES * SIGNALS, len(found))
+    chunks = enumerate(filmed.chunks["cameras.mcap"])
+    lost = next((n for n, one in chunks if one.offset - RECORD <= place < one.offset + one.length), None)
+    expected = list(filmed.values[HEAD])
+    if lost is not None:
+        del expected[lost * PICTURES : (lost + 1) * PICTURES]
+    reader = open_episode(folder)
+    assert [m.data for m in reader.messages([HEAD])] == expected
+    assert [m.data for m in reader.messages([BODY])] == filmed.values[BODY]
+    assert len(reader.manifest.holes) == (lost is not None)
 
 
 @pytest.mark.parametrize("is_named", [False, True])
@@ -211,3 +219,24 @@ def test_the_command_says_of_each_file_what_was_cut(filmed: Film, tmp_path: Path
         station("episodes", "repair", name, "--json", "--data", str(tmp_path)).stdout, type=list[Repaired]
     )
     assert [one.state for one in again] == ["whole"]
+
+
+def test_a_damaged_chunk_of_pictures_costs_its_pictures_and_no_signal(filmed: Film, tmp_path: Path) -> None:
+    folder = filmed.torn(tmp_path / "walk" / "2026-11-21-g1-walk-0001", None, None)
+    for name in NAMES:
+        (folder / f"{name}.active").rename(folder / name)
+    save_manifest(filmed.manifest, folder)
+    place = filmed.chunks["cameras.mcap"][0]
+    data = bytearray(filmed.data["cameras.mcap"])
+    data[place.offset + place.length // 2] ^= 1
+    (folder / "cameras.mcap").write_bytes(data)
+    done = repair(folder)
+    assert [(cut.file, cut.original) for cut in done.cuts] == [("cameras.mcap", str(folder / "cameras.mcap.torn"))]
+    assert (folder / "cameras.mcap.torn").read_bytes() == data
+    reader = open_episode(folder)
+    found = reader.collect([BODY, HEAD])
+    assert [m.data for m in found[BODY]] == filmed.values[BODY]
+    assert [m.data for m in found[HEAD]] == filmed.values[HEAD][PICTURES:]
+    assert [hole.reason.split()[0] for hole in reader.manifest.holes] == ["cameras.mcap"]
+    assert repair(folder).state == "whole"
+    assert "holes" in {reason.rule for reason in check(reader).reasons}

@@ -11,6 +11,7 @@ from station import config
 from station.bus.client import Bus
 from station.errors import ConfigError, NotReady
 from station.supervision.checks import DiskCheck
+from station.supervision.disk_need import DiskNeed
 
 NO_BUS = cast(Bus, None)
 
@@ -27,6 +28,16 @@ def test_a_disk_is_told_in_minutes(tmp_path: Path) -> None:
     data = tmp_path / "not" / "there"
     found = DiskCheck(min_free_gb=0.1, mb_per_minute=100).run(NO_BUS, data, threading.Event())
     assert found.endswith(f"GB free at {tmp_path}, 5 min at 100 MB/min")
+
+
+@pytest.mark.usefixtures("half_a_gb")
+def test_what_the_runbook_says_counts_before_what_is_expected(tmp_path: Path) -> None:
+    need = DiskNeed(250.0, "3 cameras, estimated")
+    check = DiskCheck(min_free_gb=0.1)
+    assert check.look(tmp_path, need).endswith("2 min at 250 MB/min (3 cameras, estimated)")
+    assert DiskCheck(min_free_gb=0.1, mb_per_minute=100).look(tmp_path, need).endswith("5 min at 100 MB/min")
+    with pytest.raises(NotReady, match=r"2 min at 250 MB/min \(3 cameras, estimated\), 5 needed"):
+        DiskCheck(min_free_gb=0.1, min_minutes=5).look(tmp_path, need)
 
 
 @pytest.mark.usefixtures("half_a_gb")

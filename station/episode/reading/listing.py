@@ -23,6 +23,7 @@ from station.errors import ConfigError, EpisodeError
 UNCHECKED = "unchecked"
 _BETTER = {"usable": ("usable", "good"), "good": ("good",)}
 _DAY_S = 86400.0
+_NEVER = datetime.min.replace(tzinfo=UTC)
 
 RowState = Literal["finished", "recording", "unfinished", "failed", "broken"]
 
@@ -39,6 +40,7 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
         messages, lost, size_bytes: Messages, sequence numbers lost over all streams, and size of signals and pictures.
         dropped: Writes that the recorder could not keep; not among the lost.
         success, falls, is_discarded: Quality flags.
+        tags: What people put on it.
         verdict: What the last check said, "" before one.
         changed: Which of its files are not those that were closed, or that were judged, by size and summary; "" for
             none. A verdict of other files is none.
@@ -60,6 +62,7 @@ class EpisodeRow(msgspec.Struct, frozen=True, kw_only=True):
     success: bool | None = None
     falls: int = 0
     is_discarded: bool = False
+    tags: list[str] = []
     verdict: str = ""
     changed: str = ""
     problem: str = ""
@@ -73,7 +76,9 @@ class EpisodeFilter(msgspec.Struct, frozen=True, kw_only=True):
         verdicts: Any of these: ``good``, ``usable``, ``reject``, or ``unchecked`` before a check.
         least: This verdict or a better one, and not discarded since.
         success: What the operator said: ``yes``, ``no``, or ``unknown`` where nobody did.
-        since: Started then or later.
+        since, before: Started then or later; before then, and not at an unknown time.
+        tags: All of these.
+        is_discarded: Whether it was discarded.
     """
 
     task: str | None = None
@@ -82,6 +87,9 @@ class EpisodeFilter(msgspec.Struct, frozen=True, kw_only=True):
     least: Literal["good", "usable"] | None = None
     success: Literal["yes", "no", "unknown"] | None = None
     since: datetime | None = None
+    before: datetime | None = None
+    tags: Collection[str] = ()
+    is_discarded: bool | None = None
 
     def fits(self, row: EpisodeRow) -> bool:
         """Whether a row is one of them."""
@@ -92,23 +100,26 @@ class EpisodeFilter(msgspec.Struct, frozen=True, kw_only=True):
             and (self.least is None or (row.verdict in _BETTER[self.least] and not row.is_discarded))
             and self.success in (None, {None: "unknown", True: "yes", False: "no"}[row.success])
             and (self.since is None or _started(row) >= self.since)
+            and (self.before is None or _NEVER < _started(row) < self.before)
+            and set(self.tags) <= set(row.tags)
+            and self.is_discarded in (None, row.is_discarded)
         )
 
 
-def since(text: str, now: datetime | None = None) -> datetime:
+def since(text: str, now: datetime | None = None, *, where: str = "--since") -> datetime:
     """Return the instant that is meant by ``2h``, ``3d`` (ago), ``2026-11-20`` or ``2026-11-20T14:00`` (local time).
 
     Raises:
-        ConfigError: none of these.
+        ConfigError: none of these; `where` names the option.
     """
     try:
         if text.endswith("d") and text[:-1].strip():
             return (now or datetime.now(UTC)) - timedelta(seconds=float(text[:-1]) * _DAY_S)
         if text[:1].isdigit() and "-" in text:
             return datetime.fromisoformat(text).astimezone()
-        return (now or datetime.now(UTC)) - timedelta(seconds=config.seconds(text, where="--since"))
+        return (now or datetime.now(UTC)) - timedelta(seconds=config.seconds(text, where=where))
     except (ValueError, OverflowError, ConfigError):
-        raise ConfigError(f"--since: expected 2h, 3d, 2026-11-20 or 2026-11-20T14:00, got {text!r}") from None
+        raise ConfigError(f"{where}: expected 2h, 3d, 2026-11-20 or 2026-11-20T14:00, got {text!r}") from None
 
 
 def list_episodes(
@@ -132,7 +143,7 @@ def _started(row: EpisodeRow) -> datetime:
     try:
         return datetime.fromisoformat(row.started).astimezone()
     except (ValueError, OverflowError):
-        return datetime.min.replace(tzinfo=UTC)
+        return _NEVER
 
 
 def _row(folder: Path, *, is_live: bool) -> EpisodeRow:
@@ -159,6 +170,7 @@ def _row(folder: Path, *, is_live: bool) -> EpisodeRow:
         success=flags.success,
         falls=flags.falls,
         is_discarded=flags.discarded,
+        tags=manifest.tags,
         verdict="" if changed else str(manifest.quality.get("verdict", "")),
         changed=changed,
         problem=problem,

@@ -141,7 +141,10 @@ class Part:
         try:
             return read_chunk(file, place)
         except EpisodeError as error:
-            raise EpisodeError(f"{self.path}: {error}; copy the file from where it was recorded again") from error
+            raise EpisodeError(
+                f"{self.path}: {error}; copy the file from where it was recorded again, or keep all but what is "
+                f"damaged: station episodes repair {self.path.parent}"
+            ) from error
 
 
 def _log_ns(message: Message) -> int:

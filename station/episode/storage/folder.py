@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import time
@@ -15,6 +16,8 @@ from station.user_config import user_config
 
 DATA_VARIABLE = "STATION_DATA"
 LATEST = "latest"
+BIN = ".bin"
+"""Folder of a data folder that holds what was thrown away, laid out as the data folder is."""
 
 _NUMBERED = re.compile(r"\d{4}-\d\d-\d\d-.*-(\d+)")
 _LONGEST_SLUG = 48
@@ -51,24 +54,31 @@ def new_folder(data: Path, task: str, robot: str) -> Path:
     start = f"{time.strftime('%Y-%m-%d')}-{slug(robot or 'robot')}-{slug(task)}"
     try:
         parent.mkdir(parents=True, exist_ok=True)
-        number = 1 + max((_number(entry.name) for entry in parent.iterdir()), default=0)
+        known = {entry.name for place in (parent, data / BIN / parent.name) for entry in _folders(place)}
+        number = 1 + max(map(_number, known), default=0)
         while True:
             folder = parent / f"{start}-{number:04d}"
-            try:
-                folder.mkdir()
-                return folder
-            except FileExistsError:
-                number += 1
+            with contextlib.suppress(FileExistsError):
+                if not _is_taken(data, folder.name):
+                    folder.mkdir()
+                    return folder
+            number += 1
     except OSError as error:
         raise EpisodeError(
             f"data folder {data}: cannot make an episode in it: {error.strerror}; name another with --data"
         ) from error
 
 
+def _is_taken(data: Path, episode_id: str) -> bool:
+    """Whether an episode has an id, wherever it is now: one that got another task, or lies in the bin, keeps it."""
+    tasks = [entry.path for base in (data, data / BIN) for entry in _folders(base)]
+    return any(os.path.lexists(os.path.join(task, episode_id)) for task in tasks)
+
+
 def find_episodes(data: Path | None = None) -> list[Path]:
     """Return the folders of all episodes of a data folder, oldest first."""
     base = data_folder(data)
-    found = [folder for folder in base.glob("*/*/") if _is_episode(folder)]
+    found = [folder for folder in base.glob("*/*/") if folder.parent.name[0] != "." and _is_episode(folder)]
     return sorted(found, key=lambda folder: (started_ns(folder), folder.name))
 
 
@@ -81,8 +91,8 @@ def newest_ids(data: Path | None, beginning: str, most: int) -> list[str]:
 
 
 def tasks(data: Path | None = None) -> list[str]:
-    """Return the names of the folders of a data folder, sorted."""
-    return sorted(entry.name for entry in _folders(data_folder(data)))
+    """Return the names of the folders of a data folder, sorted; the bin is none."""
+    return sorted(entry.name for entry in _folders(data_folder(data)) if not entry.name.startswith("."))
 
 
 def _folders(folder: Path) -> list[os.DirEntry[str]]:

@@ -19,6 +19,7 @@ from station.atomic_file import refuse_special, write_atomic
 from station.episode.storage import bounds
 from station.episode.storage.layout import MANIFEST
 from station.episode.storage.manifest_parts import (
+    Edit,
     Event,
     Hole,
     Mark,
@@ -35,6 +36,7 @@ from station.episode.storage.manifest_parts import (
 from station.errors import EpisodeError
 
 __all__ = [
+    "Edit",
     "Event",
     "Hole",
     "Manifest",
@@ -49,6 +51,7 @@ __all__ = [
     "Stream",
     "Task",
     "Timing",
+    "add_edit",
     "add_hole",
     "add_recovery",
     "dump_manifest",
@@ -68,6 +71,7 @@ MAX_MARKS = 500
 MAX_STREAMS = 2000  # a reader takes 200 000 values of YAML
 MAX_HOLES = 1000
 MAX_RECOVERY = 500
+MAX_EDITS = 500
 
 State = Literal["recording", "finished", "failed"]
 
@@ -84,6 +88,8 @@ class Manifest(msgspec.Struct, kw_only=True):
     Attributes:
         state: ``recording`` on disk without a live recorder means that the recorder was killed.
         servers: What every server stated on ``station:config:<name>``, by server name.
+        cameras: What is known of cameras that no server stated: those of an imported recording. The cameras of a live
+            one stand in `servers`, each with its ``camera`` and ``key``.
         motions: First statement of each motion file on a ``command_source`` key, with that key.
         runbook: Steps and answers, who and when, as the supervisor gave them.
         streams: Bounded; of a client that invents keys, the first ones, and how many more are in the signals.
@@ -91,6 +97,9 @@ class Manifest(msgspec.Struct, kw_only=True):
         holes: Bounded: the last one reaches to the end of all that did not fit, which are counted beside them.
         files: The files of the recording as they were when they were closed; none while it is recorded, and in
             episodes of earlier stations.
+        tags: Words that people put on it, sorted.
+        edits: What people changed after the recording: when, who, what was there before. The newest ones; how many
+            older ones there were is counted beside them.
         quality: What a later measurement (`check`) found; free form.
         recovery: A note for each time that a recorder took the episode up again (``kind: resumed``), or that a repair
             closed it (``kind: repaired``): when, how long nothing was recorded, what was cut. The newest ones; how many
@@ -122,6 +131,9 @@ class Manifest(msgspec.Struct, kw_only=True):
     holes_not_listed: int = 0
     files: list[RecordedFile] = []
     quality_flags: QualityFlags = msgspec.field(default_factory=QualityFlags)
+    tags: list[str] = []
+    edits: list[Edit] = []
+    edits_not_listed: int = 0
     quality: dict[str, Any] = {}
     recovery: list[dict[str, Any]] = []
     recovery_not_listed: int = 0
@@ -149,6 +161,13 @@ def add_recovery(manifest: Manifest, note: dict[str, Any]) -> None:
     manifest.recovery.append(note)
     manifest.recovery_not_listed += max(0, len(manifest.recovery) - MAX_RECOVERY)
     del manifest.recovery[:-MAX_RECOVERY]
+
+
+def add_edit(manifest: Manifest, edit: Edit) -> None:
+    """Put a note into a manifest that a person changed something."""
+    manifest.edits.append(edit)
+    manifest.edits_not_listed += max(0, len(manifest.edits) - MAX_EDITS)
+    del manifest.edits[:-MAX_EDITS]
 
 
 def facts_of(manifest: Manifest) -> dict[str, str]:

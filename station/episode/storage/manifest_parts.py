@@ -153,6 +153,25 @@ class Mark(msgspec.Struct, kw_only=True):
     label: str = ""
 
 
+class Edit(msgspec.Struct, kw_only=True):
+    """Something that a person changed after the recording.
+
+    Attributes:
+        at: When, ISO 8601 with offset.
+        by: Who.
+        what: ``success``, ``tags`` or ``task``; ``bin``: moved there (`after` says why) or back (`before`).
+        before, after: What was there, and what is.
+        undone: When and by whom it was undone, "" while it stands.
+    """
+
+    at: str
+    by: str
+    what: str
+    before: Any = None
+    after: Any = None
+    undone: str = ""
+
+
 class Hole(msgspec.Struct, kw_only=True):
     """A span of which writes are missing, or may be.
 

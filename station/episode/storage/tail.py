@@ -7,6 +7,7 @@ indexes behind them; nothing is decompressed.
 
 from __future__ import annotations
 
+import bisect
 import struct
 import zlib
 from collections import Counter
@@ -38,7 +39,9 @@ HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQIL")
 _INDEX = struct.Struct("<HL")
 _FOOTER = struct.Struct("<BQQQ")
+_WHOLE_FOOTER = struct.Struct("<BQQQL")
 _FOOTER_LENGTH = 20
+_DATA_END_SIZE = HEAD.size + 4
 _ENTRY_SIZE = 16  # of a message index: log time and offset
 _LAST_OPCODE = max(Opcode)
 _RECORD_SIZE = 200  # bytes of memory of a small one, roughly
@@ -77,6 +80,57 @@ def body(file: BinaryIO, place: Place) -> bytes:
     """Return the bytes of a record without its head."""
     file.seek(place.offset + HEAD.size)
     return file.read(place.length - HEAD.size)
+
+
+class Summary(NamedTuple):
+    """What the end of a file tells of its records.
+
+    Attributes:
+        places: Where chunks, attachments and metadata begin, and where the end of the data does; in order.
+        chunks: Which of those are chunks.
+        channels, schemas: What describes them, by number.
+    """
+
+    places: list[int]
+    chunks: set[int]
+    channels: dict[int, Channel]
+    schemas: dict[int, Schema]
+
+    def reaches_another(self, place: Place) -> bool:
+        """Whether a record would end behind the beginning of another one."""
+        following = bisect.bisect_right(self.places, place.offset)
+        return following < len(self.places) and place.end > self.places[following]
+
+
+def read_summary(file: BinaryIO, size: int) -> Summary:
+    """Read the summary of a file; of one that has none, or a damaged one, an empty one."""
+    found = Summary([], set(), {}, {})
+    footer_at = size - len(MAGIC) - HEAD.size - _FOOTER_LENGTH
+    file.seek(max(0, footer_at))
+    opcode, length, start, offsets, crc = _WHOLE_FOOTER.unpack(file.read(_WHOLE_FOOTER.size).ljust(_WHOLE_FOOTER.size))
+    if (opcode, length) != (Opcode.FOOTER, _FOOTER_LENGTH) or not len(MAGIC) < start < footer_at:
+        return found
+    file.seek(start)
+    data = file.read(footer_at - start)
+    if zlib.crc32(_FOOTER.pack(opcode, length, start, offsets), zlib.crc32(data)) != crc:
+        return found
+    for place in whole_records(file, footer_at, start):
+        record = ReadDataStream(BytesIO(body(file, place)))
+        if place.opcode == Opcode.CHANNEL:
+            channel = Channel.read(record)
+            found.channels[channel.id] = channel
+        elif place.opcode == Opcode.SCHEMA:
+            schema = Schema.read(record)
+            found.schemas[schema.id] = schema
+        elif place.opcode == Opcode.CHUNK_INDEX:
+            found.chunks.add(ChunkIndex.read(record).chunk_start_offset)
+        elif place.opcode == Opcode.ATTACHMENT_INDEX:
+            found.places.append(AttachmentIndex.read(record).offset)
+        elif place.opcode == Opcode.METADATA_INDEX:
+            found.places.append(MetadataIndex.read(record).offset)
+    found.places.extend((*found.chunks, start - _DATA_END_SIZE))
+    found.places.sort()
+    return found
 
 
 class Index:

@@ -58,11 +58,11 @@ class ChunkWriter:
     def start(self, profile: str) -> None:
         """Write the head of a new file."""
         self._disk.write(MAGIC)
-        self._disk.write(_record(Header(profile, "teleop-station")))
+        self._disk.write(written_record(header(profile)))
 
     def define(self, described: Channel | Schema) -> None:
         """Put the description of a channel, or of a type of messages, into the open chunk."""
-        data = _record(described)
+        data = written_record(described)
         self._parts.append(data)
         self._size += len(data)
 
@@ -120,7 +120,7 @@ class ChunkWriter:
 
     def attach(self, name: str, media_type: str, data: bytes, at_ns: int) -> None:
         """Write an attachment before the open chunk."""
-        record = _record(Attachment(at_ns, at_ns, name, media_type, data))
+        record = written_record(Attachment(at_ns, at_ns, name, media_type, data))
         if self.is_indexed:
             self._index.attachments.append(
                 AttachmentIndex(
@@ -132,7 +132,7 @@ class ChunkWriter:
 
     def write_metadata(self, name: str, facts: dict[str, str]) -> None:
         """Write a metadata record before the open chunk."""
-        record = _record(Metadata(name=name, metadata=facts))
+        record = written_record(Metadata(name=name, metadata=facts))
         if self.is_indexed:
             self._index.metadata.append(MetadataIndex(offset=self._disk.tell(), length=len(record), name=name))
         self._disk.write(record)
@@ -142,7 +142,13 @@ class ChunkWriter:
         self._disk.write(self._index.closing_bytes(schemas, channels, self._disk.tell()))
 
 
-def _record(record: Header | Channel | Schema | Attachment | Metadata) -> bytes:
+def header(profile: str) -> Header:
+    """Return the header of a file of ours."""
+    return Header(profile, "teleop-station")
+
+
+def written_record(record: Header | Channel | Schema | Attachment | Metadata) -> bytes:
+    """Return the bytes of a record."""
     builder = RecordBuilder()
     record.write(builder)
     made: bytes = builder.end()

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import mcap.records
-from mcap.records import Schema
+from mcap.records import Metadata, Schema
 from msgspec.structs import asdict
 
 from station.bus import stamp as stamps
@@ -21,8 +21,8 @@ from station.episode.storage.progress import Gap
 from station.episode.storage.records import MAGIC, RawMessage
 from station.episode.storage.tail import closing_bytes
 from station.episode.writing.checkpoint import MOST_CHANNELS, Checkpoint, counters
-from station.episode.writing.chunks import ChunkWriter
-from station.episode.writing.salvage import SalvageResult, salvage
+from station.episode.writing.chunks import ChunkWriter, header, written_record
+from station.episode.writing.salvage import Head, SalvageResult, salvage
 from station.episode.writing.summary import EpisodeSummary, is_told
 from station.errors import EpisodeError
 
@@ -81,8 +81,8 @@ class EpisodeFile:
         """
         made = cls(Disk(path), anchor, names, drops, is_new=True)
         made._writer.start(layout.PROFILE)
-        made._writer.write_metadata(layout.ANCHOR_RECORD, {name: str(value) for name, value in asdict(anchor).items()})
-        made._writer.write_metadata(layout.EPISODE_RECORD, dict(facts))
+        for name, told in _head_facts(anchor, facts).items():
+            made._writer.write_metadata(name, told)
         if manifest:
             made._attach(layout.MANIFEST_START, manifest)
         made._register(layout.STAMPS_TOPIC, layout.TEXT, _BOOKKEEPING)
@@ -306,6 +306,17 @@ class EpisodeFile:
         self.gaps, self.episode_summary = recount.gaps, recount.episode_summary
         self.messages = self._synced_messages = recount.messages
         self.last_log_ns = recount.last_log_ns or self._anchor.wall_ns
+
+
+def head_of(anchor: Anchor, facts: Mapping[str, str]) -> Head:
+    """Return the records that stand at the head of a file with a clock and facts."""
+    records = [Metadata(name=name, metadata=told) for name, told in _head_facts(anchor, facts).items()]
+    return Head(written_record(header(layout.PROFILE)), b"".join(map(written_record, records)))
+
+
+def _head_facts(anchor: Anchor, facts: Mapping[str, str]) -> dict[str, dict[str, str]]:
+    clock = {name: str(value) for name, value in asdict(anchor).items()}
+    return {layout.ANCHOR_RECORD: clock, layout.EPISODE_RECORD: dict(facts)}
 
 
 def picture_type() -> Schema:

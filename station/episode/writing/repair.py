@@ -1,4 +1,7 @@
-"""Making a good episode of a torn one: every whole chunk kept, an index at its end, the original untouched."""
+"""Making a good episode of a torn or damaged one: every whole chunk kept, an index at its end, the original untouched.
+
+What is damaged between whole chunks is left out; the manifest calls it a hole.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,9 @@ from station.episode.storage.file_hashes import changes
 from station.episode.storage.folder import signals_file
 from station.episode.storage.left_open import is_left_open, not_begun, remove_not_begun, remove_temporary
 from station.episode.storage.manifest import (
+    Hole,
     Manifest,
+    add_hole,
     add_recovery,
     dump_manifest,
     facts_of,
@@ -33,9 +38,9 @@ from station.episode.storage.progress import ResumePoint, load_resume_point
 from station.episode.storage.records import MAGIC, RawMessage, metadata_at_head, walk
 from station.episode.writing.checkpoint import SummaryState
 from station.episode.writing.closing import close_manifest, note_files, summary_record
-from station.episode.writing.file import EpisodeFile
+from station.episode.writing.file import EpisodeFile, head_of
 from station.episode.writing.files import EpisodeFiles
-from station.episode.writing.salvage import SalvageResult, salvage
+from station.episode.writing.salvage import Damage, Head, SalvageResult, salvage
 from station.episode.writing.summary import EpisodeSummary
 from station.errors import EpisodeError
 from station.lock_file import is_locked
@@ -231,10 +236,15 @@ def _clock(source: Path, manifest: Manifest, point: ResumePoint | None) -> Ancho
 def _close(mended: Sequence[RepairedFile], anchor: Anchor, manifest: Manifest, point: ResumePoint | None) -> Repaired:
     """Close the files and their manifest, with a note of what was cut."""
     files = EpisodeFiles(mended[0].source.parent, anchor, {}, *(one.file for one in mended if one.file is not None))
-    told, cuts = files.signals.episode_summary.told, [one.cut() for one in mended if not one.is_whole]
+    told, cuts = files.signals.episode_summary.told, [cut for one in mended for cut in one.cuts(anchor)]
     totals = files.totals(dropped=max(files.drops.total, point.dropped if point else 0, manifest.recorder.dropped))
     verdict = manifest.quality_flags if manifest.state == "finished" else None  # somebody may have discarded it since
     files.signals.episode_summary.apply(manifest, totals.first_ns)
+    for cut in cuts:
+        if cut.from_s is not None:
+            to_s = manifest.timing.duration_s if cut.to_s is None else cut.to_s
+            add_hole(manifest, Hole(from_s=cut.from_s, to_s=to_s, reason=f"{cut.file} was damaged at byte {cut.at}"))
+    manifest.holes.sort(key=lambda hole: hole.from_s)
     manifest.quality_flags = verdict or manifest.quality_flags
     _end(manifest, told, anchor, totals.last_ns)
     before = max(point.messages if point else 0, manifest.recorder.messages)
@@ -248,13 +258,19 @@ def _close(mended: Sequence[RepairedFile], anchor: Anchor, manifest: Manifest, p
         "at": iso(time.time_ns()),
         "kept_messages": done.messages,
         "cut_messages": done.cut_messages,
-        "cuts": [{"file": cut.file, "at": cut.at, "bytes": cut.bytes} for cut in cuts],
+        "cuts": [_note_of(cut) for cut in cuts],
     }
     add_recovery(manifest, note)
     manifest.quality = {}  # of the torn files
     close_manifest(manifest, anchor, totals)
     files.finish(dump_manifest(manifest), summary_record(totals))
     return done
+
+
+def _note_of(cut: Cut) -> dict[str, Any]:
+    """Return what a manifest says of a cut: where in the file, and when where that is known."""
+    times = {} if cut.from_s is None else {"from_s": cut.from_s, "to_s": cut.to_s}
+    return {"file": cut.file, "at": cut.at, "bytes": cut.bytes, **times}
 
 
 def _end(manifest: Manifest, told: SummaryState, anchor: Anchor, last_ns: int) -> None:
@@ -310,14 +326,19 @@ class Cut(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         file: Name of the file that is good now.
-        at, bytes: Where the whole part ended, and how much of the file lay behind it.
+        at, bytes: Where the whole part ended, and how much of the file was cut there.
         original: Where the torn file is kept.
+        from_s, to_s: Of what was cut out between other messages: from the last one before it to the first one behind it
+            [s from the start]. None for the end of a file that was cut off, and where no message was in it; `to_s` None
+            where no message follows.
     """
 
     file: str
     at: int
     bytes: int
     original: str = ""
+    from_s: float | None = None
+    to_s: float | None = None
 
 
 class RepairedFile(NamedTuple):
@@ -340,10 +361,28 @@ class RepairedFile(NamedTuple):
         """Whether the original lacks nothing."""
         return self.salvaged.is_finished
 
-    def cut(self) -> Cut:
-        """Return what was cut."""
-        at = self.salvaged.kept_to
-        return Cut(file=self.names.final, at=at, bytes=self.source.stat().st_size - at)
+    def cuts(self, anchor: Anchor) -> list[Cut]:
+        """Return what was cut: out of its middle, and at its end."""
+
+        found = [
+            Cut(file=self.names.final, at=one.at, bytes=one.bytes, from_s=from_s, to_s=to_s)
+            for one in self.salvaged.damages
+            for from_s, to_s in [_span(one, anchor)]
+        ]
+        if not self.salvaged.has_end:
+            at = self.salvaged.kept_to
+            found.append(Cut(file=self.names.final, at=at, bytes=self.source.stat().st_size - at))
+        return found
+
+
+def _span(damage: Damage, anchor: Anchor) -> tuple[float | None, float | None]:
+    """Return from when to when a damage reaches [s from the start], as `Cut` has it; of no time without messages."""
+    if not damage.had_messages:
+        return None, None
+    to_s = None if damage.to_ns is None else round((damage.to_ns - anchor.wall_ns) * 1e-9, 6)
+    if damage.from_ns is None:  # it began before the start where the first message behind it did
+        return min(0.0, to_s or 0.0), to_s
+    return round((damage.from_ns - anchor.wall_ns) * 1e-9, 6), to_s
 
 
 def mend(
@@ -364,7 +403,7 @@ def mend(
     """
     copy.unlink(missing_ok=True)
     with copy.open("xb") as output:
-        salvaged = scan(source, names, output)
+        salvaged = scan(source, names, output, head_of(anchor, facts_of(manifest)))
     opened = _opened(copy, names, anchor, manifest, drops)
     if names is layout.CAMERAS_NAMES and opened is not None and not opened.messages:
         opened.close()
@@ -385,15 +424,19 @@ def _opened(copy: Path, names: layout.Names, anchor: Anchor, manifest: Manifest,
     return EpisodeFile.create(copy, anchor, facts_of(manifest), manifest=dump_manifest(manifest))
 
 
-def scan(source: Path, names: layout.Names, output: BinaryIO | None = None) -> SalvageResult:
-    """Go through a file for its wholeness alone; nothing is whole of pictures that are no MCAP file at all.
+def scan(
+    source: Path, names: layout.Names, output: BinaryIO | None = None, head: Head | None = None
+) -> SalvageResult:  # fmt: skip
+    """Go through a file for its wholeness, or have what is whole copied behind a head.
+
+    Nothing is whole of pictures that are no MCAP file at all.
 
     Raises:
         OSError: it cannot be read, or its copy not written.
         EpisodeError: it is that of the signals, and no MCAP file.
     """
     try:
-        return salvage(source, _ignore, output=output)
+        return salvage(source, _ignore, output=output, head=head)
     except EpisodeError:
         if names is not layout.CAMERAS_NAMES:
             raise
