@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 _MAY_CHANGE = frozenset({
     "manifest_version", "state", "files", "recorder.bytes",  # known only once the copy is written
     "quality_flags", "marks", "quality", "recovery", "recovery_not_listed",  # what people and programs say of it later
-    "foreign", "shortened",
+    "foreign", "shortened", "tags", "edits", "edits_not_listed",
 })  # fmt: skip
 _DEEPEST = 3  # parts of a name
 _MOST_FIELDS = 50
@@ -85,7 +85,22 @@ def changed_fields(manifest: Manifest, attachments: Mapping[str, bytes]) -> list
         return []
     cut = {*manifest.shortened, *copy.shortened}  # what did not fit into either says nothing
     said, now = (_facts(one, cut) for one in (copy, manifest))
+    if "task" in now and _is_renamed(manifest, copy.task.name):
+        now["task"] |= {"name": copy.task.name}
     return list(_differing(said, now, ""))[:_MOST_FIELDS]
+
+
+def _is_renamed(manifest: Manifest, name: str) -> bool:
+    """Whether its task has another name than the one given because people said so, by the notes of what they changed.
+
+    Where the oldest notes are not listed, nothing says what the first name was.
+    """
+    for edit in manifest.edits:
+        if edit.what == "task" and not edit.undone:
+            if edit.before != name and not manifest.edits_not_listed:
+                return False
+            name = edit.after
+    return name == manifest.task.name
 
 
 def _facts(manifest: Manifest, cut: set[str]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from station.episode.quality.check import check, write_measured
 from station.episode.quality.standing import standing, stands
 from station.episode.reading.listing import EpisodeFilter, list_episodes
 from station.episode.reading.reader import EpisodeReader, open_episode
-from station.episode.storage import layout
+from station.episode.storage import edits, layout
 from station.episode.storage.file_hashes import changes, glance, measure
 from station.episode.storage.manifest import Mark, load_manifest, save_manifest
 from station.episode.writing.repair import repair
@@ -243,6 +243,19 @@ def test_what_people_say_of_it_later_may_change(tmp_path: Path) -> None:
     manifest.foreign["tags"] = ["shown to visitors"]
     save_manifest(manifest, folder)
     assert check(open_episode(folder)).manifest_changed == []
+
+
+def test_another_task_that_is_noted_as_a_change_of_somebody_is_no_forgery(tmp_path: Path) -> None:
+    folder = edits.rename_task(episode(tmp_path), tmp_path, "fetch", by="anna")
+    edits.change_tags(folder, tmp_path, ["blue"], [], by="anna")
+    assert check(open_episode(folder)).manifest_changed == []
+    _, folder = edits.undo(edits.undo(folder, tmp_path, by="anna")[1], tmp_path, by="anna")
+    assert check(open_episode(folder)).manifest_changed == [], "tags and task are what they were"
+    folder = edits.rename_task(folder, tmp_path, "fetch", by="anna")
+    manifest = load_manifest(folder)
+    manifest.task.name = "steal"
+    save_manifest(manifest, folder)
+    assert check(open_episode(folder)).manifest_changed == ["task.name"]
 
 
 def test_the_first_manifest_inside_has_a_name_of_its_own_and_serves_where_there_is_no_other(tmp_path: Path) -> None:

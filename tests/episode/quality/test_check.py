@@ -378,7 +378,7 @@ def test_every_rule_has_a_case() -> None:
     }  # fmt: skip
     in_test_changed_files = {"changed", "manifest-changed", "audit-differs"}
     others = {"torn", "unfinished", "dropped-images"} | in_test_missing | in_test_changed_files
-    assert set(RULES) == set(CASES) | others | set(SENSED) | set(PLAUSIBLE)  # test_motion and test_plausibility have them
+    assert set(RULES) == set(CASES) | others | set(SENSED) | set(PLAUSIBLE)  # the last two: tests of their own
 
 
 def test_limits_can_be_changed(builder: EpisodeBuilder) -> None:
