@@ -28,6 +28,7 @@ _HEAD = struct.Struct("<BQ")
 _PLACE = struct.Struct("<QQQ")  # of a chunk's index: first and last time, and where the chunk begins
 _CHECKSUM = struct.Struct("<L")
 _BEFORE_CHECKSUM = _HEAD.size + 24  # of a chunk: first and last time, size
+_LARGEST_SUMMARY = 64 << 20  # of pictures; an hour of three cameras has 1 MB
 _TOLD = {
     "bytes": "{} bytes", "sha256": "sha256 {:.16}…", "summary_crc": "a summary of checksum {}",
     "chunks_sha256": "chunks of sha256 {:.16}…",
@@ -124,6 +125,8 @@ def _end(file: BinaryIO, size: int) -> tuple[int, str]:
 
 def _chunks_sha256(file: BinaryIO, start: int, size: int) -> str:
     """Return the hash of the checksums of all chunks, in the order of the summary; "" where it leads nowhere."""
+    if size - start > _LARGEST_SUMMARY:
+        return ""
     file.seek(start)
     summary, position, found = file.read(size - start), 0, hashlib.sha256()
     while position + _HEAD.size + _PLACE.size <= len(summary):
