@@ -69,12 +69,13 @@ def sound(shot: Shot) -> bytes:
 
 
 def filmed(
-    data: Path, film: Film, *, moves: bool = True, wrist: Film | None = None, number: int = 1, **manifest: Any
-) -> Path:
+    data: Path, film: Film, *, moves: bool = True, wrist: Film | None = None, number: int = 1,
+    length_s: float = LENGTH_S, **manifest: Any,
+) -> Path:  # fmt: skip
     """Record a robot that moves an arm, or stands, with a camera, and return the folder of the episode."""
     builder = EpisodeBuilder(data, number=number)
-    times = [(n / STATE_HZ, 0, n) for n in range(round(LENGTH_S * STATE_HZ))]
-    times += [(n / CAMERA_HZ, 1, n) for n in range(PICTURES)]
+    times = [(n / STATE_HZ, 0, n) for n in range(round(length_s * STATE_HZ))]
+    times += [(n / CAMERA_HZ, 1, n) for n in range(round(length_s * CAMERA_HZ))]
     for at_s, is_picture, count in sorted(times):
         if is_picture:
             builder.write({HEAD: film(Shot(count))}, at_s=at_s, writer="head")
@@ -85,4 +86,4 @@ def filmed(
             q[18] += 0.4 * np.sin(np.pi * at_s) if moves else 0.0
             tick(builder, count, at_s=at_s, q=q)
     servers = {name: facts for name, facts in SERVERS.items() if name == "head" or wrist is not None}
-    return builder.finish({"timing": {"duration_s": LENGTH_S}, "servers": servers, **manifest})
+    return builder.finish({"timing": {"duration_s": length_s}, "servers": servers, **manifest})

@@ -1,7 +1,7 @@
 """What the pictures of an episode are worth: torn, resized, repeated, frozen, black, white, empty, or badly exposed.
 
 Every picture is tried by its bytes: whether it is a whole JPEG file, of the size of the first one, and whether it is
-the picture before once more, byte for byte. Two pictures a second of each camera (fewer of a long episode) are decoded
+the picture before once more, byte for byte. Two pictures a second of each camera (600 of an episode at most) are decoded
 too, in grey, at an eighth to a half of their size, beside the reading of the file.
 
 A sensor has noise and never gives the same bytes twice; a simulated camera may, before a robot that stands still. So a
@@ -119,7 +119,15 @@ def _apart_ns(duration_s: float | None) -> int:
 
 
 class Look(NamedTuple):
-    """What one picture shows: figures of grey (0 to 255), thumbnail, and all that was decoded, to be compared."""
+    """What one picture shows, in grey of 0 to 255.
+
+    Attributes:
+        mean, std, p99: Of all pixels.
+        white_share: Share of the pixels that are blown out, 0..1.
+        sharpness: Variance of the Laplacian.
+        thumb: Means of 12x12 tiles, shape (12, 12).
+        pixels: All that was decoded, to be compared.
+    """
 
     mean: float
     std: float
@@ -131,15 +139,18 @@ class Look(NamedTuple):
 
     @property
     def is_black(self) -> bool:
+        """Whether it shows nothing for want of light."""
         return self.mean < BLACK_MEAN and self.p99 < BLACK_P99
 
     @property
     def is_white(self) -> bool:
+        """Whether most of it is blown out."""
         return self.white_share > WHITE_SHARE
 
     @property
     def is_flat(self) -> bool:
-        return self.std < FLAT_STD
+        """Whether it shows one colour, and is neither black nor white."""
+        return self.std < FLAT_STD and not self.is_black and not self.is_white
 
 
 class _Tally:

@@ -199,6 +199,12 @@ def test_a_simulated_camera_that_stood_still_until_the_robot_moved_is_sound(tmp_
     assert head(found).frozen_s < 0.5
 
 
+@pytest.mark.parametrize(("grey", "rule"), [(0.0, "camera-black"), (255.0, "camera-saturated"), (90.0, "camera-flat")])
+def test_a_picture_of_one_grey_has_one_name_and_is_frozen(tmp_path: Path, grey: float, rule: str) -> None:
+    quality = checked(tmp_path, lambda _: file_of(np.full((240, 320), grey)))
+    assert {name for name, _ in said(quality)} == {"camera-frozen", rule}
+
+
 def test_only_the_camera_that_is_ill_is_named(tmp_path: Path) -> None:
     quality = checked(tmp_path, sound, wrist=black_for(0.0))
     assert said(quality) == [("camera-black", "reject")]

@@ -33,7 +33,7 @@ def servers(head: str, wrist: str) -> dict[str, Any]:
 
 def record(data: Path, number: int, head: Film, wrist: Film, **manifest: Any) -> Quality:
     """Record an episode with two cameras and check it, as `station check` does."""
-    folder = filmed(data, head, wrist=wrist, number=number, **manifest)
+    folder = filmed(data, head, wrist=wrist, number=number, length_s=2.0, **manifest)
     quality = check(open_episode(folder))
     write_measured(folder, quality)
     return quality
@@ -62,6 +62,7 @@ def test_devices_that_changed_names_are_told_by_their_serial_numbers_in_each_lat
         (("", ""), ("A1", "B2")),
         (("A1", "A1"), ("A1", "A1")),  # cheap cameras share a number
         (("A1", "A1"), ("B2", "A1")),
+        (("A1", "B2"), ("B2", "B2")),
     ],
 )
 def test_other_devices_are_no_swap(tmp_path: Path, before: tuple[str, str], now: tuple[str, str]) -> None:
