@@ -17,7 +17,7 @@ from station.software import software
 _MOST_ROWS = 200  # of a table; a card of thousands of episodes is read by nobody, and all stand in station.json
 
 
-def provenance(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan) -> dict[str, Any]:
+def provenance(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: msgspec.Struct) -> dict[str, Any]:
     """Return where every episode comes from, what was left out and why, and the plan."""
     return {
         "software": msgspec.to_builtins(software()),

@@ -73,7 +73,7 @@ def join(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan
     write_json(folder / "meta/station.json", card.provenance(ordered, left_out, plan))
     (folder / "README.md").write_text(card.text(ordered, left_out, plan, document), encoding="utf-8")
     return {"rows": rows_in_all, "tasks": len(tasks), "splits": splits, "layout": plan.layout,
-            "cameras": [camera.name for camera in plan.common.cameras], "notes": list(_notes(ordered))}  # fmt: skip
+            "cameras": [camera.name for camera in plan.common.cameras], "notes": list(notes(ordered))}  # fmt: skip
 
 
 def _cut(shard: Shard) -> tuple[float, str] | None:
@@ -85,7 +85,7 @@ def _cut(shard: Shard) -> tuple[float, str] | None:
     return cut_s, f"{head_s:.1f} at its beginning, {tail_s:.1f} at its end"
 
 
-def _notes(shards: Sequence[Shard]) -> Iterator[str]:
+def notes(shards: Sequence[Shard]) -> Iterator[str]:
     """Yield what whoever asked for the data set should know, in a line each."""
     for what, has, cure in (
         ("cameras", "have cameras that the first one has not", "with --camera NAME they are"),

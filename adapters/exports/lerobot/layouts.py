@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from adapters.exports.arrow_library import pa
 from adapters.exports.lerobot import features, parquet
 from adapters.exports.lerobot.parquet import Columns
 from adapters.exports.lerobot.plan import Plan
@@ -109,7 +110,7 @@ class Version30(Layout):
             return
         chunk, number = self._about.place()
         here = {"meta/episodes/chunk_index": chunk, "meta/episodes/file_index": number}
-        rows = parquet.pa.Table.from_pylist([about | here for about in self._waiting], schema=self._schema)
+        rows = pa.Table.from_pylist([about | here for about in self._waiting], schema=self._schema)
         self._schema = rows.schema
         self._about.add(rows)
         self._waiting.clear()
