@@ -161,7 +161,7 @@ class _Table:
         times = [np.array(one, dtype=np.int64) for one in (self._log_ns, self._publish_ns)]
         texts = [pa.array([self._episode] * count, pa.string()), pa.array(self._writers, pa.string())]
         instants = [pa.array(one).cast(pa.timestamp(*_UTC)) for one in times]
-        seconds = [pa.array((one - self._start_ns) * 1e-9) for one in times]
+        seconds = [pa.array((one - self._start_ns) / 1e9) for one in times]
         values = np.array(self._values, dtype=self._type).reshape(count, self._width)
         found = [
             texts[0], instants[0], seconds[0], instants[1], seconds[1],
@@ -223,7 +223,7 @@ def _events(reader: EpisodeReader) -> tuple[list[dict[str, Any]], int]:
         found.append({"log_time": at_ns, "kind": "mark", "name": mark.label, **nothing})
     found.sort(key=lambda row: row["log_time"])
     of_all = [
-        {**row, "episode": reader.episode_id, "log_time_s": (row["log_time"] - reader.start_ns) * 1e-9} for row in found
+        {**row, "episode": reader.episode_id, "log_time_s": (row["log_time"] - reader.start_ns) / 1e9} for row in found
     ]
     return of_all, unfit + reader.skipped.get(keys.EVENT, 0)
 

@@ -54,7 +54,7 @@ def picture_path(plan: Plan, camera: Camera) -> str:
 def described(plan: Plan) -> list[str]:
     """Return a line for each array of an episode."""
     common = plan.rows.common
-    more = [f"{TIME}: the instant of a row [ns since the epoch]"]
+    more = [f"{TIME}: the instant of a row [ns since the epoch]; {plan.rows.fps} rows per second"]
     if plan.layout == "robomimic":
         more = ["rewards: 1 in the last row where the operator said that the task was done, else 0",
                 "dones: 1 in the last row, else 0", *more]  # fmt: skip

@@ -47,7 +47,7 @@ def by_duckdb(root: Path) -> int:
     grouped = f'SELECT episode, count(*), min("{first}"), max("{first}") FROM \'{files}\' GROUP BY episode'
     say(f"{key}: {duckdb.sql(grouped).fetchall()}")
     station = f"SELECT decode(value) FROM parquet_kv_metadata('{files}') WHERE decode(key) = 'station' LIMIT 1"
-    say(f"{first} in {json.loads(duckdb.sql(station).fetchone()[0])['columns'][first]}")
+    say(f"{first} in {json.loads(duckdb.sql(station).fetchall()[0][0])['columns'][first]}")
     joined = f"""SELECT e.episode, e.log_time_s, e.name, s."{first}", s.log_time_s
         FROM '{root}/events.parquet' e ASOF JOIN '{files}' s ON e.episode = s.episode AND e.log_time >= s.log_time"""
     say(f"newest at each event: {duckdb.sql(joined).fetchall()[:5]}")
