@@ -108,8 +108,8 @@ def _robomimic(plan: Plan) -> list[str]:
         "observation": {"modalities": {"obs": modalities}},
     }
     return [
-        "In the configuration of a training run (numbers are as recorded, in their own units: let robomimic normalise "
-        "them, `hdf5_normalize_obs` for observations, `action_config` for actions):",
+        "In the configuration of a training run. Numbers are as recorded, in their own units: `hdf5_normalize_obs` "
+        "normalises observations, `action_config` (robomimic 0.5) actions; an older one learns actions in -1 to 1.",
         "",
         "```json",
         json.dumps(config, indent=2),

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import inspect
 import json
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
-PACKAGES = {"duckdb": ["duckdb"], "robomimic": ["torch==2.13.0", "robomimic"]}
+PACKAGES = {"duckdb": ["duckdb"], "robomimic": ["torch==2.13.0", "robomimic", "six"]}
 
 
 def main() -> int:
@@ -67,20 +68,34 @@ def by_robomimic(root: Path) -> int:
     observations.initialize_obs_utils_with_obs_specs([modalities])
     keys = [name for names in modalities["obs"].values() for name in names]
     say(f"robomimic {version('robomimic')}; environment {files.get_env_metadata_from_dataset(path)}")
-    say(files.get_shape_metadata_from_dataset(path, action_keys=["actions"], all_obs_keys=keys))
+    say(known(files.get_shape_metadata_from_dataset, dataset_path=path, action_keys=["actions"], all_obs_keys=keys))
     for part in ("train", "valid"):
         if part == "valid" and not json.loads((root / "station.json").read_text())["splits"]["valid"]:
             continue
-        found = dataset.SequenceDataset(
-            hdf5_path=path, obs_keys=keys, action_keys=["actions"], dataset_keys=["actions", "rewards", "dones"],
-            action_config={"actions": {"normalization": "min_max"}}, frame_stack=2, seq_length=10,
-            hdf5_cache_mode="low_dim", filter_by_attribute=part, load_next_obs=False,
-        )  # fmt: skip
+        found = known(
+            dataset.SequenceDataset,
+            hdf5_path=path,
+            obs_keys=keys,
+            action_keys=["actions"],
+            action_config={"actions": {"normalization": "min_max"}},
+            dataset_keys=["actions", "rewards", "dones"],
+            frame_stack=2,
+            seq_length=10,
+            hdf5_cache_mode="low_dim",
+            filter_by_attribute=part,
+            load_next_obs=False,
+        )
         item = found[len(found) // 2]
         say(f"{part}: {len(found)} sequences of {found.n_demos} demos; " + ", ".join(
             f"{name} {value.shape}" for name, value in {**item["obs"], "actions": item["actions"]}.items()
         ))  # fmt: skip
     return 0
+
+
+def known(function: Any, **given: Any) -> Any:
+    """Call a function with those arguments that this release of it takes."""
+    taken = inspect.signature(function).parameters
+    return function(**{name: value for name, value in given.items() if name in taken})
 
 
 def say(line: object) -> None:
