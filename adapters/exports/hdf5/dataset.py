@@ -22,6 +22,7 @@ from station.export.shards import place
 
 FILE = "dataset.hdf5"
 
+_MOST_TOLD = 200  # episodes in the page; a page of thousands is read by nobody
 _GYM = 2  # the kind of an environment that robomimic does not have to know; none is to be made of it
 _PARTS = {TRAIN: "train", VAL: "valid"}  # as robomimic calls them
 
@@ -90,10 +91,11 @@ def _page(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Pla
         "|---|---|---|---|",
         *(
             f"| {number} | {shard.source.episode_id} | {shard.made.facts['task']} | {shard.made.rows} |"
-            for number, shard in enumerate(shards)
+            for number, shard in enumerate(shards[:_MOST_TOLD])
         ),
         "",
-        *(f"Left out: {each.reason}" for each in left_out),
+        *([f"`station.json` has the other {len(shards) - _MOST_TOLD}.", ""] if len(shards) > _MOST_TOLD else []),
+        *(f"Left out: {each.reason}" for each in left_out[:_MOST_TOLD]),
     ]
     return "\n".join(lines).rstrip() + "\n"
 
