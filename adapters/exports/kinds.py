@@ -16,7 +16,7 @@ LEROBOT = ExportKind(
     join=lerobot.join,
     columns=lerobot.columns,
     inspect=lerobot.inspect,
-    version=4,
+    version=5,
 )
 CSV = ExportKind(
     name="csv",

@@ -117,25 +117,32 @@ def unique_names(columns: Sequence[KeyColumns]) -> list[str]:
     return [name if counts[name] == 1 else f"{one.key}.{name}" for one in columns for name in one.names]
 
 
-def robot_of(reader: EpisodeReader) -> str:
-    """Return the suffix of the robot of an episode: by its policy steps, else by its manifest.
+def robot_of(reader: EpisodeReader, wanted: str = "") -> str:
+    """Return the suffix of the robot of an episode: the one that is wanted, else the only one that was driven.
 
     Raises:
-        EpisodeError: it has none, or several.
+        EpisodeError: it has not that one, or none, or several; names them.
     """
     topics = reader.topics()
     found = steps.robots(topics)
+    if wanted:
+        if wanted not in (known := steps.robots_of(reader)):
+            raise EpisodeError(
+                f"{reader.episode_id}: another robot than {wanted} (--robot): it has {', '.join(known) or 'none'}"
+            )
+        return wanted
     suffix = reader.manifest.robot.suffix
-    if len(found) > 1 and suffix not in found:
+    if len(found) > 1:
         raise EpisodeError(
-            f"{reader.episode_id}: several robots ({', '.join(found)}); name the keys with --state and --action"
+            f"{reader.episode_id}: several robots in it; export one at a time: --robot {' or --robot '.join(found)}"
         )
     if suffix or found:
-        return suffix if suffix in found or not found else found[0]
+        return found[0] if found else suffix
     state = keys.robot_state("")
     robots = sorted(topic.removeprefix(state) for topic in topics if topic.startswith(state))
     if len(robots) == 1:
         return robots[0]
     raise EpisodeError(
-        f"{reader.episode_id}: no robot in it that the defaults could mean; name the keys with --state and --action"
+        f"{reader.episode_id}: no robot in it that the defaults could mean; name one with --robot, or the keys "
+        "with --state and --action"
     )

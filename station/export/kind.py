@@ -26,6 +26,9 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 MinQuality = Literal["good", "usable", "any"]
+Success = Literal["yes", "no", "any"]
+
+SUCCESS = "Only episodes that the operator called a success (yes) or a failure (no)."
 
 
 class ExportOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -38,9 +41,11 @@ class ExportOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     Attributes:
         min_quality: Least verdict of `station check` that an episode needs: the one in its manifest; one that was never
             measured is measured, by the rules of the user who exports.
+        success: What the operator must have said of it; any takes those too of which nobody said anything.
     """
 
     min_quality: Annotated[MinQuality, msgspec.Meta(description="Least verdict of `station check`.")] = "usable"
+    success: Annotated[Success, msgspec.Meta(description=SUCCESS)] = "any"
 
 
 class Source(msgspec.Struct, frozen=True, kw_only=True):

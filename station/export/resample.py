@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from station.episode.reading import steps
 from station.episode.reading.messages import Ints
 from station.errors import EpisodeError
 from station.export.columns import KeyColumns
-from station.export.tracks import Recorded, Track
+from station.export.tracks import Recorded, Track, Words
 from station.protocols import Floats
 
 RULES = {
@@ -28,6 +28,10 @@ RULES = {
     "step": "what the policy step made of the state of the same row: the first value that the same process wrote at or "
     "after that state; so action[t] is the one that was applied after state[t] had been read",
     "picture": "the picture taken nearest to the tick, before or after",
+    "newest picture": "the newest picture taken at or before the tick, as a policy that runs has it at best",
+    "gate": "as the policy step said it that made the action of the row; the newest at or before the tick where the "
+    "action is of no step",
+    "commander": "the newest at or before the tick",
 }
 """How a row is made, in words, for people who train with it."""
 
@@ -35,6 +39,9 @@ _SLACK = 1.05  # a loop at its nominal rate may measure a little less
 _NEAR = 0.8  # of its nominal rate: a loop that was busy; another recorder that polled has less
 
 NANOSECONDS = 1_000_000_000
+
+PictureRule = Literal["nearest", "newest"]
+"""Which picture a row shows: the nearest to its tick, or the newest that was there."""
 
 _LATEST = 99  # percentile of the writes that a tick shall come after
 _MARGIN = 0.05  # of the writers' period
@@ -64,8 +71,9 @@ class Table:
         state, action: By key. An age is negative where the value is of after the tick.
         pictures: By the key of the camera.
         head_s, tail_s: Recorded time before the first and after the last row [s].
-        without_own_step: Rows of whose step no action was recorded, so that a neighbouring step's stands there: that
-            of the next step of the same process, else that of the one before.
+        words: By key, the number of a row's word among `Words.names`, -1 before the first, shape (n,).
+        lacks_own_step: Rows of whose step no action was recorded, so that a neighbouring step's stands there: that of
+            the next step of the same process, else that of the one before; shape (n,).
     """
 
     ticks_ns: Ints
@@ -74,7 +82,28 @@ class Table:
     pictures: Mapping[str, Pictures]
     head_s: float
     tail_s: float
-    without_own_step: int
+    words: Mapping[str, Ints]
+    lacks_own_step: NDArray[np.bool_]
+
+    @property
+    def without_own_step(self) -> int:
+        """How many rows lack an action of their own step."""
+        return int(np.count_nonzero(self.lacks_own_step))
+
+    def part(self, begin: int, end: int) -> Table:
+        """Return rows from `begin` to before `end`; what is left out counts as not recorded into rows."""
+        rows = slice(begin, end)
+        head_ns, tail_ns = self.ticks_ns[begin] - self.ticks_ns[0], self.ticks_ns[-1] - self.ticks_ns[end - 1]
+        return Table(
+            ticks_ns=self.ticks_ns[rows],
+            state={key: Column(one.values[rows], one.ages_s[rows]) for key, one in self.state.items()},
+            action={key: Column(one.values[rows], one.ages_s[rows]) for key, one in self.action.items()},
+            pictures={key: Pictures(one.numbers[rows], one.ages_s[rows]) for key, one in self.pictures.items()},
+            head_s=self.head_s + float(head_ns) * 1e-9,
+            tail_s=self.tail_s + float(tail_ns) * 1e-9,
+            words={key: codes[rows] for key, codes in self.words.items()},
+            lacks_own_step=self.lacks_own_step[rows],
+        )
 
 
 def state_of_step(key: str, there: Iterable[str]) -> str | None:
@@ -94,7 +123,12 @@ def rule_of(columns: KeyColumns, *, as_action: bool) -> str:
 
 
 def resample(
-    recorded: Recorded, state: Sequence[KeyColumns], action: Sequence[KeyColumns], fps: int, episode: str
+    recorded: Recorded,
+    state: Sequence[KeyColumns],
+    action: Sequence[KeyColumns],
+    fps: int,
+    episode: str,
+    shown: PictureRule = "nearest",
 ) -> Table:
     """Make the rows of one episode.
 
@@ -104,6 +138,7 @@ def resample(
         state, action: Keys of the state and of the action; a key may be both.
         fps: Rate of the rows [Hz].
         episode: Its id, for messages.
+        shown: Which picture a row shows, of each camera.
 
     Raises:
         EpisodeError: a key has no value, `fps` is more than the state has, or no instant has all columns.
@@ -120,7 +155,7 @@ def resample(
     ticks = ticks_at(first, last, fps, pace)
     if not len(ticks):
         raise EpisodeError(f"{episode}: no instant at which {_spoken(recorded)} all have a value; nothing to export")
-    return _table(recorded, state, action, pairs, ticks)
+    return _table(recorded, state, action, pairs, ticks, shown)
 
 
 @dataclass(frozen=True)
@@ -202,13 +237,14 @@ def _table(
     action: Sequence[KeyColumns],
     pairs: Mapping[str, _Pairs],
     ticks: Ints,
+    shown: PictureRule,
 ) -> Table:
     def newest(key: str) -> Column:
         track = recorded.tracks[key]
         index = np.searchsorted(track.times_ns, ticks, side="right") - 1
         return Column(track.values[index], ages_s(ticks, track.times_ns[index]))
 
-    is_without = np.zeros(len(ticks), dtype=np.bool_)
+    lacks_own_step, stepped_ns = np.zeros(len(ticks), dtype=np.bool_), ticks
     actions: dict[str, Column] = {}
     for key in (one.key for one in action):
         if (pair := pairs.get(key)) is None:
@@ -217,9 +253,11 @@ def _table(
         row = np.searchsorted(pair.state_ns, ticks, side="right") - 1
         index = pair.action[row]
         actions[key] = Column(pair.track.values[index], ages_s(ticks, pair.track.times_ns[index]))
-        is_without |= ~pair.is_own[row]
+        lacks_own_step |= ~pair.is_own[row]
+        stepped_ns = pair.track.times_ns[index]
+    choose = nearest if shown == "nearest" else newest_picture
     pictures = {
-        key: Pictures(numbers := nearest(times, ticks), ages_s(ticks, times[numbers]))
+        key: Pictures(numbers := choose(times, ticks), ages_s(ticks, times[numbers]))
         for key, times in recorded.pictures.items()
     }
     every = _all_times(recorded).values()
@@ -231,8 +269,20 @@ def _table(
         pictures=pictures,
         head_s=max(0.0, float(head_ns) * 1e-9),
         tail_s=max(0.0, float(tail_ns) * 1e-9),
-        without_own_step=int(np.count_nonzero(is_without)),
+        words={
+            key: newest_word(words, stepped_ns if steps.robot_of_step(key) else ticks)
+            for key, words in recorded.words.items()
+        },
+        lacks_own_step=lacks_own_step,
     )
+
+
+def newest_word(words: Words, instants_ns: Ints) -> Ints:
+    """Return the number of the newest word at each instant, -1 where there is none yet."""
+    if not len(words.codes):
+        return np.full(len(instants_ns), -1, dtype=np.int64)
+    place = np.searchsorted(words.times_ns, instants_ns, side="right") - 1
+    return np.where(place >= 0, words.codes[place], -1)
 
 
 def nearest(times_ns: Ints, ticks_ns: Ints) -> Ints:
@@ -241,13 +291,29 @@ def nearest(times_ns: Ints, ticks_ns: Ints) -> Ints:
     One that is not later than all before it is never chosen, so the result never descends: pictures can be taken
     from a file one after another.
     """
-    newest = np.maximum.accumulate(times_ns)
-    ahead = np.append(0, 1 + np.flatnonzero(newest[1:] > newest[:-1]))
+    ahead = _ascending(times_ns)
     times = times_ns[ahead]
     right = np.searchsorted(times, ticks_ns, side="left").clip(0, len(times) - 1)
     left = (right - 1).clip(0)
     is_left = np.abs(ticks_ns - times[left]) <= np.abs(times[right] - ticks_ns)
     return ahead[np.where(is_left, left, right)]
+
+
+def newest_picture(times_ns: Ints, ticks_ns: Ints) -> Ints:
+    """Return which of the times, given in order of arrival, is the newest at or before each tick; never descending.
+
+    The first one stands for ticks before it.
+    """
+    ahead = _ascending(times_ns)
+    place = np.searchsorted(times_ns[ahead], ticks_ns, side="right") - 1
+    found: Ints = ahead[place.clip(0)]
+    return found
+
+
+def _ascending(times_ns: Ints) -> Ints:
+    """Return which of the times are later than all before them."""
+    newest = np.maximum.accumulate(times_ns)
+    return np.append(0, 1 + np.flatnonzero(newest[1:] > newest[:-1]))
 
 
 def ages_s(ticks: Ints, times: Ints) -> Floats:

@@ -13,7 +13,7 @@ from station.episode.quality.rule_file import RuleBook
 from station.errors import StationError
 from station.export import shards, verdict
 from station.export.jobs import Attempt, DiskRefuses, map_episodes
-from station.export.kind import ExportKind, ExportOptions, MinQuality, SkippedEpisode, Source
+from station.export.kind import ExportKind, ExportOptions, SkippedEpisode, Source
 
 Told = Callable[[shards.Outcome], None]
 
@@ -103,7 +103,8 @@ def export(
     with shards.open_work(out) as work:
         tasks = [
             shards.Task(
-                format=kind.name, source=source, plan=plan, min_quality=options.min_quality, work=str(work), book=book
+                format=kind.name, source=source, plan=plan, min_quality=options.min_quality, success=options.success,
+                work=str(work), book=book,
             )
             for source in sources
         ]  # fmt: skip
@@ -137,7 +138,7 @@ def preview(
     Raises:
         StationError: nothing can be exported so; one line.
     """
-    look = _Look(options.min_quality, verdict.rule_book(options.min_quality))
+    look = _Look(options, verdict.rule_book(options.min_quality))
     attempts = map_episodes(
         look, sources, jobs=where.jobs, ray_address=where.ray_address,
         on_done=None if on_done is None else lambda _: on_done(),
@@ -160,11 +161,11 @@ def preview(
 class _Look:
     """Looks whether an episode is good enough; an object of a class, since it travels to other processes."""
 
-    def __init__(self, least: MinQuality, book: RuleBook | None) -> None:
-        self._least, self._book = least, book
+    def __init__(self, options: ExportOptions, book: RuleBook | None) -> None:
+        self._least, self._success, self._book = options.min_quality, options.success, book
 
     def __call__(self, source: Source) -> None:
-        verdict.expect(source, self._least, self._book)
+        verdict.expect(source, self._least, self._book, success=self._success)
 
 
 class _Fits:

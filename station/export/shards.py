@@ -25,7 +25,7 @@ from station.episode.quality.rule_file import RuleBook, of_user
 from station.episode.storage import layout
 from station.errors import BadFile, EpisodeError, StationError
 from station.export import verdict
-from station.export.kind import ExportKind, MinQuality, Shard, ShardResult, SkippedEpisode, Source
+from station.export.kind import ExportKind, MinQuality, Shard, ShardResult, SkippedEpisode, Source, Success
 
 _RECORD = "made.json"
 _FILES = "files"
@@ -40,7 +40,7 @@ class Task(msgspec.Struct, frozen=True, kw_only=True):
         format: Registered name of the format.
         source: The episode.
         plan: What the format's `prepare` returned.
-        min_quality: Least verdict that the episode needs.
+        min_quality, success: Least verdict that the episode needs, and what its operator shall have said.
         book: The rules for an episode that no check has judged; None: those of the user who runs it.
         work: From `open_work`.
     """
@@ -51,6 +51,7 @@ class Task(msgspec.Struct, frozen=True, kw_only=True):
     min_quality: MinQuality
     work: str
     book: RuleBook | None = None
+    success: Success = "any"
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
@@ -128,7 +129,7 @@ def make_shard(task: Task) -> Outcome:
         record = _record(place)
         if record is not None and record.fingerprint == before and _are_those(task, record.rules):
             return Outcome(source=task.source, status="kept", made=record.made)
-        judged = verdict.expect(task.source, task.min_quality, task.book)
+        judged = verdict.expect(task.source, task.min_quality, task.book, success=task.success)
         made = _make(kind, task, place, before, judged)
     except verdict.NotGoodEnough as error:
         return Outcome(source=task.source, status="left-out", reason=str(error))
@@ -190,6 +191,8 @@ def _make(kind: ExportKind, task: Task, place: Path, before: str, judged: verdic
     (making / _FILES).mkdir(parents=True)
     try:
         made = kind.convert(task.source, task.plan, making / _FILES)
+        if judged.verdict is not None:
+            made = msgspec.structs.replace(made, facts=made.facts | {"verdict": judged.verdict})
         if _fingerprint(kind, task) != before:
             raise EpisodeError("changed while it was read; export it again when it is written no more")
         _sync(making)
@@ -210,7 +213,7 @@ def _fingerprint(kind: ExportKind, task: Task) -> str:
         raise EpisodeError(f"{folder}: no episode any more; was it moved?")
     manifest = folder / layout.MANIFEST
     facts = [
-        kind.name, kind.version, task.min_quality, task.plan,
+        kind.name, kind.version, task.min_quality, task.success, task.plan,
         [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in files if path != manifest],
         hashlib.sha256(manifest.read_bytes()).hexdigest() if manifest in files else "",
     ]  # fmt: skip

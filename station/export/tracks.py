@@ -18,7 +18,10 @@ from station.episode.reading import frames
 from station.episode.reading.messages import Channel, Ints, Message
 from station.episode.reading.reader import EpisodeReader
 from station.export.columns import KeyColumns
+from station.export.words import Spell
 from station.protocols import Floats
+
+_MOST_NAMES, _OTHERS = 1000, "others"  # words of a key in one episode; a client may invent them
 
 
 @dataclass(frozen=True)
@@ -39,11 +42,27 @@ class Track:
 
 
 @dataclass(frozen=True)
+class Words:
+    """A key that speaks in words: when each of k was written, ascending [ns], and which one, an index of `names`."""
+
+    times_ns: Ints
+    codes: Ints
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Recorded:
-    """Tracks by key, and for each camera's key when its pictures were taken, in order of arrival [ns]."""
+    """What was read of an episode.
+
+    Attributes:
+        tracks: By key.
+        pictures: For each camera's key, when its pictures were taken, in order of arrival [ns].
+        words: By key; empty where the episode has not one.
+    """
 
     tracks: dict[str, Track]
     pictures: dict[str, Ints]
+    words: dict[str, Words] = field(default_factory=dict)
 
 
 @dataclass
@@ -70,31 +89,61 @@ class _Collector:
         return Track(times[order], values[order], writers[order], self.skipped)
 
 
-def read(reader: EpisodeReader, columns: Sequence[KeyColumns], cameras: Collection[str]) -> Recorded:
+@dataclass
+class _Listener:
+    spell: Spell
+    times: array[int] = field(default_factory=lambda: array("q"))
+    codes: array[int] = field(default_factory=lambda: array("q"))
+    names: dict[str, int] = field(default_factory=dict)
+
+    def feed(self, message: Message, time_ns: int) -> None:
+        name = self.spell(message)
+        if name not in self.names and len(self.names) >= _MOST_NAMES:
+            name = _OTHERS
+        self.times.append(time_ns)
+        self.codes.append(self.names.setdefault(name, len(self.names)))
+
+    def words(self) -> Words:
+        times, codes = np.array(self.times, dtype=np.int64), np.array(self.codes, dtype=np.int64)
+        order = np.argsort(times, kind="stable")
+        return Words(times[order], codes[order], tuple(self.names))
+
+
+def read(
+    reader: EpisodeReader,
+    columns: Sequence[KeyColumns],
+    cameras: Collection[str],
+    spellings: Mapping[str, Spell] | None = None,
+) -> Recorded:
     """Read the numbers of keys and the times of pictures of an episode; pictures themselves are not kept.
 
     Args:
         reader: The episode.
         columns: Keys; one without a fitting value has an empty track.
         cameras: Keys of cameras.
+        spellings: Keys that speak in words, and how; as `station.export.words.spellings` gives them.
 
     Raises:
         EpisodeError: the file is damaged.
     """
     collectors = {one.key: _Collector(one) for one in columns}
     taken = {key: array("q") for key in cameras}
+    listeners = {key: _Listener(spell) for key, spell in (spellings or {}).items()}
     boot = reader.anchor.boot if reader.anchor is not None else ""
     writers: dict[str, int] = {}
-    for message in reader.messages({*collectors, *taken}, stamps=bool(taken)):
+    for message in reader.messages({*collectors, *taken, *listeners}, stamps=bool(taken)):
         if message.channel.is_deletion:
             continue
         if message.topic in taken:
             taken[message.topic].append(frames.captured_ns(message))
+        elif message.topic in listeners:
+            listeners[message.topic].feed(message, written_ns(message, boot))
         else:
             writer = writers.setdefault(message.channel.source, len(writers))
             collectors[message.topic].feed(message, written_ns(message, boot), writer)
     tracks = {key: collector.track() for key, collector in collectors.items()}
-    return Recorded(tracks, {key: np.array(times, dtype=np.int64) for key, times in taken.items()})
+    pictures = {key: np.array(times, dtype=np.int64) for key, times in taken.items()}
+    return Recorded(tracks, pictures, {key: one.words() for key, one in listeners.items() if one.times})
 
 
 def written_ns(message: Message, boot: str) -> int:

@@ -13,13 +13,13 @@ from station.episode.quality.standing import standing, stands
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.folder import signals_file
 from station.errors import EpisodeError
-from station.export.kind import MinQuality, Source
+from station.export.kind import MinQuality, Source, Success
 
 _RANK: dict[str, int] = {"any": 0, "reject": 0, "usable": 1, "good": 2}
 
 
 class NotGoodEnough(EpisodeError):
-    """An episode whose verdict is less than an export asks for."""
+    """An episode that is not asked for: by its verdict, by what its operator said, or for want of rows."""
 
 
 class VerdictCheck(NamedTuple):
@@ -43,8 +43,10 @@ def rule_book(least: MinQuality) -> RuleBook | None:
     return None if least == "any" else of_user()
 
 
-def expect(source: Source, least: MinQuality, book: RuleBook | None = None) -> VerdictCheck:
-    """Refuse an episode whose verdict is less than asked for.
+def expect(
+    source: Source, least: MinQuality, book: RuleBook | None = None, *, success: Success = "any"
+) -> VerdictCheck:
+    """Refuse an episode whose verdict is less than asked for, or of which the operator said something else.
 
     The verdict that a check wrote stands, by whatever rules; these rules are for what has none.
 
@@ -52,9 +54,10 @@ def expect(source: Source, least: MinQuality, book: RuleBook | None = None) -> V
         source: The episode.
         least: What is asked for.
         book: The rules; None has this user's read.
+        success: What the operator shall have said.
 
     Raises:
-        NotGoodEnough: less than `least`, with the first reason.
+        NotGoodEnough: less than `least`, with the first reason; or another success than asked for.
         EpisodeError: not finished, whatever is asked for, or not to be read.
     """
     reader = EpisodeReader(signals_file(Path(source.folder)))
@@ -65,6 +68,7 @@ def expect(source: Source, least: MinQuality, book: RuleBook | None = None) -> V
         )
     if not any(stream.count for stream in reader.streams()):
         raise EpisodeError(f"{source.episode_id}: holds no message; there is nothing to export")
+    _expect_success(source, reader.manifest.quality_flags.success, success)
     if least == "any":
         return VerdictCheck(None)
     book, written = book or of_user(), stands(reader.manifest)
@@ -75,6 +79,12 @@ def expect(source: Source, least: MinQuality, book: RuleBook | None = None) -> V
         cure = "" if _are_same(quality.rules, book.files) else "; by other rules than today's, `station check` it anew"
         raise NotGoodEnough(f"{source.episode_id}: {found}, and --min-quality asks for {least}: {reason}{cure}")
     return VerdictCheck(found, () if written else tuple(quality.rules))
+
+
+def _expect_success(source: Source, said: bool | None, wanted: Success) -> None:
+    if wanted != "any" and said is not (wanted == "yes"):
+        word = "neither a success nor a failure" if said is None else "a success" if said else "a failure"
+        raise NotGoodEnough(f"{source.episode_id}: the operator called it {word}, and --success asks for {wanted}")
 
 
 def _are_same(some: Iterable[RulesFile], others: Iterable[RulesFile]) -> bool:

@@ -54,11 +54,13 @@ def picture_path(plan: Plan, camera: Camera) -> str:
 def described(plan: Plan) -> list[str]:
     """Return a line for each array of an episode."""
     common = plan.rows.common
-    more = [f"{TIME}: the instant of a row [ns since the epoch]; {plan.rows.fps} rows per second"]
+    more = [
+        f"{TIME}: the instant of a row [ns since the epoch]; {plan.rows.fps} rows per second, trim {plan.rows.trim}"
+    ]
     if plan.layout == "robomimic":
         more = ["rewards: 1 in the last row where the operator said that the task was done, else 0",
                 "dones: 1 in the last row, else 0", *more]  # fmt: skip
-    what = "pixels, uint8 RGB" if plan.pictures == "rgb" else "JPEG files, uint8, zeros behind each"
+    what = "pixels, uint8 RGB" if plan.encoding == "rgb" else "JPEG files, uint8, zeros behind each"
     return [
         *(str(one) for one in arrays(plan)),
         *(f"{picture_path(plan, one)}: {one.key}, {one.width}x{one.height}, {what}" for one in common.cameras),

@@ -16,6 +16,7 @@ from adapters.exports.hdf5.plan import Plan
 from adapters.exports.lerobot import card
 from adapters.exports.lerobot.dataset import TRAIN, VAL, notes, split
 from adapters.exports.lerobot.layouts import write_json
+from station.export import trim as trims
 from station.export.kind import Shard, SkippedEpisode
 from station.export.resample import RULES
 from station.export.shards import place
@@ -41,13 +42,21 @@ def join(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan
         for number, shard in enumerate(ordered):
             place(shard.folder / SHARD, folder / f"episode_{number}.hdf5")
     named = {_PARTS[name]: [shard.source.episode_id for shard in part] for name, part in parts.items()}
-    write_json(folder / "station.json", {**card.provenance(ordered, left_out, plan), "splits": named})
+    write_json(
+        folder / "station.json",
+        {
+            **card.provenance(ordered, left_out, plan.rows),
+            "layout": plan.layout,
+            "encoding": plan.encoding,
+            "splits": named,
+        },
+    )
     (folder / "README.md").write_text(_page(ordered, left_out, plan), encoding="utf-8")
     return {
         "rows": sum(shard.made.rows for shard in ordered),
         "layout": plan.layout,
         "cameras": [camera.name for camera in plan.rows.common.cameras],
-        "notes": list(notes(ordered)),
+        "notes": list(notes(ordered, plan.rows)),
     }
 
 
@@ -71,6 +80,7 @@ def _one_file(parts: dict[str, list[Shard]], plan: Plan, target: Path) -> None:
 
 def _page(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan) -> str:
     rows = sum(shard.made.rows for shard in shards)
+    picture = "picture" if plan.rows.pictures == "nearest" else "newest picture"
     length = f"{len(shards)} episodes, {rows} rows at {plan.rows.fps} Hz"
     lines = [
         f"# {plan.rows.common.robot or 'unknown'}: {length}",
@@ -79,7 +89,8 @@ def _page(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Pla
         "Station. `station.json` says where each episode comes from, with hashes, and what was left out and why.",
         "",
         "A row is an instant: " + RULES["clock"] + ".",
-        f"Observation: {RULES['newest']}. Action: {RULES['step']}. Picture: {RULES['picture']}.",
+        f"Observation: {RULES['newest']}. Action: {RULES['step']}. Picture: {RULES[picture]}.",
+        f"Rows of an episode (`--trim {plan.rows.trim}`): {trims.RULES[plan.rows.trim]}.",
         "",
         *(_robomimic(plan) if plan.layout == "robomimic" else _act(plan)),
         "",
@@ -128,12 +139,12 @@ def _act(plan: Plan) -> list[str]:
         "is true whatever the robot was: where it is false, ACT's loader shifts the actions by a row, which is right "
         "for recordings of ALOHA alone.",
     ]
-    if plan.pictures == "jpeg" and common.cameras:
+    if plan.encoding == "jpeg" and common.cameras:
         told += [
             "",
             "Pictures are the camera's JPEG files (`compress` is true), row by row, with zeros behind each; "
             "`compress_len` has their lengths, cameras in the order of above. OpenCV decodes them to BGR: what hands "
             "them to a network as they come, as act-plus-plus does, must see BGR from the robot too, or be exported "
-            "with `--pictures rgb`.",
+            "with `--encoding rgb`.",
         ]
     return told

@@ -28,8 +28,8 @@ def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
         OSError: the disk refuses.
     """
     reader = open_source(source)
-    recorded, table = rows_of(reader, plan.rows)
-    facts = facts_of(reader, plan.rows, recorded, table)
+    recorded, table, cut = rows_of(reader, plan.rows)
+    facts = facts_of(reader, plan.rows, recorded, table, cut)
     with create(folder / SHARD) as file:
         group = file.create_group(DEMO) if plan.layout == "robomimic" else file
         _write_numbers(group, plan, table)
@@ -69,4 +69,4 @@ def _attributes(plan: Plan, episode_id: str, task: str, count: int) -> dict[str,
         return {"num_samples": count, **told}
     # Where `sim` is false, ACT's loader gives each observation the action before its own, since ALOHA's recorder wrote
     # the two apart. Here they belong together, whatever robot it was.
-    return {"sim": True, "compress": plan.pictures == "jpeg", **told}
+    return {"sim": True, "compress": plan.encoding == "jpeg", **told}

@@ -30,12 +30,12 @@ def write(group: Any, reader: EpisodeReader, plan: Plan, table: Table) -> dict[s
         OSError: the disk refuses.
     """
     cameras = plan.rows.common.cameras
-    longest = _longest(reader, [camera.key for camera in cameras]) if plan.pictures == "jpeg" else {}
+    longest = _longest(reader, [camera.key for camera in cameras]) if plan.encoding == "jpeg" else {}
     sinks: dict[str, _Pixels | _Files] = {}
     for camera in cameras:
         what, numbers = f"{reader.episode_id}: camera {camera.name!r}", table.pictures[camera.key].numbers
         path = picture_path(plan, camera)
-        if plan.pictures == "jpeg":
+        if plan.encoding == "jpeg":
             sinks[camera.key] = _Files(group, path, camera, what, numbers, longest[camera.key])
         else:
             sinks[camera.key] = _Pixels(group, path, camera, what, numbers)

@@ -9,7 +9,7 @@ import msgspec
 from adapters.exports.lerobot import plan as lerobot
 
 Layout = Literal["robomimic", "act"]
-Coding = Literal["rgb", "jpeg"]
+Encoding = Literal["rgb", "jpeg"]
 
 
 class Plan(msgspec.Struct, frozen=True, kw_only=True):
@@ -17,10 +17,10 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         layout: Whose files they are.
-        pictures: How pictures stand in them: pixels, or the bytes of the camera's JPEG files.
+        encoding: How pictures stand in them: pixels, or the bytes of the camera's JPEG files.
         rows: What a row is; the same as in a LeRobot data set of the same options.
     """
 
     layout: Layout
-    pictures: Coding
+    encoding: Encoding
     rows: lerobot.Plan

@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import msgspec
 
-from adapters.exports.lerobot.plan import ACTION, AGE, STATE, TIME, Plan
+from adapters.exports.lerobot.about import MEANING
+from adapters.exports.lerobot.episode import words_of
+from adapters.exports.lerobot.named import Names
+from adapters.exports.lerobot.plan import ACTION, AGE, COMMANDER, GATE, STATE, SUBTASK, TIME, Plan
+from station.export import trim as trims
 from station.export.columns import KeyColumns, unique_names
 from station.export.kind import Shard, SkippedEpisode
 from station.export.resample import RULES, rule_of
+from station.export.trim import Trimmed
+from station.export.words import GATE_STATES
 from station.software import software
 
 _MOST_ROWS = 200  # of a table; a card of thousands of episodes is read by nobody, and all stand in station.json
 
 
-def provenance(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: msgspec.Struct) -> dict[str, Any]:
+def provenance(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan) -> dict[str, Any]:
     """Return where every episode comes from, what was left out and why, and the plan."""
     return {
         "software": msgspec.to_builtins(software()),
         "plan": msgspec.to_builtins(plan),
-        "rules": RULES,
+        "rules": {**RULES, "trim": trims.RULES[plan.trim]},
         "episodes": [
             {
                 "episode_index": number,
@@ -36,7 +42,13 @@ def provenance(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan
     }
 
 
-def text(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan, info: dict[str, Any]) -> str:
+def text(
+    shards: Sequence[Shard],
+    left_out: Sequence[SkippedEpisode],
+    plan: Plan,
+    info: dict[str, Any],
+    names: Mapping[str, Names],
+) -> str:
     """Return the card."""
     length = f"{_counted(info['total_episodes'], 'episode')}, {info['total_frames'] / plan.fps / 60:.1f} minutes"
     parts = [
@@ -49,7 +61,10 @@ def text(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan
         _columns_text(plan),
         _elements_text("State", STATE, plan.common.state),
         _elements_text("Action", ACTION, plan.common.action),
+        _numbers_text("Gate", GATE, GATE_STATES),
+        _numbers_text("Commanders", COMMANDER, names[COMMANDER].names),
         _tasks_text(shards),
+        _fields_text(plan),
         _episodes_text(shards, plan),
         _left_out_text(left_out),
     ]
@@ -70,8 +85,13 @@ def _rows_text(plan: Plan) -> str:
         lines += [f"- `{column}`, key `{one.key}`: {RULES[rule_of(one, as_action=as_action)]}" for one in keys]
     if common.is_every_part:
         lines.append("- hands and neck: those whose command or state changed in the first episode")
+    lines.append(f"- rate: {plan.fps} Hz, as {plan.fps_as}")
+    lines.append(f"- rows of an episode (`--trim {plan.trim}`): {trims.RULES[plan.trim]}")
     if common.cameras:
-        lines.append(f"- pictures: {RULES['picture']}; the video is {plan.codec}, every second frame a key frame")
+        lines += [
+            f"- pictures: {RULES['picture' if plan.pictures == 'nearest' else 'newest picture']}",
+            f"- video: {plan.codec}, {_key_frames(plan.gop)}",
+        ]
     lines += [
         "",
         "`timestamp` is the number of the row over the rate, as LeRobot wants it. Real instants and ages stand in",
@@ -79,6 +99,15 @@ def _rows_text(plan: Plan) -> str:
         "",
     ]
     return "\n".join(lines)
+
+
+def _key_frames(gop: int) -> str:
+    if gop == 1:
+        return "every frame a key frame, so that one frame is decoded for one that is read"
+    return (
+        f"a key frame every {gop} frames, so that up to {gop} frames, {(gop + 1) / 2:g} on average, are decoded for "
+        "one that is read at random"
+    )
 
 
 def _columns_text(plan: Plan) -> str:
@@ -91,6 +120,10 @@ def _columns_text(plan: Plan) -> str:
         (f"`{AGE}{STATE}`, `{AGE}{ACTION}`", "s, one per key", "age of the value at the tick"),
         *((f"`{camera.age_column}`", "s", "age of the picture at the tick") for camera in common.cameras),
         (f"`{TIME}`", "ns since the epoch", "the tick, on the episode's clock"),
+        (f"`{GATE}`", "number of a name, below", "what the robot's gate did with the command"),
+        (f"`{COMMANDER}`", "number of a name, below", "who commanded: server, and its device or motion file"),
+        *([(f"`{SUBTASK}`", "number of a text in `meta/subtasks`", "the operator's newest mark; the text is empty "
+            "before the first one")] if plan.subtasks == "marks" else []),
     ]  # fmt: skip
     return _table("## Columns", ("column", "unit", "from"), rows)
 
@@ -100,6 +133,19 @@ def _elements_text(title: str, column: str, keys: Sequence[KeyColumns]) -> str:
     units = [unit for one in keys for unit in one.units]
     rows = [(str(number), f"`{name}`", unit) for number, (name, unit) in enumerate(zip(names, units, strict=True))]
     return _table(f"## {title}: elements of `{column}`", ("index", "name", "unit"), rows)
+
+
+def _numbers_text(title: str, column: str, names: Sequence[str]) -> str:
+    """Return what the numbers of a column stand for."""
+    rows = [("-1", "not recorded"), *((str(number), _safe(name)) for number, name in enumerate(names[:_MOST_ROWS]))]
+    more = f"{len(names) - _MOST_ROWS} more in `meta/names.json`.\n" if len(names) > _MOST_ROWS else ""
+    return _table(f"## {title}: numbers of `{column}`, as in `meta/names.json`", ("number", "name"), rows) + more
+
+
+def _fields_text(plan: Plan) -> str:
+    place = "meta/episodes" if plan.layout == "v3.0" else "meta/episodes.jsonl"
+    rows = [(_listed(fields.split(", ")), what) for fields, what in MEANING.items()]
+    return _table(f"## Fields of each episode, in `{place}`", ("field", "what"), rows)
 
 
 def _tasks_text(shards: Sequence[Shard]) -> str:
@@ -119,6 +165,8 @@ def _episode_row(number: int, shard: Shard, plan: Plan) -> tuple[str, ...]:
     remarks = [f"{count} values of `{key}` did not fit" for key, count in facts["skipped"].items()]
     if facts["without_own_step"]:
         remarks.append(f"{facts['without_own_step']} rows with the action of a neighbouring step")
+    if trim := words_of(Trimmed(**facts["trim"]), plan.trim):
+        remarks.append(trim)
     for what, names in facts["missed"].items():
         if names:
             remarks.append(f"{what} that are not in the data set: {', '.join(names)}")

@@ -13,12 +13,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from adapters.exports.lerobot import card, parquet, stats
-from adapters.exports.lerobot.episode import ROWS, STATS, EpisodeStats
+from adapters.exports.lerobot import about, card, named, parquet, stats
+from adapters.exports.lerobot.episode import ROWS, STATS, TOLD_S, EpisodeStats
 from adapters.exports.lerobot.features import INDEX, info
 from adapters.exports.lerobot.layouts import Episode, Layout, layout_of, write_json
+from adapters.exports.lerobot.named import Names
 from adapters.exports.lerobot.parquet import Columns
-from adapters.exports.lerobot.plan import IMAGES, Common, Plan
+from adapters.exports.lerobot.plan import IMAGES, SUBTASK, Common, Plan
 from station.errors import EpisodeError
 from station.export.kind import Shard, SkippedEpisode
 
@@ -34,7 +35,7 @@ _LIMBS = {
     "arm": ("shoulder", "elbow", "wrist"),
     "hand": ("hand",),
 }
-_QUANTITY = re.compile(r"_(pos|vel|kp|kd|pos_from_default|previous_action)$")
+_QUANTITY = re.compile(r"_(pos|vel|torque|kp|kd|pos_from_default|previous_action)$")
 _ELEMENT = re.compile(r"_(x|y|z|w|roll|pitch|yaw|\d+)$")
 _SCALED = "scaled_"
 _LANGUAGE = "human.task_description"
@@ -51,41 +52,51 @@ def join(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan
     ordered = [shard for part in parts.values() for shard in part]
     tasks = list(dict.fromkeys(shard.made.facts["task"] for shard in ordered))
     episodes = list(_numbered(ordered, tasks, plan))
-    totals = _totals(ordered, episodes, plan.fps)
+    names = named.names_of(ordered, plan)
+    totals = _totals(ordered, episodes, names, plan.fps)
     with _opened(plan, folder) as layout:
         for shard, episode in zip(ordered, episodes, strict=True):
             rows = {**parquet.read(shard.folder / ROWS), **_index(episode, plan.fps)}
+            rows |= {column: those.renumbered(shard, rows[column]) for column, those in names.items()}
             if {len(values) for values in rows.values()} != {episode.length}:
                 raise EpisodeError(
                     f"{shard.source.episode_id}: its shard has not {episode.length} rows; export it anew"
                 )
             for column, values in rows.items():
                 totals.columns[column].add(values)
-            layout.add(_with_stats(episode, shard, plan.fps), rows)
-        layout.finish(tasks, totals.result())
+            layout.add(_with_stats(episode, shard, names, plan.fps), rows)
+        layout.finish(tasks, totals.result(), names[SUBTASK].names if SUBTASK in names else None)
     rows_in_all = sum(episode.length for episode in episodes)
     splits = ranges(parts)
     document = info(plan, episodes=len(episodes), rows=rows_in_all, tasks=len(tasks), splits=splits)
     write_json(folder / "meta/info.json", document)
     write_json(folder / "meta/modality.json", modality(plan.common))
-    named = {name: [shard.source.episode_id for shard in part] for name, part in parts.items()}
-    write_json(folder / "meta/splits.json", {"seed": plan.seed, "val": plan.val, "episodes": named})
+    write_json(folder / "meta/names.json", named.document(names))
+    ids = {name: [shard.source.episode_id for shard in part] for name, part in parts.items()}
+    write_json(folder / "meta/splits.json", {"seed": plan.seed, "val": plan.val, "episodes": ids})
     write_json(folder / "meta/station.json", card.provenance(ordered, left_out, plan))
-    (folder / "README.md").write_text(card.text(ordered, left_out, plan, document), encoding="utf-8")
-    return {"rows": rows_in_all, "tasks": len(tasks), "splits": splits, "layout": plan.layout,
-            "cameras": [camera.name for camera in plan.common.cameras], "notes": list(notes(ordered))}  # fmt: skip
+    (folder / "README.md").write_text(card.text(ordered, left_out, plan, document, names), encoding="utf-8")
+    return {
+        "rows": rows_in_all,
+        "tasks": len(tasks),
+        "splits": splits,
+        "layout": plan.layout,
+        "cameras": [camera.name for camera in plan.common.cameras],
+        "notes": list(notes(ordered, plan)),
+    }
 
 
 def _cut(shard: Shard) -> tuple[float, str] | None:
-    """Return how much of an episode has no rows [s], and at which ends; None for little."""
-    head_s, tail_s, made_s = shard.made.facts["head_s"], shard.made.facts["tail_s"], shard.made.seconds
-    cut_s = head_s + tail_s
-    if cut_s <= max(_LITTLE_S, min(_CUT_S, _CUT_SHARE * (made_s + cut_s))):
+    """Return how much of an episode can have no rows [s], and at which ends; None for little."""
+    facts = shard.made.facts
+    head_s, tail_s = (facts[f"{end}_s"] - facts["trim"][f"{end}_s"] for end in ("head", "tail"))
+    cut_s, every_s = head_s + tail_s, shard.made.seconds + facts["head_s"] + facts["tail_s"]
+    if cut_s <= max(_LITTLE_S, min(_CUT_S, _CUT_SHARE * every_s)):
         return None
     return cut_s, f"{head_s:.1f} at its beginning, {tail_s:.1f} at its end"
 
 
-def notes(shards: Sequence[Shard]) -> Iterator[str]:
+def notes(shards: Sequence[Shard], plan: Plan) -> Iterator[str]:
     """Yield what whoever asked for the data set should know, in a line each."""
     for what, has, cure in (
         ("cameras", "have cameras that the first one has not", "with --camera NAME they are"),
@@ -98,6 +109,7 @@ def notes(shards: Sequence[Shard]) -> Iterator[str]:
                 f"{len(with_others)} of {len(shards)} episodes ({with_others[0].source.episode_id} first) {has}, and "
                 f"that are not in the data set: {', '.join(names)}; {cure}, and episodes without them are not"
             )
+    yield from _trim_notes(shards, plan)
     cut = {shard.source.episode_id: said for shard in shards if (said := _cut(shard))}
     if cut:
         longest = sorted(cut, key=lambda name: cut[name], reverse=True)[:_TOLD]
@@ -113,6 +125,28 @@ def notes(shards: Sequence[Shard]) -> Iterator[str]:
         yield (
             f"{rows} rows in {len(without)} of {len(shards)} episodes ({without[0].source.episode_id} first) hold the "
             "action of a neighbouring step, since none of their own was recorded; README.md says how many each has"
+        )
+
+
+def _trim_notes(shards: Sequence[Shard], plan: Plan) -> Iterator[str]:
+    """Yield what --trim left out, and where it had nothing to go by."""
+    left_s = {shard.source.episode_id: sum(shard.made.facts["trim"][end] for end in ("head_s", "tail_s"))
+              for shard in shards}  # fmt: skip
+    trimmed = sorted((name for name in left_s if left_s[name] >= TOLD_S), key=lambda name: left_s[name], reverse=True)
+    if trimmed:
+        told = ", ".join(f"{name} {left_s[name]:.1f} s" for name in trimmed[:_TOLD])
+        more = f" and {len(trimmed) - _TOLD} more" if len(trimmed) > _TOLD else ""
+        every_s = sum(left_s.values()) + sum(shard.made.seconds for shard in shards)
+        yield (
+            f"--trim {plan.trim} left out {sum(left_s.values()):.1f} of {every_s:.1f} s, at the ends of "
+            f"{len(trimmed)} of {len(shards)} episodes: {told}{more}; --trim none keeps all rows"
+        )
+    without = [shard for shard in shards if shard.made.facts["trim"]["why_not"]]
+    if without:
+        first = without[0]
+        yield (
+            f"--trim {plan.trim} left nothing out of {len(without)} of {len(shards)} episodes "
+            f"({first.source.episode_id} first: {first.made.facts['trim']['why_not']})"
         )
 
 
@@ -141,15 +175,15 @@ def _numbered(shards: Sequence[Shard], tasks: Sequence[str], plan: Plan) -> Iter
         videos = {camera.column: shard.folder / f"{camera.column}.mp4" for camera in plan.common.cameras}
         yield Episode(
             index=number, task=task, task_index=tasks.index(task), length=shard.made.rows, first_row=first_row,
-            videos=videos,
+            videos=videos, fields=about.fields(shard),
         )  # fmt: skip
         first_row += shard.made.rows
 
 
-def _totals(shards: Sequence[Shard], episodes: Sequence[Episode], fps: int) -> _Totals:
+def _totals(shards: Sequence[Shard], episodes: Sequence[Episode], names: Mapping[str, Names], fps: int) -> _Totals:
     totals = _Totals()
     for shard, episode in zip(shards, episodes, strict=True):
-        totals.know(_measured(shard), _index_stats(episode, fps))
+        totals.know(_measured(shard), _joined_stats(episode, shard, names, fps))
     return totals
 
 
@@ -166,16 +200,18 @@ def _index(episode: Episode, fps: int) -> Columns:
     return {name: found[name].astype(kind) for name, kind in INDEX.items()}
 
 
-def _index_stats(episode: Episode, fps: int) -> dict[str, stats.Stats]:
-    return {name: stats.of_rows(values) for name, values in _index(episode, fps).items()}
+def _joined_stats(episode: Episode, shard: Shard, names: Mapping[str, Names], fps: int) -> dict[str, stats.Stats]:
+    """Return the statistics of the columns whose numbers are those of the whole data set."""
+    columns = {**_index(episode, fps), **{column: those.every(shard) for column, those in names.items()}}
+    return {name: stats.of_rows(values) for name, values in columns.items()}
 
 
-def _with_stats(episode: Episode, shard: Shard, fps: int) -> Episode:
+def _with_stats(episode: Episode, shard: Shard, names: Mapping[str, Names], fps: int) -> Episode:
     measured = _measured(shard)
     pictures = {name: stats.PixelCounts(**counted).stats() for name, counted in measured.pictures.items()}
     found = {
         **measured.columns,
-        **_index_stats(episode, fps),
+        **_joined_stats(episode, shard, names, fps),
         **{name: stats.as_image(values) for name, values in pictures.items()},
     }
     return dataclasses.replace(episode, stats=found)

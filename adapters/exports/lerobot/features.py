@@ -6,7 +6,18 @@ from collections.abc import Mapping
 from typing import Any
 
 from adapters.exports.lerobot.av_library import PIXELS
-from adapters.exports.lerobot.plan import ACTION, AGE, STATE, TIME, Camera, Layout, Plan
+from adapters.exports.lerobot.plan import (
+    ACTION,
+    AGE,
+    COMMANDER,
+    GATE,
+    STATE,
+    SUBTASK,
+    TIME,
+    Camera,
+    Layout,
+    Plan,
+)
 
 CHUNK = 1000
 """Files per folder of v3.0, episodes per folder of v2.1."""
@@ -39,7 +50,11 @@ def features(plan: Plan) -> dict[str, Any]:
         AGE + ACTION: _numbers("float32", [one.key for one in common.action]),
         **{camera.age_column: _numbers("float32", [camera.key]) for camera in common.cameras},
         TIME: _numbers("int64", None),
+        GATE: _numbers("int64", None),
+        COMMANDER: _numbers("int64", None),
     }
+    if plan.subtasks == "marks":
+        found[SUBTASK] = _numbers("int64", None)
     return {**found, **{name: _numbers(kind, None) for name, kind in INDEX.items()}}
 
 

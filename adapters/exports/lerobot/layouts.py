@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from adapters.exports.arrow_library import pa
-from adapters.exports.lerobot import features, parquet
+from adapters.exports.lerobot import about, features, parquet
 from adapters.exports.lerobot.parquet import Columns
 from adapters.exports.lerobot.plan import Plan
 from station.export.shards import place
@@ -29,6 +29,7 @@ class Episode:
         length: Rows.
         first_row: Number of its first row in the whole data set.
         videos: Its videos by column.
+        fields: What else is known of it, as `about.FIELDS`.
         stats: Statistics by column, those of pictures in LeRobot's shape.
     """
 
@@ -38,6 +39,7 @@ class Episode:
     length: int
     first_row: int
     videos: dict[str, Path]
+    fields: dict[str, Any]
     stats: dict[str, Any] = field(default_factory=dict)
 
 
@@ -49,8 +51,8 @@ class Layout(ABC):
         """Write an episode's rows and videos."""
 
     @abstractmethod
-    def finish(self, tasks: list[str], stats: dict[str, Any]) -> None:
-        """Write what remains: the tasks, by number, and the statistics of all."""
+    def finish(self, tasks: list[str], stats: dict[str, Any], subtasks: list[str] | None) -> None:
+        """Write what remains: tasks and subtasks, by number, and the statistics of all."""
 
     @abstractmethod
     def abandon(self) -> None:
@@ -69,12 +71,12 @@ class Version30(Layout):
             folder / "meta/episodes", limit_bytes=features.DATA_MB * _MEGABYTE, per_chunk=features.CHUNK
         )
         self._videos = {camera.column: _concatenation(folder, camera.column, plan) for camera in plan.common.cameras}
-        self._waiting: list[dict[str, Any]] = []
+        self._waiting: list[tuple[dict[str, Any], dict[str, Any]]] = []
         self._schema: Any = None
 
     def add(self, episode: Episode, rows: Columns) -> None:
         """Append rows and videos."""
-        about: dict[str, Any] = {
+        known: dict[str, Any] = {
             "episode_index": episode.index,
             "tasks": [episode.task],
             "length": episode.length,
@@ -85,19 +87,21 @@ class Version30(Layout):
         self._data.add(parquet.table(rows))
         for column, video in episode.videos.items():
             names = [f"videos/{column}/{name}" for name in _PLACE_OF_A_VIDEO]
-            about |= zip(names, self._videos[column].add(video, episode.length), strict=True)
+            known |= zip(names, self._videos[column].add(video, episode.length), strict=True)
         for column, stats in episode.stats.items():
-            about |= {f"stats/{column}/{name}": values for name, values in stats.items()}
-        self._waiting.append(about)
+            known |= {f"stats/{column}/{name}": values for name, values in stats.items()}
+        self._waiting.append((known, episode.fields))
         if len(self._waiting) == _TOGETHER:
             self._write_about()
 
-    def finish(self, tasks: list[str], stats: dict[str, Any]) -> None:
+    def finish(self, tasks: list[str], stats: dict[str, Any], subtasks: list[str] | None) -> None:
         """Finish all files."""
         self._write_about()
         for files in (self._data, self._about, *self._videos.values()):
             files.close()
-        parquet.write_tasks(self._folder / "meta/tasks.parquet", tasks)
+        parquet.write_texts(self._folder / "meta/tasks.parquet", "task", tasks)
+        if subtasks is not None:
+            parquet.write_texts(self._folder / "meta/subtasks.parquet", "subtask", subtasks)
         write_json(self._folder / "meta/stats.json", stats)
 
     def abandon(self) -> None:
@@ -110,8 +114,10 @@ class Version30(Layout):
             return
         chunk, number = self._about.place()
         here = {"meta/episodes/chunk_index": chunk, "meta/episodes/file_index": number}
-        rows = pa.Table.from_pylist([about | here for about in self._waiting], schema=self._schema)
+        rows = pa.Table.from_pylist([known | here for known, _ in self._waiting], schema=self._schema)
         self._schema = rows.schema
+        for name, kind in about.FIELDS.items():
+            rows = rows.append_column(name, pa.array([fields[name] for _, fields in self._waiting], kind))
         self._about.add(rows)
         self._waiting.clear()
 
@@ -132,17 +138,17 @@ class Version21(Layout):
         parquet.write(self._folder / paths["data_path"].format(**where), parquet.table(rows))
         for column, video in episode.videos.items():
             place(video, self._folder / paths["video_path"].format(video_key=column, **where))
-        about = {"episode_index": episode.index, "tasks": [episode.task], "length": episode.length}
-        self._episodes.write(json.dumps(about, ensure_ascii=False) + "\n")
+        known = {"episode_index": episode.index, "tasks": [episode.task], "length": episode.length, **episode.fields}
+        self._episodes.write(json.dumps(known, ensure_ascii=False) + "\n")
         self._stats.write(json.dumps({"episode_index": episode.index, "stats": episode.stats}) + "\n")
 
-    def finish(self, tasks: list[str], stats: dict[str, Any]) -> None:
+    def finish(self, tasks: list[str], stats: dict[str, Any], subtasks: list[str] | None) -> None:
         """Close all files, write the tasks."""
         self._episodes.close()
         self._stats.close()
-        lines = [json.dumps({"task_index": number, "task": task}, ensure_ascii=False) + "\n"
-                 for number, task in enumerate(tasks)]  # fmt: skip
-        (self._folder / "meta/tasks.jsonl").write_text("".join(lines), encoding="utf-8")
+        _write_texts(self._folder / "meta/tasks.jsonl", "task", tasks)
+        if subtasks is not None:
+            _write_texts(self._folder / "meta/subtasks.jsonl", "subtask", subtasks)
         # LeRobot reads those of the episodes. GR00T reads these, and cuts every one of them into the parts of the body.
         sliced = {column: {name: found[name] for name in found if name != "count"} for column, found in stats.items()}
         write_json(self._folder / "meta/stats.json", sliced)
@@ -151,6 +157,11 @@ class Version21(Layout):
         """Let go of open files."""
         self._episodes.close()
         self._stats.close()
+
+
+def _write_texts(file: Path, what: str, texts: list[str]) -> None:
+    lines = [json.dumps({f"{what}_index": number, what: text}, ensure_ascii=False) for number, text in enumerate(texts)]
+    file.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
 
 
 def layout_of(plan: Plan, folder: Path) -> Layout:

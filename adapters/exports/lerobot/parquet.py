@@ -81,15 +81,16 @@ class Appender:
             self.close()
 
 
-def write_tasks(file: Path, tasks: Sequence[str]) -> None:
-    """Write tasks as a pandas reader expects them: the number of each, with its text as the index."""
-    rows = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks, pa.string())})
+def write_texts(file: Path, what: str, texts: Sequence[str]) -> None:
+    """Write tasks or subtasks as a pandas reader expects them: the number of each, with its text as the index."""
+    index = f"{what}_index"
+    rows = pa.table({index: pa.array(range(len(texts)), pa.int64()), what: pa.array(texts, pa.string())})
     columns = [
-        {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64"},
-        {"name": "task", "field_name": "task", "pandas_type": "unicode", "numpy_type": "object"},
+        {"name": index, "field_name": index, "pandas_type": "int64", "numpy_type": "int64"},
+        {"name": what, "field_name": what, "pandas_type": "unicode", "numpy_type": "object"},
     ]
     about = {
-        "index_columns": ["task"],
+        "index_columns": [what],
         "column_indexes": [],
         "columns": [{**column, "metadata": None} for column in columns],
         "pandas_version": "2.2.0",

@@ -67,7 +67,7 @@ class _Film:
         self._what, self._camera, self._count = f"{episode}: camera {camera.name!r}", camera, len(rows)
         self._decoder, self._reformatter = Decoder(), av.video.reformatter.VideoReformatter()
         self._file = folder / f"{camera.column}.mp4"
-        self._video = VideoWriter(self._file, camera.height, camera.width, plan.fps, plan.codec)
+        self._video = VideoWriter(self._file, camera.height, camera.width, plan.fps, plan.codec, plan.gop)
         self._samples = frozenset(PixelCounts.samples(len(rows)))
         self._pixels = PixelCounts()
         self.rows = RowPictures(self._what, rows, self._prepared, self._add)

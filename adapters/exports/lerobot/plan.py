@@ -11,6 +11,7 @@ import msgspec
 
 from adapters.exports.lerobot.av_library import Codec
 from station.bus import keys
+from station.episode.quality.cameras import stated_hz
 from station.episode.reading import frames
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import keys_of_joints, state_key
@@ -18,11 +19,13 @@ from station.episode.storage.folder import signals_file
 from station.errors import EpisodeError, StationError, did_you_mean
 from station.export import verdict
 from station.export.columns import KeyColumns, expect_same, key_columns, robot_of, unique_names
-from station.export.kind import MinQuality, Source
+from station.export.kind import MinQuality, Source, Success
 from station.export.parts import moving_parts
-from station.export.resample import state_of_step
+from station.export.resample import PictureRule, state_of_step
+from station.export.trim import Trim
 
 Layout = Literal["v3.0", "v2.1"]
+Subtasks = Literal["none", "marks"]
 
 STATE = "observation.state"
 ACTION = "action"
@@ -31,17 +34,24 @@ AGE = "age_s."
 """Before the name of a column: how old what stands there is. Names that begin with ``observation`` or ``action`` would
 be taken for inputs and outputs of a policy by LeRobot, whatever they hold."""
 TIME = "time_ns"
+GATE = "gate"
+COMMANDER = "commander"
+SUBTASK = "subtask_index"
+"""LeRobot's own name: loaders of its that know ``meta/subtasks.parquet`` give the text of each row as ``subtask``."""
+
+DEFAULT_FPS = 50
 
 _TRIED = 10  # pictures of a camera, for its size: the first may be torn
 
 
 class Camera(msgspec.Struct, frozen=True, kw_only=True):
-    """One camera: its name, its key, and the size of its pictures as they are encoded [pixels]."""
+    """One camera: its name, its key, the size of its pictures as they are encoded [pixels], its stated rate [Hz]."""
 
     name: str
     key: str
     height: int
     width: int
+    hz: float | None = None
 
     @property
     def column(self) -> str:
@@ -61,11 +71,13 @@ class Common(msgspec.Struct, frozen=True, kw_only=True):
     """What every episode must have to be in the data set.
 
     Attributes:
-        robot: Suffix of the robot's keys, "" where the keys were named and none was needed.
+        robot: Suffix of the robot's keys; where all keys were named, what the episode says, "" for nothing.
         state, action: Keys, in the order in which their numbers stand in a row.
         read: These, and the states of the policy steps that made the action.
         cameras: By name.
         is_every_camera: Whether all cameras were meant, and these are those of the first episode.
+        is_of_robot: Whether keys of `robot` are meant, so that an episode of another one does not fit ...
+        is_robot_named: ... and whether it was named, so that an episode of several ones fits.
         is_every_part: Whether no keys were named, so that hands and neck are those that moved in the first episode.
     """
 
@@ -75,6 +87,8 @@ class Common(msgspec.Struct, frozen=True, kw_only=True):
     read: tuple[KeyColumns, ...]
     cameras: tuple[Camera, ...]
     is_every_camera: bool = False
+    is_of_robot: bool = False
+    is_robot_named: bool = False
     is_every_part: bool = False
 
     @property
@@ -89,23 +103,34 @@ class Common(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Plan(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything that decides what a data set is, but for its episodes; as in `LeRobotOptions`."""
+    """Everything that decides what a data set is, but for its episodes; as in `LeRobotOptions`.
+
+    Attributes:
+        fps_as: What the rate follows, in words.
+    """
 
     layout: Layout
     fps: int
+    fps_as: str
+    pictures: PictureRule
+    trim: Trim
+    subtasks: Subtasks
     codec: Codec
+    gop: int
     val: float
     seed: int
     common: Common
 
 
 class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
-    """What was asked for: keys, empty for the defaults; cameras, None for all there are; least verdict."""
+    """What was asked for: keys, empty for the defaults; cameras, None for all; robot, "" for the only one; verdicts."""
 
     state: tuple[str, ...] = ()
     action: tuple[str, ...] = ()
     cameras: tuple[str, ...] | None = None
+    robot: str = ""
     min_quality: MinQuality = "any"
+    success: Success = "any"
 
 
 def common(sources: Sequence[Source], wish: PlanRequest) -> Common:
@@ -118,7 +143,7 @@ def common(sources: Sequence[Source], wish: PlanRequest) -> Common:
     book = verdict.rule_book(wish.min_quality)
     for source in sources:
         try:
-            verdict.expect(source, wish.min_quality, book)
+            verdict.expect(source, wish.min_quality, book, success=wish.success)
             return _of(open_source(source), wish)
         except StationError as error:
             first = first or error
@@ -142,8 +167,12 @@ def expect_fit(reader: EpisodeReader, plan: Plan) -> dict[str, str]:
         EpisodeError: a key or a camera is missing, or holds something else than the data set; names it.
     """
     common = plan.common
-    if common.is_every_part and (robot := robot_of(reader)) != common.robot:
-        raise EpisodeError(f"{reader.episode_id}: of {robot}, the data set is of {common.robot}; export it apart")
+    named = common.robot if common.is_robot_named else ""
+    if common.is_of_robot and (robot := robot_of(reader, named)) != common.robot:
+        raise EpisodeError(
+            f"{reader.episode_id}: another robot ({robot}) than the data set has ({common.robot}); "
+            f"export it apart, with --robot {robot}"
+        )
     expect_same(reader, common.read)
     found = cameras_of(reader, [camera.name for camera in common.cameras])
     for camera in common.cameras:
@@ -186,7 +215,7 @@ def cameras_of(reader: EpisodeReader, names: Sequence[str]) -> dict[str, str]:
 
 
 def _of(reader: EpisodeReader, wish: PlanRequest) -> Common:
-    robot = "" if wish.state and wish.action else robot_of(reader)
+    robot = "" if wish.state and wish.action and not wish.robot else robot_of(reader, wish.robot)
     _expect_defaults(reader, wish, robot)
     parts = moving_parts(reader, robot) if robot else []
     topics = reader.topics()
@@ -205,8 +234,22 @@ def _of(reader: EpisodeReader, wish: PlanRequest) -> Common:
         read=tuple({**chosen, **paces}.values()),
         cameras=tuple(_camera(reader, name, key) for name, key in cameras_of(reader, wanted).items()),
         is_every_camera=wish.cameras is None,
+        is_of_robot=bool(robot),
+        is_robot_named=bool(wish.robot),
         is_every_part=not wish.state and not wish.action,
     )
+
+
+def rate(common: Common) -> tuple[int, str]:
+    """Return the rows per second where nobody says how many, and what they follow: more would repeat pictures."""
+    known = [camera for camera in common.cameras if camera.hz]
+    if not known:
+        return DEFAULT_FPS, "no camera that states its rate"
+    slowest = min(known, key=lambda camera: camera.hz or 0.0)
+    rates = [one.rate_hz for one in common.state if one.rate_hz]
+    if rates and max(rates) < (slowest.hz or 0.0):
+        return max(1, int(max(rates))), "the state, slower than any camera"
+    return max(1, round(slowest.hz or 0.0)), f"camera {slowest.name}, the slowest"
 
 
 def _expect_defaults(reader: EpisodeReader, wish: PlanRequest, robot: str) -> None:
@@ -231,4 +274,5 @@ def _camera(reader: EpisodeReader, name: str, key: str) -> Camera:
         raise EpisodeError(
             f"{reader.episode_id}: none of the first {_TRIED} pictures of camera {name!r} is a JPEG that can be read"
         )
-    return Camera(name=name, key=key, height=picture.height // 2 * 2, width=picture.width // 2 * 2)
+    hz = stated_hz(reader.manifest).get(key)
+    return Camera(name=name, key=key, height=picture.height // 2 * 2, width=picture.width // 2 * 2, hz=hz)

@@ -55,6 +55,20 @@ def meters(reader: EpisodeReader) -> list[MotionMeter]:
     return found
 
 
+def moving_span(reader: EpisodeReader, robot: str) -> tuple[int, int] | None:
+    """Return from when to when joints of a robot moved, what lies before and behind being the idle head and tail.
+
+    Returns:
+        Both instants [ns since the epoch], 0 where nothing ever moved; None where nothing tells of its joints.
+    """
+    meter = next((one for one in meters(reader) if one.robot == robot), None)
+    if meter is None:
+        return None
+    for message in reader.messages(meter.topics):
+        meter.feed(message)
+    return meter.moved_ns()
+
+
 class MotionMeter:
     """Takes the messages of a robot's state and command, and tells at the end how its joints moved.
 
@@ -62,12 +76,15 @@ class MotionMeter:
         robot: Suffix of its keys.
         state_key, command_key: The keys; "" for one that there is not.
         description: Says where its joints end; None where nothing does.
+
+    Attributes:
+        robot: Suffix of its keys.
     """
 
     def __init__(
         self, robot: str, state_key: str, command_key: str, description: RobotDescription | None = None
     ) -> None:
-        self._robot, self._state_key, self._command_key = robot, state_key, command_key
+        self.robot, self._state_key, self._command_key = robot, state_key, command_key
         self._stillness = [Stillness(), Stillness()]
         self._jerk, self._command_jerk, self._ends = Jerk(), Jerk(), Ends(description)
         self._sides = {state_key: _Blocks(self._add_state), command_key: _Blocks(self._add_command)}
@@ -78,6 +95,20 @@ class MotionMeter:
         side = self._sides.get(message.topic)
         if side is not None and not message.channel.is_deletion:
             side.feed(message)
+
+    @property
+    def topics(self) -> set[str]:
+        """The keys that it wants to be fed."""
+        return set(self._sides)
+
+    def moved_ns(self) -> tuple[int, int] | None:
+        """Return when a joint moved first and last [ns since the epoch], 0 where none ever did; None without joints."""
+        for side in self._sides.values():
+            side.flush()
+        if all(one.first_ns is None for one in self._stillness):
+            return None
+        moved = [(one.moved_ns, one.rested_ns) for one in self._stillness if one.moved_ns is not None]
+        return min((first for first, _ in moved), default=0), max((last for _, last in moved), default=0)
 
     def result(self) -> MotionQuality | None:
         """Return how the joints moved; None where no message held any."""
@@ -90,7 +121,7 @@ class MotionMeter:
         p99, most, worst = self._jerk.result()
         command_p99, _, command_worst = self._command_jerk.result()
         return MotionQuality(
-            robot=self._robot,
+            robot=self.robot,
             state_key=self._state_key,
             command_key=self._command_key,
             samples=self._ends.samples,

@@ -163,7 +163,7 @@ def test_pixels_are_those_of_the_jpeg(tmp_path: Path, layout: str) -> None:
         shoot(builder, 0, at_s=0.1 + step / 50, data=data)
         tick(builder, step, at_s=0.11 + step / 50)
     source = source_of(builder.finish({"robot": {"suffix": ROBOT}}))
-    exported([source], out := tmp_path / "out", layout=layout, pictures="rgb")
+    exported([source], out := tmp_path / "out", layout=layout, encoding="rgb")
     with h5py.File(next(out.glob("*.hdf5"))) as file:
         place = "data/demo_0/obs/head_image" if layout == "robomimic" else "observations/images/head"
         found = file[place][:].astype(int)
@@ -218,15 +218,15 @@ def test_a_dry_run_names_every_array_and_refuses_what_the_run_refuses(tmp_path: 
 
 def test_what_cannot_be_is_told_in_a_line(tmp_path: Path) -> None:
     source = walked(tmp_path / "data", seconds=0.4)
-    with pytest.raises(UsageError, match="--pictures jpeg: robomimic reads pixels only"):
-        exported([source], tmp_path / "one", pictures="jpeg")
+    with pytest.raises(UsageError, match="--encoding jpeg: robomimic reads pixels only"):
+        exported([source], tmp_path / "one", encoding="jpeg")
     with pytest.raises(EpisodeError, match=f"{keys.policy_obs(ROBOT)}' names no elements"):
         exported([source], tmp_path / "two", state=(keys.policy_obs(ROBOT),))
     builder = EpisodeBuilder(tmp_path / "data", task="two")
     for robot in ("one", "other"):
         builder.write({f"command_used_{robot}": b"[0.0]", f"policy_timing_{robot}": b"[0]"}, at_s=0.1)
     two = source_of(builder.finish())
-    with pytest.raises(EpisodeError, match=r"several robots \(one, other\); name the keys with --state and --action"):
+    with pytest.raises(EpisodeError, match="several robots in it; export one at a time: --robot one or --robot other"):
         exported([two], tmp_path / "three")
 
 
@@ -258,6 +258,6 @@ def test_a_full_disk_is_told_of_in_a_line(tmp_path: Path, layout: str) -> None:
     with small_disk(tmp_path / "disk", 10) as disk:
         (disk.path / "filler").write_bytes(bytes(1 << 19))
         with pytest.raises(StationError, match=r"No space left on device; .*: make room, then run the same command"):
-            exported([source], disk.path / "out", layout=layout, pictures="rgb")
+            exported([source], disk.path / "out", layout=layout, encoding="rgb")
         gc.collect()  # a library that could not close its file ends the process here
         assert not (disk.path / "out").exists()

@@ -71,7 +71,9 @@ def _tables(episode: Path, out: Path) -> dict[str, dict[str, list[float]]]:
 def _data_set(episode: Path, out: Path) -> dict[str, Any]:
     """Frames of the export to LeRobot, and shape and names of each of its features."""
     source = Source(episode_id=episode.name, folder=str(episode))
-    export(LEROBOT, [source], LeRobotOptions(min_quality="any"), out, where=Workers(jobs=1))
+    # What version 0.1 had no choice of: 50 rows a second whatever the cameras have, and all rows that can be made.
+    options = LeRobotOptions(min_quality="any", fps=50, trim="none")
+    export(LEROBOT, [source], options, out, where=Workers(jobs=1))
     info = json.loads((out / "meta/info.json").read_text(encoding="utf-8"))
     features = {name: {"shape": one["shape"], "names": one["names"]} for name, one in info["features"].items()}
     return {"frames": info["total_frames"], "fps": info["fps"], "features": features}

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import av
+import msgspec
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -20,6 +21,7 @@ from adapters.exports.lerobot.features import INDEX
 from adapters.exports.lerobot.kind import LeRobotOptions
 from adapters.exports.lerobot.plan import Camera
 from adapters.exports.lerobot.video import packets
+from adapters.robots.kassow.names import KR810_ROBOT
 from station.bus import codec, contracts, keys
 from station.contract import names_of
 from station.errors import EpisodeError
@@ -61,7 +63,8 @@ def test_v30_has_the_files_types_and_names_that_lerobot_reads(tmp_path: Path) ->
     info = json.loads((out / "meta/info.json").read_text())
     assert {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()} == {
         "README.md", "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet", "meta/info.json",
-        "meta/modality.json", "meta/splits.json", "meta/station.json", "meta/stats.json", "meta/tasks.parquet",
+        "meta/modality.json", "meta/names.json", "meta/splits.json", "meta/station.json", "meta/stats.json",
+        "meta/tasks.parquet",
         f"videos/{IMAGE}/chunk-000/file-000.mp4",
     }  # fmt: skip
     data = pq.ParquetFile(out / "data/chunk-000/file-000.parquet")
@@ -70,6 +73,7 @@ def test_v30_has_the_files_types_and_names_that_lerobot_reads(tmp_path: Path) ->
     assert types == {
         "observation.state": "fixed_size_list<element: float>[65]", "action": "fixed_size_list<element: float>[35]",
         "age_s.observation.state": "float", "age_s.action": "float", AGE: "float", "time_ns": "int64",
+        "gate": "int64", "commander": "int64",
         "timestamp": "float", "frame_index": "int64", "episode_index": "int64", "index": "int64", "task_index": "int64",
     }  # fmt: skip
     assert set(info["features"]) == {*types, IMAGE}
@@ -219,6 +223,9 @@ def test_groups_of_every_contract_cover_it_without_a_gap() -> None:
     assert set(groups(names_of(FORMAT.elements))) == {
         "root", "left_leg", "right_leg", "waist", "left_arm", "right_arm",
     }  # fmt: skip
+    arm = contracts.contract(keys.state_joints(KR810_ROBOT))
+    assert arm is not None
+    assert set(groups(arm.names)) == {"joint", "joint_vel", "joint_torque"}
 
 
 @pytest.mark.parametrize(("layout", "version"), [("v3.0", "v3"), ("v2.1", "v2")])
@@ -246,15 +253,35 @@ def test_reruns_reader_streams_every_episode_with_curves_named_as_the_contract_n
 
 
 @pytest.mark.parametrize("coding", ["h264", "av1"])
-def test_a_video_shows_the_picture_of_each_row_and_every_second_frame_is_a_key_frame(
-    tmp_path: Path, coding: str
+@pytest.mark.parametrize("gop", [1, 2, 7, 30])
+def test_each_episode_begins_with_a_key_frame_and_has_one_every_so_many_also_behind_another_episode(
+    tmp_path: Path, coding: str, gop: int
 ) -> None:
-    exported([walked(tmp_path / "data", seconds=0.5)], out := tmp_path / "set", codec=coding)
+    sources = [walked(tmp_path / "data", 1, seconds=0.7), walked(tmp_path / "data", 2, seconds=0.9)]
+    exported(sources, out := tmp_path / "set", codec=coding, gop=gop)
     rows = pq.read_table(out / "data/chunk-000/file-000.parquet").to_pydict()
     video = out / f"videos/{IMAGE}/chunk-000/file-000.mp4"
     assert pictures(video) == nearest(rows["time_ns"])
     is_key = [packet.is_keyframe for packet in packets(video)]
-    assert is_key == [number % 2 == 0 for number in range(len(is_key))]
+    assert is_key == [number % gop == 0 for number in rows["frame_index"]]
+    assert rows["episode_index"][-1] == 1
+    told = "every frame a key frame" if gop == 1 else f"a key frame every {gop} frames"
+    assert told in (out / "README.md").read_text()
+
+
+@pytest.mark.parametrize("gop", [2, 30])
+def test_a_video_of_one_episode_has_the_key_frames_that_were_asked_for(tmp_path: Path, gop: int) -> None:
+    exported([walked(tmp_path / "data", seconds=0.9)], out := tmp_path / "set", layout="v2.1", gop=gop)
+    is_key = [packet.is_keyframe for packet in packets(next((out / "videos").rglob("*.mp4")))]
+    assert is_key == [number % gop == 0 for number in range(len(is_key))]
+
+
+def test_the_usual_distance_of_key_frames_is_thirty(tmp_path: Path) -> None:
+    exported([walked(tmp_path / "data", seconds=0.9)], out := tmp_path / "set")
+    is_key = [packet.is_keyframe for packet in packets(out / f"videos/{IMAGE}/chunk-000/file-000.mp4")]
+    assert np.flatnonzero(is_key).tolist() == list(range(0, len(is_key), 30))
+    with pytest.raises(ValueError, match="1"):
+        msgspec.convert({"gop": 0}, LeRobotOptions)
 
 
 def test_a_picture_that_cannot_be_read_is_replaced_and_its_age_says_so(tmp_path: Path) -> None:

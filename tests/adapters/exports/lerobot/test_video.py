@@ -20,7 +20,7 @@ def scheduling() -> set[tuple[int, int]]:
 def test_an_encoder_takes_no_precedence_over_a_robot(tmp_path: Path, codec: Codec) -> None:
     av = pytest.importorskip("av")
     before, told = scheduling(), told_of_a_new_thread()
-    writer = VideoWriter(tmp_path / "video.mp4", 64, 96, 30, codec)
+    writer = VideoWriter(tmp_path / "video.mp4", 64, 96, 30, codec, 30)
     for level in range(10):
         grey = np.full((64, 96, 3), 25 * level, dtype=np.uint8)
         writer.add(av.VideoFrame.from_ndarray(grey, format="rgb24").reformat(format=PIXELS))

@@ -150,7 +150,7 @@ def test_a_dry_run_refuses_what_the_run_refuses_for_the_same_reasons(tmp_path: P
     reasons = {each.source: each.reason for each in seen.left_out}
     assert reasons == {each.source: each.reason for each in (*found.failed, *found.left_out)}
     assert "no camera 'head' in it" in reasons[blind]
-    assert f"of {KR810_ROBOT}, the data set is of {ROBOT}" in reasons[arm]
+    assert f"another robot ({KR810_ROBOT}) than the data set has ({ROBOT}); export it apart" in reasons[arm]
 
 
 @pytest.mark.parametrize("kind", [CSV, JOINTSTATE_MCAP], ids=lambda kind: kind.name)
