@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, get_args
 
 from station.bus import codec, keys
@@ -30,5 +29,5 @@ def _gate_state(message: Message) -> str:
 def _commander(message: Message) -> str:
     """Return the server that commands, and its device or the file of its motion."""
     facts: dict[str, Any] = codec.parse_facts(message.data)
-    what = str(facts.get("device") or "") or Path(str(facts.get("file") or "")).name
+    what = str(facts.get("device") or "") or str(facts.get("file") or "").rpartition("/")[2]
     return f"{message.channel.writer} {what}".strip()[:_LONGEST]

@@ -28,7 +28,7 @@ _ACTION = (
 )
 _FPS = f"Rows per second.  [default: the rate that the slowest camera states, else {plans.DEFAULT_FPS}]"
 _ROBOT = "Robot that the default keys are of, by the end of its keys.  [default: the only one in the episodes]"
-_CODEC = "Of the video; av1, LeRobot's own: better pictures, several times slower to make, files about as large."
+_CODEC = "Of the video; av1, LeRobot's own: better pictures, several times slower to make, files as large or larger."
 _GOP = (
     "Pictures of a video from one key frame to the next. To read one at random, half as many are decoded on average, "
     "all at most; 2, as LeRobot has it: 1.5, in files several times as large."
