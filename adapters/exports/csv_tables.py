@@ -16,14 +16,12 @@ from typing import Any
 import msgspec
 
 from adapters.exports.named_rows import Plan, Rows, in_seconds
-from station.errors import EpisodeError
 from station.export.kind import ShardResult, Source
 
 FIRST_COLUMNS = ("log_time_s", "publish_time_s", "sequence")
 CONTENTS = "contents.json"
 
 _LONGEST_NAME = 150  # characters; file systems take 255 bytes
-_MOST_FILES = 512  # of 1024 that a process may have open
 
 
 def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
@@ -33,8 +31,7 @@ def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
         EpisodeError: a key has no names for its numbers, or the episode has more keys than files can be open.
     """
     rows = Rows(source, plan.keys)
-    if len(rows.columns) > _MOST_FILES:
-        raise EpisodeError(f"{source.episode_id}: {len(rows.columns)} keys, at most {_MOST_FILES}; choose with --keys")
+    rows.expect_files()
     place = folder / source.episode_id
     place.mkdir()
     names = file_names(rows.columns)
@@ -44,7 +41,7 @@ def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
             file = stack.enter_context((place / names[key]).open("w", encoding="utf-8", newline=""))
             tables[key] = csv.writer(file, lineterminator="\n").writerow
             tables[key]([*FIRST_COLUMNS, *columns.titles])
-        for key, log_ns, publish_ns, sequence, values in rows:
+        for key, log_ns, publish_ns, sequence, values, _ in rows:
             times = in_seconds(log_ns - rows.start_ns), in_seconds(publish_ns - rows.start_ns)
             tables[key]([*times, sequence, *values])
     (place / CONTENTS).write_bytes(msgspec.json.format(msgspec.json.encode(_contents(rows, names)), indent=2))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from adapters.exports import csv_tables, jointstate, named_rows, npz_arrays
+from adapters.exports import csv_tables, jointstate, named_rows, npz_arrays, parquet_tables
+from adapters.exports.hdf5 import kind as hdf5
 from adapters.exports.lerobot import kind as lerobot
 from station.export.kind import ExportKind
 
@@ -40,4 +41,23 @@ JOINTSTATE_MCAP = ExportKind(
     prepare=named_rows.prepare,
     convert=jointstate.convert,
     inspect=jointstate.inspect,
+)
+PARQUET = ExportKind(
+    name="parquet",
+    summary="A table per key with named columns, units and times, for pandas, polars, duckdb; events and episodes too.",
+    options=named_rows.QuickLookOptions,
+    prepare=parquet_tables.prepare,
+    convert=parquet_tables.convert,
+    join=parquet_tables.join,
+    inspect=named_rows.inspect,
+)
+HDF5 = ExportKind(
+    name="hdf5",
+    summary="The rows of lerobot as HDF5: one file for robomimic, or a file per episode for ACT.",
+    options=hdf5.Hdf5Options,
+    prepare=hdf5.prepare,
+    convert=hdf5.convert,
+    join=hdf5.join,
+    columns=hdf5.columns,
+    inspect=hdf5.inspect,
 )

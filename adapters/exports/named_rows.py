@@ -1,4 +1,4 @@
-"""What the quick looks (csv, npz, jointstate-mcap) share: every value of every key whose elements have names.
+"""What the quick looks (csv, npz, parquet, jointstate-mcap) share: every value of every key whose elements have names.
 
 Nothing is resampled and nothing is repaired: a row is a write, with the time of its arrival at the recorder, the time
 at which its writer wrote it, and its writer's own number.
@@ -22,6 +22,7 @@ from station.export.columns import KeyColumns, key_columns
 from station.export.kind import ExportOptions, MinQuality, ShardResult, Source
 
 _NANOSECONDS = 1_000_000_000
+_MOST_FILES = 512  # of 1024 that a process may have open
 
 
 class QuickLookOptions(ExportOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -43,13 +44,14 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Row(NamedTuple):
-    """One value: key, arrival and writing [ns since the epoch], the writer's number of it, and its numbers."""
+    """One value: key, arrival and writing [ns since the epoch], the writer's number of it, its numbers, the writer."""
 
     key: str
     log_ns: int
     publish_ns: int
     sequence: int
     values: Sequence[float]
+    writer: str = ""
 
 
 def prepare(_sources: Sequence[Source], options: QuickLookOptions) -> Plan:
@@ -121,7 +123,16 @@ class Rows:
             self.first_ns = min(self.first_ns or message.log_ns, message.log_ns)
             self.last_ns = max(self.last_ns, message.log_ns)
             row = values.tolist() if isinstance(values, np.ndarray) else values
-            yield Row(key, message.log_ns, message.publish_ns, message.sequence, row)
+            yield Row(key, message.log_ns, message.publish_ns, message.sequence, row, message.channel.writer)
+
+    def expect_files(self) -> None:
+        """Refuse an episode with more keys than files can be open, for a format that has a file per key.
+
+        Raises:
+            EpisodeError: it has; says how many.
+        """
+        if (count := len(self.columns)) > _MOST_FILES:
+            raise EpisodeError(f"{self.reader.episode_id}: {count} keys, at most {_MOST_FILES}; choose with --keys")
 
     def narrow(self, keys: Collection[str]) -> None:
         """Leave out all but some keys."""

@@ -37,7 +37,7 @@ def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
     """
     rows = Rows(source, plan.keys)
     held = {key: _Held() for key in rows.columns}
-    for key, log_ns, publish_ns, sequence, values in rows:
+    for key, log_ns, publish_ns, sequence, values, _ in rows:
         one = held[key]
         one.log_ns.append(log_ns)
         one.publish_ns.append(publish_ns)

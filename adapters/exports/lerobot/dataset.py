@@ -82,7 +82,7 @@ def join(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan
         "splits": splits,
         "layout": plan.layout,
         "cameras": [camera.name for camera in plan.common.cameras],
-        "notes": list(_notes(ordered, plan)),
+        "notes": list(notes(ordered, plan)),
     }
 
 
@@ -96,7 +96,7 @@ def _cut(shard: Shard) -> tuple[float, str] | None:
     return cut_s, f"{head_s:.1f} at its beginning, {tail_s:.1f} at its end"
 
 
-def _notes(shards: Sequence[Shard], plan: Plan) -> Iterator[str]:
+def notes(shards: Sequence[Shard], plan: Plan) -> Iterator[str]:
     """Yield what whoever asked for the data set should know, in a line each."""
     for what, has, cure in (
         ("cameras", "have cameras that the first one has not", "with --camera NAME they are"),

@@ -60,12 +60,12 @@ def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
     """
     common = plan.common
     reader = open_source(source)
-    recorded, table, cut = _rows(reader, plan)
+    recorded, table, cut = rows_of(reader, plan)
     encoded = _encode(reader, plan, table, folder)
     spoken, commanders, subtasks = _spoken(reader, plan, recorded, table)
     columns: parquet.Columns = {
-        STATE: _joined(table.state, common.state),
-        ACTION: _joined(table.action, common.action),
+        STATE: joined(table.state, common.state),
+        ACTION: joined(table.action, common.action),
         AGE + STATE: _ages(table.state, common.state),
         AGE + ACTION: _ages(table.action, common.action),
         **_picture_ages(plan, recorded.pictures, table, encoded),
@@ -79,11 +79,21 @@ def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
     )
     (folder / STATS).write_bytes(msgspec.json.encode(measured))
     facts = {
-        "task": task_of(reader.manifest),
         "pictures": {camera.name: _picture_facts(encoded[camera.key]) for camera in common.cameras},
-        "missed": missed(reader, plan),
         "commanders": commanders,
         "subtasks": subtasks,
+        **facts_of(reader, plan, recorded, table, cut),
+    }
+    return ShardResult(seconds=len(table.ticks_ns) / plan.fps, rows=len(table.ticks_ns), facts=facts)
+
+
+def facts_of(
+    reader: EpisodeReader, plan: Plan, recorded: tracks.Recorded, table: Table, cut: trim.Trimmed
+) -> dict[str, Any]:
+    """Return what `dataset.notes` and `card.provenance` tell of the rows of an episode, but for its pictures."""
+    return {
+        "task": task_of(reader.manifest),
+        "missed": missed(reader, plan),
         "trim": msgspec.to_builtins(cut),
         "head_s": table.head_s,
         "tail_s": table.tail_s,
@@ -91,7 +101,6 @@ def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
         "skipped": dict(tracks.skipped(recorded)),
         **provenance(reader),
     }
-    return ShardResult(seconds=len(table.ticks_ns) / plan.fps, rows=len(table.ticks_ns), facts=facts)
 
 
 def task_of(manifest: Manifest) -> str:
@@ -117,7 +126,7 @@ def inspect(source: Source, plan: Plan) -> list[str]:
         EpisodeError: as `convert`.
     """
     reader = open_source(source)
-    _, _, cut = _rows(reader, plan)
+    _, _, cut = rows_of(reader, plan)
     lacks = [
         f"{source.episode_id}: {what}, not in the data set: {', '.join(names)}"
         for what, names in missed(reader, plan).items()
@@ -135,7 +144,13 @@ def words_of(cut: trim.Trimmed, rule: trim.Trim) -> str:
     return f"--trim {rule} left out {cut.head_s:.1f} s at its beginning, {cut.tail_s:.1f} s at its end"
 
 
-def _rows(reader: EpisodeReader, plan: Plan) -> tuple[tracks.Recorded, Table, trim.Trimmed]:
+def rows_of(reader: EpisodeReader, plan: Plan) -> tuple[tracks.Recorded, Table, trim.Trimmed]:
+    """Return what was read of an episode, its rows, and what was cut of them.
+
+    Raises:
+        EpisodeError: it does not fit the plan, or cannot be read; names key or camera.
+        NotGoodEnough: --trim leaves no row of it.
+    """
     common = plan.common
     cameras = expect_fit(reader, plan)
     recorded = tracks.read(reader, common.read, cameras.values(), words.spellings(common.robot))
@@ -170,7 +185,8 @@ def _encode(reader: EpisodeReader, plan: Plan, table: Table, folder: Path) -> Ma
     return pictures.encode(reader, plan, {key: one.numbers for key, one in table.pictures.items()}, folder)
 
 
-def _joined(values: Mapping[str, Column], keys: Sequence[KeyColumns]) -> Floats32:
+def joined(values: Mapping[str, Column], keys: Sequence[KeyColumns]) -> Floats32:
+    """Return the numbers of some keys beside each other, shape (n, m)."""
     return np.concatenate([values[one.key].values for one in keys], axis=1).astype(np.float32)
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from adapters.exports.arrow_library import pa
 from adapters.exports.lerobot import about, features, parquet
 from adapters.exports.lerobot.parquet import Columns
 from adapters.exports.lerobot.plan import Plan
@@ -113,10 +114,10 @@ class Version30(Layout):
             return
         chunk, number = self._about.place()
         here = {"meta/episodes/chunk_index": chunk, "meta/episodes/file_index": number}
-        rows = parquet.pa.Table.from_pylist([known | here for known, _ in self._waiting], schema=self._schema)
+        rows = pa.Table.from_pylist([known | here for known, _ in self._waiting], schema=self._schema)
         self._schema = rows.schema
         for name, kind in about.FIELDS.items():
-            rows = rows.append_column(name, parquet.pa.array([fields[name] for _, fields in self._waiting], kind))
+            rows = rows.append_column(name, pa.array([fields[name] for _, fields in self._waiting], kind))
         self._about.add(rows)
         self._waiting.clear()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-pa: Any = importlib.import_module("pyarrow")  # has no types of its own
-pq: Any = importlib.import_module("pyarrow.parquet")
+from adapters.exports.arrow_library import pa, pq
 
 Columns = dict[str, NDArray[Any]]
 """By name, shape (n,) or (n, m)."""

@@ -76,7 +76,7 @@ def test_only_the_keys_that_are_asked_for_are_exported(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "out" / episode.name).glob("*.csv")] == [f"{COMMAND}.csv"]
 
 
-@pytest.mark.parametrize("name", ["csv", "npz", "jointstate-mcap"])
+@pytest.mark.parametrize("name", ["csv", "npz", "parquet", "jointstate-mcap"])
 def test_a_key_without_names_is_refused_by_its_name(tmp_path: Path, name: str) -> None:
     episode = walked(tmp_path / "data", seconds=0.2)
     with pytest.raises(UsageError, match=f"--keys {keys.policy_obs(ROBOT)}: has no names.*leave it out"):
@@ -89,7 +89,7 @@ def test_a_key_without_names_is_refused_by_its_name(tmp_path: Path, name: str) -
         converted(name, episode, tmp_path / "four", "robot_stat")
 
 
-@pytest.mark.parametrize("name", ["csv", "npz", "jointstate-mcap"])
+@pytest.mark.parametrize("name", ["csv", "npz", "parquet", "jointstate-mcap"])
 def test_an_episode_without_any_named_number_is_refused_by_its_name(tmp_path: Path, name: str) -> None:
     builder = EpisodeBuilder(tmp_path / "data")
     builder.foreign("strange", b"[1, 2]", at_s=0.1)
