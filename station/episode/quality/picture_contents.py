@@ -1,7 +1,7 @@
 """What the pictures of an episode are worth: torn, resized, repeated, frozen, black, white, empty, or badly exposed.
 
 Every picture is tried by its bytes: whether it is a whole JPEG file, of the size of the first one, and whether it is
-the picture before once more, byte for byte. Two pictures a second of each camera (600 of an episode at most) are decoded
+the picture before once more, byte for byte. Two pictures a second of each camera (at most 600) are decoded
 too, in grey, at an eighth to a half of their size, beside the reading of the file.
 
 A sensor has noise and never gives the same bytes twice; a simulated camera may, before a robot that stands still. So a
