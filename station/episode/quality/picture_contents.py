@@ -313,8 +313,10 @@ def _is_jump(before: Look, look: Look) -> bool:
 def look(decode: Callable[[bytes], Grey | None], data: bytes) -> Look | None:
     """Return what a picture shows; None for one that cannot be decoded."""
     grey = decode(data)
-    if grey is None or min(grey.shape) < _THUMB:
+    if grey is None:
         return None
+    if min(grey.shape) < _THUMB:
+        grey = grey.repeat(_THUMB, axis=0).repeat(_THUMB, axis=1)
     counts = np.bincount(grey.ravel(), minlength=256)
     levels, total = np.arange(256), grey.size
     mean = float(counts @ levels) / total

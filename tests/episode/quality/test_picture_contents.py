@@ -163,6 +163,10 @@ def covered_for_a_moment(shot: Shot) -> bytes:
     return file_of(noise(0) + 3.0) if 2.5 < shot.at_s < 2.8 else sound(shot)
 
 
+def tiny(shot: Shot) -> bytes:
+    return file_of((scene(shot.number) + noise(shot.number))[::30, ::20])  # 16x8
+
+
 def rendered(shot: Shot) -> bytes:
     return file_of(scene(shot.number))  # without noise
 
@@ -171,7 +175,7 @@ def rendered(shot: Shot) -> bytes:
     ("film", "moves"),
     [
         (sound, True), (dim, True), (in_grey_mist, True), (padded, True), (turning, True),
-        (covered_for_a_moment, True), (rendered, True),
+        (covered_for_a_moment, True), (rendered, True), (tiny, True),
         (lambda shot: noisy(shot.number, moves=False), False),  # nothing moves before a real camera
         (still, False),  # nor before a simulated one, whose bytes are the same
         (lambda shot: noisy(shot.number, moves=False), True),  # the arm moves out of sight
