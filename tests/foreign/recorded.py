@@ -16,7 +16,9 @@ PERIOD_MS = 33
 def jpeg(number: int) -> bytes:
     """A picture whose shade says which one it is."""
     file = io.BytesIO()
-    Image.new("RGB", (64, 18), (number * 7 % 256, 128, 30)).save(file, "JPEG", quality=95)
+    picture = Image.new("RGB", (64, 18), (number * 7 % 256, 128, 30))
+    picture.paste((20, 40, 90), (0, 0, 32, 18))
+    picture.save(file, "JPEG", quality=95)
     return file.getvalue()
 
 

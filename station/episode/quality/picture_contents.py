@@ -1,7 +1,7 @@
 """What the pictures of an episode are worth: torn, resized, repeated, frozen, black, white, empty, or badly exposed.
 
 Every picture is tried by its bytes: whether it is a whole JPEG file, of the size of the first one, and whether it is
-the picture before once more, byte for byte. Two pictures a second of each camera (600 of an episode at most) are decoded
+the picture before once more, byte for byte. Two pictures a second of each camera (at most 600) are decoded
 too, in grey, at an eighth to a half of their size, beside the reading of the file.
 
 A sensor has noise and never gives the same bytes twice; a simulated camera may, before a robot that stands still. So a
@@ -313,8 +313,10 @@ def _is_jump(before: Look, look: Look) -> bool:
 def look(decode: Callable[[bytes], Grey | None], data: bytes) -> Look | None:
     """Return what a picture shows; None for one that cannot be decoded."""
     grey = decode(data)
-    if grey is None or min(grey.shape) < _THUMB:
+    if grey is None:
         return None
+    if min(grey.shape) < _THUMB:
+        grey = grey.repeat(_THUMB, axis=0).repeat(_THUMB, axis=1)
     counts = np.bincount(grey.ravel(), minlength=256)
     levels, total = np.arange(256), grey.size
     mean = float(counts @ levels) / total

@@ -161,7 +161,7 @@ def _camera_flat(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, st
 def _camera_exposure(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for found in quality.pictures:
         if found.exposure_jumps.count > limits.camera_exposure.above_share * found.looked_at:
-            what = f"brightness jumps, of the same scene, in {_of(found.exposure_jumps, found.looked_at)} looked at"
+            what = f"{_of(found.exposure_jumps, found.looked_at)} looked at are the one before in another brightness"
             yield "usable", f"{_camera(found)}: {what}"
 
 
