@@ -13,6 +13,7 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, MessageIndex, Metadata, Schema
 
+from station.episode.storage import layout
 from station.episode.storage.records import MAGIC, ChunkPlace, RawMessage, parse_chunk, read_chunk
 from station.episode.storage.tail import HEAD, Place, body, whole_records
 from station.errors import EpisodeError
@@ -83,6 +84,7 @@ class _Walk:
         self._schemas: dict[int, Schema] = {}
         self._owed: list[int] = []  # channels of the last chunk whose message index has not come by yet
         self._last_chunk: Place | None = None
+        self._has_start = False  # whether the manifest of the start has come by
         self._kept_to = start
 
     def run(self, end: int, length: int) -> SalvageResult:
@@ -159,10 +161,23 @@ class _Walk:
         kind = {Opcode.HEADER: Header, Opcode.METADATA: Metadata, Opcode.ATTACHMENT: Attachment}[Opcode(place.opcode)]
         record, builder = kind.read(ReadDataStream(BytesIO(data))), RecordBuilder()
         record.write(builder)
+        self._has_start |= isinstance(record, Attachment) and record.name == layout.MANIFEST_START
         if builder.end()[HEAD.size :] != data:  # a wrong checksum, or lengths that do not add up
             return False
-        self._copy(HEAD.pack(place.opcode, len(data)) + data)
+        if isinstance(record, Attachment) and record.name == layout.MANIFEST:
+            self._copy_manifest(record)
+        else:
+            self._copy(HEAD.pack(place.opcode, len(data)) + data)
         return True
+
+    def _copy_manifest(self, record: Attachment) -> None:
+        """Copy the manifest of the start under its own name; that of the end is written anew, and names are unique."""
+        if self._has_start:
+            return
+        self._has_start, builder = True, RecordBuilder()
+        record.name = layout.MANIFEST_START
+        record.write(builder)
+        self._copy(builder.end())
 
     def _copy(self, data: bytes) -> None:
         if self._output is not None:
