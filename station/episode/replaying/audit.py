@@ -106,7 +106,8 @@ class Audit(AuditedPolicy, kw_only=True):
     @property
     def is_equal(self) -> bool:
         """Whether actions and observations were compared, and no bit of what was compared differs."""
-        return self.steps > 0 and self.observations.compared > 0 and not self.differences
+        is_audited = self.steps > 0 and self.observations.compared > 0
+        return is_audited and not self.differences
 
     @property
     def differences(self) -> int:

@@ -15,6 +15,7 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, MessageIndex, Metadata, Schema
 
+from station.episode.storage import layout
 from station.episode.storage.records import MAGIC, ChunkPlace, RawMessage, parse_chunk, read_chunk
 from station.episode.storage.tail import HEAD, Place, Summary, body, read_summary, whole_records
 from station.errors import EpisodeError
@@ -120,6 +121,7 @@ class _Walk:
         self._indexed: set[int] = set()  # channels of the last chunk
         self._owed: list[int] = []  # channels of the last chunk whose message index has not come by yet
         self._last_chunk: Place | None = None
+        self._has_start = False  # whether the manifest of the start has come by
         self._kept_to = start
         self._summary: Summary | None = None  # of a file of which the rest behind a damage is kept
         self._head = Head(b"", b"")
@@ -264,12 +266,25 @@ class _Walk:
         kind = {Opcode.HEADER: Header, Opcode.METADATA: Metadata, Opcode.ATTACHMENT: Attachment}[Opcode(place.opcode)]
         record, builder = kind.read(ReadDataStream(BytesIO(data))), RecordBuilder()
         record.write(builder)
+        self._has_start |= isinstance(record, Attachment) and record.name == layout.MANIFEST_START
         if builder.end()[HEAD.size :] != data:  # a wrong checksum, or lengths that do not add up
             return False
         if self._is_behind_damage:
             self._note_damage(place.offset, None)
-        self._copy(HEAD.pack(place.opcode, len(data)) + data)
+        if isinstance(record, Attachment) and record.name == layout.MANIFEST:
+            self._copy_manifest(record)
+        else:
+            self._copy(HEAD.pack(place.opcode, len(data)) + data)
         return True
+
+    def _copy_manifest(self, record: Attachment) -> None:
+        """Copy the manifest of the start under its own name; that of the end is written anew, and names are unique."""
+        if self._has_start:
+            return
+        self._has_start, builder = True, RecordBuilder()
+        record.name = layout.MANIFEST_START
+        record.write(builder)
+        self._copy(builder.end())
 
     def _copy(self, data: bytes) -> None:
         if self._output is not None:

@@ -8,13 +8,18 @@ import shutil
 import struct
 import zlib
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
+import yaml
 from click.testing import CliRunner
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from mcap.records import Attachment
 
 from station.cli.main import cli
 from station.episode.quality import rule_file
@@ -25,6 +30,7 @@ from station.episode.reading.reader import EpisodeReader, open_episode
 from station.episode.storage import edits, layout
 from station.episode.storage.file_hashes import changes, glance, measure
 from station.episode.storage.manifest import Mark, load_manifest, save_manifest
+from station.episode.storage.tail import body, whole_records
 from station.episode.writing.repair import repair
 from station.export import verdict
 from station.export.kind import Source
@@ -194,6 +200,35 @@ def test_a_repair_may_change_files_and_says_so(tmp_path: Path) -> None:
     (change,) = manifest.recovery[-1]["changed"]
     assert (change["name"], change["expected"]) == ("signals.mcap", f"{before.bytes} bytes")
     assert repair(folder).state == "whole"
+
+
+@pytest.mark.parametrize("is_earlier", [False, True], ids=["of today", "of an earlier station"])
+def test_a_repaired_file_has_each_manifest_once(tmp_path: Path, is_earlier: bool) -> None:
+    folder = episode(tmp_path)
+    signals = folder / layout.SIGNALS
+    data = signals.read_bytes()[:-40]
+    if is_earlier:  # the manifests of the start and of the end have one name
+        data = renamed_start(data)
+    signals.write_bytes(data)
+    assert repair(folder).state == "repaired"
+    with signals.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        found = {one.name: yaml.safe_load(one.data) for one in reader.iter_attachments()}
+        assert [one.name for one in reader.iter_attachments()] == ["manifest.start.yaml", "manifest.yaml"]
+    assert (found["manifest.start.yaml"]["state"], found["manifest.yaml"]["state"]) == ("recording", "finished")
+
+
+def renamed_start(data: bytes) -> bytes:
+    """Return a file without an end as an earlier station wrote it."""
+    with BytesIO(data) as file:
+        (place,) = (
+            place for place in whole_records(file, len(data))
+            if place.opcode == Opcode.ATTACHMENT and b"manifest.start.yaml" in body(file, place)
+        )  # fmt: skip
+        record = Attachment.read(ReadDataStream(BytesIO(body(file, place))))
+    record.name, builder = layout.MANIFEST, RecordBuilder()
+    record.write(builder)
+    return data[: place.offset] + bytes(builder.end()) + data[place.end :]
 
 
 def test_a_repair_does_not_bless_a_whole_file_of_another_episode(tmp_path: Path) -> None:
