@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from station.bus import keys
 from station.description import Joint, RobotDescription
-from station.episode.quality.blocks import Block, Blocks
+from station.episode.quality.blocks import Block, Take
 from station.episode.quality.finding_parts import MotionQuality
 from station.episode.reading import steps
-from station.episode.reading.messages import Ints, Message
+from station.episode.reading.messages import Ints
 from station.episode.reading.reader import EpisodeReader
 from station.protocols import Floats
 
@@ -54,7 +54,7 @@ def meters(reader: EpisodeReader) -> list[MotionMeter]:
 
 
 class MotionMeter:
-    """Takes the messages of a robot's state and command, and tells at the end how its joints moved.
+    """Takes the blocks of a robot's state and command, and tells at the end how its joints moved.
 
     Args:
         robot: Suffix of its keys.
@@ -68,19 +68,14 @@ class MotionMeter:
         self._robot, self._state_key, self._command_key = robot, state_key, command_key
         self._stillness = [Stillness(), Stillness()]
         self._jerk, self._command_jerk, self._ends = Jerk(), Jerk(), Ends(description)
-        self._sides = {state_key: Blocks(self._add_state), command_key: Blocks(self._add_command)}
-        self._sides.pop("", None)
+        self._sides = {state_key: self._add_state, command_key: self._add_command}
 
-    def feed(self, message: Message) -> None:
-        """Add a message; those of other keys are passed over."""
-        side = self._sides.get(message.topic)
-        if side is not None and not message.channel.is_deletion:
-            side.feed(message)
+    def takes(self) -> dict[str, Take]:
+        """Return what takes the blocks of each key that is wanted."""
+        return {key: take for key, take in self._sides.items() if key}
 
     def result(self) -> MotionQuality | None:
         """Return how the joints moved; None where no message held any."""
-        for side in self._sides.values():
-            side.flush()
         moved = [one for one in self._stillness if one.first_ns is not None]
         if not moved:
             return None
