@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -36,36 +37,55 @@ class Block(NamedTuple):
     unfit: Ints
 
 
-class Blocks:
-    """Gathers the messages of one key and hands out blocks; nothing of a key whose contract names no numbers."""
+Take = Callable[[Block], None]
 
-    def __init__(self, take: Callable[[Block], None]) -> None:
-        self._take = take
-        self._held: list[Message] = []
+
+class Blocks:
+    """Gathers the messages of one key and hands out blocks; nothing of a key whose contract names no numbers.
+
+    Args:
+        takes: What they are handed to; more may be added.
+    """
+
+    def __init__(self, *takes: Take) -> None:
+        self.takes = list(takes)
+        self._data: list[bytes] = []  # and no messages: thousands of tuples that live on are work for the collector
+        self._times = array("q")
+        self._contract: Contract | None = None
 
     def feed(self, message: Message) -> None:
-        """Add a message."""
-        self._held.append(message)
-        if len(self._held) >= SIZE:
+        """Add a message; one that says that the key was deleted holds nothing."""
+        channel = message.channel
+        if channel.is_deletion:
+            return
+        if self._contract is None:
+            self._contract = channel.contract
+        self._data.append(message.data)
+        self._times.append(message.publish_ns)
+        if len(self._data) >= SIZE:
             self.flush()
 
     def flush(self) -> None:
         """Hand out what is there."""
-        held, self._held = [message for message in self._held if not message.channel.is_deletion], []
-        contract = next((message.channel.contract for message in held if message.channel.contract), None)
+        data, times, contract = self._data, np.frombuffer(self._times, np.int64), self._contract
+        self._data, self._times, self._contract = [], array("q"), None
         if contract is None or contract.vector_codec is None or not contract.elements:
             return
-        values, fits = decoded(contract, [message.data for message in held])
-        times = np.fromiter((message.publish_ns for message in held), np.int64, len(held))
-        self._take(Block(contract, times[fits], values, times[~fits]))
+        values, fits = decoded(contract, data)
+        is_whole = len(values) == len(times)
+        block = Block(contract, times if is_whole else times[fits], values, times[:0] if is_whole else times[~fits])
+        for take in self.takes:
+            take(block)
 
 
 def decoded(contract: Contract, data: Sequence[bytes]) -> tuple[Floats, Any]:
     """Return the numbers of those values that fit a contract of m elements, shape (k, m), and which fit, shape (n,)."""
     width = len(contract.elements)
     if (layout := _TYPES.get(contract.codec)) is not None:
-        fits = np.array([len(value) == width * layout.itemsize for value in data], dtype=np.bool_)
-        whole = b"".join(value for value, is_whole in zip(data, fits.tolist(), strict=True) if is_whole)
+        size = width * layout.itemsize
+        is_fit = [len(value) == size for value in data]
+        fits = np.array(is_fit, dtype=np.bool_)
+        whole = b"".join(data if all(is_fit) else [value for value, fit in zip(data, is_fit, strict=True) if fit])
         return np.frombuffer(whole, layout).reshape(-1, width).astype(np.float64), fits
     rows = _all_rows(data)
     if rows is None or len(rows) != len(data) or any(len(row) != width for row in rows):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -27,10 +27,12 @@ from station.episode.quality import (
     timing,
 )
 from station.episode.quality.alignment import AlignmentMeter
+from station.episode.quality.blocks import Blocks
 from station.episode.quality.cameras import CameraMeter, stated_hz
 from station.episode.quality.finding_parts import AuditFound, KeyChanges
 from station.episode.quality.findings import FallSeen, Quality
 from station.episode.quality.picture_contents import PictureMeter
+from station.episode.quality.plausibility import Feed
 from station.episode.quality.policy_steps import StepMeter
 from station.episode.quality.presence import Heartbeats
 from station.episode.quality.rule_file import RuleBook
@@ -258,6 +260,16 @@ class Measurements:
         self.heartbeats = Heartbeats(self.start_ns)
         self.events: list[tuple[float, dict[str, Any]]] = []
         self.ends: list[pauses.End] = []
+        self._blocks: defaultdict[str, Blocks] = defaultdict(Blocks)
+        self._feeds: defaultdict[str, list[Feed]] = defaultdict(list)  # most keys are those of nobody here
+        for meter in (*self.motion, *self.plausibility.values()):
+            for key, take in meter.takes().items():
+                self._blocks[key].takes.append(take)
+        for plausible in self.plausibility.values():
+            for key, feed in plausible.feeds().items():
+                self._feeds[key].append(feed)
+        for key, blocks in self._blocks.items():
+            self._feeds[key].append(blocks.feed)
         self._joiners = {robot: StepJoiner(robot, context=meter.context) for robot, meter in self.steps.items()}
         with self.pictures:
             messages = reader.messages(stamps=self.cameras.is_needed)  # stamps tell when a picture was taken
@@ -268,6 +280,8 @@ class Measurements:
         for robot, joiner in self._joiners.items():
             for step in joiner.finish():
                 self._feed_step(robot, step)
+        for blocks in self._blocks.values():
+            blocks.flush()
 
     def _feed(self, message: Message) -> None:
         self.counter.feed(message)
@@ -275,12 +289,10 @@ class Measurements:
         self.pictures.feed(message)
         self.changes.feed(message)
         self.heartbeats.feed(message)
-        for meter in self.motion:
-            meter.feed(message)
+        for feed in self._feeds.get(message.topic, ()):
+            feed(message)
         for arm in self.arms:
             arm.feed(message)
-        for plausible in self.plausibility.values():
-            plausible.feed(message)
         if message.topic == keys.EVENT:
             self._feed_event(message)
         for robot, joiner in self._joiners.items():

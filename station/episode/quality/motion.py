@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from station.bus import keys
 from station.description import Joint, RobotDescription
-from station.episode.quality.blocks import Block, Blocks
+from station.episode.quality.blocks import Block, Blocks, Take
 from station.episode.quality.finding_parts import MotionQuality
 from station.episode.reading import steps
-from station.episode.reading.messages import Ints, Message
+from station.episode.reading.messages import Ints
 from station.episode.reading.reader import EpisodeReader
 from station.protocols import Floats
 
@@ -74,13 +74,16 @@ def moving_span(reader: EpisodeReader, robot: str) -> tuple[int, int] | None:
     meter = next((one for one in meters(reader) if one.robot == robot), None)
     if meter is None:
         return None
-    for message in reader.messages(meter.topics):
-        meter.feed(message)
+    blocks = {key: Blocks(take) for key, take in meter.takes().items()}
+    for message in reader.messages(blocks):
+        blocks[message.topic].feed(message)
+    for one in blocks.values():
+        one.flush()
     return meter.moved_ns()
 
 
 class MotionMeter:
-    """Takes the messages of a robot's state and command, and tells at the end how its joints moved.
+    """Takes the blocks of a robot's state and command, and tells at the end how its joints moved.
 
     Args:
         robot: Suffix of its keys.
@@ -97,24 +100,14 @@ class MotionMeter:
         self.robot, self._state_key, self._command_key = robot, state_key, command_key
         self._stillness = [Stillness(), Stillness()]
         self._jerk, self._command_jerk, self._ends = Jerk(), Jerk(), Ends(description)
-        self._sides = {state_key: Blocks(self._add_state), command_key: Blocks(self._add_command)}
-        self._sides.pop("", None)
+        self._sides = {state_key: self._add_state, command_key: self._add_command}
 
-    def feed(self, message: Message) -> None:
-        """Add a message; those of other keys are passed over."""
-        side = self._sides.get(message.topic)
-        if side is not None and not message.channel.is_deletion:
-            side.feed(message)
-
-    @property
-    def topics(self) -> set[str]:
-        """The keys that it wants to be fed."""
-        return set(self._sides)
+    def takes(self) -> dict[str, Take]:
+        """Return what takes the blocks of each key that is wanted."""
+        return {key: take for key, take in self._sides.items() if key}
 
     def moved_ns(self) -> tuple[int, int] | None:
         """Return when a joint moved first and last [ns since the epoch], 0 where none ever did; None without joints."""
-        for side in self._sides.values():
-            side.flush()
         if all(one.first_ns is None for one in self._stillness):
             return None
         moved = [(one.moved_ns, one.rested_ns) for one in self._stillness if one.moved_ns is not None]
@@ -122,8 +115,6 @@ class MotionMeter:
 
     def result(self) -> MotionQuality | None:
         """Return how the joints moved; None where no message held any."""
-        for side in self._sides.values():
-            side.flush()
         moved = [one for one in self._stillness if one.first_ns is not None]
         if not moved:
             return None
@@ -157,8 +148,6 @@ class MotionMeter:
         What was in motion may have begun as late as in the last part of the first window, and ended as early as in the
         first part of the last: the rest of either is left out.
         """
-        for side in self._sides.values():
-            side.flush()
         found = self._stillness[0].moves_ns
         return [(begin + _UNSURE_NS, end - _UNSURE_NS) for begin, end in found if end - begin > 2 * _UNSURE_NS]
 

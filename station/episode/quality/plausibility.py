@@ -8,6 +8,7 @@ joints, and the policy steps. Each question has its module: `values`, `derivativ
 from __future__ import annotations
 
 from collections import OrderedDict, defaultdict
+from collections.abc import Callable
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from station.bus import keys
 from station.contract import Contract
 from station.control.gate import MOVING
 from station.description import stated
-from station.episode.quality.blocks import SIZE, Block, Blocks, decoded
+from station.episode.quality.blocks import SIZE, Block, Take, decoded
 from station.episode.quality.derivatives import DerivativeMeter
 from station.episode.quality.finding_parts import ContractDifference, Plausibility
 from station.episode.quality.frozen import FrozenMeter, StepRows, StuckMeter
@@ -31,6 +32,8 @@ from station.protocols import Floats
 
 _TRACKING = "tracking"
 _POSITION, _VELOCITY = "_pos", "_vel"
+Feed = Callable[[Message], None]
+
 _OPEN = 64  # steps of which results are awaited
 
 
@@ -58,7 +61,7 @@ def differences(reader: EpisodeReader) -> list[ContractDifference]:
 
 
 class PlausibilityMeter:
-    """Takes the messages and the policy steps of one robot, and tells at the end what cannot be.
+    """Takes the blocks, the messages and the policy steps of one robot, and tells at the end what cannot be.
 
     Args:
         reader: The episode.
@@ -74,9 +77,6 @@ class PlausibilityMeter:
         self._values = {key: ValueMeter(self._start_ns, description) for key in judged}
         self._state, self._used = reader.contract(self._state_key), reader.contract(self._used_key)
         self._derivatives = DerivativeMeter(self._state.names if self._state is not None else ())
-        self._blocks = {key: Blocks(meter.take) for key, meter in self._values.items()}
-        if self._state_key in judged:
-            self._blocks[self._state_key] = Blocks(self._add_state)
         self._joints, self._columns = _shared(self._state, self._used)
         self._speeds = _columns(self._state, _VELOCITY, "rad/s")
         self._frozen = FrozenMeter(self._start_ns)
@@ -90,24 +90,23 @@ class PlausibilityMeter:
         self._written: dict[str, tuple[int, int]] = defaultdict(lambda: (0, 0))  # by source: how many states, and when
         self._seen: OrderedDict[tuple[str, int], tuple[int, int]] = OrderedDict()  # by source and time of the results
         self._last_write = 0
-        self._wanted = {*self._blocks, self._state_key, self._timing_key}
         self._held: list[tuple[Timed, int, bytes, bytes, bool]] = []
 
-    def feed(self, message: Message) -> None:
-        """Add a message; those of other keys are passed over."""
-        topic, source = message.topic, message.channel.source
-        if topic not in self._wanted or message.channel.is_deletion:
-            return
-        if topic == self._state_key:
-            self._written[source] = self._written[source][0] + 1, message.publish_ns
-        elif topic == self._timing_key:
-            self._seen[source, message.publish_ns] = self._written[source]
-            if len(self._seen) > _OPEN:
-                self._seen.popitem(last=False)
-        elif topic == self._command_key and message.channel.is_native:
-            self._times.add_command(source, message.sequence, message.publish_ns, message.data)
-        if (blocks := self._blocks.get(topic)) is not None:
-            blocks.feed(message)
+    def takes(self) -> dict[str, Take]:
+        """Return what takes the blocks of each key that is wanted."""
+        found: dict[str, Take] = {key: meter.take for key, meter in self._values.items()}
+        if self._state_key in found:
+            found[self._state_key] = self._add_state
+        return found
+
+    def feeds(self) -> dict[str, Feed]:
+        """Return what takes the messages of each key of which the time counts."""
+        found = {
+            self._state_key: self._add_write,
+            self._timing_key: self._add_timing,
+            self._command_key: self._add_command,
+        }
+        return {key: feed for key, feed in found.items() if key}
 
     def feed_step(self, step: Step, gate: str) -> None:
         """Add a policy step, and the state that the gate was in."""
@@ -123,15 +122,13 @@ class PlausibilityMeter:
 
     def result(self) -> Plausibility:
         """Return what cannot be, and how far what can be compared agrees."""
-        for blocks in self._blocks.values():
-            blocks.flush()
         self._flush_steps()
         agreement, like, factor = self._derivatives.velocities()
         with np.errstate(all="ignore"):
             stuck = self._stuck.result()
         return Plausibility(
             robot=self._robot,
-            state_key=self._state_key if self._state_key in self._blocks else "",
+            state_key=self._state_key if self._state_key in self._values else "",
             values=[found for meter in self._values.values() if (found := meter.result()) is not None],
             frozen=self._frozen.result(),
             stuck=stuck,
@@ -142,6 +139,21 @@ class PlausibilityMeter:
             misplaced=self._order.result(),
             times=self._times.result(),
         )
+
+    def _add_write(self, message: Message) -> None:
+        if not message.channel.is_deletion:
+            source = message.channel.source
+            self._written[source] = self._written[source][0] + 1, message.publish_ns
+
+    def _add_timing(self, message: Message) -> None:
+        source = message.channel.source
+        self._seen[source, message.publish_ns] = self._written[source]
+        if len(self._seen) > _OPEN:
+            self._seen.popitem(last=False)
+
+    def _add_command(self, message: Message) -> None:
+        if message.channel.is_native and not message.channel.is_deletion:
+            self._times.add_command(message.channel.source, message.sequence, message.publish_ns, message.data)
 
     def _is_judged(self, contract: Contract) -> bool:
         is_ours = contract.role in ("state", "command") and contract.key.endswith(f"_{self._robot}")
