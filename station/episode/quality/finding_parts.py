@@ -305,6 +305,8 @@ class CameraSwap(msgspec.Struct, frozen=True):
     was: str
     told_by: Literal["serial", "likeness"]
     episode_id: str
+
+
 class ContractDifference(msgspec.Struct, frozen=True):
     """A key whose recorded contract is not what the robot's server states of it, and the first element that differs."""
 
