@@ -3,16 +3,16 @@
 ::
 
     python -m tests.corruption                          every recipe on three episodes that it makes
-    python -m tests.corruption --episodes DIR DIR2      on episodes that are there; each is the next one's donor
+    python -m tests.corruption --episodes DIR DIR2      on episodes that are there; each has the next as a donor
     python -m tests.corruption --only black --only frozen
     python -m tests.corruption --list                   the recipes, a line each
     python -m tests.corruption --json                   all verdicts and reasons, for scripts
     python -m tests.corruption --sound 40               40 sound episodes beside busy loops: what is said of them
     python -m tests.corruption --live 20                20 stations in which a process is killed, stopped, slowed
 
-A recipe (`tests.corruption.recipes`) takes the copy of an episode and spoils one thing, with the plain MCAP library. Then
-``station check --json`` judges it, and ``station audit --json``, each in a process of its own, by the rules that ship.
-What is said of the episode as it was, or of one that was only taken apart and put together again, is no catch.
+A recipe (`tests.corruption.recipes`) takes the copy of an episode and spoils one thing, with the plain MCAP library.
+Then ``station check --json`` judges it, and ``station audit --json``, each in a process of its own, by the rules that
+ship. What is said of the episode as it was, or of one that was only taken apart and put together again, is no catch.
 
 A cell of the table says how well a corruption was told:
 
@@ -24,8 +24,8 @@ MISSED nothing new
 FAILED ``station check`` crashed
 ====== ===================================================================================================
 
-A kind counts as caught where it is told in every episode that it fits, as caught with a reason where each is ``full``. The
-last column is the audit's word: it counts apart.
+A kind counts as caught where it is told in every episode that it fits, as caught with a reason where each is ``full``.
+The last column is the audit's word: it counts apart.
 
 Results are kept in the work folder, by episode, recipe and code of the station, so that a run that was interrupted goes
 on, and another one tries only what a change of the code may have changed. The exit code is 0 where all were caught.
@@ -52,6 +52,7 @@ from tests.corruption.files import CAMERAS, DoesNotFit
 from tests.corruption.judging import ROOT, Verdict, cell, judge, new_reasons
 from tests.corruption.parts import Harm
 from tests.corruption.recipes import CONTROL, RECIPES, spoil
+from tests.warm.starts import WarmStarts
 
 ORIGINAL = "as it was"
 ATTEMPTS = 3
@@ -97,19 +98,19 @@ class Bench:
             self.results[trial.episode, trial.recipe] = self._kept[trial.key]
         todo = [trial for trial in trials if trial.key not in self._kept]
         _say(f"{len(trials)} trials, {len(known)} of them are known\n")
-        with (
-            ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool,
-            self._file.open("a", encoding="utf-8") as file,
-        ):
+        pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin)
+        try:
             waiting = {pool.submit(attempt, trial, is_audited=self._is_audited): trial for trial in todo}
             for count, done in enumerate(as_completed(waiting), 1):
                 trial, result = waiting[done], done.result()
                 self.results[trial.episode, trial.recipe] = result
-                file.write(json.dumps({"trial": trial.key} | result) + "\n")
-                file.flush()
+                with self._file.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps({"trial": trial.key} | result) + "\n")
                 left_s = (time.monotonic() - began_s) / count * (len(todo) - count)
                 words = f"{count}/{len(todo)}  {left_s:4.0f} s left  {trial.episode}: {trial.recipe}"
                 _say(f"\r{words:<100.100}" if sys.stderr.isatty() else f"{words}\n" if count % 20 == 0 else "")
+        finally:
+            pool.shutdown(cancel_futures=True)
         _say("\n")
 
     def cell(self, episode: str, name: str) -> str:
@@ -152,7 +153,7 @@ class Bench:
         return found
 
     def counts(self) -> dict[str, int]:
-        """Return how many kinds were tried, caught, caught by name, by name and time; and what else a sum is made of."""
+        """Return how many kinds were tried, caught, caught by name, by name and time; and what else there is."""
         worst = {name: self.worst(name) for name in self._tried()}
         fitting = [name for name, each in worst.items() if each != "no fit"]
         rank = {name: CELLS.index(worst[name]) for name in fitting}
@@ -208,6 +209,12 @@ class Bench:
 
     def _before(self, episode: str, name: str) -> Verdict:
         return _verdict(self.results[episode, CONTROL.name if RECIPES[name].is_sealed else ORIGINAL])
+
+
+def _begin() -> None:
+    """Prepare a process of the pool: its children are forked from one that has imported what they need."""
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
+    WarmStarts().install()
 
 
 def attempt(trial: Trial, *, is_audited: bool) -> dict[str, Any]:

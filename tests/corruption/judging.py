@@ -142,7 +142,7 @@ def _last_line(done: subprocess.CompletedProcess[str]) -> str:
 
 
 def _station(*words: str) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"XDG_CONFIG_HOME": "/proc/nowhere", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    environment = os.environ | {"XDG_CONFIG_HOME": "/proc/nowhere"}
     return subprocess.run(
         [sys.executable, "-m", "station", *words],
         cwd=ROOT, env=environment, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False,
