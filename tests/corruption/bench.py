@@ -344,7 +344,7 @@ def _read(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _verdict(result: dict[str, Any]) -> Verdict:
-    return Verdict(result["verdict"], result["reasons"], result["audit"], result["audit_code"])
+    return Verdict(**{name: result[name] for name in Verdict.__dataclass_fields__})
 
 
 def _harm(result: dict[str, Any]) -> Harm:

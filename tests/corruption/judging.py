@@ -22,7 +22,10 @@ NEAR_S = 1.0
 Cell = Literal["full", "key", "told", "missed", "no fit", "failed"]
 
 _TIMEOUT_S = 300.0
-_IN_SECONDS = re.compile(r"(\d+(?:\.\d+)?)(?= ?s\b)|(\d+(?:\.\d+)?)(?= ?(?:to|and|until|–|-) ?\d+(?:\.\d+)? ?s\b)")
+_INSTANT = re.compile(
+    r"(?<!for )(?<!last )(?<!than )(?<![\d.])(\d+(?:\.\d+)?)(?= ?s\b| ?(?:to|and|until|–|-) ?\d+(?:\.\d+)? ?s\b)"
+)
+_FROM_END = re.compile(r"\blast (\d+(?:\.\d+)?) ?s\b")
 _TIME_FIELDS = {"at_s", "from_s", "to_s", "begin_s", "end_s", "first_s", "last_s"}
 _CHANGES = re.compile(r"\b(?=[0-9a-f]*\d)[0-9a-f]{6,}…?|\d+(?:\.\d+)?")
 
@@ -36,12 +39,14 @@ class Verdict:
         reasons: Rule, verdict, text, and whatever else stands in each reason.
         audit: In short what ``station audit`` found.
         audit_code: Its exit code; 0 where nothing is different.
+        length_s: How long the episode is [s]; 0 where the check does not say.
     """
 
     verdict: str
     reasons: list[dict[str, Any]] = field(default_factory=list)
     audit: str = ""
     audit_code: int = 0
+    length_s: float = 0.0
 
     def to_plain(self) -> dict[str, Any]:
         return asdict(self)
@@ -52,16 +57,16 @@ def judge(folder: Path, *, is_audited: bool = True) -> Verdict:
     done = _station("check", str(folder), "--json", "--no-write")
     if done.stdout.startswith("{"):
         quality = json.loads(done.stdout)
-        verdict, reasons = quality["verdict"], list(quality["reasons"])
+        verdict, reasons, length_s = quality["verdict"], list(quality["reasons"]), float(quality.get("length_s") or 0.0)
     else:
-        verdict = UNREADABLE
+        verdict, length_s = UNREADABLE, 0.0
         reasons = [{"rule": UNREADABLE, "verdict": "reject", "text": _last_line(done)}]
         if done.returncode != 2:
             reasons[0]["rule"] = "crashed"
     if not is_audited:
-        return Verdict(verdict, reasons)
+        return Verdict(verdict, reasons, length_s=length_s)
     audit = _station("audit", str(folder), "--json")
-    return Verdict(verdict, reasons, _audit_words(audit), audit.returncode)
+    return Verdict(verdict, reasons, _audit_words(audit), audit.returncode, length_s)
 
 
 def new_reasons(found: Verdict, before: Verdict) -> list[dict[str, Any]]:
@@ -81,7 +86,7 @@ def cell(found: Verdict, before: Verdict, harm: Harm) -> Cell:
     if any(reason["rule"] == "crashed" for reason in reasons):
         return "failed"
     naming = [reason for reason in reasons if _names(reason, harm)]
-    if any(harm.from_s is None or _times(reason, harm) for reason in naming):
+    if any(harm.from_s is None or _times(reason, harm, found.length_s) for reason in naming):
         return "full"
     if naming:
         return "key"
@@ -93,14 +98,16 @@ def _names(reason: dict[str, Any], harm: Harm) -> bool:
     return any(re.search(rf"(?<!\w){re.escape(name)}(?!\w)", text) for name in harm.names if name)
 
 
-def _times(reason: dict[str, Any], harm: Harm) -> bool:
+def _times(reason: dict[str, Any], harm: Harm, length_s: float) -> bool:
+    """Whether a reason says an instant of the harm: its beginning, its end, its middle, or how long before the end."""
     assert harm.from_s is not None
-    told = [float(one or two) for one, two in _IN_SECONDS.findall(str(reason.get("text", "")))]
+    text = str(reason.get("text", ""))
+    told = [float(number) for number in _INSTANT.findall(text)]
+    told += [length_s - float(number) for number in _FROM_END.findall(text) if length_s]
     told += [float(value) for name, value in _fields(reason) if name in _TIME_FIELDS and isinstance(value, int | float)]
     to_s = harm.from_s if harm.to_s is None else harm.to_s
-    return any(
-        abs(at_s - instant) <= NEAR_S for at_s in told for instant in (harm.from_s, to_s, (harm.from_s + to_s) / 2)
-    )
+    instants = (harm.from_s, to_s, (harm.from_s + to_s) / 2)
+    return any(abs(at_s - instant) <= NEAR_S for at_s in told for instant in instants)
 
 
 def _fields(node: Any, name: str = "") -> list[tuple[str, Any]]:

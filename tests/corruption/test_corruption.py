@@ -150,7 +150,7 @@ def test_moved_times_are_moved_in_message_and_stamp(copied) -> None:
     for before, after in zip(Robot(Episode(WALK)).state.messages, Robot(Episode(copy)).state.messages, strict=True):
         assert after.publish_ns - before.publish_ns == -100_000_000
         assert after.log_ns == before.log_ns
-        fields = [[int(word) for word in one.stamp.split(b" ")[:3]] for one in (before, after)]
+        fields = [[int(word) for word in (one.stamp or b"").split(b" ")[:3]] for one in (before, after)]
         assert [two - one for one, two in zip(*fields, strict=True)] == [0, -100_000_000, -100_000_000]
     assert others(copy / SIGNALS, key) == others(WALK / SIGNALS, key)
 
@@ -184,7 +184,7 @@ HARM = Harm(("state_of_it",), 4.0, 7.0)
 
 
 def told(text: str, rule: str = "gap", verdict: str = "usable") -> Verdict:
-    return Verdict(verdict, [*BEFORE.reasons, {"rule": rule, "verdict": verdict, "text": text}])
+    return Verdict(verdict, [*BEFORE.reasons, {"rule": rule, "verdict": verdict, "text": text}], length_s=10.0)
 
 
 @pytest.mark.parametrize(
@@ -197,7 +197,8 @@ def told(text: str, rule: str = "gap", verdict: str = "usable") -> Verdict:
         (told("other_state_of_it repeats itself from 4.1 s"), "told"),
         (told("state_of_it repeats itself for 3.0 s from 4.1 s on"), "full"),
         (told("state_of_it stands from 3.9 to 6.0 s"), "full"),
-        (told("state_of_it stood still for 12 s"), "key"),
+        (told("state_of_it stood still for 4 s"), "key"),
+        (told("state_of_it: nothing in the last 6.1 s"), "full"),
         (Verdict("reject", BEFORE.reasons), "told"),
     ],
 )
