@@ -163,6 +163,9 @@ class Bench:
             "caught": len(fitting) - len(missed),
             "caught, names what": sum(each <= CELLS.index("key") for each in rank.values()),
             "caught, names what and when": sum(each == 0 for each in rank.values()),
+            "missed, but told in some of its episodes": sum(
+                any(self.cell(each, name) in CELLS[:3] for each in self._fitting(name)) for name in missed
+            ),
             "missed, but the audit differs": sum(bool(self.audit(name)) for name in missed),
             "crashed": sum(each == "failed" for each in worst.values()),
             "recipes that broke": sum(BROKE in each.get("no_fit", "") for each in self.results.values()),

@@ -1,8 +1,9 @@
 """Named corruptions: each takes the copy of an episode, spoils one thing as a fault or a hand would, and says what.
 
 Most are sealed: the manifest agrees with the spoiled files, as if the recorder itself had recorded this; so a check
-cannot live by counting messages or hashing files alone. Those of `manifest` and `files` are hands on a finished episode,
-and nothing is made to agree. A recipe that does not fit an episode (no camera, no policy) raises `DoesNotFit`.
+cannot live by counting messages or hashing files alone. Those of `manifest` and `files` are hands on a finished
+episode, and nothing is made to agree. A recipe that does not fit an episode (no camera, no policy) raises
+`DoesNotFit`.
 """
 
 from __future__ import annotations
@@ -1061,7 +1062,8 @@ def _put_odd(episode: Episode, value: float, rows: set[int]) -> Harm:
 def five_spikes(episode: Episode) -> Harm:
     """Five times a joint is 1.5 rad away for one state."""
     robot = Robot(episode)
-    rows = sorted(_few(robot.state, 0.5))[:: len(robot.state.messages) // 12][:5]
+    count = len(robot.state.messages)
+    rows = [count // 3 + number * count // 12 for number in range(5)]
     times, joint = robot.state.times_ns[rows], robot.most_moved()
 
     def edit(values: np.ndarray, names: list[str], stream: Stream) -> np.ndarray:
@@ -1070,7 +1072,9 @@ def five_spikes(episode: Episode) -> Harm:
         return values
 
     robot.edit(edit)
-    return Harm((robot.state.key, joint, joint.removesuffix("_pos")), episode.at_s(int(times[0])))
+    return Harm(
+        (robot.state.key, joint, joint.removesuffix("_pos")), episode.at_s(int(times[0])), episode.at_s(int(times[-1]))
+    )
 
 
 @recipe("states")

@@ -206,7 +206,7 @@ def test_a_catch_counts_by_what_its_reason_names(found: Verdict, expected: str) 
     assert cell(found, BEFORE, HARM) == expected
 
 
-def test_a_run_that_was_interrupted_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_that_was_interrupted_goes_on(tmp_path: Path) -> None:
     bench = Bench(tmp_path, {"walk": (WALK, WALK)})
     bench._file.write_text('{"trial": "a", "verdict": "good"}\n{"trial": "b", "ver')
     assert list(Bench(tmp_path, {"walk": (WALK, WALK)})._kept) == ["a"]
