@@ -1,0 +1,1 @@
+"""Corruptions of episodes, written from outside: what does ``station check`` say of each? `tests.corruption.bench`."""
