@@ -180,4 +180,4 @@ def _off_s(values: array[int]) -> float | None:
     if len(values) < _LEAST_STEPS:
         return None
     low, high = np.percentile(np.frombuffer(values, np.int64), (10, 90)).tolist()
-    return (max(low, 0.0) + min(high, 0.0)) * 1e-9
+    return float(max(low, 0.0) + min(high, 0.0)) * 1e-9
