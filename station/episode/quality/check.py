@@ -262,8 +262,9 @@ class Measurements:
         self.ends: list[pauses.End] = []
         self._blocks: defaultdict[str, Blocks] = defaultdict(Blocks)
         self._feeds: defaultdict[str, list[Feed]] = defaultdict(list)  # most keys are those of nobody here
-        for wanted in (*(meter.takes() for meter in self.motion), *(one.takes() for one in self.plausibility.values())):
-            for key, take in wanted.items():
+        wanted = [meter.takes() for meter in self.motion] + [meter.takes() for meter in self.plausibility.values()]
+        for takes in wanted:
+            for key, take in takes.items():
                 self._blocks[key].takes.append(take)
         for plausible in self.plausibility.values():
             for key, feed in plausible.feeds().items():

@@ -179,5 +179,5 @@ def _off_s(values: array[int]) -> float | None:
     """Return by how much nine of ten are off at least, to the same side [s]; 0 where they are not."""
     if len(values) < _LEAST_STEPS:
         return None
-    low, high = (float(value) for value in np.percentile(np.frombuffer(values, np.int64), (10, 90)))
-    return (max(low, 0.0) + min(high, 0.0)) * 1e-9
+    low, high = np.percentile(np.frombuffer(values, np.int64), (10, 90)).tolist()
+    return float(max(low, 0.0) + min(high, 0.0)) * 1e-9

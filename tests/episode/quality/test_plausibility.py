@@ -16,14 +16,19 @@ from adapters.robots.g1.joints import G1_29
 from station.bus import codec, keys
 from station.episode.quality.check import check
 from station.episode.quality.findings import Quality
+from station.episode.quality.rule_file import shipped
+from station.episode.quality.rules import judge
 from station.episode.quality.state_rules import PLAUSIBLE
 from station.episode.reading.reader import open_episode
+from station.episode.storage.anchor import read_anchor
 from station.protocols import Floats
 from tests import strider
 from tests.episode import lock_step
 from tests.episode.arm_run import ArmRun
+from tests.episode.filming import HEAD, film, jpeg
 from tests.episode.rewritten import as_it_is, rewritten
 from tests.episode.synthetic import ROBOT, STANDING, EpisodeBuilder, command, tick
+from tests.episode.writes import Native
 
 STATE, USED, TIMING = keys.robot_state(ROBOT), keys.command_used(ROBOT), keys.policy_timing(ROBOT)
 BODY = twist_keys.action_body()
@@ -158,6 +163,26 @@ def test_velocities_of_other_joints_are_told_with_whose_they_are(walked: Path, t
     assert f"that of {other} fits" in text
 
 
+def test_a_joint_that_shakes_faster_than_states_are_written_is_sound(walked: Path, tmp_path: Path) -> None:
+    noise = np.random.default_rng(3)
+
+    def shake(state: Floats, at_s: float) -> Floats:
+        state[JOINTS + KNEE] = 3.0 * noise.standard_normal()
+        return state
+
+    quality = spoilt(walked, tmp_path, shake)
+    assert quality.plausibility[0].velocity_agreement["left_knee"] < 0.5
+    assert told(quality) == {}
+
+
+def test_velocities_of_the_wrong_sign_are_told(walked: Path, tmp_path: Path) -> None:
+    def invert(state: Floats, at_s: float) -> Floats:
+        state[JOINTS + KNEE] *= -1.0
+        return state
+
+    assert "the velocity of left_knee agrees by -" in told(spoilt(walked, tmp_path, invert))["velocity-disagrees"]
+
+
 def test_velocities_in_degrees_are_told_where_times_are_those_of_the_control(walked: Path, tmp_path: Path) -> None:
     def degrees(state: Floats, at_s: float) -> Floats:
         state[JOINTS : 2 * JOINTS] *= 180 / np.pi
@@ -172,9 +197,6 @@ def test_velocities_in_degrees_are_told_where_times_are_those_of_the_control(wal
 
 
 def _judged(quality: Quality) -> list[tuple[str, str]]:
-    from station.episode.quality.rule_file import shipped
-    from station.episode.quality.rules import judge
-
     return [(reason.rule, reason.text) for reason in judge(quality, shipped().limits)[1]]
 
 
@@ -347,10 +369,6 @@ def test_an_age_of_pictures_that_jumps_is_told(tmp_path: Path) -> None:
 
 
 def _filmed(data: Path, ages_s: list[float]) -> Quality:
-    from station.episode.storage.anchor import read_anchor
-    from tests.episode.filming import HEAD, film, jpeg
-    from tests.episode.writes import Native
-
     anchor, camera = read_anchor(), Native("head")
     writes = [
         camera.write(
