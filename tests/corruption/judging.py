@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from tests.corruption.files import MANIFEST
 from tests.corruption.parts import Harm
 
 ROOT = Path(__file__).parents[2]
@@ -26,6 +27,7 @@ _INSTANT = re.compile(
     r"(?<!for )(?<!last )(?<!than )(?<![\d.])(\d+(?:\.\d+)?)(?= ?s\b| ?(?:to|and|until|–|-) ?\d+(?:\.\d+)? ?s\b)"
 )
 _FROM_END = re.compile(r"\blast (\d+(?:\.\d+)?) ?s\b")
+_DURATION = re.compile(r"^timing:.*?^  duration_s: ([\d.]+)", re.MULTILINE | re.DOTALL)
 _TIME_FIELDS = {"at_s", "from_s", "to_s", "begin_s", "end_s", "first_s", "last_s"}
 _CHANGES = re.compile(r"\b(?=[0-9a-f]*\d)[0-9a-f]{6,}…?|\d+(?:\.\d+)?")
 
@@ -39,7 +41,7 @@ class Verdict:
         reasons: Rule, verdict, text, and whatever else stands in each reason.
         audit: In short what ``station audit`` found.
         audit_code: Its exit code; 0 where nothing is different.
-        length_s: How long the episode is [s]; 0 where the check does not say.
+        length_s: How long the episode is, by its manifest [s]; 0 where that does not say.
     """
 
     verdict: str
@@ -57,12 +59,14 @@ def judge(folder: Path, *, is_audited: bool = True) -> Verdict:
     done = _station("check", str(folder), "--json", "--no-write")
     if done.stdout.startswith("{"):
         quality = json.loads(done.stdout)
-        verdict, reasons, length_s = quality["verdict"], list(quality["reasons"]), float(quality.get("length_s") or 0.0)
+        verdict, reasons = quality["verdict"], list(quality["reasons"])
     else:
-        verdict, length_s = UNREADABLE, 0.0
+        verdict = UNREADABLE
         reasons = [{"rule": UNREADABLE, "verdict": "reject", "text": _last_line(done)}]
         if done.returncode != 2:
             reasons[0]["rule"] = "crashed"
+    said = _DURATION.search((folder / MANIFEST).read_text(encoding="utf-8"))
+    length_s = float(said[1]) if said else 0.0
     if not is_audited:
         return Verdict(verdict, reasons, length_s=length_s)
     audit = _station("audit", str(folder), "--json")
