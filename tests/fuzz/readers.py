@@ -25,7 +25,7 @@ from station.episode.reading.reader import EpisodeReader, open_episode
 from station.episode.replaying import arm_audit, replay
 from station.episode.replaying.audit import audit
 from station.errors import StationError
-from station.export import columns, tracks
+from station.export import columns, tracks, words
 from station.report import story, tracking_plot
 from station.view.run import read_run
 from tests.episode.synthetic import EpisodeBuilder
@@ -61,7 +61,7 @@ def _numbers(reader: EpisodeReader) -> None:
             reader.vectors(topic)
         except StationError:
             continue
-        tracks.read(reader, [found], ["camera_image_a"])
+        tracks.read(reader, [found], ["camera_image_a"], words.spellings(ROBOT))
 
 
 def _eased(reader: EpisodeReader) -> None:
@@ -97,14 +97,15 @@ _QUALITY, _REPLAYING = "station.episode.quality.", "station.episode.replaying."
 READERS = (
     Reader("check", _checked, (
         _QUALITY + "alignment", _QUALITY + "arms", _QUALITY + "check", _QUALITY + "policy_steps",
-        _QUALITY + "presence", "station.episode.writing.file")),
+        _QUALITY + "presence", _QUALITY + "blocks", _QUALITY + "step_times", "station.episode.writing.file")),
     Reader("report", _told, ("station.report.story",)),
     Reader("show", read_run, ("station.view.phases",)),
     Reader("enrich", enrich, ("station.enrich.enrich", "station.enrich.siblings")),
-    Reader("export", _numbers, ("station.export.tracks", "station.episode.reading.reader")),
+    Reader("export", _numbers, ("station.export.tracks", "station.export.words", "station.episode.reading.reader")),
     Reader("notebook", _in_a_notebook, ("station.api.steps",)),
     Reader("replay", _eased, (_REPLAYING + "replay",)),
-    Reader("audit", _audited, (_REPLAYING + "arm_audit", _REPLAYING + "audit")),
+    Reader("audit", _audited, (
+        _REPLAYING + "arm_audit", _REPLAYING + "audit", _REPLAYING + "gate_audit", _REPLAYING + "target_audit")),
 )  # fmt: skip
 
 

@@ -24,6 +24,7 @@ from station.episode.storage.manifest import Manifest
 from station.episode.storage.pictures import FORMAT
 
 _BLEND_S = 5.0  # how long a server goes on commanding, towards standing, after it has said that its commands end
+_NEAR_S = 2.0  # a word that comes later than that after the last write does not say why there was none
 _BUS_LOST = "bus-lost"
 _FINALIZED = "finalized"
 _RECORDER = "recorder"
@@ -39,19 +40,19 @@ class Heartbeats:
     Attributes:
         start_ns: Start of the episode [ns since the epoch].
         alive: Names of servers that lived during the episode.
-        farewells: Sources that said that they end.
+        farewells: Sources that said that they end, and when first [ns since the epoch].
     """
 
     start_ns: int
     alive: set[str] = field(default_factory=set)
-    farewells: set[str] = field(default_factory=set)
+    farewells: dict[str, int] = field(default_factory=dict)
 
     def feed(self, message: Message) -> None:
         """Add a message; any other is passed over."""
         if not message.topic.startswith(keys.SERVER_PREFIX) or message.channel.is_deletion:
             return
         if _state(message.data) == _FINALIZED:
-            self.farewells.add(message.channel.source)
+            self.farewells.setdefault(message.channel.source, message.log_ns)
         elif message.log_ns >= self.start_ns:
             self.alive.add(message.topic.removeprefix(keys.SERVER_PREFIX))
 
@@ -123,6 +124,9 @@ def _presence(
     group: Sequence[StreamQuality], span_s: tuple[float, float], ends: Sequence[End], heard: Heartbeats
 ) -> KeyPresence:
     last = max(group, key=lambda stream: stream.last_s)
+    farewell_ns = heard.farewells.get(last.source)
+    told_s = [] if farewell_ns is None else [(farewell_ns - heard.start_ns) * 1e-9]
+    told_s += [(end.at_ns - heard.start_ns) * 1e-9 for end in ends if end.source == last.source]
     return KeyPresence(
         key=last.key,
         role=last.role,
@@ -131,7 +135,7 @@ def _presence(
         late_s=max(0.0, group[0].first_s - span_s[0]),
         early_s=max(0.0, span_s[1] - last.last_s),
         between_s=max(_between(group), default=0.0),
-        is_end_told=last.source in heard.farewells or any(_is_of(last, end, heard.start_ns) for end in ends),
+        is_end_told=any(-_BLEND_S <= at_s - last.last_s <= _NEAR_S for at_s in told_s),
     )
 
 
@@ -141,11 +145,6 @@ def _between(group: Sequence[StreamQuality]) -> Iterator[float]:
     for before, stream in pairwise(group):
         until_s = max(until_s, before.last_s)
         yield stream.first_s - until_s
-
-
-def _is_of(stream: StreamQuality, end: End, start_ns: int) -> bool:
-    """Whether the last message of a stream belongs to a told end of commands: it came before it, or shortly after."""
-    return end.source == stream.source and stream.last_s <= (end.at_ns - start_ns) * 1e-9 + _BLEND_S
 
 
 def _is_camera(found: Contract | None) -> bool:

@@ -202,6 +202,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     camera_blurred: LeastSharpness
     cameras_swapped: Rule
     no_steps: Rule
+    missing_keys: Rule
     never_tracked: Rule
     commands_ended: Rule
     interrupted: Shares

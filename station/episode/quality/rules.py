@@ -203,6 +203,18 @@ def _no_steps(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
         )
 
 
+def _missing_keys(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    written = {stream.key for stream in quality.streams}
+    for robot in (steps.robot for steps in quality.steps if steps.steps):
+        wanted = {
+            "states": (keys.robot_state(robot), keys.state_joints(robot)),
+            "applied commands": (keys.command_used(robot),),
+        }
+        for what, known in wanted.items():
+            if written.isdisjoint(known):
+                yield "reject", f"{robot}: policy steps and none of their {what} ({' or '.join(known)}) in the file"
+
+
 def _never_tracked(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
     for robot in quality.steps:
         if robot.steps and not robot.gate_shares.get("tracking"):
@@ -457,6 +469,7 @@ RULES: dict[str, Finder] = {
     "operator-reset": _reset,
     "estop": _estop,
     "no-steps": _no_steps,
+    "missing-keys": _missing_keys,
     "never-tracked": _never_tracked,
     "commands-ended": _commands_ended,
     "interrupted": _interrupted,

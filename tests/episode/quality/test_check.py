@@ -374,7 +374,7 @@ def test_unfinished_file_is_rejected(builder: EpisodeBuilder) -> None:
 def test_every_rule_has_a_case() -> None:
     in_test_missing = {
         "began-late", "ended-early", "writer-gap", "server-died", "no-pictures", "camera-began-late",
-        "camera-ended-early", "camera-lost", "not-mirrored", "deleted",
+        "camera-ended-early", "camera-lost", "not-mirrored", "deleted", "missing-keys",
     }  # fmt: skip
     in_test_changed_files = {"changed", "manifest-changed", "audit-differs"}
     others = {"torn", "unfinished", "dropped-images"} | in_test_missing | in_test_changed_files

@@ -129,6 +129,28 @@ def test_one_key_of_a_robot_that_ends_at_half_rejects(builder: EpisodeBuilder, f
     assert said(finished(half)) == [("ended-early", "reject")]
 
 
+@pytest.mark.parametrize("family", [keys.robot_state, keys.command_used])
+def test_policy_steps_without_their_states_or_commands_reject(builder: EpisodeBuilder, family: steps.Family) -> None:
+    run(builder, robot=(0.0, LENGTH_S))
+    whole, spoiled = open_episode(builder.finish({"timing": {"duration_s": LENGTH_S}})), EpisodeBuilder(builder.folder)
+    for message in whole.messages():
+        if message.topic != family(ROBOT):
+            at_s = (message.publish_ns - WALL_START_NS) * 1e-9
+            spoiled.write({message.topic: message.data}, at_s=at_s, writer=message.channel.writer)
+    (reason,) = [reason for reason in finished(spoiled).reasons if reason.rule == "missing-keys"]
+    assert reason.verdict == "reject"
+    assert family(ROBOT) in reason.text
+
+
+def test_commands_that_fall_silent_long_before_their_servers_farewell_leave_the_episode_usable(
+    builder: EpisodeBuilder,
+) -> None:
+    run(builder, commander=(0.0, 2.0))
+    builder.event("motion-end", at_s=4.5, source="motion")
+    builder.write({keys.server("motion"): b'{"state": "finalized"}'}, at_s=5.0, writer="motion")
+    assert said(finished(builder)) == [("ended-early", "usable")]
+
+
 def test_an_end_that_lacks_a_little_leaves_the_episode_usable(builder: EpisodeBuilder) -> None:
     run(builder, robot=(0.0, LENGTH_S - 0.55), commander=(0.0, LENGTH_S - 0.55))
     assert set(said(finished(builder))) == {("ended-early", "usable")}
