@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -31,6 +31,7 @@ from station.episode.writing.repair import repair
 from station.errors import EpisodeError
 from tests.episode.writes import Native, foreign
 from tests.examples import examples
+from tests.killed_at import killed_at
 from tests.waiting import wait_until
 
 BODY = twist_keys.action_body()
@@ -286,30 +287,6 @@ def test_an_episode_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
     assert writer.wait(30.0)
 
 
-def killed_at(folder: Path, step: int) -> bool:
-    """Have a process repair an episode and die at so manieth operation on its files; False when there are no more."""
-    child = os.fork()
-    if child:
-        status = os.waitpid(child, 0)[1]
-        assert os.WIFSIGNALED(status) or not os.WEXITSTATUS(status)
-        return os.WIFSIGNALED(status)
-    seen, code = 0, 1
-
-    def count(event: str, arguments: tuple[object, ...]) -> None:
-        nonlocal seen
-        if event in ("os.rename", "os.link", "os.remove", "open") and str(folder) in str(arguments[0]):
-            seen += 1
-            if seen == step:
-                os.kill(os.getpid(), signal.SIGKILL)
-
-    sys.addaudithook(count)
-    try:
-        repair(folder)
-        code = 0
-    finally:
-        os._exit(code)
-
-
 @pytest.mark.usefixtures("processes")
 def test_a_repair_that_is_killed_at_any_step_is_done_by_the_next_one(episode: Episode, tmp_path: Path) -> None:
     torn = episode.data[: episode.chunks[4].offset + 100]
@@ -317,7 +294,7 @@ def test_a_repair_that_is_killed_at_any_step_is_done_by_the_next_one(episode: Ep
     while was_killed:
         step += 1
         folder = episode.torn(tmp_path / "e", torn)
-        was_killed = killed_at(folder, step)
+        was_killed = killed_at(step, partial(repair, folder), within=folder)
         repair(folder)
         assert_good(folder, episode, 4 * episode.per_chunk)
         assert (folder / "signals.mcap.torn").read_bytes() == torn

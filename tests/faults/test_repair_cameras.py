@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -17,7 +18,8 @@ from station.episode.storage.manifest import save_manifest
 from station.episode.writing.repair import Repaired, close_whole, repair
 from tests.episode.filming import BODY, HEAD, Scene, film
 from tests.faults.test_repair import HEAD as RECORD
-from tests.faults.test_repair import killed_at, station
+from tests.faults.test_repair import station
+from tests.killed_at import killed_at
 
 FLUSHES, SIGNALS, PICTURES = 5, 6, 3
 NAMES = ("signals.mcap", "cameras.mcap")
@@ -194,7 +196,7 @@ def test_a_repair_of_both_that_is_killed_at_any_step_is_done_by_the_next_one(fil
     while was_killed:
         step += 1
         folder = filmed.torn(tmp_path / "e", *cuts)
-        was_killed = killed_at(folder, step)
+        was_killed = killed_at(step, partial(repair, folder), within=folder)
         repair(folder)
         assert_good(folder, filmed, 2 * SIGNALS, 2 * PICTURES)
         for name, cut in zip(NAMES, cuts, strict=True):

@@ -1,10 +1,7 @@
 from __future__ import annotations
 
 import fcntl
-import os
-import signal
-import sys
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -18,6 +15,7 @@ from station.episode.storage.left_open import to_repair
 from station.episode.storage.manifest import Manifest, save_manifest
 from station.errors import EpisodeError
 from tests.episode.synthetic import EpisodeBuilder
+from tests.killed_at import killed_at
 
 
 def recorded(data: Path, task: str = "walk", number: int = 1) -> Path:
@@ -110,36 +108,12 @@ def test_emptying_leaves_nothing_but_what_is_not_ours(tmp_path: Path) -> None:
     assert not bin_folder(tmp_path).exists()
 
 
-def killed_at(data: Path, step: int, work: Callable[[], object]) -> bool:
-    """Have a process do something and die at so manieth operation on files; False when there are no more."""
-    child = os.fork()
-    if child:
-        status = os.waitpid(child, 0)[1]
-        assert os.WIFSIGNALED(status) or not os.WEXITSTATUS(status)
-        return os.WIFSIGNALED(status)
-    seen, code = 0, 1
-
-    def count(event: str, arguments: tuple[object, ...]) -> None:
-        nonlocal seen
-        if event in ("os.rename", "os.mkdir", "os.remove", "os.rmdir", "open"):
-            seen += 1
-            if seen == step:
-                os.kill(os.getpid(), signal.SIGKILL)
-
-    sys.addaudithook(count)
-    try:
-        work()
-        code = 0
-    finally:
-        os._exit(code)
-
-
 @pytest.mark.usefixtures("processes")
 def test_killed_at_any_step_the_episode_is_whole_in_one_place(tmp_path: Path) -> None:
     folder = recorded(tmp_path)
     whole = contents(folder)
     step = 1
-    while killed_at(tmp_path, step, lambda: throw_away(folder, tmp_path)):
+    while killed_at(step, lambda: throw_away(folder, tmp_path)):
         (found,) = [*find_episodes(tmp_path), *in_bin(tmp_path)]
         assert contents(found) == whole
         if found != folder:
@@ -147,7 +121,7 @@ def test_killed_at_any_step_the_episode_is_whole_in_one_place(tmp_path: Path) ->
         step += 1
     assert step > 2
     step = 1
-    while killed_at(tmp_path, step, lambda: take_back(in_bin(tmp_path)[0], tmp_path)):
+    while killed_at(step, lambda: take_back(in_bin(tmp_path)[0], tmp_path)):
         (found,) = [*find_episodes(tmp_path), *in_bin(tmp_path)]
         assert contents(found) == whole
         if found == folder:
@@ -162,7 +136,7 @@ def test_an_episode_whose_deletion_was_killed_is_never_half_in_the_bin(tmp_path:
     while True:
         thrown = throw_away(recorded(tmp_path), tmp_path)
         whole = contents(thrown)
-        was_killed = killed_at(tmp_path, step, lambda found=thrown: delete(found, tmp_path))  # type: ignore[misc]
+        was_killed = killed_at(step, partial(delete, thrown, tmp_path))
         assert [contents(folder) for folder in in_bin(tmp_path)] in ([], [whole])
         for folder in in_bin(tmp_path):
             delete(folder, tmp_path)
