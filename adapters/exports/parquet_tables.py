@@ -93,7 +93,8 @@ def join(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], _plan: Pla
         for file in sorted((shard.folder / _TABLES).rglob("*.parquet")):
             place(file, folder / file.relative_to(shard.folder / _TABLES))
     _concatenate([shard.folder / EVENTS for shard in shards], folder / EVENTS)
-    _write(folder / EPISODES, _EPISODE_COLUMNS, [shard.made.facts["episode"] for shard in shards])
+    about = [{**shard.made.facts["episode"], "verdict": shard.made.facts["verdict"]} for shard in shards]
+    _write(folder / EPISODES, _EPISODE_COLUMNS, about)
     contents = json.dumps(_contents(shards, left_out), indent=2, ensure_ascii=False)
     (folder / CONTENTS).write_text(contents, encoding="utf-8")
     return {"tables": len({key for shard in shards for key in shard.made.facts["tables"]}), "notes": _notes(shards)}
@@ -242,7 +243,6 @@ def _about(reader: EpisodeReader) -> dict[str, Any]:
         "robot": manifest.robot.suffix,
         "policy": manifest.policy.name,
         "checkpoint_sha256": manifest.policy.sha256,
-        "verdict": str(manifest.quality.get("verdict", "")),
         "success": flags.success,
         "falls": flags.falls,
         "discarded": flags.discarded,

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 import msgspec
@@ -15,9 +14,6 @@ from station.cli.options import NamedPath, data_option, episode_argument, json_o
 from station.errors import EpisodeError, StationError
 from station.printable import printable
 
-if TYPE_CHECKING:
-    from station.episode.quality.finding_parts import AuditFound
-    from station.episode.reading.reader import EpisodeReader
 _SOON_S = 2.0
 
 
@@ -34,13 +30,6 @@ class _NotCheckedError(StationError):
     """The episode cannot be read: another exit code than that of one which is to be rejected."""
 
     exit_code = 2
-
-
-def _audited(reader: EpisodeReader) -> AuditFound:
-    from station.episode.quality.finding_parts import AuditFound
-    from station.episode.replaying.in_short import audit_in_short
-
-    return msgspec.convert(audit_in_short(reader), AuditFound, from_attributes=True)
 
 
 @click.command("check")
@@ -68,10 +57,13 @@ def command(
     from station.episode.quality.check import check, write_measured
     from station.episode.reading.reader import open_episode
 
-    book = rule_file.of_user() if rules is None else rule_file.load(rules)
+    book, audit = rule_file.of_user() if rules is None else rule_file.load(rules), None
     try:
         reader = open_episode(episode, data)
-        audit = _audited(reader) if is_audited else None
+        if is_audited:
+            from station.episode.replaying.in_short import audit_in_short
+
+            audit = audit_in_short(reader)
         with _progress(reader.manifest.timing.duration_s) as tell:
             quality = check(reader, book, tell, audit=audit)
     except EpisodeError as error:

@@ -10,7 +10,6 @@ from station.episode.quality import timing
 from station.episode.quality.finding_parts import (
     Alignment,
     ArmQuality,
-    AuditFound,
     CameraQuality,
     MotionQuality,
     PictureQuality,
@@ -18,6 +17,7 @@ from station.episode.quality.finding_parts import (
 )
 from station.episode.quality.findings import Interruption, Quality, Spread, StepQuality, StreamQuality
 from station.episode.storage.manifest import words_of_shortened
+from station.episode.storage.manifest_parts import AuditFound
 
 _MOST_ROWS = 20
 _KINDS = {
@@ -301,10 +301,9 @@ def _plausible(found: Plausibility, *, lock_step: bool) -> list[str]:
         words.append(f"velocities and positions by {found.velocity_agreement[worst]:.2f} or more ({plain(worst)})")
     lines = [", ".join(words)] if words else []
     if found.times is not None and found.times.state_off_s is not None and not lock_step:
-        offsets = [f"states {found.times.state_off_s * 1e3:+.0f} ms"]
-        if found.times.command_off_s is not None:
-            offsets.append(f"commands {found.times.command_off_s * 1e3:+.0f} ms")
-        lines.append(f"beside the instants of the steps stand: {', '.join(offsets)}")
+        offsets = {"states": found.times.state_off_s, "commands": found.times.command_off_s}
+        told = [f"{what} {round(off_s * 1e3):+d} ms" for what, off_s in offsets.items() if off_s is not None]
+        lines.append(f"time stamps against the recorded instants of the steps: {', '.join(told)}")
     return lines
 
 

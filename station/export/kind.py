@@ -66,7 +66,8 @@ class ShardResult(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         seconds: Length of the robot's time in it [s].
         rows: Rows (messages, where a format has no rows).
-        facts: Anything that `join` needs without reading the shard again; plain values that JSON can hold.
+        facts: Anything that `join` needs without reading the shard again; plain values that JSON can hold. `join` finds
+            ``verdict`` among them, that of the files as they are, "" for none.
     """
 
     seconds: float

@@ -131,7 +131,7 @@ def make_shard(task: Task) -> Outcome:
             return Outcome(source=task.source, status="kept", made=record.made)
         judged = verdict.expect(task.source, task.min_quality, task.book, success=task.success)
         made = _make(kind, task, place, before, judged)
-    except verdict.NotGoodEnough as error:
+    except verdict.NotWanted as error:
         return Outcome(source=task.source, status="left-out", reason=str(error))
     except StationError as error:
         return Outcome(source=task.source, status="failed", reason=_named(task.source, str(error)))
@@ -191,8 +191,7 @@ def _make(kind: ExportKind, task: Task, place: Path, before: str, judged: verdic
     (making / _FILES).mkdir(parents=True)
     try:
         made = kind.convert(task.source, task.plan, making / _FILES)
-        if judged.verdict is not None:
-            made = msgspec.structs.replace(made, facts=made.facts | {"verdict": judged.verdict})
+        made = msgspec.structs.replace(made, facts=made.facts | {"verdict": judged.verdict or ""})
         if _fingerprint(kind, task) != before:
             raise EpisodeError("changed while it was read; export it again when it is written no more")
         _sync(making)

@@ -15,7 +15,7 @@ from station.episode.reading.messages import Ints
 from station.episode.reading.reader import EpisodeReader
 from station.export.resample import NANOSECONDS, Table
 from station.export.tracks import Words
-from station.export.verdict import NotGoodEnough
+from station.export.verdict import NotWanted
 
 Trim = Literal["none", "idle", "waiting", "marks"]
 
@@ -59,7 +59,7 @@ def trimmed(reader: EpisodeReader, table: Table, rule: Trim, robot: str, gates: 
         gates: What its gate said, None where that was not recorded.
 
     Raises:
-        NotGoodEnough: no row is left: the robot followed no command, or nothing moved, or the marks are elsewhere.
+        NotWanted: no row is left: the robot followed no command, or nothing moved, or the marks are elsewhere.
     """
     kept, why_not = np.ones(len(table.ticks_ns), dtype=np.bool_), ""
     if rule in ("waiting", "idle"):
@@ -72,9 +72,7 @@ def trimmed(reader: EpisodeReader, table: Table, rule: Trim, robot: str, gates: 
         kept &= (table.ticks_ns >= begin_ns) & (table.ticks_ns <= end_ns)
     rows = np.flatnonzero(kept)
     if not len(rows):
-        raise NotGoodEnough(
-            f"{reader.episode_id}: {_NOTHING[rule]}; leave it out, or keep all its rows with --trim none"
-        )
+        raise NotWanted(f"{reader.episode_id}: {_NOTHING[rule]}; leave it out, or keep all its rows with --trim none")
     begin, end = int(rows[0]), int(rows[-1]) + 1
     head_ns, tail_ns = table.ticks_ns[begin] - table.ticks_ns[0], table.ticks_ns[-1] - table.ticks_ns[end - 1]
     cut = Trimmed(head_s=float(head_ns) / NANOSECONDS, tail_s=float(tail_ns) / NANOSECONDS, why_not=why_not)

@@ -18,7 +18,7 @@ from station.export.kind import MinQuality, Source, Success
 _RANK: dict[str, int] = {"any": 0, "reject": 0, "usable": 1, "good": 2}
 
 
-class NotGoodEnough(EpisodeError):
+class NotWanted(EpisodeError):
     """An episode that is not asked for: by its verdict, by what its operator said, or for want of rows."""
 
 
@@ -26,7 +26,7 @@ class VerdictCheck(NamedTuple):
     """How an episode was found good enough.
 
     Attributes:
-        verdict: None where any would do.
+        verdict: None where any would do and no check has said one of these files.
         rules: Files of the rules that said so now, each with its hash; none where the verdict in the manifest stands.
     """
 
@@ -57,7 +57,7 @@ def expect(
         success: What the operator shall have said.
 
     Raises:
-        NotGoodEnough: less than `least`, with the first reason; or another success than asked for.
+        NotWanted: less than `least`, with the first reason; or another success than asked for.
         EpisodeError: not finished, whatever is asked for, or not to be read.
     """
     reader = EpisodeReader(signals_file(Path(source.folder)))
@@ -69,22 +69,23 @@ def expect(
     if not any(stream.count for stream in reader.streams()):
         raise EpisodeError(f"{source.episode_id}: holds no message; there is nothing to export")
     _expect_success(source, reader.manifest.quality_flags.success, success)
+    written = stands(reader)
     if least == "any":
-        return VerdictCheck(None)
-    book, written = book or of_user(), stands(reader)
+        return VerdictCheck(written.verdict if written is not None else None)
+    book = book or of_user()
     quality = written or standing(reader, book)
     found = quality.verdict
     if _RANK[found] < _RANK[least]:
         reason = next((item.text for item in quality.reasons if item.verdict == found), "see `station check`")
         cure = "" if _are_same(quality.rules, book.files) else "; by other rules than today's, `station check` it anew"
-        raise NotGoodEnough(f"{source.episode_id}: {found}, and --min-quality asks for {least}: {reason}{cure}")
+        raise NotWanted(f"{source.episode_id}: {found}, and --min-quality asks for {least}: {reason}{cure}")
     return VerdictCheck(found, () if written else tuple(quality.rules))
 
 
 def _expect_success(source: Source, said: bool | None, wanted: Success) -> None:
     if wanted != "any" and said is not (wanted == "yes"):
         word = "neither a success nor a failure" if said is None else "a success" if said else "a failure"
-        raise NotGoodEnough(f"{source.episode_id}: the operator called it {word}, and --success asks for {wanted}")
+        raise NotWanted(f"{source.episode_id}: the operator called it {word}, and --success asks for {wanted}")
 
 
 def _are_same(some: Iterable[RulesFile], others: Iterable[RulesFile]) -> bool:

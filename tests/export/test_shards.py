@@ -70,7 +70,7 @@ def test_who_is_left_out_by_rules_of_another_day_is_told_how_to_be_judged_anew(l
     cure = "; by other rules than today's, `station check` it anew"
     for rules, is_told in ((STRICT, False), (LAX, True)):
         lab.write_text(rules)
-        with pytest.raises(verdict.NotGoodEnough, match=r": reject, .* silent for ") as refused:
+        with pytest.raises(verdict.NotWanted, match=r": reject, .* silent for ") as refused:
             verdict.expect(source, "usable")
         assert str(refused.value).endswith(cure) == is_told
 

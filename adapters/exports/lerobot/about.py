@@ -21,12 +21,12 @@ FIELDS = {
     "trim_head_s": "double",
     "trim_tail_s": "double",
 }
-"""Types by name. Texts are never null, so that a file of which nobody said anything has the type of any other."""
+"""Types by name. Texts are never null: a column without a single value has its type all the same."""
 
 MEANING = {
     "task_name, instruction": "of the task, as recorded; LeRobot's own `tasks` has the instruction, else the name",
     "success": "what the operator said: yes, no, or nothing",
-    "verdict": "of `station check`: good, usable or reject; nothing where it was not asked for",
+    "verdict": "of `station check`: good, usable or reject; nothing where no check has said one of these files",
     "operator, interface": "who operated, and through what",
     "policy, recorded": "name of the policy; when the recording began",
     "marks": "how many marks the operator made",
@@ -41,7 +41,6 @@ def said(manifest: Manifest) -> dict[str, Any]:
         "task_name": manifest.task.name,
         "instruction": manifest.task.instruction,
         "success": success,
-        "verdict": str(manifest.quality.get("verdict", "")),
         "operator": manifest.operator.id,
         "interface": manifest.operator.interface,
         "policy": manifest.policy.name,

@@ -109,7 +109,7 @@ def task_of(manifest: Manifest) -> str:
 
 
 def provenance(reader: EpisodeReader) -> dict[str, Any]:
-    """Return where an episode comes from: hashes, operator, time, policy and verdict."""
+    """Return where an episode comes from: hashes, operator, time and policy."""
     manifest = reader.manifest
     return {
         "sha256": {file.name: sha256(file) for file in sorted(reader.files)},
@@ -149,7 +149,7 @@ def rows_of(reader: EpisodeReader, plan: Plan) -> tuple[tracks.Recorded, Table, 
 
     Raises:
         EpisodeError: it does not fit the plan, or cannot be read; names key or camera.
-        NotGoodEnough: --trim leaves no row of it.
+        NotWanted: --trim leaves no row of it.
     """
     common = plan.common
     cameras = expect_fit(reader, plan)

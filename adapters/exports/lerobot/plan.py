@@ -241,7 +241,7 @@ def _of(reader: EpisodeReader, wish: PlanRequest) -> Common:
 
 
 def rate(common: Common) -> tuple[int, str]:
-    """Return the rows per second where nobody says how many, and what they follow: more would repeat pictures."""
+    """Return the default rows per second, and what sets them: more would repeat pictures of the slowest camera."""
     known = [camera for camera in common.cameras if camera.hz]
     if not known:
         return DEFAULT_FPS, "no camera that states its rate"

@@ -29,7 +29,7 @@ from station.episode.quality import (
 from station.episode.quality.alignment import AlignmentMeter
 from station.episode.quality.blocks import Blocks
 from station.episode.quality.cameras import CameraMeter, stated_hz
-from station.episode.quality.finding_parts import AuditFound, KeyChanges
+from station.episode.quality.finding_parts import KeyChanges
 from station.episode.quality.findings import FallSeen, Quality
 from station.episode.quality.picture_contents import PictureMeter
 from station.episode.quality.plausibility import Feed
@@ -47,7 +47,7 @@ from station.episode.storage.drops import Drops
 from station.episode.storage.file_hashes import changes, measure
 from station.episode.storage.manifest import MAX_STREAMS, Manifest, save_manifest
 from station.episode.storage.manifest_copy import changed_fields, manifest_to_change
-from station.episode.storage.manifest_parts import RecordedFile, Recorder
+from station.episode.storage.manifest_parts import AuditFound, RecordedFile, Recorder
 from station.errors import EpisodeError
 
 _LONGEST_NAME, _MOST_CONTACTS = 60, 20  # of what an event tells of a fall; anybody may write events

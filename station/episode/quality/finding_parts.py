@@ -73,22 +73,6 @@ class Loss(msgspec.Struct, frozen=True, kw_only=True):
     reason: str
 
 
-class AuditFound(msgspec.Struct, frozen=True, kw_only=True):
-    """What an audit found (`station.episode.replaying.in_short`); nothing is proven of what was not compared.
-
-    Attributes:
-        compared: Vectors that were computed again: commands, observations, actions, targets.
-        different: Those that are not what was recorded, to the last bit, and states of the gate that are not.
-        not_proven: Steps of which something could not be compared.
-        not_audited: Robots that were not audited, and why, a line each.
-    """
-
-    compared: int = 0
-    different: int = 0
-    not_proven: int = 0
-    not_audited: list[str] = []
-
-
 class CameraQuality(msgspec.Struct, frozen=True, kw_only=True):
     """The pictures of one camera, by the times at which they were taken.
 

@@ -9,7 +9,6 @@ import msgspec
 from station.episode.quality.finding_parts import (
     Alignment,
     ArmQuality,
-    AuditFound,
     CameraQuality,
     CameraSwap,
     ContractDifference,
@@ -22,7 +21,7 @@ from station.episode.quality.finding_parts import (
     RulesFile,
 )
 from station.episode.storage.file_hashes import FileChange
-from station.episode.storage.manifest_parts import RecordedFile
+from station.episode.storage.manifest_parts import AuditFound, RecordedFile
 
 Verdict = Literal["good", "usable", "reject"]
 

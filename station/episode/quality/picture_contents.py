@@ -354,14 +354,14 @@ def decoder() -> tuple[str, Callable[[bytes], Grey | None]]:
 
 def _by_simplejpeg(library: Any, data: bytes) -> Grey | None:
     options: Mapping[str, Any] = {"min_width": _LEAST_WIDTH, "min_height": _LEAST_HEIGHT, "fastdct": True}
-    is_strict = True
-    while _is_sane(data):
+    if not _is_sane(data):
+        return None
+    for is_strict in (True, False):
         try:
             found: Grey = library.decode_jpeg(data, "GRAY", strict=is_strict, **options)[:, :, 0]
         except ValueError as error:
-            if not is_strict or "extraneous bytes" not in str(error):
+            if "extraneous bytes" not in str(error):  # some cameras pad between segments: nothing is missing then
                 return None
-            is_strict = False  # some cameras pad between segments: nothing is missing of the picture
         else:
             return found
     return None

@@ -50,7 +50,7 @@ def stands(reader: EpisodeReader) -> Quality | None:
 
 
 def _says_the_same(quality: Quality, reader: EpisodeReader) -> bool:
-    """Whether nobody has said since of an episode what its verdict follows from."""
+    """Whether success and discarding, from which its verdict follows, are still what the check saw."""
     flags = reader.manifest.quality_flags
     return (quality.discarded, quality.success) == (flags.discarded, flags.success)
 

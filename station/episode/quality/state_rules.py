@@ -131,11 +131,9 @@ def _step_times(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str
         for what, off_s in (("states", times.state_off_s), ("commands", times.command_off_s)):
             if off_s is not None and abs(off_s) > limit.usable_above_s:
                 verdict: Verdict = "reject" if abs(off_s) > limit.reject_above_s else "usable"
-                how = "after" if off_s > 0 else "before"
-                yield (
-                    verdict,
-                    f"{robot.robot}: {what} stand {abs(off_s) * 1e3:.0f} ms {how} the steps that used them say",
-                )
+                how = "later" if off_s > 0 else "earlier"
+                text = f"{what} are stamped {abs(off_s) * 1e3:.0f} ms {how} than the steps that used them say"
+                yield verdict, f"{robot.robot}: {text}"
 
 
 def _before_written(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -157,10 +155,7 @@ def _reused_states(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, 
         share, limit = robot.times.reused_states_share if robot.times is not None else 0.0, limits.reused_states
         if share > limit.usable_above_share:
             verdict: Verdict = "reject" if share > limit.reject_above_share else "usable"
-            yield (
-                verdict,
-                f"{robot.state_key}: {share:.1%} of the steps have no state of their own, it is not in the file",
-            )
+            yield verdict, f"{robot.state_key}: {share:.1%} of the steps have no state of their own in the file"
 
 
 def _camera_times(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:

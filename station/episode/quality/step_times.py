@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.contract import TIMING_STAGES, Contract
-from station.episode.quality.blocks import decoded
+from station.episode.quality.blocks import at_once, decoded
 from station.episode.quality.finding_parts import StepTimes
 from station.episode.reading.messages import Ints
 from station.episode.reading.steps import timing_row
@@ -164,13 +164,8 @@ class StepTimesMeter:
 def _rows(data: list[bytes]) -> NDArray[np.int64]:
     """Return rows of instants, shape (k, 8); zeros for what is none."""
     width = _FIRST_STAGE + len(TIMING_STAGES)
-    try:
-        found = _decode_rows(b"[" + b",".join(data) + b"]")
-        is_sound = len(found) == len(data) and all(len(row) == width for row in found)
-        is_sound = is_sound and all(abs(number) < _LARGEST for row in found for number in row)
-    except (msgspec.DecodeError, UnicodeDecodeError):
-        is_sound = False
-    if not is_sound:
+    found = at_once(_decode_rows, data)
+    if found is None or not all(len(row) == width and all(abs(one) < _LARGEST for one in row) for row in found):
         found = [timing_row(value) or [0] * width for value in data]
     return np.array(found, dtype=np.int64).reshape(len(data), width)
 

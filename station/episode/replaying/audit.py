@@ -10,7 +10,7 @@ cannot be proven is counted, and never called equal.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -155,13 +155,19 @@ def audit(
     state = reader.contract(keys.robot_state(suspect.robot))
     run = _Run(load, tuple(suspects), suspect.robot, state, targets, None if isinstance(gate, str) else gate)
     run.on_file(reader)
-    seconds = time.perf_counter() - began
-    actions = run.actions
-    first, *others = [_audited(suspects[name], load(name)) for name in run.drove or list(suspects)[:1]]
-    recorded_s = (run.last_ns - run.first_ns) * 1e-9
+    audited = [_audited(suspects[name], load(name)) for name in run.drove or list(suspects)[:1]]
+    return _result(reader.episode_id, run, gate, audited, time.perf_counter() - began)
+
+
+def _result(
+    episode_id: str, run: _Run, gate: GateReplay | str, audited: Sequence[AuditedPolicy], seconds: float
+) -> Audit:
+    """Return what was found; `gate` says in words why it was not followed."""
+    actions, targets, recorded_s = run.actions, run.targets, (run.last_ns - run.first_ns) * 1e-9
+    first, *others = audited
     return Audit(
-        episode_id=reader.episode_id,
-        robot=suspect.robot,
+        episode_id=episode_id,
+        robot=run.robot,
         **msgspec.structs.asdict(first),
         took_over=others,
         steps=actions.compared,

@@ -60,7 +60,7 @@ class GateTold(msgspec.Struct, frozen=True):
 
 
 def gate_told(step: Step, robot: str) -> GateTold:
-    """Return what the gate told in a step; nothing where that is not in the file, or nothing of ours."""
+    """Return the gate's recorded status of a step; empty where the file has none that can be read."""
     try:
         return codec.parse_struct(step.values.get(keys.command_gate(robot), b"{}"), GateTold)
     except codec.BadValue:
@@ -148,7 +148,7 @@ class GateReplay:
             self._resets.add(message.channel.source)
 
     def on_step(self, number: int, step: Step, told: GateTold) -> None:
-        """Compare one step, of which the gate told something."""
+        """Compare one step with its recorded gate status."""
         row = timing_row(step.values.get(keys.policy_timing(self.robot)))
         data, state = step.values.get(keys.command_used(self.robot)), told.state
         follows_on = self._before is not None and (step.source, step.number) == (

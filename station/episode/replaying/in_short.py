@@ -2,35 +2,18 @@
 
 from __future__ import annotations
 
-import msgspec
-
 from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
 from station.episode.replaying.arm_audit import audit_arm, is_arm
 from station.episode.replaying.audit import Audit, audit
 from station.episode.replaying.comparison import Comparison
+from station.episode.storage.manifest_parts import AuditFound
 from station.errors import StationError
 
 
-class AuditInShort(msgspec.Struct, kw_only=True):
-    """What the audits of all robots of an episode found.
-
-    Attributes:
-        compared: Vectors that were compared: commands, observations, actions, targets.
-        different: Those that differ in any bit, and states of the gate that do.
-        not_proven: Steps of which something could not be compared; one counts for each thing.
-        not_audited: Robots that were not audited, and why, a line each.
-    """
-
-    compared: int = 0
-    different: int = 0
-    not_proven: int = 0
-    not_audited: list[str] = []
-
-
-def audit_in_short(reader: EpisodeReader) -> AuditInShort:
+def audit_in_short(reader: EpisodeReader) -> AuditFound:
     """Audit every robot of an episode; one that cannot be is said in a line, and is no difference."""
-    found = AuditInShort()
+    found = AuditFound()
     for robot in steps.robots(reader.topics()):
         try:
             _add(reader, robot, found)
@@ -50,7 +33,7 @@ def _other_runtime(found: Audit) -> str:
     return next(words, "")
 
 
-def _add(reader: EpisodeReader, robot: str, found: AuditInShort) -> None:
+def _add(reader: EpisodeReader, robot: str, found: AuditFound) -> None:
     if is_arm(reader, robot):
         arm = audit_arm(reader, robot)
         compared: tuple[Comparison, ...] = (arm.commands, arm.targets)

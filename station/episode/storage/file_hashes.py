@@ -19,11 +19,10 @@ from mcap.opcode import Opcode
 
 from station.episode.storage import layout
 from station.episode.storage.manifest_parts import RecordedFile
-from station.episode.storage.records import MAGIC
+from station.episode.storage.tail import read_footer
 
 NOT_THERE = "not there"
 _FILES = (layout.SIGNALS, layout.CAMERAS)
-_FOOTER = struct.Struct("<BQQQL")  # opcode, length, start of the summary, of its offsets, its checksum
 _HEAD = struct.Struct("<BQ")
 _PLACE = struct.Struct("<QQQ")  # of a chunk's index: first and last time, and where the chunk begins
 _CHECKSUM = struct.Struct("<L")
@@ -98,29 +97,18 @@ def _closed(folder: Path) -> Iterator[Path]:
 def _read(path: Path, *, is_whole: bool) -> RecordedFile:
     with path.open("rb") as file:
         size = file.seek(0, 2)
-        start, checksum = _end(file, size)
-        found = RecordedFile(name=path.name, bytes=size, summary_crc=checksum)
+        footer = read_footer(file, size)
+        found = RecordedFile(name=path.name, bytes=size)
+        if footer is not None:
+            found.summary_crc = f"{footer.summary_crc:08x}"
         if not is_whole:
             return found
         if path.name == layout.CAMERAS:
-            found.chunks_sha256 = _chunks_sha256(file, start, size) if checksum else ""
+            found.chunks_sha256 = "" if footer is None else _chunks_sha256(file, footer.summary_start, size)
         else:
             file.seek(0)
             found.sha256 = hashlib.file_digest(file, "sha256").hexdigest()
         return found
-
-
-def _end(file: BinaryIO, size: int) -> tuple[int, str]:
-    """Return where the summary begins, and its checksum; 0 and "" where the file has no end."""
-    length = _FOOTER.size + len(MAGIC)
-    if size < length:
-        return 0, ""
-    file.seek(size - length)
-    data = file.read(length)
-    opcode, _, start, _, checksum = _FOOTER.unpack_from(data)
-    if opcode != Opcode.FOOTER or not data.endswith(MAGIC) or not 0 < start <= size:
-        return 0, ""
-    return start, f"{checksum:08x}"
 
 
 def _chunks_sha256(file: BinaryIO, start: int, size: int) -> str:

@@ -241,3 +241,19 @@ class Recorder(msgspec.Struct, kw_only=True):
     software: dict[str, Any] = {}
     config: dict[str, Any] = {}
     ended_by: str = ""
+
+
+class AuditFound(msgspec.Struct, kw_only=True):
+    """What an audit found (`station.episode.replaying.in_short`); nothing is proven of what was not compared.
+
+    Attributes:
+        compared: Vectors that were computed again: commands, observations, actions, targets.
+        different: Those that are not what was recorded, to the last bit, and states of the gate that are not.
+        not_proven: Steps of which something could not be compared; one counts for each thing.
+        not_audited: Robots that were not audited, and why, a line each.
+    """
+
+    compared: int = 0
+    different: int = 0
+    not_proven: int = 0
+    not_audited: list[str] = []

@@ -102,19 +102,38 @@ class Summary(NamedTuple):
         return following < len(self.places) and place.end > self.places[following]
 
 
+class FoundFooter(NamedTuple):
+    """The last record of a whole file: where it is, where the summary and its offsets begin, and their checksum."""
+
+    at: int
+    summary_start: int
+    offsets_start: int
+    summary_crc: int
+
+
+def read_footer(file: BinaryIO, size: int) -> FoundFooter | None:
+    """Read the footer of a file; None of one that does not end with it, or has no summary."""
+    at = size - _WHOLE_FOOTER.size - len(MAGIC)
+    if at < len(MAGIC):
+        return None
+    file.seek(at)
+    data = file.read(_WHOLE_FOOTER.size + len(MAGIC))
+    opcode, length, start, offsets, crc = _WHOLE_FOOTER.unpack_from(data)
+    is_ours = (opcode, length) == (Opcode.FOOTER, _FOOTER_LENGTH) and data.endswith(MAGIC)
+    return FoundFooter(at, start, offsets, crc) if is_ours and len(MAGIC) < start < at else None
+
+
 def read_summary(file: BinaryIO, size: int) -> Summary:
     """Read the summary of a file; of one that has none, or a damaged one, an empty one."""
-    found = Summary([], set(), {}, {})
-    footer_at = size - len(MAGIC) - HEAD.size - _FOOTER_LENGTH
-    file.seek(max(0, footer_at))
-    opcode, length, start, offsets, crc = _WHOLE_FOOTER.unpack(file.read(_WHOLE_FOOTER.size).ljust(_WHOLE_FOOTER.size))
-    if (opcode, length) != (Opcode.FOOTER, _FOOTER_LENGTH) or not len(MAGIC) < start < footer_at:
+    found, footer = Summary([], set(), {}, {}), read_footer(file, size)
+    if footer is None:
         return found
+    start = footer.summary_start
     file.seek(start)
-    data = file.read(footer_at - start)
-    if zlib.crc32(_FOOTER.pack(opcode, length, start, offsets), zlib.crc32(data)) != crc:
+    head = _FOOTER.pack(Opcode.FOOTER, _FOOTER_LENGTH, start, footer.offsets_start)
+    if zlib.crc32(head, zlib.crc32(file.read(footer.at - start))) != footer.summary_crc:
         return found
-    for place in whole_records(file, footer_at, start):
+    for place in whole_records(file, footer.at, start):
         record = ReadDataStream(BytesIO(body(file, place)))
         if place.opcode == Opcode.CHANNEL:
             channel = Channel.read(record)

@@ -142,15 +142,16 @@ def test_no_verdict_of_another_file_is_taken(tmp_path: Path) -> None:
     folder, other = episode(data), episode(tmp_path / "b", writes=30)
     write_measured(folder, judged_good(folder))
     assert list_episodes(data)[0].verdict == "good"
-    assert verdict.expect(source(folder), "usable").verdict == "good"
+    assert [verdict.expect(source(folder), least).verdict for least in ("usable", "any")] == ["good", "good"]
     replaced(folder, by=other)
     (row,) = list_episodes(data)
     assert (row.verdict, row.changed.partition(":")[0]) == ("", "signals.mcap")
     assert list_episodes(data, wanted=EpisodeFilter(least="usable")) == []
     assert "changed after it was closed or checked: signals.mcap" in listed(data)
     assert stands(open_episode(folder)) is None
-    with pytest.raises(verdict.NotGoodEnough, match="the recording was changed after it was closed"):
+    with pytest.raises(verdict.NotWanted, match="the recording was changed after it was closed"):
         verdict.expect(source(folder), "usable")
+    assert verdict.expect(source(folder), "any").verdict is None, "an export of any has the verdict of no other file"
     (reported,), _ = gather([folder], rule_file.shipped(), named=True)
     assert reported.quality.verdict == "reject"
     assert [reason.rule for reason in reported.quality.reasons if reason.verdict == "reject"][:1] == ["changed"]

@@ -14,6 +14,7 @@ import pytest
 from adapters.robots.g1 import twist_keys
 from adapters.robots.g1.joints import G1_29
 from station.bus import codec, keys
+from station.episode.quality.blocks import at_once
 from station.episode.quality.check import check
 from station.episode.quality.findings import Quality
 from station.episode.quality.rule_file import shipped
@@ -238,6 +239,13 @@ def test_states_that_are_no_numbers_are_told_with_the_first(walked: Path, tmp_pa
     )
 
 
+def test_values_that_make_a_list_only_together_are_decoded_one_by_one() -> None:
+    decode = msgspec.json.Decoder(list[list[float]]).decode
+    assert at_once(decode, [b"[1,2]", b"[3,4]"]) == [[1, 2], [3, 4]]
+    assert at_once(decode, [b"[1,2],[3,4]", b"[5", b"6]"]) is None, "as many lists as values, and none of them its own"
+    assert at_once(decode, [b"[1,2],[3,4]", b"[5,6]"]) is None
+
+
 def test_a_single_value_that_is_cut_off_is_told_and_leaves_the_episode_usable(walked: Path, tmp_path: Path) -> None:
     def cut(topic: str, value: bytes, at_s: float) -> tuple[bytes, float]:
         return (value[:-8] if topic == STATE and abs(at_s - 3.1) < 1e-6 else value), at_s
@@ -329,12 +337,12 @@ def test_times_that_fit_are_believed(tmp_path: Path) -> None:
 def test_states_that_are_stamped_early_or_late_are_told(tmp_path: Path, late_s: float) -> None:
     quality = Waving(state_late_s=late_s).recorded(tmp_path)
     assert verdicts(quality)["step-times"] == "reject"
-    assert f"states stand 100 ms {'after' if late_s > 0 else 'before'}" in told(quality)["step-times"]
+    assert f"states are stamped 100 ms {'later' if late_s > 0 else 'earlier'}" in told(quality)["step-times"]
 
 
 def test_commands_that_are_stamped_after_their_use_are_told(tmp_path: Path) -> None:
     quality = Waving(command_late_s=0.08).recorded(tmp_path)
-    assert "commands stand 80 ms after" in told(quality)["step-times"]
+    assert "commands are stamped 80 ms later" in told(quality)["step-times"]
 
 
 def test_commands_that_were_used_before_they_were_written_are_told(tmp_path: Path) -> None:

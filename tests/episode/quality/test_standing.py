@@ -81,7 +81,7 @@ def test_an_export_and_a_report_say_the_same_of_an_episode(
         (expected,) if reason is None else (expected, reason)
     )
     if expected == "reject":
-        with pytest.raises(verdict.NotGoodEnough, match=f"{folder.name}: reject, .*asks for usable: {reason}"):
+        with pytest.raises(verdict.NotWanted, match=f"{folder.name}: reject, .*asks for usable: {reason}"):
             verdict.expect(source, "usable")
     else:
         judged = verdict.expect(source, "usable")
