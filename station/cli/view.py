@@ -32,7 +32,7 @@ _IN_ITS_FOLDER = ""  # FILE was left out
 @click.option("--plot", metavar="[FILE]", is_flag=False, flag_value=_IN_ITS_FOLDER, default=None,
               help="Draw command against state of EPISODE as PNG; without FILE in its folder.")  # fmt: skip
 @click.option("--for", "for_", metavar="DURATION", default=None, help="Stop after this long (live).  [default: Ctrl-C]")
-@click.option("--robot", default="", help="Suffix of the robot (live).  [default: the one that writes a state]")
+@click.option("--robot", default="", help="Suffix of the robot.  [default: one that is driven, or writes a state]")
 @click.option("--robot-model", default=None, help="MJCF to draw.  [default: the one that its server names]")
 @data_option
 @bus_option
@@ -58,7 +58,7 @@ def command(
         raise UsageError(f"--{'for' if for_ is not None else 'bus'} is for a running station, not for an episode")
     for option in asked:
         _expect_png(option, pictures[option] or "")
-    _show_episode(episode, data, save_as, contact_sheet, plot, robot_model)
+    _show_episode(episode, data, save_as, contact_sheet, plot, robot, robot_model)
 
 
 def _expect_png(option: str, file: str) -> None:
@@ -68,33 +68,37 @@ def _expect_png(option: str, file: str) -> None:
 
 def _show_episode(
     episode: str, data: Path | None, save_as: Path | None, contact_sheet: str | None, plot: str | None,
-    robot_model: str | None,
+    robot: str, robot_model: str | None,
 ) -> None:  # fmt: skip
     from station.episode.reading.reader import open_episode
-    from station.view import names
+    from station.episode.reading.steps import robots_of
+    from station.view import names, phases
 
     reader = open_episode(episode, data)
+    robot = phases.robot_of(reader, robot)
+    if others := [name for name in robots_of(reader) if name != robot]:
+        click.echo(f"shows {robot}; by --robot also {', '.join(others)}", err=True)
     if contact_sheet is not None:
         from station.view.contact_sheet import save_sheet
 
         path = Path(contact_sheet or reader.folder / names.CONTACT_SHEET)
-        _warn(save_sheet(reader, path, robot_model=robot_model))
+        _warn(save_sheet(reader, path, robot=robot, robot_model=robot_model))
         click.echo(f"saved {path}")
     if plot is not None:
         from station.view.plots import save_plot
 
-        click.echo(f"saved {save_plot(reader, Path(plot or reader.folder / names.PLOT))}")
+        click.echo(f"saved {save_plot(reader, Path(plot or reader.folder / names.PLOT), robot=robot)}")
     if save_as is not None or (contact_sheet is None and plot is None):
-        _show_in_rerun(reader, save_as, robot_model)
+        _show_in_rerun(reader, save_as, robot, robot_model)
 
 
-def _show_in_rerun(reader: EpisodeReader, save_as: Path | None, robot_model: str | None) -> None:
+def _show_in_rerun(reader: EpisodeReader, save_as: Path | None, robot: str, robot_model: str | None) -> None:
     from station.view import episode_rrd
 
     if save_as is None:
-        view = episode_rrd.show(reader, robot_model=robot_model)
+        view = episode_rrd.show(reader, robot=robot, robot_model=robot_model)
     else:
-        view = episode_rrd.save(reader, save_as, robot_model=robot_model)
+        view = episode_rrd.save(reader, save_as, robot=robot, robot_model=robot_model)
     _warn(view.warnings)
     click.echo(f"saved {view.path}; open it with: rerun {view.path}" if view.path else "shown in the viewer")
 

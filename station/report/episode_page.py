@@ -11,7 +11,7 @@ from station.report import episode_tables
 from station.report.gather import Episode
 from station.report.html import Html, details, join, picture, table, tag
 from station.report.story import EventRow, Story, lasting
-from station.report.strip import Thumbnail
+from station.view.camera_strip import Thumbnail
 from station.view.phases import Span
 
 _MOST_REASONS = 12
@@ -40,7 +40,7 @@ def section(
     episode: Episode,
     story: Story | None,
     plot: bytes | None,
-    strips: Mapping[str, Sequence[Thumbnail]],
+    strips: Mapping[str, Sequence[Thumbnail | None]],
     *,
     problem: str = "",
 ) -> Html:
@@ -69,7 +69,7 @@ def section(
             tag("h3", "How it was followed"),
             picture(plot, "png", "joints as commanded and as measured", class_="plot"),
         ]
-    body += [_strip(name, pictures) for name, pictures in strips.items() if pictures]
+    body += [_strip(name, pictures) for name, pictures in strips.items() if any(pictures)]
     body += _tables(quality), _events(story), _provenance(episode)
     return tag("section", body, class_=f"card episode {quality.verdict}", id=anchor(episode))
 
@@ -125,7 +125,7 @@ def _facts(episode: Episode) -> Html:
     return tag("div", cells, class_="facts")
 
 
-def _strip(name: str, pictures: Sequence[Thumbnail]) -> Html:
+def _strip(name: str, pictures: Sequence[Thumbnail | None]) -> Html:
     figures = [
         tag(
             "figure",
@@ -134,7 +134,8 @@ def _strip(name: str, pictures: Sequence[Thumbnail]) -> Html:
             else tag("p", "no picture", class_="bad"),
             tag("figcaption", f"{one.at_s:.1f} s"),
         )
-        for one in pictures
+        for one in dict.fromkeys(pictures)
+        if one is not None
     ]
     return join([tag("h3", f"Camera {name}"), tag("div", figures, class_="strip")])
 

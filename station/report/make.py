@@ -13,10 +13,11 @@ from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.folder import signals_file
 from station.episode.storage.whole_file import named_file
 from station.errors import EpisodeError
-from station.report import data_page, episode_page, story, strip, tracking_plot
+from station.report import data_page, episode_page, story, tracking_plot
 from station.report.gather import Episode, UnreadableEpisode
 from station.report.html import Html, join, tag
 from station.software import software
+from station.view import camera_strip
 
 STYLE = Path(__file__).with_name("style.css")
 PICTURED = 40
@@ -24,6 +25,7 @@ PICTURED = 40
 
 # A page that shows what strangers wrote runs no script and fetches nothing, whatever slipped through.
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+_PICTURES, _PICTURE_PX = 7, 220  # of each camera
 _URGENCY = {"reject": 0, "usable": 1, "good": 2}
 
 
@@ -89,7 +91,8 @@ def _drawn(episode: Episode, recorded: dict[str, Contract]) -> Html:
         told = story.read(reader)
         recorded.update(told.contracts)
         plot = tracking_plot.draw(told, episode.quality.joint_errors_rad(told.robot))
-        return episode_page.section(episode, told, plot, strip.strips(reader))
+        strips = camera_strip.strips(reader, camera_strip.evenly(reader, _PICTURES), _PICTURE_PX)
+        return episode_page.section(episode, told, plot, strips)
     except EpisodeError as error:
         return episode_page.section(episode, None, None, {}, problem=f"nothing is drawn: {error}")
 

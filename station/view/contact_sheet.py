@@ -1,20 +1,26 @@
-"""A contact sheet: a run on a page, a picture per moment with its time and what was being played."""
+"""A contact sheet: a run on a page, a picture per moment with its time and what was being played.
+
+With cameras a column is a moment: the robot, and below it what each camera saw.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import io
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from station import rotations
+from station.episode.reading import frames
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.whole_file import named_file
 from station.errors import StationError
 from station.protocols import FALL_TILT_RAD, Floats
-from station.view import offscreen
+from station.view import camera_strip, offscreen
 from station.view import plot_style as style
+from station.view.camera_strip import Thumbnail
 from station.view.find_model import find_path
 from station.view.offscreen import Pictures
 from station.view.phases import Span
@@ -38,13 +44,14 @@ _BLENDS = frozenset(("waiting", "entering", "paused", "leaving", "done"))
 
 
 def save_sheet(
-    reader: EpisodeReader, path: Path, *, robot_model: str | Path | None = None, gl: str | None = None
+    reader: EpisodeReader, path: Path, *, robot: str = "", robot_model: str | Path | None = None, gl: str | None = None
 ) -> list[str]:
     """Draw an episode as a contact sheet, write it as PNG, and return what is to be said of it.
 
     Args:
         reader: The episode.
         path: The file; replaced as a whole, or not at all.
+        robot: Suffix of the robot, see `station.view.phases.robot_of`.
         robot_model: MJCF of the robot, path or ``collection:path``; None for the one that the episode names.
         gl: How MuJoCo draws, see `station.view.offscreen.render`.
 
@@ -52,8 +59,8 @@ def save_sheet(
         CannotRender: this machine has no way to draw.
         StationError: the episode holds no pose of a robot, no model of it is here, or the file cannot be written.
     """
-    run = read_run(reader)
-    shown = moments(run, COLUMNS * ROWS)
+    run = read_run(reader, robot)
+    shown = moments(run, COLUMNS * (1 if frames.cameras(reader) else ROWS))
     if run.measured is None or not shown:
         raise StationError(f"{run.episode_id}: no contact sheet, it holds no pose of a robot")
     model, warnings = find_path(reader.manifest.servers.values(), run.robot, robot_model)
@@ -63,8 +70,9 @@ def save_sheet(
     pictures = offscreen.render(
         model, run.measured.root[rows], run.measured.joints, run.measured.q[rows], width=_CELL, height=_PICTURE, gl=gl
     )
+    strips = camera_strip.strips(reader, [moment.at_s for moment in shown], _CELL)
     with named_file(path) as file:
-        _page(run, shown, pictures).save(file, format="PNG", optimize=True)
+        _page(run, shown, pictures, strips).save(file, format="PNG", optimize=True)
     return warnings
 
 
@@ -91,12 +99,15 @@ class _Fonts(NamedTuple):
         return cls(*(ImageFont.truetype(str(folder / name), size) for name, size in named))
 
 
-def _page(run: Run, shown: Sequence[Moment], pictures: Pictures) -> Image:
+def _page(
+    run: Run, shown: Sequence[Moment], pictures: Pictures, strips: Mapping[str, Sequence[Thumbnail | None]]
+) -> Image:
     from PIL import Image, ImageDraw
 
     fonts = _Fonts.load()
-    rows = -(-len(shown) // COLUMNS)
-    height = _HEAD + rows * (_PICTURE + _CAPTION + _GAP) - _GAP + _MARGIN // 2
+    rows, row = -(-len(shown) // COLUMNS), _CAPTION + _GAP
+    heights = {camera: _height(strip) for camera, strip in strips.items()}
+    height = _HEAD + rows * (_PICTURE + row) + sum(heights.values()) + len(heights) * row - _GAP + _MARGIN // 2
     page = Image.new("RGB", (style.WIDTH_PX, height), style.PAPER)
     pen = ImageDraw.Draw(page)
     pen.text((_MARGIN, 26), run.episode_id, style.INK, fonts.title)
@@ -106,24 +117,44 @@ def _page(run: Run, shown: Sequence[Moment], pictures: Pictures) -> Image:
         left = _MARGIN + number % COLUMNS * (_CELL + _GAP)
         top = _HEAD + number // COLUMNS * (_PICTURE + _CAPTION + _GAP)
         page.paste(Image.fromarray(picture), (left, top), corners)
-        _caption(pen, moment, (left, top), fonts)
+        said, colour = (
+            (f"fallen   {moment.at_s:.1f} s", style.FELL) if moment.has_fallen else (f"{moment.at_s:.1f} s", style.SOFT)
+        )
+        _caption(pen, (left, top + _PICTURE), moment.name, said, colour, fonts)
+        if moment.has_fallen:
+            box = (left, top, left + _CELL - 1, top + _PICTURE - 1)
+            pen.rounded_rectangle(box, _CORNER, outline=style.FELL, width=4)
+    top = _HEAD + rows * (_PICTURE + row)
+    for camera, strip in strips.items():
+        for number, seen in enumerate(strip):
+            if seen is not None:
+                left = _MARGIN + number * (_CELL + _GAP)
+                if (picture := _opened(seen)) is not None:
+                    page.paste(picture, (left + (_CELL - picture.width) // 2, top), _rounded(picture.size))
+                said, colour = (f"{seen.at_s:.1f} s", style.SOFT) if picture else ("no picture", style.FELL)
+                _caption(pen, (left, top + heights[camera]), camera, said, colour, fonts)
+        top += heights[camera] + row
     return page
 
 
-def _caption(pen: ImageDraw, moment: Moment, corner: tuple[int, int], fonts: _Fonts) -> None:
-    """Write below a picture what was played, and when; a robot that has fallen is framed."""
-    left, top = corner
-    base = top + _PICTURE + 26
-    pen.text((left + 2, base), moment.name, style.INK, fonts.name, anchor="ls")
-    said, colour = (
-        (f"fallen   {moment.at_s:.1f} s", style.FELL) if moment.has_fallen else (f"{moment.at_s:.1f} s", style.SOFT)
-    )
-    pen.text((left + _CELL - 2, base), said, colour, fonts.time, anchor="rs")
+def _opened(seen: Thumbnail) -> Image | None:
+    from PIL import Image
+
+    return Image.open(io.BytesIO(seen.jpeg)) if seen.jpeg is not None else None
+
+
+def _height(strip: Sequence[Thumbnail | None]) -> int:
+    """Return the height of a camera's row [px]: that of its highest picture."""
+    opened = [_opened(seen) for seen in strip if seen is not None]
+    return max((picture.height for picture in opened if picture is not None), default=0)
+
+
+def _caption(pen: ImageDraw, below: tuple[int, int], name: str, said: str, colour: str, fonts: _Fonts) -> None:
+    """Write below a picture, of which this is the lower left corner, a name and on the right what is said of it."""
+    left, base = below[0] + 2, below[1] + 26
+    pen.text((left + _CELL - 4, base), said, colour, fonts.time, anchor="rs")
     room = _CELL - 16 - fonts.time.getlength(said)
-    pen.text((left + 2, base), _fitted(moment.name, fonts.name, room), style.INK, fonts.name, anchor="ls")
-    if moment.has_fallen:
-        box = (left, top, left + _CELL - 1, top + _PICTURE - 1)
-        pen.rounded_rectangle(box, _CORNER, outline=style.FELL, width=4)
+    pen.text((left, base), _fitted(name, fonts.name, room), style.INK, fonts.name, anchor="ls")
 
 
 def _fitted(text: str, font: FreeTypeFont, room: float) -> str:

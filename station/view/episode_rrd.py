@@ -9,10 +9,9 @@ from pathlib import Path
 import msgspec
 import rerun as rr
 
-from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
 from station.errors import StationError
-from station.view import layout, poses, scene
+from station.view import layout, phases, poses, scene
 from station.view.episode_curves import Source, draw_curves
 from station.view.episode_story import draw_events, draw_states
 from station.view.find_model import find_model
@@ -47,12 +46,13 @@ class View(msgspec.Struct, kw_only=True):
     seconds: float = 0.0
 
 
-def save(reader: EpisodeReader, path: Path, *, robot_model: str | Path | None = None) -> View:
+def save(reader: EpisodeReader, path: Path, *, robot: str = "", robot_model: str | Path | None = None) -> View:
     """Write an episode as a Rerun file; needs no display.
 
     Args:
         reader: The episode.
         path: The ``.rrd`` file; replaced as a whole, or not at all.
+        robot: Suffix of the robot, see `station.view.phases.robot_of`.
         robot_model: MJCF of the robot, path or ``collection:path``; None for the one that the episode names.
 
     Raises:
@@ -65,7 +65,7 @@ def save(reader: EpisodeReader, path: Path, *, robot_model: str | Path | None = 
     recording = _recording(reader)
     try:
         recording.save(part)
-        view = draw(reader, recording, robot_model=robot_model)
+        view = draw(reader, recording, robot=robot, robot_model=robot_model)
         recording.flush()
         recording.disconnect()
         os.replace(part, path)
@@ -77,7 +77,7 @@ def save(reader: EpisodeReader, path: Path, *, robot_model: str | Path | None = 
     return view
 
 
-def show(reader: EpisodeReader, *, robot_model: str | Path | None = None) -> View:
+def show(reader: EpisodeReader, *, robot: str = "", robot_model: str | Path | None = None) -> View:
     """Open Rerun's viewer on an episode; needs a display.
 
     Raises:
@@ -85,16 +85,18 @@ def show(reader: EpisodeReader, *, robot_model: str | Path | None = None) -> Vie
     """
     recording = _recording(reader)
     with open_viewer(recording) as viewer:
-        view = draw(reader, recording, robot_model=robot_model)
+        view = draw(reader, recording, robot=robot, robot_model=robot_model)
         viewer.deliver(recording)
     return view
 
 
-def draw(reader: EpisodeReader, recording: rr.RecordingStream, *, robot_model: str | Path | None = None) -> View:
+def draw(
+    reader: EpisodeReader, recording: rr.RecordingStream, *, robot: str = "", robot_model: str | Path | None = None
+) -> View:
     """Send an episode to any Rerun recording."""
     began = time.perf_counter()
     source = Source(reader)
-    view = View(episode_id=reader.episode_id, robot=next(iter(steps.robots_of(reader)), ""))
+    view = View(episode_id=reader.episode_id, robot=phases.robot_of(reader, robot))
     drawn = draw_curves(recording, source, view.robot)
     view.curves = drawn.entities
     view.warnings += drawn.warnings

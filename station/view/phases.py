@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from station.bus import codec
 from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
+from station.errors import EpisodeError
 from station.view import clips
 
 PLAYING, TRACKING = "playing", "tracking"
@@ -58,12 +59,19 @@ def spans(states: Iterable[tuple[float, str]]) -> list[Span]:
     return found.named
 
 
-def robot_of(reader: EpisodeReader) -> str:
+def robot_of(reader: EpisodeReader, wanted: str = "") -> str:
     """Return the suffix of the robot that an episode is about, "" for none.
 
-    That is one that a policy or an operator drove, the manifest's own where there are several; else one whose state or
-    command is there (stock scripts, no robot).
+    That is the one that is wanted; else one that a policy or an operator drove, the manifest's own where there are
+    several; else one whose state or command is there (stock scripts, no robot).
+
+    Raises:
+        EpisodeError: the one that is wanted is not in it.
     """
+    if wanted:
+        if wanted not in (known := steps.robots_of(reader)):
+            raise EpisodeError(f"{reader.episode_id}: no robot {wanted!r} in it; it has {', '.join(known) or 'none'}")
+        return wanted
     if reader.manifest.robot.suffix in steps.robots(reader.topics()):
         return reader.manifest.robot.suffix
     return next(iter(steps.robots_of(reader)), "")

@@ -45,13 +45,13 @@ _BAR = 0.78  # of the height of a lane
 _LEAST_JOINT_SPAN_RAD = 0.05  # a joint that stands still must not look as if it trembled
 
 
-def save_plot(reader: EpisodeReader, path: Path) -> Path:
-    """Draw an episode on a page, write it as PNG, and return its path.
+def save_plot(reader: EpisodeReader, path: Path, *, robot: str = "") -> Path:
+    """Draw a robot of an episode, see `phases.robot_of`, on a page, write it as PNG, and return its path.
 
     Raises:
         StationError: the episode holds no joints, or the file cannot be written.
     """
-    run = read_run(reader)
+    run = read_run(reader, robot)
     return save_run(run, standing(reader, rule_file.shipped()).joint_errors_rad(run.robot), path)
 
 

@@ -87,9 +87,9 @@ class Run:
         return None if self.measured is None else Joints(self.times_s, self.measured.joints, self.measured.q)
 
 
-def read_run(reader: EpisodeReader) -> Run:
-    """Read from an episode what pictures show of it, in one pass over its signals."""
-    robot = phases.robot_of(reader)
+def read_run(reader: EpisodeReader, robot: str = "") -> Run:
+    """Read from an episode what pictures show of a robot, see `phases.robot_of`, in one pass over its signals."""
+    robot = phases.robot_of(reader, robot)
     description, recorded = reader.known.robot(robot), reader.recorded.values()
     states = poses.state_keys(robot, recorded, description)
     commands = poses.command_keys(robot, recorded, description)

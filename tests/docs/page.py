@@ -8,9 +8,16 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+from PIL.Image import Image, Resampling
+from PIL.Image import open as open_picture
+
 _PROGRAMS = ("station", "make", "pip", "python", "git", "bash")
 _COMMENT = re.compile(r"\s{2,}#.*$|\s+# .*$")
 _GAP = "…"
+_PICTURE = re.compile(r"!\[[^\]]+\]\((pictures/[\w-]+\.jpg)\)")
+_WIDTH = 1000  # of a page's picture [px]
+_MOST_UNLIKE = 8.0  # of 255, on average over a small version; another robot, or a row more, is beyond
 _VARIES = re.compile(
     r"(?P<hash>\b(?=[0-9a-f]*[0-9])[0-9a-f]{8,64}\b)"
     r"|(?P<number>[-+]?\d+(?:[ \u202f.,:]\d+)*(?:e[-+]?\d+)?)"
@@ -88,6 +95,29 @@ def _goes_on(text: str) -> bool:
     except ValueError:
         return True
     return text.endswith("\\")
+
+
+def pictures_of(page: Path) -> list[Path]:
+    """Return the pictures of a page; each is drawn by a command that names it, as PNG."""
+    return [page.parent / name for name in _PICTURE.findall(page.read_text(encoding="utf-8"))]
+
+
+def page_picture(made: Image) -> Image:
+    """Return a picture as a page has it."""
+    width, height = made.size
+    return made.convert("RGB").resize((_WIDTH, round(height * _WIDTH / width)), Resampling.LANCZOS)
+
+
+def unlike(made: Image, picture: Path) -> str:
+    """Say how a picture that was made differs from that of a page, "" where it shows the same, moments aside."""
+    if not picture.is_file():
+        return "not there; `make prove` writes it"
+    fresh, shown = page_picture(made), open_picture(picture)
+    if fresh.size != shown.size:
+        return f"{fresh.size} pixels, the page has {shown.size}"
+    small = (_WIDTH // 20, fresh.height // 20)
+    difference = float(np.abs(np.subtract(fresh.resize(small), shown.resize(small), dtype=np.float64)).mean())
+    return "" if difference < _MOST_UNLIKE else f"shows something else: {difference:.1f} of 255 on average"
 
 
 def compared(told: Sequence[str], said: Sequence[str], drawn: Sequence[str] = ()) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -10,11 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from adapters.robots.g1.joints import G1_29
+from station import assets
 from tests.docs.reader import Typed
 from tests.foreign.recorded import document, record
+from tests.main_job.page_package import install
 from tests.tiers import ROOT
 
-_INSTALLS = Typed(elsewhere="tests/test_wheel.py and `make` install; a page's package: tests/main_job/page_package.py")
+_INSTALLS = Typed(elsewhere="tests/test_wheel.py and `make` install; a page's package: its `prepare`")
 _DRIVEN_FOR = "--yes --for 8s --set"
 _STOCK = f"cd {ROOT} && python -m tests.stock.stock_twist2"
 
@@ -26,11 +29,13 @@ class Page(NamedTuple):
         how: Commands that are not simply typed, by how they begin.
         prepare: Puts what the page takes for granted into the folder of its reader.
         has_upstream_data: Whether its reader has it.
+        inside: The folder below his own that its reader is in.
     """
 
     how: Mapping[str, Typed] = {}
     prepare: Callable[[Path], None] = lambda folder: None
     has_upstream_data: bool = True
+    inside: str = ""
 
 
 def _motions(folder: Path) -> None:
@@ -59,6 +64,25 @@ def _config(folder: Path) -> None:
     (folder / ".config").mkdir()
 
 
+def _arm_lab(folder: Path) -> None:
+    install("your-arm.md", "arm-lab", folder)
+
+
+def _quad_lab(folder: Path) -> None:
+    install("your-robot.md", "quad-lab", folder)
+
+
+def _pedal_lab(folder: Path) -> None:
+    _quad_lab(folder)
+    install("your-device.md", "pedal-lab", folder)
+
+
+def _holosoma_walk(folder: Path) -> None:
+    """The package of the page, and the checkpoint that its reader has downloaded."""
+    install("your-policy.md", "holosoma-walk", folder)
+    shutil.copy(assets.resolve("zoo:policies/holosoma_fastsac_g1_29dof.onnx"), folder / "fastsac_g1_29dof.onnx")
+
+
 PAGES = {
     "README.md": Page({
         "make demo": Typed(elsewhere="docs/first-episode.md"),
@@ -83,6 +107,7 @@ PAGES = {
         "station serve recorder": Typed(until="active on"),
     }, has_upstream_data=False),
     "docs/files-and-versions.md": Page(has_upstream_data=False),
+    "docs/gallery.md": Page(has_upstream_data=False),
     "docs/motions.md": Page(prepare=_motions),
     "docs/operators.md": Page({
         "pip install": _INSTALLS,
@@ -114,14 +139,26 @@ PAGES = {
         "python -m tests.stock.stock_twist2 recorder": Typed(instead=f"{_STOCK} recorder --port 6379 --seconds 1"),
     }),
     "docs/training-data.md": Page(prepare=_recordings),
+    "docs/assets.md": Page(has_upstream_data=False),
+    "docs/your-arm.md": Page({
+        "pip install": _INSTALLS,
+        "station up arm6": Typed(instead="station up arm6.yaml --record --task wave"
+                                 f" {_DRIVEN_FOR} gamepad.fake=builtin:gamepad/example.json"),
+    }, _arm_lab, inside="arm-lab"),
+    "docs/your-device.md": Page({
+        "pip install": _INSTALLS,
+        "station devices fake pedals": Typed(until="pedal_left"),
+        "station serve pedals": Typed(elsewhere="needs the pedals; without them: tests/main_job/test_your_device.py"),
+    }, _pedal_lab, inside="pedal-lab"),
+    "docs/your-policy.md": Page({
+        "pip": _INSTALLS, "unzip": Typed(elsewhere="of a download"),
+    }, _holosoma_walk),
+    "docs/your-robot.md": Page({
+        "pip install": _INSTALLS,
+        "station bus start": Typed(until="Ctrl-C stops it"),
+        "station serve robot": Typed(until="active on"),
+    }, _quad_lab, inside="quad-lab"),
 }  # fmt: skip
 
-PLAYED_BY = {
-    "docs/assets.md": "tests/cli/test_assets.py",
-    "docs/notebook.md": "tests/api/test_notebook_page.py",
-    "docs/your-arm.md": "tests/main_job/test_your_arm.py",
-    "docs/your-device.md": "tests/main_job/test_your_device.py",
-    "docs/your-policy.md": "tests/main_job/test_your_policy.py",
-    "docs/your-robot.md": "tests/main_job/test_your_robot.py",
-}
+PLAYED_BY = {"docs/notebook.md": "tests/api/test_notebook_page.py"}
 """Pages whose commands need more than a folder, and the tests that play them."""

@@ -12,14 +12,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from PIL import Image
+
 from tests.cli.running import Home
 from tests.cli.screen import screen
-from tests.docs.page import Shown, Stale, compared, shown
+from tests.docs.page import Shown, Stale, compared, page_picture, pictures_of, shown, unlike
 from tests.waiting import wait_until
 
 _LONGEST_S = 600.0
+_QUALITY = 80  # of a page's JPEG
 _INTERRUPT, _ECHO = b"\x03", "^C"
-_PLACES = {"bus": "/run/user/1000/station", "data": "/lab/data", "home": "/home/ada"}
+_PLACES = {"bus": "/run/user/1000/station", "data": "/lab/data", "home": "/home/ada", "cache": "/home/ada/.cache"}
 """As pages show them."""
 
 
@@ -47,20 +50,21 @@ class Reader:
 
     Args:
         home: What lives there.
-        folder: Where he is.
+        folder: His; packages in its `site` are installed.
+        inside: The folder below it that he is in.
     """
 
-    def __init__(self, home: Home, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, home: Home, folder: Path, inside: str) -> None:
+        self._folder = folder / inside
         home.data.mkdir()
         self._environment = home.environment | {
-            "HOME": str(folder), "COLUMNS": "120", "LINES": "50", "TERM": "xterm-256color",
-            "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
+            "HOME": str(folder), "PYTHONPATH": str(folder / "site"), "COLUMNS": "120", "LINES": "50",
+            "TERM": "xterm-256color", "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
         }  # fmt: skip
         for display in ("DISPLAY", "WAYLAND_DISPLAY"):
             self._environment.pop(display, None)
         own = {"bus": str(Path(home.environment["XDG_RUNTIME_DIR"]) / "station"), "data": str(home.data),
-               "home": str(folder)}  # fmt: skip
+               "home": str(folder), "cache": home.environment["XDG_CACHE_HOME"]}  # fmt: skip
         self._places = {place: _PLACES[name] for name, place in own.items()}
 
     def read(self, page: Path, how: Mapping[str, Typed], *, refresh: bool) -> int:
@@ -69,7 +73,7 @@ class Reader:
         Args:
             page: The page.
             how: Commands that are not simply typed, by how they begin.
-            refresh: Write the values of this run into the page.
+            refresh: Write the values and the pictures of this run into the page.
 
         Raises:
             Stale: the page shows what they do not say.
@@ -104,9 +108,14 @@ class Reader:
             for typing in running:
                 typing.kill()
         assert not unused, f"{page.name} has no command that begins with {sorted(unused)}"
+        pictures = {picture: Image.open(self._folder / f"{picture.stem}.png") for picture in pictures_of(page)}
+        if not refresh:
+            stale += [f"{path.name}: {why}" for path, made in pictures.items() if (why := unlike(made, path))]
         if stale:
             raise Stale("\n\n".join(stale))
         if refresh:
+            for path, made in pictures.items():
+                page_picture(made).save(path, quality=_QUALITY, optimize=True)
             page.write_text("\n".join(lines) + "\n", encoding="utf-8")
         return count
 

@@ -23,9 +23,9 @@ from tests.tiers import ROOT
 def test_what_a_page_says_can_be_typed_and_what_it_shows_comes(
     tmp_path: Path, page: str, proof: Figures, request: pytest.FixtureRequest
 ) -> None:
-    how, prepare, has_upstream_data = PAGES[page]
-    prepare(tmp_path)
+    told = PAGES[page]
+    told.prepare(tmp_path)
     with new_home() as home:
-        reader = Reader(home if has_upstream_data else home.without("STATION_ASSETS"), tmp_path)
-        typed = reader.read(ROOT / page, how, refresh=request.config.getoption("--write-figures"))
+        reader = Reader(home if told.has_upstream_data else home.without("STATION_ASSETS"), tmp_path, told.inside)
+        typed = reader.read(ROOT / page, told.how, refresh=request.config.getoption("--write-figures"))
     proof.figure(f"{page}: commands that were typed, and did what the page shows", typed)

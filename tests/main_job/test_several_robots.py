@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -83,3 +84,15 @@ def test_who_drove_which_arm_stands_in_its_configuration(together: Home) -> None
     servers = together.json("episodes", "show", "latest")["manifest"]["servers"]
     operators = [facts for name, facts in servers.items() if name.endswith("_operator")]
     assert {each["robot"]: each["config"]["operator"] for each in operators} == dict(zip(ARMS, PEOPLE, strict=True))
+
+
+def test_each_is_drawn_by_its_name_and_the_others_are_told(together: Home, tmp_path: Path) -> None:
+    episode = str(together.episode("together"))
+    for robot in ROBOTS:
+        path = tmp_path / f"{robot}.png"
+        done = together.run("view", episode, "--plot", str(path), "--robot", robot)
+        assert done.stderr == f"shows {robot}; by --robot also {', '.join(sorted({*ROBOTS} - {robot}))}\n"
+    plots = {(tmp_path / f"{robot}.png").read_bytes() for robot in ROBOTS}
+    assert len(plots) == len(ROBOTS)
+    refused = together.run("view", episode, "--plot", str(tmp_path / "left.png"), "--robot", "left")
+    assert "no robot 'left' in it; it has kassow_kr810_left, kassow_kr810_right, unitree_g1" in refused.stderr

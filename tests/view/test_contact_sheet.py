@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from adapters.robots.g1 import twist_keys
-from station.bus import codec
+from station.bus import codec, keys
 from station.episode.reading.reader import EpisodeReader, open_episode
 from station.errors import StationError
 from station.view import offscreen, plot_style
@@ -54,6 +56,31 @@ def test_a_robot_that_has_fallen_is_framed(builder: EpisodeBuilder, tmp_path: Pa
     walk(builder, seconds=1.0, quat=LYING, height=0.1)
     save_sheet(open_episode(builder.finish()), tmp_path / "sheet.png", robot_model=tiny(tmp_path))
     assert share(pixels(tmp_path / "sheet.png"), plot_style.FELL, within=8) > 0.01
+
+
+@pytest.mark.usefixtures("drawing_machine")
+def test_with_cameras_a_column_shows_what_each_saw_at_its_moment(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    walk(builder, seconds=1.0)
+    for frame in range(30):  # one goes from blue to green, the other is silent until the middle and then broken
+        colour = (0, 8 * frame, 255 - 8 * frame)
+        builder.write({keys.camera_image("head"): jpeg(colour)}, at_s=frame / 30, writer="camera")
+        if frame > 15:
+            builder.write({keys.camera_image("wrist"): b"no picture"}, at_s=frame / 30, writer="camera")
+    save_sheet(open_episode(builder.finish()), tmp_path / "sheet.png", robot_model=tiny(tmp_path))
+    page = pixels(tmp_path / "sheet.png").astype(int)
+    below = page[88 + 340 + 40 :]
+    seen = (below.max(axis=2) > 100) & (below[..., 0] < 20)
+    columns = [slice(left, left + 310) for left in range(32, 1290, 310)]
+    greens = [below[:, column, 1][seen[:, column]].mean() for column in columns]
+    assert greens == sorted(greens)
+    assert greens[-1] - greens[0] > 100
+    assert share(page[-80:].astype(np.uint8), plot_style.FELL, within=60) > 0.0005, "it says that there is no picture"
+
+
+def jpeg(colour: tuple[int, int, int]) -> bytes:
+    made = io.BytesIO()
+    Image.new("RGB", (320, 240), colour).save(made, format="jpeg")
+    return made.getvalue()
 
 
 @pytest.mark.parametrize("gl", ["disable", "bogus"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from adapters.robots.kassow.names import ARM_7, MAKER, suffix
+from adapters.robots.kassow.names import ARM_7, MAKER, suffix, without_name
 from station.bus.robot_streams import driven_by_controller
 from station.description import Joint, RobotDescription, RobotFamily
 
@@ -24,9 +24,9 @@ def of_joints(robot: str, joints: tuple[Joint, ...]) -> RobotDescription:
     """
     return RobotDescription(
         name=robot,
-        model=robot,
+        model=without_name(robot),
         joints=joints,
-        drawn_as=f"builtin:{robot}.xml",
+        drawn_as=f"builtin:{without_name(robot)}.xml",
         groups={"arm": tuple(joint.name for joint in joints)},
         streams=driven_by_controller(),
     )

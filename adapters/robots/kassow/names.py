@@ -13,5 +13,10 @@ def suffix(model: str, name: str = "") -> str:
     return "_".join(filter(None, (MAKER, model, name)))
 
 
+def without_name(robot: str) -> str:
+    """Return the suffix of the only arm of a model for that of any of them."""
+    return "_".join(robot.split("_")[:2])
+
+
 KR810_ROBOT = suffix("kr810")
 """Suffix of the keys of the arm that ships."""

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from adapters.robots import arm_limits
 from adapters.robots.kassow import kinematics
+from adapters.robots.kassow.description import describe
 from adapters.robots.kassow.kinematics import KR810, REACHING_DOWN
-from adapters.robots.kassow.names import ARM_7
+from adapters.robots.kassow.names import ARM_7, suffix
 from station import assets, rotations
 from station.errors import ConfigError
 from station.protocols import Floats
@@ -55,6 +56,14 @@ def test_the_quaternion_of_a_pose_is_its_rotation_also_where_that_is_half_a_turn
 def test_the_model_has_the_ranges_of_the_file_of_limits(model: Any) -> None:
     assert tuple(model.joint(index).name for index in range(model.njnt)) == ARM_7
     assert model.jnt_range == pytest.approx(np.stack([LIMITS.q_min, LIMITS.q_max], axis=1), abs=1e-8)
+
+
+def test_an_arm_with_a_name_is_drawn_as_any_of_its_model() -> None:
+    named, only = describe(suffix("kr810", "left")), describe(suffix("kr810"))
+    assert named is not None
+    assert only is not None
+    assert (named.name, only.name) == ("kassow_kr810_left", "kassow_kr810")
+    assert (named.drawn_as, named.model) == (only.drawn_as, only.model) == ("builtin:kassow_kr810.xml", "kassow_kr810")
 
 
 def test_upright_the_flange_is_as_high_as_all_links_together_and_beside_the_base() -> None:
