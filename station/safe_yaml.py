@@ -18,7 +18,10 @@ _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _ODD = (ValueError, KeyError, IndexError, AttributeError, TypeError, OverflowError, RecursionError)
 _PLAIN_TAG = "tag:yaml.org,2002:"
 _NUMBER_TAGS = (_PLAIN_TAG + "int", _PLAIN_TAG + "float")
-_ENDLESS = re.compile(r"[-+0-9a-fA-FxX:_.]{200,}")  # hours of arithmetic in base 60; a SHA-512 has 128
+_LONG = 200  # characters: hours of arithmetic in base 60; a SHA-512 has 128
+_ENDLESS = re.compile(rf"[-+0-9a-fA-FxX:_.]{{{_LONG},}}")
+_STARTS = (yaml.MappingStartEvent, yaml.SequenceStartEvent)
+_ENDS = (yaml.MappingEndEvent, yaml.SequenceEndEvent)
 
 
 class Bounds(msgspec.Struct, frozen=True, kw_only=True):
@@ -87,27 +90,32 @@ def read_bytes(path: Path, bounds: Bounds = DEFAULT) -> bytes:
 def _survey(text: str | bytes, bounds: Bounds) -> None:
     """Count what the document would become, without building it."""
     count, waiting, sizes = 0, list[_Open](), dict[str, int]()
+    event: Any
     for event in yaml.parse(text, Loader=_Loader):
-        if isinstance(event, yaml.AliasEvent):
+        kind = type(event)  # a manifest has thousands: each question counts
+        if kind is yaml.ScalarEvent:
+            if event.tag is not None or len(event.value) >= _LONG:
+                _check_value(event)
+            count += 1
+            if event.anchor is not None:
+                sizes[event.anchor] = 1
+        elif kind in _STARTS:
+            _check_value(event)
+            waiting.append(_Open(event.anchor, count))
+            count += 1
+            if len(waiting) > bounds.depth:
+                raise BadYaml(f"lists and mappings more than {bounds.depth} deep")
+        elif kind in _ENDS:
+            anchor, before = waiting.pop()
+            if anchor is not None:
+                sizes[anchor] = count - before
+        elif kind is yaml.AliasEvent:
             name = event.anchor or ""
             if any(outer.anchor == name for outer in waiting):
                 raise BadYaml(f"alias {name[:20]!r} stands within what it names")
             count += sizes.get(name, 1)
-        elif isinstance(event, (yaml.ScalarEvent, yaml.CollectionStartEvent)):
-            _check_value(event)
-            count += 1
-            if isinstance(event, yaml.CollectionStartEvent):
-                waiting.append(_Open(event.anchor, count - 1))
-            elif event.anchor is not None:
-                sizes[event.anchor] = 1
-        elif isinstance(event, yaml.CollectionEndEvent):
-            anchor, before = waiting.pop()
-            if anchor is not None:
-                sizes[anchor] = count - before
         if count > bounds.values:
             raise BadYaml(f"more than {bounds.values} values, aliases counted as what they stand for")
-        if len(waiting) > bounds.depth:
-            raise BadYaml(f"lists and mappings more than {bounds.depth} deep")
 
 
 def _check_value(event: Any) -> None:

@@ -122,7 +122,7 @@ def test_a_second_arm_of_a_model_that_nobody_has_drawn_is_shown_by_its_curves(bu
     bus.publish({key: codec.f64(np.zeros(21))})
     with LiveView(bus, recording) as view:
         assert view.robot == "kassow_kr1805_left"
-        assert view.warnings[0].startswith("the robot is not drawn: builtin:kassow_kr1805_left.xml")
+        assert view.warnings[0].startswith("the robot is not drawn: builtin:kassow_kr1805.xml")
         wait_until(view.poll)
     recording.flush()
     recording.disconnect()
