@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from adapters.exports.lerobot.plan import Camera
@@ -23,10 +23,20 @@ def create_numbers(data: Any, plan: Plan, count: int) -> dict[str, Any]:
     }
 
 
-def create_pictures(data: Any, plan: Plan, count: int) -> Iterator[tuple[Camera, Any]]:
-    """Create the array of each camera for some rows in a group; a picture is a chunk, so that a row reads one."""
+def create_pictures(
+    data: Any, plan: Plan, count: int, optics: Mapping[str, Mapping[str, Any]] = {}
+) -> Iterator[tuple[Camera, Any]]:
+    """Create the array of each camera for some rows in a group; a picture is a chunk, so that a row reads one.
+
+    Args:
+        data: The group.
+        plan: Of the buffer.
+        count: How many rows.
+        optics: What is known of the optics of cameras, by name.
+    """
     for camera in plan.rows.common.cameras:
         about = {"key": camera.key, "camera": camera.name, "colour": "RGB", "rate_hz": camera.hz}
+        about |= optics.get(camera.name, {})
         shape = (count, camera.height, camera.width, 3)
         yield camera, _create(data, picture_name(camera), shape, "uint8", 1, about)
 

@@ -68,7 +68,7 @@ def _write_numbers(shards: Sequence[Shard], plan: Plan, buffer: Path) -> None:
     root.create_array(ENDS, data=ends.astype(np.int64), chunks=ends.shape)
     data = root.create_group(DATA)
     numbers = create_numbers(data, plan, int(ends[-1]))
-    for _ in create_pictures(data, plan, int(ends[-1])):
+    for _ in create_pictures(data, plan, int(ends[-1]), _optics(shards)):
         pass  # what they hold is copied
     for shard, end in zip(shards, ends.tolist(), strict=True):
         with zarr.storage.ZipStore(shard.folder / SHARD, mode="r") as store:
@@ -78,6 +78,12 @@ def _write_numbers(shards: Sequence[Shard], plan: Plan, buffer: Path) -> None:
                 if len(values) != shard.made.rows:
                     raise EpisodeError(f"{shard.source.episode_id}: its shard has not {shard.made.rows} rows")
                 numbers[name][end - len(values) : end] = values
+
+
+def _optics(shards: Sequence[Shard]) -> dict[str, Any]:
+    """Return the optics of the cameras that were the same in all episodes; `station.json` has those of each."""
+    first, *others = (shard.made.facts["optics"] for shard in shards)
+    return {name: known for name, known in first.items() if all(other.get(name) == known for other in others)}
 
 
 def _copy_pictures(shards: Sequence[Shard], plan: Plan, put: Put) -> None:

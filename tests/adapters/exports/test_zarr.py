@@ -22,7 +22,7 @@ from station.export.kind import Source
 from station.export.run import Exported, Workers, export, preview
 from tests.adapters.exports.test_hdf5 import lerobot_rows, picture, shown, source_of
 from tests.episode.synthetic import ROBOT, EpisodeBuilder, tick
-from tests.export.pictured import number_in, shoot, walked
+from tests.export.pictured import HEAD, OPTICS, number_in, shoot, walked
 from tests.faults.disks import small_disk
 
 pytestmark = pytest.mark.usefixtures("processes")
@@ -66,7 +66,13 @@ def test_rows_of_all_episodes_stand_behind_each_other_and_are_those_of_a_lerobot
 
 def test_the_buffer_says_what_its_numbers_and_episodes_are(tmp_path: Path) -> None:
     success = {"quality_flags": {"success": True}}
-    sources = [walked(tmp_path / "data", number, seconds=0.4, manifest=success) for number in (1, 2)]
+    other = {**OPTICS, "mount": OPTICS["mount"] | {"parent": "wall"}}
+    stated = [{"servers": {"head": {"key": HEAD, **facts}}, **success} for facts in (OPTICS, other)]
+    sources = [
+        walked(tmp_path / "data", number, seconds=0.4, manifest=manifest) for number, manifest in enumerate(stated, 1)
+    ]
+    exported(sources[:1], tmp_path / "first")
+    assert {name: opened(tmp_path / "first")["data/head"].attrs[name] for name in OPTICS} == OPTICS
     exported(sources, out := tmp_path / "out")
     root = opened(out)
     assert root.metadata.zarr_format == 2, "diffusion_policy's zarr 2 reads no other"
@@ -78,6 +84,9 @@ def test_the_buffer_says_what_its_numbers_and_episodes_are(tmp_path: Path) -> No
     assert root["data/state"].attrs["units"] == [element.unit for element in described.elements]
     assert set(root["data/state"].attrs["keys"]) == {STATE}
     assert root["data/head"].attrs["rate_hz"] is None
+    assert "mount" not in root["data/head"].attrs, "another one in each episode: station.json has them"
+    episodes = json.loads((out / "station.json").read_text())["episodes"]
+    assert [episode["optics"]["head"] for episode in episodes] == [OPTICS, other]
     assert root["data/head"].chunks == (1, 96, 160, 3), "a row reads one picture"
     page = (out / "README.md").read_text()
     shapes = json.loads(page.split("```json")[1].split("```")[0])
