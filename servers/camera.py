@@ -34,7 +34,8 @@ class CameraConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """Configuration of the camera server.
 
     Attributes:
-        source: Where the pictures come from: ``uvc``, ``files``, ``mujoco``, ``zmq``, or as it is registered.
+        source: Where the pictures come from: ``uvc``, ``files``, ``mujoco``, ``realsense``, ``zmq``, or as it is
+            registered.
         options: The source's.
         name: Of the camera, in its key ``camera_image_NAME``; "" for the server's own name.
         fps: Pictures per second [Hz]; None for the source's own: 30, or as files or senders have it.
