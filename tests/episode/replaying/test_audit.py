@@ -290,6 +290,23 @@ def test_a_recording_that_begins_during_a_hand_over_derives_what_it_can(
     assert (found.observations.compared, found.observations.different) == (compared, 0)
 
 
+class Unseen(EpisodeBuilder):
+    """Writes no observation down."""
+
+    def write(self, values: Mapping[str, bytes], **where: Any) -> None:
+        super().write({key: value for key, value in values.items() if key != UNSEEN}, **where)
+
+
+@pytest.mark.parametrize(("skip", "compared"), [(0, 150), (65, 40), (90, 40)])
+def test_without_observations_a_hand_over_is_derived_where_the_file_holds_what_both_had_seen(
+    tmp_path: Path, skip: int, compared: int
+) -> None:
+    found = audit(open_episode(handed_over(Unseen(tmp_path), skip=skip)))
+    assert (found.different, found.has_observations, found.incomplete) == (0, False, 0)
+    assert (found.steps, found.past_unknown) == (compared, 150 - skip - compared)
+    assert found.is_equal, "a policy that takes over later was heard from its beginning"
+
+
 class Liar(EpisodeBuilder):
     """Writes down that the policy of the start drove all the time."""
 
