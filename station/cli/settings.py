@@ -124,7 +124,7 @@ def settings_of(
         if isinstance(wanted, msgspec.inspect.StructType):
             inner = {name: wanted.cls}
         for key, each in inner.items():
-            may_lack = is_optional or not (field.required or _default(field))
+            may_lack = is_optional or (not field.required and _default(field) is None)
             yield from settings_of(each, prefix=f"{prefix}{key}.", is_optional=may_lack)
         if inner:
             continue

@@ -5,8 +5,8 @@
     python tests/adapters/exports/real_readers.py zarr BUFFER --env FOLDER        of `station export zarr`
 
 FOLDER gets a virtual environment with the reader (duckdb: 40 MB; robomimic: 1.5 GB, with a torch for the CPU; zarr: 140
-MB, of the major version that diffusion_policy and UMI pin), or is used when it has one. What is printed was read by that
-reader alone.
+MB, of the major version that diffusion_policy and UMI pin), or is used when it has one. What is printed was read by
+that reader alone.
 """
 
 from __future__ import annotations
