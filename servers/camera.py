@@ -24,6 +24,7 @@ from station.camera.serve import serve_camera
 from station.camera.source import CameraKind, Newest, PictureSettings
 from station.config import to_plain
 from station.life.server import Life, ServerKind
+from station.optics import Intrinsics, Mount, Optics
 
 _NAME = re.compile(r"[a-z0-9_]+")
 _JPEG_BYTES_PER_PIXEL = 0.2  # USB cameras gave 40 to 90 kB for 640x480 at quality 90; what is simulated needs half
@@ -33,12 +34,18 @@ class CameraConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """Configuration of the camera server.
 
     Attributes:
-        source: Where the pictures come from: ``uvc``, ``files``, ``mujoco``, ``zmq``, or as it is registered.
+        source: Where the pictures come from: ``uvc``, ``files``, ``mujoco``, ``realsense``, ``zmq``, or as it is
+            registered.
         options: The source's.
         name: Of the camera, in its key ``camera_image_NAME``; "" for the server's own name.
         fps: Pictures per second [Hz]; None for the source's own: 30, or as files or senders have it.
         width, height: Size of the pictures [px]; None for the source's own: 640x480, or as files or senders have it.
         quality: JPEG quality of pictures that are encoded here, 1 to 100.
+        intrinsics: Of the camera, at the size of its pictures: width, height, fx, fy, cx, cy [px], distortion
+            (``none``, ``plumb_bob``, ``rational_polynomial``, ``kannala_brandt``), coefficients; None for what the
+            source knows.
+        mount: Where it is fixed: parent (a body of the robot, or ``world``), position_m, quat_wxyz, for axes x right,
+            y down, z forward; None for what the source knows.
         niceness: How far the process stands back behind others, 0 to 19: pictures may wait, a robot may not.
     """
 
@@ -49,6 +56,8 @@ class CameraConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     width: int | None = None
     height: int | None = None
     quality: int = 90
+    intrinsics: Intrinsics | None = None
+    mount: Mount | None = None
     niceness: int = 5
 
     def __post_init__(self) -> None:
@@ -113,6 +122,7 @@ def _serve(config: CameraConfig, life: Life, kind: CameraKind, options: Any, new
         name=config.name or life.name,
         facts={"source": config.source, "config": to_plain(config)},
         fps=config.fps,
+        optics=Optics(config.intrinsics, config.mount),
     )
 
 

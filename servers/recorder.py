@@ -17,6 +17,7 @@ from station.episode.recorder.options import RecordingOptions
 from station.episode.recorder.tap_reader import TapReader
 from station.episode.storage.claim import Claim
 from station.episode.storage.folder import data_folder
+from station.episode.storage.left_out import why_not
 from station.episode.storage.progress import WriterOptions
 from station.episode.storage.request import RecordAnswer, RecorderState
 from station.errors import BusError
@@ -40,6 +41,8 @@ class RecorderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     Attributes:
         data: Folder of episodes; None: ``$STATION_DATA``, else ``./data``.
         task: Name of the task where a request gives none.
+        leave_out: Keys that every episode does without, or beginnings of keys up to a ``_``: ``[policy_obs]``, since
+            `station audit` derives observations from states and commands.
         preroll_s: How much of what came before the start belongs to an episode [s]; 0 for nothing.
         preroll_mb: Bound of the memory for that [MB].
         backend: Tap to use; None probes for the best.
@@ -57,6 +60,7 @@ class RecorderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     data: Path | None = None
     task: str = "untitled"
+    leave_out: tuple[str, ...] = ()
     preroll_s: float = 2.0
     preroll_mb: float = 256.0
     backend: Literal["replication", "notifications", "poll"] | None = None
@@ -79,6 +83,8 @@ class RecorderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         for name in ("flush_s", "flush_kb", "queue_mb"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected more than 0")
+        if why := why_not(self.leave_out):
+            raise ValueError(why)
 
     @property
     def options(self) -> RecordingOptions:
@@ -91,6 +97,7 @@ class RecorderConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             planned_s=self.planned_s,
             warn_minutes=self.warn_minutes,
             task=self.task,
+            leave_out=self.leave_out,
             writer=WriterOptions(
                 flush_s=self.flush_s, flush_bytes=int(self.flush_kb * 1e3), queue_bytes=int(self.queue_mb * 1e6)
             ),

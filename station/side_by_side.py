@@ -29,6 +29,10 @@ R = TypeVar("R")
 _SPAWN = multiprocessing.get_context("spawn")
 
 
+_NONE = -1
+_END_S = 2.0  # for a process without a task to end by itself
+
+
 class _Failed(msgspec.Struct, frozen=True):
     """An error of a child: exceptions do not always survive the way back, one line and its exit code do."""
 
@@ -41,11 +45,11 @@ class _Died(StationError):
 
 
 class _Child(msgspec.Struct, Generic[T]):
-    """A process, our end of the pipe to it, and the number of the task that it has."""
+    """A process, our end of the pipe to it, and the number of the task that it has; `_NONE` for none."""
 
     process: BaseProcess
     line: Connection
-    task: int = -1
+    task: int = _NONE
 
 
 def processes(tasks: int, jobs: int) -> int:
@@ -110,6 +114,7 @@ def _shared(
                     result = on_death(tasks[number], str(death))
                     heir = _replace(child, children, work)
                 busy.remove(child)
+                heir.task = _NONE
                 if _give(heir, waiting, tasks):
                     busy.append(heir)
                 yield number, result
@@ -125,10 +130,13 @@ def _children(work: Callable[[T], R], count: int) -> Iterator[list[_Child[T]]]:
         yield children
     finally:
         for child in children:
-            child.process.terminate()
+            if child.task != _NONE:
+                child.process.terminate()
+            child.line.close()  # without a task it ends by itself, and gives back what its libraries took of the system
         for child in children:
+            child.process.join(_END_S)
+            child.process.terminate()
             child.process.join()
-            child.line.close()
 
 
 def _start(work: Callable[[T], R]) -> _Child[T]:
@@ -204,7 +212,10 @@ def _serve(work: Callable[[T], R], line: Connection) -> None:
     """Be a child."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     while True:
-        task = line.recv()
+        try:
+            task = line.recv()
+        except EOFError:
+            return
         try:
             line.send(work(task))
         except StationError as error:

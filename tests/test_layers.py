@@ -25,7 +25,8 @@ ROOT = Path(__file__).parents[1]
 ARCHITECTURE = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
 HEAVY = (
     "av", "dynamixel_sdk", "grpc", "hid", "hidraw", "matplotlib", "mink", "mujoco", "onnxruntime", "pooch",
-    "pandas", "polars", "pygame", "rerun", "serial", "simplejpeg", "station_kord", "torch", "xrobotoolkit_sdk", "zmq",
+    "pandas", "polars", "pygame", "pyrealsense2", "rerun", "serial", "simplejpeg", "station_kord", "torch",
+    "xrobotoolkit_sdk", "zarr", "zmq",
 )  # fmt: skip
 
 NO_VERBS = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -79,6 +80,23 @@ def test_the_first_problem_ends_the_rest_in_one_line_of_its_kind(number: int, ki
 def test_a_process_that_dies_is_told() -> None:
     with pytest.raises(StationError, match="ended with exit code 7"):
         side_by_side.run(die, [0, 1], jobs=2)
+
+
+def hold_a_lock(number: int) -> int:
+    """Keep what the system must get back, as libraries do."""
+    global LOCK  # noqa: PLW0603
+    LOCK = multiprocessing.get_context("spawn").Lock()
+    return number
+
+
+LOCK = None
+
+
+def test_a_child_gives_back_what_its_libraries_took_of_the_system() -> None:
+    code = "from station import side_by_side; from tests.test_side_by_side import hold_a_lock; "
+    code += "side_by_side.run(hold_a_lock, [0, 1], jobs=2)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stderr == "", "Python tells of semaphores that nobody gave back"
 
 
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])

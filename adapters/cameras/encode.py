@@ -52,8 +52,8 @@ class Encoder:
         return file
 
 
-def library(module: str, package: str, who: str) -> Any:
-    """Return a module of the extra ``video``.
+def library(module: str, package: str, who: str, *, extra: str = "video") -> Any:
+    """Return a module of an extra.
 
     Raises:
         CameraError: it is not installed.
@@ -62,7 +62,7 @@ def library(module: str, package: str, who: str) -> Any:
         return importlib.import_module(module)
     except ImportError:
         raise CameraError(
-            f"{who} needs {package}, which is not installed; pip install 'teleop-station[video]'"
+            f"{who} needs {package}, which is not installed; pip install 'teleop-station[{extra}]'"
         ) from None
 
 

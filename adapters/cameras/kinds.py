@@ -42,6 +42,18 @@ class FilesOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     loop: bool = True
 
 
+class RealSenseOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Options of the source `realsense`.
+
+    Attributes:
+        serial: Its serial number; "" for the only one.
+        file: A recording of the RealSense SDK in place of a camera, played in real time, again and again.
+    """
+
+    serial: str = ""
+    file: Path | None = None
+
+
 class MujocoOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Options of the source `mujoco`.
 
@@ -84,6 +96,20 @@ def _files(options: FilesOptions, settings: PictureSettings, _newest: Newest) ->
     from adapters.cameras.files import FilesCamera
 
     return FilesCamera(options.path, settings, is_looped=options.loop)
+
+
+def _realsense(options: RealSenseOptions, settings: PictureSettings, _newest: Newest) -> Camera:
+    from adapters.cameras.realsense import RealSenseCamera
+
+    return RealSenseCamera(options.serial, options.file, settings)
+
+
+def _realsenses() -> Sequence[str]:
+    from adapters.cameras import realsense
+    from adapters.cameras.encode import library
+
+    sdk = library("pyrealsense2", "pyrealsense2", "the source realsense", extra="realsense")
+    return [f"{name}, serial {serial}" for serial, name in realsense.plugged_in(sdk).items()]
 
 
 def _mujoco(options: MujocoOptions, settings: PictureSettings, newest: Newest) -> Camera:
@@ -132,4 +158,13 @@ ZMQ = CameraKind(
     extra="video",
     options=ZmqOptions,
     open=_zmq,
+)
+REALSENSE = CameraKind(
+    name="realsense",
+    about="colour of an Intel RealSense, with the factory's intrinsics",
+    library="pyrealsense2",
+    extra="realsense",
+    options=RealSenseOptions,
+    open=_realsense,
+    plugged_in=_realsenses,
 )

@@ -23,6 +23,7 @@ from station.bus import codec
 from station.bus.sample import Sample
 from station.camera.source import CameraError, Drops, Newest, Picture, PictureSettings
 from station.errors import StationError
+from station.optics import Intrinsics, Mount, Optics, from_opengl
 from station.protocols import Floats
 
 _SIZE, _FPS = (640, 480), 30.0
@@ -116,13 +117,14 @@ class MujocoCamera:
             "follows": self._key,
             "capture": "when the simulation wrote the state that the picture shows, monotonic clock",
             "exposure": {"is_auto": False, "time_s": 0.0},
-            "intrinsics": intrinsics(float(model.cam_fovy[camera]), self._width, self._height),
-            "mount": {
-                "body": model.body(int(model.cam_bodyid[camera])).name,
-                "position_m": model.cam_pos[camera].tolist(),
-                "quat_wxyz": model.cam_quat[camera].tolist(),
-                "frame": "x right, y up, z backward",
-            },
+            **Optics(
+                intrinsics(float(model.cam_fovy[camera]), self._width, self._height),
+                Mount(
+                    parent=model.body(int(model.cam_bodyid[camera])).name,
+                    position_m=tuple(model.cam_pos[camera].tolist()),
+                    quat_wxyz=from_opengl(model.cam_quat[camera].tolist()),
+                ),
+            ).facts(),
             "library": f"mujoco {mujoco.__version__}",
         }
 
@@ -158,16 +160,13 @@ class MujocoCamera:
         return data
 
 
-def intrinsics(fovy_deg: float, width: int, height: int) -> dict[str, float | str]:
-    """Return focal lengths and principal point [px] of a camera without distortion.
-
-    A pixel's centre has whole numbers as coordinates, the first one (0, 0), as in OpenCV and ROS.
-    """
+def intrinsics(fovy_deg: float, width: int, height: int) -> Intrinsics:
+    """Return what is known of a camera without distortion from its vertical field of view."""
     focal = 0.5 * height / float(np.tan(np.radians(0.5 * fovy_deg)))
-    return {
-        "fx": focal, "fy": focal, "cx": 0.5 * (width - 1), "cy": 0.5 * (height - 1), "distortion": "none",
-        "source": f"exact, from a vertical field of view of {fovy_deg:g} degrees",
-    }  # fmt: skip
+    return Intrinsics(
+        width=width, height=height, fx=focal, fy=focal, cx=0.5 * (width - 1), cy=0.5 * (height - 1),
+        source=f"exact, from a vertical field of view of {fovy_deg:g} degrees",
+    )  # fmt: skip
 
 
 def _written_ns(sample: Sample) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from adapters.exports import csv_tables, jointstate, named_rows, npz_arrays, parquet_tables
 from adapters.exports.hdf5 import kind as hdf5
 from adapters.exports.lerobot import kind as lerobot
+from adapters.exports.zarr import kind as zarr
 from station.export.kind import ExportKind
 
 LEROBOT = ExportKind(
@@ -60,4 +61,14 @@ HDF5 = ExportKind(
     join=hdf5.join,
     columns=hdf5.columns,
     inspect=hdf5.inspect,
+)
+ZARR = ExportKind(
+    name="zarr",
+    summary="The rows of lerobot as the Zarr replay buffer of diffusion_policy and UMI.",
+    options=zarr.ZarrOptions,
+    prepare=zarr.prepare,
+    convert=zarr.convert,
+    join=zarr.join,
+    columns=zarr.columns,
+    inspect=zarr.inspect,
 )

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from adapters.exports.lerobot.plan import Camera
 from station.episode.reading.messages import Ints
 from station.episode.reading.reader import EpisodeReader
 from station.errors import EpisodeError
@@ -95,3 +96,14 @@ def feed_all(reader: EpisodeReader, cameras: Mapping[str, RowPictures]) -> None:
     for message in reader.messages(cameras.keys()):
         if not message.channel.is_deletion:
             cameras[message.topic].feed(message.data)
+
+
+def show_all(reader: EpisodeReader, cameras: Mapping[Camera, RowPictures]) -> dict[str, Any]:
+    """Bring every picture to its rows; return, by name of each camera, how many rows' pictures differ and were bad.
+
+    Raises:
+        EpisodeError: as `feed_all` and `RowPictures.finish`.
+    """
+    feed_all(reader, {camera.key: rows for camera, rows in cameras.items()})
+    shown = {camera.name: rows.finish() for camera, rows in cameras.items()}
+    return {name: {"bad": one.bad, "distinct": len(np.unique(one.numbers))} for name, one in shown.items()}

@@ -424,7 +424,13 @@ class Record:
         self._bus = bus
 
     def start(
-        self, task: str = "", *, instruction: str = "", operator: str = "", planned_s: float | None = None
+        self,
+        task: str = "",
+        *,
+        instruction: str = "",
+        operator: str = "",
+        planned_s: float | None = None,
+        leave_out: Sequence[str] = (),
     ) -> RecordAnswer:
         """Begin an episode; return its id and folder.
 
@@ -433,9 +439,11 @@ class Record:
             instruction: What is to be done, in words.
             operator: Who operates; "" for the default of this user's file (`station.user_config`), else the login name.
             planned_s: Refused where the disk cannot hold so long [s].
+            leave_out: Keys that the episode does without, or beginnings of keys up to a ``_``, such as ``policy_obs``.
         """
-        person = {"id": user_config.operator(operator)}
-        return self._ask("start", task=task, instruction=instruction, operator=person, planned_s=planned_s)
+        person, without = {"id": user_config.operator(operator)}, tuple(leave_out)
+        return self._ask("start", task=task, instruction=instruction, operator=person, planned_s=planned_s,
+                         leave_out=without)  # fmt: skip
 
     def stop(self, *, success: bool | None = None) -> RecordAnswer:
         """End the episode; return its id, its folder and what is in it.

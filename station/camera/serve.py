@@ -15,16 +15,24 @@ from typing import Any
 from station.bus import keys
 from station.camera.source import Camera, CameraError, Drops, Picture
 from station.life.server import Life
+from station.optics import Optics
 
 _AGAIN_S = 1.0
 _LOOK_S = 0.1  # longest wait for a picture, so that a wish to stop is heard
 _SILENT_S = 1.0
 _PERIODS = 5  # without a picture are silence too, for a slow camera
 _STEADY_S = 3.0
+_UNKNOWN = Optics()
 
 
 def serve_camera(
-    life: Life, open_camera: Callable[[], Camera], *, name: str, facts: Mapping[str, Any], fps: float | None
+    life: Life,
+    open_camera: Callable[[], Camera],
+    *,
+    name: str,
+    facts: Mapping[str, Any],
+    fps: float | None,
+    optics: Optics = _UNKNOWN,
 ) -> int:
     """Open a camera and publish its pictures until the server is asked to stop; return the exit code.
 
@@ -34,13 +42,14 @@ def serve_camera(
         name: Of the camera, in the key of its pictures.
         facts: What a manifest says of the server, beside what the camera itself says.
         fps: Pictures per second that are wanted [Hz]; None where the camera decides.
+        optics: What is known of the camera's optics here; goes before what the camera itself says.
 
     Raises:
-        CameraError: the camera cannot be opened at the start.
+        CameraError: the camera cannot be opened at the start, or the optics are for pictures of another size.
     """
     key = keys.camera_image(name)
     head = {"server": life.name, "role": "sensor", "camera": name, "key": key, "fps_wanted": fps, **facts}
-    camera_loop = _CameraLoop(life, open_camera, key, head)
+    camera_loop = _CameraLoop(life, open_camera, key, head, optics)
     try:
         if not life.ready():
             return 0
@@ -55,8 +64,10 @@ def serve_camera(
 class _CameraLoop:
     """Between a camera and the bus."""
 
-    def __init__(self, life: Life, open_camera: Callable[[], Camera], key: str, head: Mapping[str, Any]) -> None:
-        self._life, self._open, self._key, self._head = life, open_camera, key, head
+    def __init__(
+        self, life: Life, open_camera: Callable[[], Camera], key: str, head: Mapping[str, Any], optics: Optics
+    ) -> None:
+        self._life, self._open, self._key, self._head, self._optics = life, open_camera, key, head, optics
         self._clock = life.clock
         self._camera: Camera | None = None
         self._silence_s, self._look_s = _SILENT_S, 0.0
@@ -122,7 +133,8 @@ class _CameraLoop:
             self._lose(str(error), now_s)
 
     def _capture(self, camera: Camera) -> None:
-        self._camera, facts = camera, camera.facts()
+        self._camera, facts = camera, {**camera.facts(), **self._optics.facts()}
+        _expect_size(self._optics, facts)
         if facts != self._facts:
             self._facts = facts
             self._life.configured({**self._head, **facts})
@@ -162,6 +174,16 @@ class _CameraLoop:
         if camera is not None:
             self._past += camera.drops
             camera.close()
+
+
+def _expect_size(optics: Optics, facts: Mapping[str, Any]) -> None:
+    """Refuse intrinsics of pictures of another size; that of a stream is not known before its first picture."""
+    inner, width, height = optics.intrinsics, facts.get("width"), facts.get("height")
+    if inner is not None and None not in (width, height) and (inner.width, inner.height) != (width, height):
+        raise CameraError(
+            f"intrinsics are for pictures of {inner.width}x{inner.height}, the camera gives {width}x{height}; "
+            "set width and height of the camera, or scale the intrinsics"
+        )
 
 
 class _Meter:

@@ -99,7 +99,7 @@ class Camera(Protocol):
 
         Always ``width``, ``height`` [px] (None before the first picture of a stream), ``fps`` [Hz] (None where the
         source does not say), ``format``, ``device``, ``capture`` (what the time of capture means), ``exposure`` (None
-        where it is not known); where known ``serial`` and ``intrinsics``.
+        where it is not known); where known ``serial``, ``intrinsics`` and ``mount``, as `station.optics.Optics.facts`.
         """
         ...
 

@@ -73,7 +73,7 @@ def story(found: Audit) -> str:
                 for each in found.took_over
             ),
             f"  actions       {found.steps} steps, {found.different} different, max |Δ| {found.max_abs_difference:.3g}",
-            f"  observations  {_compared(found.observations, 'steps', '', found.not_derived)}",
+            f"  observations  {_observations(found)}",
             f"  after gate    {_proven(found.commands, found.commands_not_proven)}"
             + (f"; its state differs in {found.gates_different}" if found.gates_different else ""),
             f"  targets       {_proven(found.targets, found.targets_not_proven)}",
@@ -82,6 +82,14 @@ def story(found: Audit) -> str:
             f"{found.speed_x_realtime:.0f} x real time",
         )
     )
+
+
+def _observations(found: Audit) -> str:
+    """Return what became of the observations, in words."""
+    if found.has_observations:
+        return _compared(found.observations, "steps", "", found.not_derived)
+    unknown = f"; {found.past_unknown} steps not proven: what the policy had seen before is not in the file"
+    return f"not recorded; derived, and equal where the actions are{unknown * bool(found.past_unknown)}"
 
 
 def in_short(found: Audit) -> str:

@@ -29,15 +29,18 @@ def command() -> None:
 @click.option("--instruction", default="", help="Language instruction.")
 @click.option("--operator", default="", help="Who operates.  [default: of your config, else your login name]")
 @click.option("--planned", metavar="DURATION", default=None, help="Refuse when the disk cannot hold this long (2min).")
+@click.option("--leave-out", multiple=True, metavar="KEY",
+              help="Do without a key, or all that begin so, such as policy_obs; can be given again.")  # fmt: skip
 @bus_option
 @json_option
 def start(
-    task: str, instruction: str, operator: str, planned: str | None, bus: str | None, as_json: bool
+    task: str, instruction: str, operator: str, planned: str | None, leave_out: tuple[str, ...], bus: str | None,
+    as_json: bool,
 ) -> None:  # fmt: skip
     """Begin an episode."""
     planned_s = None if planned is None else config.seconds(planned, where="--planned")
     _ask(bus, as_json, lambda record: record.start(task, instruction=instruction, operator=operator,
-                                                   planned_s=planned_s), "recording")  # fmt: skip
+                                                   planned_s=planned_s, leave_out=leave_out), "recording")  # fmt: skip
 
 
 @command.command("stop")

@@ -102,7 +102,11 @@ def show(kind: ServerKind, sets: Sequence[str] = (), *, as_json: bool = False) -
 
 
 def settings_of(
-    kind: type[msgspec.Struct], within: Mapping[str, type[msgspec.Struct]] = {}, prefix: str = ""
+    kind: type[msgspec.Struct],
+    within: Mapping[str, type[msgspec.Struct]] = {},
+    prefix: str = "",
+    *,
+    is_optional: bool = False,
 ) -> Iterator[Setting]:
     """Yield the settings that a configuration's type has, in its order.
 
@@ -110,6 +114,7 @@ def settings_of(
         kind: The type; what its fields mean stands under ``Attributes:`` in its docstring, or in that of a base.
         within: Types of settings that are mappings, by name, with a dot below a mapping of mappings.
         prefix: Before each name.
+        is_optional: Whether all of them may be left out together: then none must be given.
     """
     about = _about(kind)
     for field in msgspec.structs.fields(kind):
@@ -119,13 +124,14 @@ def settings_of(
         if isinstance(wanted, msgspec.inspect.StructType):
             inner = {name: wanted.cls}
         for key, each in inner.items():
-            yield from settings_of(each, prefix=f"{prefix}{key}.")
+            may_lack = is_optional or (not field.required and _default(field) is None)
+            yield from settings_of(each, prefix=f"{prefix}{key}.", is_optional=may_lack)
         if inner:
             continue
         yield Setting(
             name=f"{prefix}{name}",
             type=_TYPES.get(type(wanted), "text"),
-            required=field.required,
+            required=field.required and not is_optional,
             default=None if field.required else msgspec.to_builtins(_default(field), enc_hook=str),
             choices=_choices(field.type, info),
             about=note or about.get(name, ""),

@@ -14,7 +14,8 @@ from station.bus import codec
 from station.contract import Contract
 from station.enrich import source
 from station.enrich.scalars import Shape
-from station.enrich.siblings import Siblings, siblings
+from station.enrich.siblings import TRANSFORM, WORLD_FRAME, Siblings, siblings
+from station.enrich.still import optics_of
 from station.enrich.vector import type_name
 from station.episode.reading.frames import cameras
 from station.episode.reading.messages import Channel
@@ -86,6 +87,7 @@ def enrich(
         survey = _survey(reader, _topics(reader, pictures=pictures))
         with whole_file(path) as file:
             made = _Output(file, facts, survey)
+            made.add_optics(reader)
             made.fill(reader, survey, progress)
             made.finish()
             if source.identities(reader, pictures=pictures) != before:
@@ -184,6 +186,19 @@ class _Output:
                 self.messages += 1
         if progress is not None:
             progress(survey.messages, survey.messages)
+
+    def add_optics(self, reader: EpisodeReader) -> None:
+        """Write once, at the start, what stands still: optics of cameras, and where they are mounted."""
+        frames = {topic.removesuffix(f"/{TRANSFORM}") for topic in self.topics if topic.endswith(f"/{TRANSFORM}")}
+        for key, found in optics_of(reader, frames | {WORLD_FRAME}).items():
+            if isinstance(found, str):
+                self.left_out[key] = found
+                continue
+            schema, data = found
+            number = self._writer.register_channel(key, protobuf.ENCODING, self._schema(schema))
+            self._writer.add_message(number, reader.start_ns, data, reader.start_ns)
+            self.topics.add(key)
+            self.messages += 1
 
     def finish(self) -> None:
         """Write the index."""

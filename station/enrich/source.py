@@ -16,7 +16,7 @@ ENRICHED = "enriched.mcap"
 RECORD = "station.enriched"
 """Metadata record at the head of an enriched file: what it was made of, and in which manner."""
 
-VERSION = 1
+VERSION = 2
 """Of the topics and message types (`station.enrich.siblings`); counted up when the same recording gives others."""
 
 

@@ -11,12 +11,14 @@ from functools import cache
 from typing import Any
 
 from station.life.events import Event, Severity
+from station.optics import Intrinsics
 from station.protobuf import schema as types
 from station.protobuf.schema import TIMESTAMP, Field, Schema
 
 _NANOSECONDS = 1_000_000_000
 _VECTOR3, _QUATERNION, _POSE = "foxglove.Vector3", "foxglove.Quaternion", "foxglove.Pose"
 
+CAMERA_CALIBRATION = "foxglove.CameraCalibration"
 COMPRESSED_IMAGE = "foxglove.CompressedImage"
 FRAME_TRANSFORM = "foxglove.FrameTransform"
 LOG = "foxglove.Log"
@@ -34,6 +36,11 @@ _TYPES: dict[str, tuple[Field, ...]] = {
     FRAME_TRANSFORM: (
         Field("timestamp", 1, TIMESTAMP), Field("parent_frame_id", 2, "string"), Field("child_frame_id", 3, "string"),
         Field("translation", 4, _VECTOR3), Field("rotation", 5, _QUATERNION),
+    ),
+    CAMERA_CALIBRATION: (
+        Field("timestamp", 1, TIMESTAMP), Field("frame_id", 9, "string"), Field("width", 2, "fixed32"),
+        Field("height", 3, "fixed32"), Field("distortion_model", 4, "string"),
+        *(Field(name, number, "double", is_repeated=True) for number, name in enumerate("DKRP", 5)),
     ),
     COMPRESSED_IMAGE: (
         Field("timestamp", 1, TIMESTAMP), Field("data", 2, "bytes"), Field("format", 3, "string"),
@@ -91,6 +98,22 @@ def transform(values: Sequence[float], time_ns: int, parent: str, child: str) ->
     message = _stamped(FRAME_TRANSFORM, time_ns)
     message.parent_frame_id, message.child_frame_id = parent, child
     _place(message.translation, message.rotation, values)
+    return bytes(message.SerializeToString())
+
+
+def camera_calibration(inner: Intrinsics, time_ns: int, frame: str) -> bytes:
+    """Return the optics of a single camera, whose frame has x to the right in the picture, y down, z forward.
+
+    Without distortion the model is plumb_bob with zeros: readers know no name for none.
+    """
+    message = _stamped(CAMERA_CALIBRATION, time_ns)
+    message.frame_id, message.width, message.height = frame, inner.width, inner.height
+    lens, wanted = inner.coefficients, 4 if inner.distortion == "kannala_brandt" else 5
+    message.distortion_model = "plumb_bob" if inner.distortion == "none" else inner.distortion
+    message.D.extend([*lens, *[0.0] * (wanted - len(lens))])
+    message.K.extend(inner.matrix)
+    message.R.extend([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+    message.P.extend([inner.fx, 0.0, inner.cx, 0.0, 0.0, inner.fy, inner.cy, 0.0, 0.0, 0.0, 1.0, 0.0])
     return bytes(message.SerializeToString())
 
 

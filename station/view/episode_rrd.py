@@ -9,7 +9,9 @@ from pathlib import Path
 import msgspec
 import rerun as rr
 
+from station.episode.reading import frames
 from station.episode.reading.reader import EpisodeReader
+from station.episode.storage.pictures import camera_of
 from station.errors import StationError
 from station.view import layout, phases, poses, scene
 from station.view.episode_curves import Source, draw_curves
@@ -126,6 +128,11 @@ def _draw_robot(recording: rr.RecordingStream, source: Source, view: View, robot
         return warnings
     view.poses = len(where.times_ns)
     scene.log_shapes(recording, scene.ROBOT, model)
+    optics, why_not = frames.optics(source.reader)
+    for key, one in optics.items():
+        if one.mount is not None and one.mount.parent in model.visible:
+            scene.log_camera(recording, scene.ROBOT, camera_of(key), one)
+    warnings += [f"{key}: {why}; the camera is not drawn" for key, why in why_not.items()]
     _send(recording, scene.ROBOT, model, where, source)
     ghost = poses.asked(source.vectors, poses.command_keys(view.robot, recorded, description), where)
     if ghost is not None:

@@ -9,6 +9,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from station.optics import Optics
 from station.protocols import Floats
 from station.view.model import RobotModel
 from station.view.shapes import Shape
@@ -19,6 +20,7 @@ GHOST = f"{WORLD}/reference"
 
 GHOST_TINT = (80, 160, 255)
 GHOST_ALPHA = 70
+_PYRAMID_M = 0.15
 _BESIDE_M = np.array([0.0, 0.9, 0.0])
 
 _XYZW = [1, 2, 3, 0]
@@ -48,6 +50,23 @@ def log_shapes(recording: rr.RecordingStream, root: str, model: RobotModel, *, i
         colour = (*GHOST_TINT, GHOST_ALPHA) if is_ghost else tuple(int(part) for part in shape.rgba)
         entity = f"{_entity(root, shape.body)}/shape{number}"
         recording.log(entity, _placed(shape), *_drawn(shape, colour), static=True)
+
+
+def log_camera(recording: rr.RecordingStream, root: str, name: str, optics: Optics) -> None:
+    """Log where a camera of a robot is mounted and what it sees, as the pyramid that viewers draw; needs both."""
+    inner, mount = optics
+    if inner is None or mount is None:
+        return
+    w, x, y, z = mount.quat_wxyz
+    recording.log(
+        f"{_entity(root, mount.parent)}/{name}",
+        rr.Transform3D(translation=mount.position_m, quaternion=[x, y, z, w]),
+        rr.Pinhole(
+            image_from_camera=np.reshape(inner.matrix, (3, 3)), resolution=[inner.width, inner.height],
+            camera_xyz=rr.ViewCoordinates.RDF, image_plane_distance=_PYRAMID_M,
+        ),
+        static=True,
+    )  # fmt: skip
 
 
 def log_pose(recording: rr.RecordingStream, root: str, model: RobotModel, positions: Floats, quats: Floats) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import random
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,12 +16,14 @@ from station.camera.serve import serve_camera
 from station.camera.source import Camera, CameraError, Drops, Picture
 from station.life.server import Life, ServerKind
 from station.life.serving import serve
-from tests.virtual.clock import VirtualClock
+from station.optics import Intrinsics, Mount, Optics, of_facts
+from tests.virtual.clock import ThreadFailed, VirtualClock
 from tests.virtual.network import Network
 from tests.virtual.written import Log
 
 FPS = 30.0
 KEY = keys.camera_image("head")
+UNKNOWN = Optics()
 SEEDS = range(30)
 OLD_S = 0.2
 """The oldest picture that goes to the bus: one period, the longest wait for an answer, and the line [s]."""
@@ -81,7 +84,8 @@ class Eye:
 class Station:
     """The camera server, what it wrote, and its eye."""
 
-    def __init__(self, clock: VirtualClock) -> None:
+    def __init__(self, clock: VirtualClock, optics: Optics = UNKNOWN) -> None:
+        self.optics = optics
         self.clock, self.network, self.eye = clock, Network(clock, (20_000, 200_000)), Eye(clock)
         self.log = Log(self.network)
         self.process = clock.spawn(self._serve, "camera")
@@ -100,16 +104,33 @@ class Station:
 
     def _serve(self) -> None:
         def main(_config: Nothing, life: Life) -> int:
-            return serve_camera(life, self.eye.open, name="head", facts={}, fps=FPS)
+            return serve_camera(life, self.eye.open, name="head", facts={}, fps=FPS, optics=self.optics)
 
         kind = ServerKind(name="camera", role="sensor", summary="", config=Nothing, main=main)
         serve(kind, Nothing(), address=self.network.address())
 
 
 @contextmanager
-def station(seed: int = 1) -> Iterator[Station]:
+def station(seed: int = 1, optics: Optics = UNKNOWN) -> Iterator[Station]:
     with VirtualClock(seed, late_ns=1_000_000) as clock:
-        yield Station(clock)
+        yield Station(clock, optics)
+
+
+def intrinsics(width: int, height: int) -> Intrinsics:
+    return Intrinsics(width=width, height=height, fx=1.0, fy=1.0, cx=0.5, cy=0.0)
+
+
+def test_what_is_known_of_the_optics_stands_in_what_the_server_states() -> None:
+    optics = Optics(intrinsics(2, 1), Mount(parent="world", position_m=(0.0, 0.0, 1.5), quat_wxyz=(1.0, 0.0, 0.0, 0.0)))
+    with station(optics=optics) as place:
+        place.clock.sleep(2.0)
+        assert of_facts(json.loads(place.log.newest(keys.CONFIG_PREFIX + "camera"))) == optics
+
+
+def test_intrinsics_of_pictures_of_another_size_are_refused_at_the_start() -> None:
+    told = "intrinsics are for pictures of 640x480, the camera gives 2x1; set width and height"
+    with pytest.raises(ThreadFailed, match=told), station(optics=Optics(intrinsics(640, 480))) as place:
+        place.clock.sleep(2.0)
 
 
 def test_a_silent_camera_is_lost_after_a_second_and_back_with_its_first_picture() -> None:

@@ -30,7 +30,7 @@ from tests.main_job.station_runs import ROOT
 from tests.waiting import DEADLINE_S, wait_until
 
 DEVICES = ["gamepad", "gello", "keyboard", "pico", "spacemouse"]
-CAMERAS = ["files", "mujoco", "uvc", "zmq"]
+CAMERAS = ["files", "mujoco", "realsense", "uvc", "zmq"]
 PROBLEM = "lab arm at /dev/lab: permission denied; join the group lab"
 LAB = f"""
 from pathlib import Path

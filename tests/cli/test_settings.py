@@ -55,6 +55,24 @@ class Config(Base, kw_only=True):
     policy: Annotated[str, registry.named("policy")] = ""
 
 
+class Place(msgspec.Struct):
+    """Where something is, all of it or nothing."""
+
+    path: str
+
+
+class Placed(msgspec.Struct, kw_only=True):
+    """What may have a place."""
+
+    place: Place | None = None
+    options: dict[str, str] = {}
+
+
+def test_what_may_be_left_out_as_a_whole_need_not_be_given_and_what_a_choice_needs_must() -> None:
+    found = {setting.name: setting.required for setting in settings_of(Placed, {"options": Place})}
+    assert found == {"place.path": False, "options.path": True}
+
+
 def test_each_setting_has_the_words_of_its_docstring_its_default_and_its_choices() -> None:
     found = {setting.name: setting for setting in settings_of(Config, {"options.a": Inner})}
     assert list(found) == ["rate_hz", "fate", "file", "folder", "inner.gain", "options.a.gain", "policy"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -50,8 +51,10 @@ def jpeg(number: int) -> bytes:
     return file.getvalue()
 
 
-def filmed(folder: Path, pictures: list[bytes], capture_ns: list[int | None]) -> Path:
-    """A recording of a camera by the real writer of episodes; return its folder."""
+def filmed(
+    folder: Path, pictures: list[bytes], capture_ns: list[int | None], facts: dict[str, Any] | None = None
+) -> Path:
+    """A recording of a camera, whose server states some facts, by the real writer of episodes; return its folder."""
     folder.mkdir(parents=True)
     camera, key = Native("camera"), keys.camera_image("head")
     writes: list[Write] = [
@@ -59,6 +62,9 @@ def filmed(folder: Path, pictures: list[bytes], capture_ns: list[int | None]) ->
     ]
     writer = EpisodeWriter(folder, anchor=read_anchor(), manifest=Manifest(episode_id=folder.name))
     writer.put(writes)
-    writer.finish(lambda totals: Manifest(episode_id=folder.name, state="finished", streams=totals.streams))
+    stated = {"camera": {"key": key, "width": 16, "height": 8, **(facts or {})}}
+    writer.finish(
+        lambda totals: Manifest(episode_id=folder.name, state="finished", streams=totals.streams, servers=stated)
+    )
     assert writer.wait(DEADLINE_S)
     return folder

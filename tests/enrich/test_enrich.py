@@ -24,6 +24,7 @@ from tests.enrich.read_back import comments, decoded, topics
 from tests.enrich.recordings import FALL_S, POSE, filmed, jpeg, walked
 from tests.episode.synthetic import ROBOT, WALL_START_NS, EpisodeBuilder, walk
 
+HEAD = keys.camera_image("head")
 STATE, GATE = keys.robot_state(ROBOT), keys.command_gate(ROBOT)
 
 
@@ -140,6 +141,44 @@ def test_without_pictures_their_file_is_not_even_read_and_with_them_it_is_made_a
     assert enriched(folder).state == "written"
     assert f"{camera}/image" in topics(path)
     assert enriched(folder, pictures=False).state == "written"
+
+
+INTRINSICS = {"width": 16, "height": 8, "fx": 20.0, "fy": 21.0, "cx": 7.5, "cy": 3.0}
+MOUNT = {"parent": "world", "position_m": [0.1, 0.2, 1.5], "quat_wxyz": [0.5, -0.5, 0.5, -0.5]}
+
+
+@pytest.mark.parametrize("pictures", [True, False])
+def test_optics_of_a_camera_are_written_once_at_the_start(tmp_path: Path, pictures: bool) -> None:
+    lens = {"distortion": "plumb_bob", "coefficients": [0.1, -0.2, 0.01, 0.02]}
+    facts = {"intrinsics": INTRINSICS | lens, "mount": MOUNT}
+    folder = filmed(tmp_path / "filmed", [jpeg(10)], [None], facts)
+    made = enriched(folder, pictures=pictures)
+    path = folder / "enriched.mcap"
+    (calibration,) = decoded(path, f"{HEAD}/calibration")
+    found, reader = calibration.message, open_episode(folder)
+    assert (calibration.log_ns, calibration.schema.name) == (reader.start_ns, "foxglove.CameraCalibration")
+    assert found.timestamp.seconds * 10**9 + found.timestamp.nanos == reader.start_ns
+    assert (found.frame_id, found.width, found.height) == ("head", 16, 8), "the frame that its pictures name"
+    assert (found.distortion_model, list(found.D)) == ("plumb_bob", [0.1, -0.2, 0.01, 0.02, 0.0])
+    assert list(found.K) == [20.0, 0.0, 7.5, 0.0, 21.0, 3.0, 0.0, 0.0, 1.0]
+    assert list(found.R) == [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    assert list(found.P) == [20.0, 0.0, 7.5, 0.0, 0.0, 21.0, 3.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    (transform,) = decoded(path, f"{HEAD}/tf")
+    found = transform.message
+    assert (found.parent_frame_id, found.child_frame_id) == ("world", "head")
+    assert [found.translation.x, found.translation.y, found.translation.z] == MOUNT["position_m"]
+    assert [getattr(found.rotation, axis) for axis in "wxyz"] == MOUNT["quat_wxyz"]
+    assert made.messages == 2 + pictures
+
+
+def test_optics_that_cannot_be_or_lead_nowhere_are_told(tmp_path: Path) -> None:
+    facts = {"intrinsics": INTRINSICS, "mount": MOUNT | {"parent": "torso_link"}}
+    made = enriched(filmed(tmp_path / "torso", [jpeg(10)], [None], facts))
+    told = "it is fixed to torso_link, a frame that the signals do not give"
+    assert made.left_out == {f"{HEAD}/tf": told}
+    made = enriched(filmed(tmp_path / "wrong", [jpeg(10)], [None], {"intrinsics": INTRINSICS | {"fx": "wide"}}))
+    assert list(made.left_out) == [f"{HEAD}/calibration"]
+    assert "fx" in made.left_out[f"{HEAD}/calibration"]
 
 
 def test_what_has_no_names_is_left_out_and_told_of(walk_folder: Path) -> None:

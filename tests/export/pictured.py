@@ -25,6 +25,12 @@ from tests.episode.synthetic import (
 
 HEAD = keys.camera_image("head")
 _BITS, _CELL = 10, 16
+OPTICS: dict[str, Any] = {
+    "intrinsics": {"width": 160, "height": 96, "fx": 100.0, "fy": 101.0, "cx": 79.5, "cy": 47.5,
+                   "distortion": "none", "coefficients": [], "source": ""},
+    "mount": {"parent": "torso_link", "position_m": [0.1, 0.0, 0.2], "quat_wxyz": [0.5, -0.5, 0.5, -0.5]},
+}  # fmt: skip
+"""As a camera server states it."""
 
 
 def jpeg(number: int, *, width: int = 160, height: int = 96) -> bytes:

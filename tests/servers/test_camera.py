@@ -220,7 +220,7 @@ def test_a_camera_that_cannot_be_used_ends_the_start_with_one_line_that_says_wha
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"source": "uvcc"}, "unknown camera 'uvcc' (did you mean 'uvc'?); known: files, mujoco, uvc, zmq"),
+        ({"source": "uvcc"}, "unknown camera 'uvcc' (did you mean 'uvc'?); known: files, mujoco, realsense, uvc, zmq"),
         ({"options": {"devise": "x"}}, "unknown key 'devise' (did you mean 'device'?)"),
         ({"source": "files"}, "options of the source files: missing key path"),
         ({"fps": 0}, "fps is 0; expected 0.1 to 240 Hz"),

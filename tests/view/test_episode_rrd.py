@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from station.view.episode_rrd import save
 from station.view.layout import TIMELINE
 from tests.episode import lock_step
 from tests.episode.synthetic import ROBOT, STANDING, EpisodeBuilder, command, tick, walk
+from tests.export.pictured import jpeg
 from tests.view import arms
 from tests.view.robots import tiny
 from tests.view.rrd import Recorded, verify
@@ -51,6 +53,32 @@ def test_poses_are_those_of_the_episode_beside_each_other(builder: EpisodeBuilde
     assert robot[:, 0] == pytest.approx(0.02 * np.arange(5))
     assert robot[:, 2] == pytest.approx(np.full(5, 0.75))
     assert ghost - robot == pytest.approx(np.tile([0.0, 0.9, -0.15], (5, 1)), abs=1e-6)
+
+
+def test_a_camera_is_drawn_where_it_is_mounted(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    walk(builder, seconds=0.5)
+    for name in ("knee", "room", "broken"):
+        builder.write({keys.camera_image(name): jpeg(1)}, at_s=0.3, writer=name)
+    inner = {"width": 160, "height": 96, "fx": 100.0, "fy": 101.0, "cx": 79.5, "cy": 47.5}
+    mount = {"parent": "left_knee", "position_m": [0.1, 0.0, 0.2], "quat_wxyz": [0.5, -0.5, 0.5, -0.5]}
+    stated: dict[str, dict[str, Any]] = {
+        "knee": {"intrinsics": inner, "mount": mount},
+        "room": {"intrinsics": inner, "mount": mount | {"parent": "wall"}},
+        "broken": {"intrinsics": inner | {"fx": 0.0}},
+    }
+    servers = {name: {"key": keys.camera_image(name), **facts} for name, facts in stated.items()}
+    episode, path = open_episode(builder.finish({"servers": servers})), tmp_path / "ep.rrd"
+    view = save(episode, path, robot_model=tiny(tmp_path))
+    verify(path)
+    recorded, entity = Recorded(path), "world/robot/left_knee/knee"
+    assert [name for name in recorded.entities if name.endswith(("knee/knee", "room", "broken"))] == [entity]
+    (matrix,) = recorded.column(entity, ":image_from_camera")
+    assert np.reshape(matrix, (3, 3)).T.tolist() == [[100.0, 0.0, 79.5], [0.0, 101.0, 47.5], [0.0, 0.0, 1.0]]
+    assert np.ravel(recorded.column(entity, ":resolution")).tolist() == [160.0, 96.0]
+    assert np.ravel(recorded.column(entity, ":translation")) == pytest.approx([0.1, 0.0, 0.2])
+    assert np.ravel(recorded.column(entity, ":quaternion")).tolist() == [-0.5, 0.5, -0.5, 0.5], "x y z w"
+    (told,) = [warning for warning in view.warnings if "broken" in warning]
+    assert "fx is 0; expected a focal length above 0 px" in told
 
 
 def test_time_line_is_seconds_since_the_start_of_the_episode(builder: EpisodeBuilder, tmp_path: Path) -> None:

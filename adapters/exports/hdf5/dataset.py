@@ -16,14 +16,12 @@ from adapters.exports.hdf5.plan import Plan
 from adapters.exports.lerobot import card
 from adapters.exports.lerobot.dataset import TRAIN, VAL, notes, split
 from adapters.exports.lerobot.layouts import write_json
-from station.export import trim as trims
+from adapters.exports.lerobot_rows import page
 from station.export.kind import Shard, SkippedEpisode
-from station.export.resample import RULES
 from station.export.shards import place
 
 FILE = "dataset.hdf5"
 
-_MOST_TOLD = 200  # episodes in the page; a page of thousands is read by nobody
 _GYM = 2  # the kind of an environment that robomimic does not have to know; none is to be made of it
 _PARTS = {TRAIN: "train", VAL: "valid"}  # as robomimic calls them
 
@@ -51,7 +49,10 @@ def join(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan
             "splits": named,
         },
     )
-    (folder / "README.md").write_text(_page(ordered, left_out, plan), encoding="utf-8")
+    what = f"HDF5 as {'robomimic' if plan.layout == 'robomimic' else 'ACT'} reads it"
+    how = _robomimic(plan) if plan.layout == "robomimic" else _act(plan)
+    text = page(what, how, described(plan), ordered, left_out, plan.rows)
+    (folder / "README.md").write_text(text, encoding="utf-8")
     return {
         "rows": sum(shard.made.rows for shard in ordered),
         "layout": plan.layout,
@@ -76,39 +77,6 @@ def _one_file(parts: dict[str, list[Shard]], plan: Plan, target: Path) -> None:
         robot = plan.rows.common.robot or "unknown"
         data.attrs["total"] = rows
         data.attrs["env_args"] = json.dumps({"env_name": robot, "type": _GYM, "env_kwargs": {}})
-
-
-def _page(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan) -> str:
-    rows = sum(shard.made.rows for shard in shards)
-    picture = "picture" if plan.rows.pictures == "nearest" else "newest picture"
-    length = f"{len(shards)} episodes, {rows} rows at {plan.rows.fps} Hz"
-    lines = [
-        f"# {plan.rows.common.robot or 'unknown'}: {length}",
-        "",
-        f"HDF5 as {'robomimic' if plan.layout == 'robomimic' else 'ACT'} reads it, exported from recordings by Teleop "
-        "Station. `station.json` says where each episode comes from, with hashes, and what was left out and why.",
-        "",
-        "A row is an instant: " + RULES["clock"] + ".",
-        f"Observation: {RULES['newest']}. Action: {RULES['step']}. Picture: {RULES[picture]}.",
-        f"Rows of an episode (`--trim {plan.rows.trim}`): {trims.RULES[plan.rows.trim]}.",
-        "",
-        *(_robomimic(plan) if plan.layout == "robomimic" else _act(plan)),
-        "",
-        "| array of an episode | what stands in it |",
-        "|---|---|",
-        *(f"| `{path}` | {what} |" for path, _, what in (line.partition(": ") for line in described(plan))),
-        "",
-        "| number | episode | task | rows |",
-        "|---|---|---|---|",
-        *(
-            f"| {number} | {shard.source.episode_id} | {shard.made.facts['task']} | {shard.made.rows} |"
-            for number, shard in enumerate(shards[:_MOST_TOLD])
-        ),
-        "",
-        *([f"`station.json` has the other {len(shards) - _MOST_TOLD}.", ""] if len(shards) > _MOST_TOLD else []),
-        *(f"Left out: {each.reason}" for each in left_out[:_MOST_TOLD]),
-    ]
-    return "\n".join(lines).rstrip() + "\n"
 
 
 def _robomimic(plan: Plan) -> list[str]:

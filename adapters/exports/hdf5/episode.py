@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from adapters.exports.hdf5.arrays import TIME, arrays
+from adapters.exports.hdf5.arrays import TIME, arrays, picture_path
 from adapters.exports.hdf5.h5py_library import create, h5py
 from adapters.exports.hdf5.plan import Plan
 from adapters.exports.lerobot.episode import facts_of, joined, rows_of
@@ -40,6 +41,9 @@ def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
             from adapters.exports.hdf5 import pictures
 
             facts["pictures"] = pictures.write(group, reader, plan, table)
+            for camera in plan.rows.common.cameras:
+                optics = facts["optics"].get(camera.name, {})
+                group[picture_path(plan, camera)].attrs.update({name: json.dumps(one) for name, one in optics.items()})
     rows = len(table.ticks_ns)
     return ShardResult(seconds=rows / plan.rows.fps, rows=rows, facts=facts)
 

@@ -11,34 +11,25 @@ from msgspec import Meta
 from adapters.exports.hdf5.arrays import described
 from adapters.exports.hdf5.plan import Encoding, Layout, Plan
 from adapters.exports.lerobot import kind as lerobot
+from adapters.exports.lerobot_rows import RowOptions, rows_plan
 from station.errors import UsageError
-from station.export.kind import ExportOptions, Shard, ShardResult, SkippedEpisode, Source
-from station.export.resample import PictureRule
-from station.export.trim import Trim
+from station.export.kind import Shard, ShardResult, SkippedEpisode, Source
 
-_AS_LEROBOT = "As in `station export lerobot`."
 _LAYOUT = "robomimic: one file with all episodes; act: a file per episode, as ALOHA and ACT have it."
 _ENCODING = "Pictures as pixels, or as the camera's own JPEG files.  [default: rgb for robomimic, jpeg for act]"
 
 
-class Hdf5Options(ExportOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Hdf5Options(RowOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the files can be asked to be.
 
     Attributes:
         layout: Whose files they are.
         encoding: How pictures stand in them; None for what the layout's readers expect.
-        fps, state, action, robot, camera, pictures, trim, val, seed: As in `LeRobotOptions`: the rows are the same.
+        val, seed: As in `LeRobotOptions`.
     """
 
     layout: Annotated[Layout, Meta(description=_LAYOUT)] = "robomimic"
     encoding: Annotated[Encoding | None, Meta(description=_ENCODING)] = None
-    fps: Annotated[int, Meta(ge=1, le=1000, description=_AS_LEROBOT)] | None = None
-    state: Annotated[tuple[str, ...], Meta(description=_AS_LEROBOT)] = ()
-    action: Annotated[tuple[str, ...], Meta(description=_AS_LEROBOT)] = ()
-    robot: Annotated[str, Meta(description=_AS_LEROBOT)] = ""
-    camera: Annotated[tuple[str, ...], Meta(description=_AS_LEROBOT)] = ()
-    pictures: Annotated[PictureRule, Meta(description=_AS_LEROBOT)] = "nearest"
-    trim: Annotated[Trim, Meta(description=_AS_LEROBOT)] = "waiting"
     val: Annotated[float, Meta(ge=0.0, lt=1.0, description="Share of the episodes that is set aside.")] = 0.0
     seed: Annotated[int, Meta(description="Decides which episodes are set aside.")] = 0
 
@@ -50,12 +41,9 @@ def prepare(sources: Sequence[Source], options: Hdf5Options) -> Plan:
     encoding: Encoding = options.encoding or ("rgb" if options.layout == "robomimic" else "jpeg")
     if options.layout == "robomimic" and encoding == "jpeg":
         raise UsageError("--encoding jpeg: robomimic reads pixels only; leave it out, or use --layout act")
-    wish = lerobot.LeRobotOptions(
-        min_quality=options.min_quality, success=options.success, fps=options.fps, state=options.state,
-        action=options.action, robot=options.robot, camera=options.camera, pictures=options.pictures,
-        trim=options.trim, val=options.val, seed=options.seed,
-    )  # fmt: skip
-    return Plan(layout=options.layout, encoding=encoding, rows=lerobot.prepare(sources, wish))
+    return Plan(
+        layout=options.layout, encoding=encoding, rows=rows_plan(sources, options, val=options.val, seed=options.seed)
+    )
 
 
 def columns(plan: Plan) -> list[str]:

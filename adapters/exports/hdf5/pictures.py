@@ -6,14 +6,14 @@ from collections.abc import Collection
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adapters.exports.hdf5.arrays import picture_path
 from adapters.exports.hdf5.plan import Plan
-from adapters.exports.lerobot.av_library import Decoder, av
+from adapters.exports.lerobot.av_library import Decoder
 from adapters.exports.lerobot.pictures import expect_size
 from adapters.exports.lerobot.plan import Camera
-from adapters.exports.row_pictures import RowPictures, feed_all
+from adapters.exports.row_pictures import RowPictures, show_all
+from adapters.exports.row_pixels import RowPixels
 from station.episode.reading.messages import Ints
 from station.episode.reading.reader import EpisodeReader
 from station.export.resample import Table
@@ -31,49 +31,26 @@ def write(group: Any, reader: EpisodeReader, plan: Plan, table: Table) -> dict[s
     """
     cameras = plan.rows.common.cameras
     longest = _longest(reader, [camera.key for camera in cameras]) if plan.encoding == "jpeg" else {}
-    sinks: dict[str, _Pixels | _Files] = {}
+    sinks: dict[Camera, RowPixels | _Files] = {}
     for camera in cameras:
         what, numbers = f"{reader.episode_id}: camera {camera.name!r}", table.pictures[camera.key].numbers
         path = picture_path(plan, camera)
         if plan.encoding == "jpeg":
-            sinks[camera.key] = _Files(group, path, camera, what, numbers, longest[camera.key])
+            sinks[camera] = _Files(group, path, camera, what, numbers, longest[camera.key])
         else:
-            sinks[camera.key] = _Pixels(group, path, camera, what, numbers)
-    feed_all(reader, {key: sink.rows for key, sink in sinks.items()})
-    shown = {key: sink.rows.finish() for key, sink in sinks.items()}
+            sinks[camera] = RowPixels(_pixels(group, path, camera, len(numbers)), camera, what, numbers)
+    facts = show_all(reader, {camera: sink.rows for camera, sink in sinks.items()})
     lengths = [sink.lengths for sink in sinks.values() if isinstance(sink, _Files)]
     if lengths:
         group.create_dataset(LENGTHS, data=np.array(lengths))
-    return {
-        camera.name: {"bad": shown[camera.key].bad, "distinct": len(np.unique(shown[camera.key].numbers))}
-        for camera in cameras
-    }
+    return facts
 
 
-class _Pixels:
-    """An array of RGB pictures, shape (n, height, width, 3)."""
-
-    def __init__(self, group: Any, path: str, camera: Camera, what: str, numbers: Ints) -> None:
-        size = (camera.height, camera.width, 3)
-        self._array = group.create_dataset(
-            path, (len(numbers), *size), np.uint8, chunks=(1, *size), compression="gzip", compression_opts=_LEVEL
-        )
-        self._camera, self._what = camera, what
-        self._decoder, self._reformatter = Decoder(), av.video.reformatter.VideoReformatter()
-        self.rows = RowPictures(what, numbers, self._read, self._show)
-
-    def _read(self, jpeg: bytes) -> NDArray[np.uint8] | None:
-        picture = self._decoder.picture(jpeg)
-        if picture is None:
-            return None
-        camera = self._camera
-        expect_size(self._what, picture, camera)
-        rgb = self._reformatter.reformat(picture, width=camera.width, height=camera.height, format="rgb24")
-        found: NDArray[np.uint8] = rgb.to_ndarray()
-        return found
-
-    def _show(self, row: int, picture: NDArray[np.uint8]) -> None:
-        self._array[row] = picture
+def _pixels(group: Any, path: str, camera: Camera, count: int) -> Any:
+    size = (camera.height, camera.width, 3)
+    return group.create_dataset(
+        path, (count, *size), np.uint8, chunks=(1, *size), compression="gzip", compression_opts=_LEVEL
+    )
 
 
 class _Files:

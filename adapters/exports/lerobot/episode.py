@@ -25,6 +25,7 @@ from adapters.exports.lerobot.plan import (
 )
 from station.assets import sha256
 from station.bus import keys
+from station.episode.reading import frames
 from station.episode.reading.messages import Ints
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.manifest import Manifest
@@ -109,13 +110,14 @@ def task_of(manifest: Manifest) -> str:
 
 
 def provenance(reader: EpisodeReader) -> dict[str, Any]:
-    """Return where an episode comes from: hashes, operator, time and policy."""
-    manifest = reader.manifest
+    """Return where an episode comes from: hashes, operator, time, policy, optics of its cameras."""
+    manifest, (known, _) = reader.manifest, frames.optics(reader)
     return {
         "sha256": {file.name: sha256(file) for file in sorted(reader.files)},
         **about.said(manifest),
         "checkpoint": Path(manifest.policy.checkpoint).name,
         "checkpoint_sha256": manifest.policy.sha256,
+        "optics": {name: known[key].facts() for name, key in frames.cameras(reader).items() if key in known},
     }
 
 

@@ -9,6 +9,7 @@ from station.bus import keys
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage import pictures
+from station.optics import Optics, of_facts
 
 
 class Frame(NamedTuple):
@@ -31,6 +32,21 @@ def cameras(reader: EpisodeReader) -> dict[str, str]:
     """
     found = {channel.topic for channel in reader.channels() if _is_camera(channel.contract)}
     return {topic.removeprefix(keys.camera_image("")): topic for topic in sorted(found)}
+
+
+def optics(reader: EpisodeReader) -> tuple[dict[str, Optics], dict[str, str]]:
+    """Return the stated optics of each camera by its key; and of those that state what cannot be, why."""
+    found: dict[str, Optics] = {}
+    why_not: dict[str, str] = {}
+    cameras_of = set(cameras(reader).values())
+    for facts in (*reader.manifest.cameras, *reader.manifest.servers.values()):
+        if isinstance(key := facts.get("key"), str) and key in cameras_of:
+            try:
+                if any(stated := of_facts(facts)):
+                    found[key] = stated
+            except ValueError as error:
+                why_not[key] = str(error)
+    return found, why_not
 
 
 def frames(reader: EpisodeReader, topic: str) -> Iterator[Frame]:

@@ -31,6 +31,7 @@ RESULTS: tuple[Family, ...] = (
     keys.command_used,
     keys.target,
 )
+_OF_STEPS: tuple[Family, ...] = (keys.policy_timing, keys.policy_obs, keys.policy_action)
 STATES: tuple[Family, ...] = (keys.robot_state, keys.sim_qpos, keys.state_joints)
 
 
@@ -55,7 +56,7 @@ class Step:
     before: dict[str, bytes]
 
 
-def robots(topics: Iterable[str], families: Iterable[Family] = (keys.policy_timing, keys.policy_obs)) -> list[str]:
+def robots(topics: Iterable[str], families: Iterable[Family] = _OF_STEPS) -> list[str]:
     """Return the suffixes of the robots of which keys of some families are among the topics, sorted.
 
     Args:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from station.bus import keys
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage.anchor import iso
+from station.episode.storage.left_out import LeftOut
 from station.episode.storage.manifest import Hole, Manifest, add_hole
 from station.episode.storage.progress import Totals
 from station.episode.storage.request import RecordAnswer, RecorderState
@@ -44,7 +45,7 @@ class ActiveEpisode:
         self.end_ids: list[str] = []
         self.discard_ids: list[str] = []
         self._is_dirty = False
-        self._clock = writer.clock
+        self._clock, self._left_out = writer.clock, LeftOut(manifest.recorder.leave_out)
         self._saved_at = self._clock.monotonic_s()
 
     @property
@@ -58,13 +59,14 @@ class ActiveEpisode:
             self.manifest.timing.preroll_s = max(0.0, -self._at_s(preroll[0].mono_ns))
         for write in preroll:
             self.add_to_manifest(write)
-        self.writer.put(preroll, is_live=False, is_whole=False, is_held=True)
+        self.writer.put(self._left_out.without(preroll), is_live=False, is_whole=False, is_held=True)
 
     def put(
         self, writes: Sequence[Write], position: Position | None, *, is_whole: bool = True, is_live: bool = True
     ) -> int:
         """Put in what arrived, as `EpisodeWriter.put`; return how many writes had to be dropped."""
-        return self.writer.put(writes, position=position, is_whole=is_whole, is_live=is_live)
+        kept = self._left_out.without(writes)
+        return self.writer.put(kept, position=position, is_whole=is_whole, is_live=is_live)
 
     def add_to_manifest(self, write: Write) -> None:
         """Add to the manifest what belongs there of an event, a command's source, or a message of the tap."""

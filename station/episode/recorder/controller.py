@@ -238,7 +238,10 @@ class RecorderController:
             timing=Timing(started=iso(anchor.wall_ns), anchor=anchor),
             runbook=request.runbook,
             recorder=msgspec.structs.replace(
-                self.tap, software=msgspec.to_builtins(software()), config=self.options.config
+                self.tap,
+                software=msgspec.to_builtins(software()),
+                config=self.options.config,
+                leave_out=sorted({*self.options.leave_out, *request.leave_out}),
             ),
         )
         self._heard.fill(manifest)

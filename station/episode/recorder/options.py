@@ -23,6 +23,7 @@ class RecordingOptions(msgspec.Struct, frozen=True, kw_only=True):
         planned_s: Time that must fit on the disk where a request plans none [s].
         warn_minutes: Warn when an episode has less than this left [min], and at each half of it.
         task: Name of the task where a request gives none.
+        leave_out: Keys that every episode does without, or beginnings of keys up to a ``_``.
         writer: How to write.
         config: What the manifest says of the recorder's configuration.
     """
@@ -34,6 +35,7 @@ class RecordingOptions(msgspec.Struct, frozen=True, kw_only=True):
     planned_s: float = 60.0
     warn_minutes: float = 10.0
     task: str = "untitled"
+    leave_out: tuple[str, ...] = ()
     writer: WriterOptions = WriterOptions()
     config: dict[str, Any] = {}
 

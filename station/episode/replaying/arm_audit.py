@@ -72,7 +72,8 @@ def is_arm(reader: EpisodeReader, robot: str) -> bool:
     """Whether a robot of an episode has a controller of its own, and no policy between its command and its targets."""
     topics = set(reader.topics())
     of_arms = {keys.action_joints(robot), keys.state_joints(robot)}
-    return keys.policy_obs(robot) not in topics and keys.target(robot) in topics and bool(of_arms & topics)
+    of_policies = {keys.policy_obs(robot), keys.policy_action(robot)}
+    return not of_policies & topics and keys.target(robot) in topics and bool(of_arms & topics)
 
 
 def audit_arm(reader: EpisodeReader, robot: str) -> ArmAudit:

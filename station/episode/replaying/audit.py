@@ -5,6 +5,10 @@ Four questions, in the order of a step. Do the recorded commands give what the g
 give the recorded actions for them? And do those give the targets that were sent
 (`station.episode.replaying.target_audit`)? With four times yes, the file holds everything that decided a motion. What
 cannot be proven is counted, and never called equal.
+
+A recording may do without observations (`station.episode.storage.left_out`). They are derived then, from the first
+step that a policy made without a past, and are right as far as the actions that come of them are. Of steps before that
+nothing is proven.
 """
 
 from __future__ import annotations
@@ -71,6 +75,9 @@ class Audit(AuditedPolicy, kw_only=True):
         first_different: Number of the first step that differs, or None.
         observations: The same for observations derived again from recorded state and command.
         not_derived: Why an observation could not be derived, of the first such step; "" where there is none.
+        has_observations: Whether observations were recorded; else they are derived for the actions.
+        past_unknown: Steps without a recorded observation before which something is not in the file that the policy had
+            seen, so that its action could not be derived.
         commands: The same for what the gate let through, derived from the recorded commands.
         gates_different: Steps in which the gate was in another state than derived.
         commands_not_proven: How many steps the gate could not be followed through, by why.
@@ -92,6 +99,8 @@ class Audit(AuditedPolicy, kw_only=True):
     first_different: int | None
     observations: Comparison
     not_derived: str
+    has_observations: bool = True
+    past_unknown: int = 0
     commands: Comparison
     gates_different: int
     commands_not_proven: dict[str, int]
@@ -105,8 +114,8 @@ class Audit(AuditedPolicy, kw_only=True):
 
     @property
     def is_equal(self) -> bool:
-        """Whether actions and observations were compared, and no bit of what was compared differs."""
-        is_audited = self.steps > 0 and self.observations.compared > 0
+        """Whether actions and, if recorded, observations were compared, and no bit of what was compared differs."""
+        is_audited = self.steps > 0 and (self.observations.compared > 0 or not self.has_observations)
         return is_audited and not self.differences
 
     @property
@@ -153,7 +162,10 @@ def audit(
         suspect.robot, may_limit=not is_simulated(facts), blend_steps=_blend_steps(facts), has_several=len(suspects) > 1
     )
     state = reader.contract(keys.robot_state(suspect.robot))
-    run = _Run(load, tuple(suspects), suspect.robot, state, targets, None if isinstance(gate, str) else gate)
+    run = _Run(
+        load, tuple(suspects), suspect.robot, state, targets, None if isinstance(gate, str) else gate,
+        has_observations=keys.policy_obs(suspect.robot) in reader.topics(),
+    )  # fmt: skip
     run.on_file(reader)
     audited = [_audited(suspects[name], load(name)) for name in run.drove or list(suspects)[:1]]
     return _result(reader.episode_id, run, gate, audited, time.perf_counter() - began)
@@ -176,6 +188,8 @@ def _result(
         first_different=actions.first_different,
         observations=run.observations,
         not_derived=run.not_derived,
+        has_observations=run.has_observations,
+        past_unknown=run.past_unknown,
         commands=Comparison() if isinstance(gate, str) else gate.commands,
         gates_different=0 if isinstance(gate, str) else gate.states_different,
         commands_not_proven={gate: run.count} if isinstance(gate, str) else dict(gate.not_proven),
@@ -238,6 +252,8 @@ class _Run:
     state: Contract | None
     targets: TargetReplay
     gate: GateReplay | None
+    has_observations: bool
+    past_unknown: int = 0
     actions: Comparison = field(default_factory=Comparison)
     observations: Comparison = field(default_factory=Comparison)
     drove: list[str] = field(default_factory=list)
@@ -251,6 +267,7 @@ class _Run:
     _driving: str = ""
     _next: str | None = None  # who listened in the step before; None where that is not in the file
     _heard: str = ""  # the same, where every step since it began to listen is in the file
+    _knows_past: bool = False  # whether the policy holds what it held then; asked where observations are not recorded
 
     def on_file(self, reader: EpisodeReader) -> None:
         """Compare all steps of a file."""
@@ -278,15 +295,19 @@ class _Run:
             self._before, self._next, self._heard = None, None, ""
         listening = self._choose(step, told)
         seen, done = step.values.get(keys.policy_obs(self.robot)), step.values.get(keys.policy_action(self.robot))
-        spec = self.policy.spec
-        if seen is None or done is None or len(seen) != 4 * spec.observation_size or len(done) % 4:
+        size, given = 4 * self.policy.spec.observation_size, self._given(step)
+        has_seen = len(seen or b"") == size if self.has_observations else given is not None
+        if not has_seen or done is None or len(done) % 4:
             self.incomplete += 1
             self._before = None
             return
-        observation, given = codec.parse_f32(seen), self._given(step)
-        self._derive(number, step, given, observation)
         action = codec.parse_f32(done)
-        self.actions.add(number, action, self.policy.act(observation))
+        if seen is not None:
+            observation = codec.parse_f32(seen)
+            self._derive(number, step, given, observation)
+            self.actions.add(number, action, self.policy.act(observation))
+        elif given is not None:
+            self._act_unseen(number, given, action)
         self.targets.on_step(number, step, told, self.policy, given, action)
         self._before = step
         self._listen(listening, given)
@@ -299,6 +320,7 @@ class _Run:
             listening = told.next_policy if told.next_policy in self.names else ""
         if driving not in (self._driving, self._heard):
             self._before = None  # what it had seen before it drove is not known
+        self._knows_past |= driving != self._driving and driving == self._heard
         if driving not in self.drove:
             self.drove.append(driving)
             command_format: CommandFormat = registry.find("command", self.load(driving).spec.command)
@@ -347,6 +369,28 @@ class _Run:
                 self.policy.restore(observation)
         if derived is not None:
             self.observations.add(number, observation, derived)
+
+    def _act_unseen(self, number: int, given: tuple[RobotState, Floats], action: Floats32) -> None:
+        """Compare the action of a step whose observation was not recorded with that of the one that is derived.
+
+        Where the past is not known, a policy that begins is tried: at the start of an episode, and after an operator's
+        reset, it knows none. What comes of another past is no difference. Behind one that is, the past is not known.
+        """
+        is_next = self._before is not None
+        self.segments += not is_next
+        self._knows_past = self._knows_past and is_next
+        derived = self.policy.act(self.policy.observe(*given)) if self._knows_past else None
+        if derived is None or derived.tobytes() != action.tobytes():
+            self.policy.reset()
+            fresh = self.policy.act(self.policy.observe(*given))
+            if fresh.tobytes() == action.tobytes():
+                derived, self._knows_past = fresh, True
+            elif derived is not None:
+                self._knows_past = False
+        if derived is not None:
+            self.actions.add(number, action, derived)
+        else:
+            self.past_unknown += 1
 
 
 def _follows(before: Step, after: Step) -> bool:

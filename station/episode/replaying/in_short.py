@@ -50,6 +50,6 @@ def _add(reader: EpisodeReader, robot: str, found: AuditFound) -> None:
             found.compared += policy.steps
             found.different += policy.different
         reasons = (policy.commands_not_proven, policy.targets_not_proven)
-        found.not_proven += policy.incomplete + sum(sum(why.values()) for why in reasons)
+        found.not_proven += policy.incomplete + policy.past_unknown + sum(sum(why.values()) for why in reasons)
     found.compared += sum(one.compared for one in compared)
     found.different += sum(one.different for one in compared)

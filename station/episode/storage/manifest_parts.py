@@ -219,6 +219,7 @@ class Recorder(msgspec.Struct, kw_only=True):
             that it never saw, …).
         not_mirrored_by: The same by command and key, the first hundred of them.
         unseen_keys: Keys that were beyond what a tap that polls can look at.
+        leave_out: Keys that were left out by wish, or beginnings of keys.
         lag_p50_ms, lag_p99_ms: From arrival of a write to its place in the file [ms].
         software: Version and revision of the recorder's code.
         config: Its configuration.
@@ -236,6 +237,7 @@ class Recorder(msgspec.Struct, kw_only=True):
     not_mirrored: int = 0
     not_mirrored_by: dict[str, int] = {}
     unseen_keys: int = 0
+    leave_out: list[str] = []
     lag_p50_ms: float | None = None
     lag_p99_ms: float | None = None
     software: dict[str, Any] = {}

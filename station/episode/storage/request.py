@@ -7,6 +7,7 @@ from typing import Any, Literal
 import msgspec
 
 from station.bus import codec
+from station.episode.storage.left_out import why_not
 from station.episode.storage.manifest_parts import Operator
 from station.errors import Refused
 from station.life.request import parse
@@ -28,6 +29,8 @@ class RecordRequest(msgspec.Struct, frozen=True, kw_only=True):
         runbook: For ``start``: steps and answers of the runbook.
         planned_s: For ``start``: how long it is to be [s]; refused where the disk cannot hold that. None for what the
             recorder's configuration says, which is a minute.
+        leave_out: For ``start``: keys that the episode does without, or beginnings of keys up to a ``_``, beside those
+            of the recorder's configuration.
         label: For ``mark``: what happened; for ``discard``: why.
         success: For ``stop`` and ``mark``: the operator's verdict, None for none.
     """
@@ -39,6 +42,7 @@ class RecordRequest(msgspec.Struct, frozen=True, kw_only=True):
     operator: dict[str, Any] = {}
     runbook: dict[str, Any] = {}
     planned_s: float | None = None
+    leave_out: tuple[str, ...] = ()
     label: str = ""
     success: bool | None = None
 
@@ -124,6 +128,8 @@ def parse_request(data: bytes) -> RecordRequest:
         raise Refused("not a record request: operator and runbook hold more than a manifest takes")
     if request.planned_s is not None and not 0 <= request.planned_s <= _LONGEST_S:
         raise Refused(f"not a record request: planned_s is {request.planned_s}, expected 0 to {_LONGEST_S:.0f} seconds")
+    if why := why_not(request.leave_out):
+        raise Refused(f"not a record request: {why}")
     return request
 
 

@@ -11,11 +11,13 @@ import pytest
 
 from adapters.cameras.mujoco_g1 import MujocoCamera, intrinsics
 from adapters.robots.g1.mujoco_g1 import START_Q, START_ROOT_POS
+from station import rotations
 from station.bus import codec
 from station.bus import stamp as stamps
 from station.bus.sample import Sample
 from station.bus.stamp import Stamp
 from station.camera.source import Camera, CameraError, PictureSettings
+from station.optics import of_facts
 from station.protocols import Floats
 from tests.adapters.cameras import pictures
 
@@ -141,16 +143,20 @@ def test_intrinsics_say_to_the_pixel_where_a_point_is_seen(tmp_path: Path) -> No
     data = mujoco.MjData(model)
     data.qpos[:] = standing()
     mujoco.mj_forward(model, data)
-    right, up, back = data.cam("head").xmat.reshape(3, 3).T @ (place - data.cam("head").xpos)
-    inner = facts["intrinsics"]
-    expected = inner["cx"] + inner["fx"] * right / -back, inner["cy"] - inner["fy"] * up / -back
+    inner, mount = of_facts(facts)
+    assert inner is not None
+    assert mount is not None
+    torso = data.body(mount.parent)
+    seen_from = torso.xmat.reshape(3, 3).T @ (place - torso.xpos) - mount.position_m
+    right, down, forward = rotations.rotate_inverse(mount.quat_wxyz, seen_from)
+    expected = inner.cx + inner.fx * right / forward, inner.cy + inner.fy * down / forward
     rows, columns = np.nonzero(shown[:, :, 0] - shown[:, :, 1:].max(axis=2) > 60)
     assert len(rows) > 20
     np.testing.assert_allclose((columns.mean(), rows.mean()), expected, atol=0.5)
-    assert facts["mount"]["body"] == "torso_link"
+    assert mount.parent == "torso_link"
 
 
 def test_intrinsics_of_a_right_angle() -> None:
     inner = intrinsics(90.0, 640, 480)
-    assert inner["fx"] == pytest.approx(240.0)
-    assert (inner["cx"], inner["cy"]) == (319.5, 239.5)
+    assert inner.fx == pytest.approx(240.0)
+    assert (inner.cx, inner.cy) == (319.5, 239.5)

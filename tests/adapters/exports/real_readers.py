@@ -2,9 +2,11 @@
 
     python tests/adapters/exports/real_readers.py duckdb LOOK --env FOLDER        of `station export parquet`
     python tests/adapters/exports/real_readers.py robomimic SET --env FOLDER      of `station export hdf5`
+    python tests/adapters/exports/real_readers.py zarr BUFFER --env FOLDER        of `station export zarr`
 
-FOLDER gets a virtual environment with the reader (duckdb: 40 MB; robomimic: 1.5 GB, with a torch for the CPU), or is
-used when it has one. What is printed was read by that reader alone.
+FOLDER gets a virtual environment with the reader (duckdb: 40 MB; robomimic: 1.5 GB, with a torch for the CPU; zarr: 140
+MB, of the major version that diffusion_policy and UMI pin), or is used when it has one. What is printed was read by
+that reader alone.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-PACKAGES = {"duckdb": ["duckdb"], "robomimic": ["torch==2.13.0", "robomimic", "six"]}
+PACKAGES = {"duckdb": ["duckdb"], "robomimic": ["torch==2.13.0", "robomimic", "six"], "zarr": ["zarr<3"]}
 
 
 def main() -> int:
@@ -29,7 +31,7 @@ def main() -> int:
     parser.add_argument("--env", type=Path, help="folder of the environment; made when it is not there")
     asked = parser.parse_args()
     if asked.env is None:
-        return {"duckdb": by_duckdb, "robomimic": by_robomimic}[asked.reader](asked.export.absolute())
+        return {"duckdb": by_duckdb, "robomimic": by_robomimic, "zarr": by_zarr}[asked.reader](asked.export.absolute())
     inside = asked.env / "bin/python"
     if not inside.exists():
         subprocess.run([sys.executable, "-m", "venv", str(asked.env)], check=True)
@@ -89,6 +91,21 @@ def by_robomimic(root: Path) -> int:
         say(f"{part}: {len(found)} sequences of {found.n_demos} demos; " + ", ".join(
             f"{name} {value.shape}" for name, value in {**item["obs"], "actions": item["actions"]}.items()
         ))  # fmt: skip
+    return 0
+
+
+def by_zarr(root: Path) -> int:
+    """Read episodes as a replay buffer has them: rows of every array up to the end of each."""
+    zarr: Any = importlib.import_module("zarr")
+    (place,) = root.glob("replay_buffer.zarr*")
+    buffer = zarr.open(str(place), "r")
+    say(f"zarr {zarr.__version__}: {buffer.attrs['fps']} rows per second, {buffer.attrs['robot']}")
+    begin = 0
+    for episode, end in zip(buffer.attrs["episode_ids"], buffer["meta/episode_ends"][:], strict=True):
+        rows = {name: array[begin:end] for name, array in buffer["data"].arrays()}
+        say(f"{episode}: " + ", ".join(f"{name} {one.shape} {one.dtype}" for name, one in sorted(rows.items())))
+        begin = int(end)
+    say({name: array.shape[0] == begin for name, array in buffer["data"].arrays()})
     return 0
 
 

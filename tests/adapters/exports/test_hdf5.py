@@ -25,7 +25,7 @@ from station.export.kind import Source
 from station.export.run import Exported, Workers, export, preview
 from tests.episode.arm_run import ArmRun
 from tests.episode.synthetic import ROBOT, EpisodeBuilder, tick
-from tests.export.pictured import jpeg, number_in, shoot, walked
+from tests.export.pictured import HEAD, OPTICS, jpeg, number_in, shoot, walked
 from tests.faults.disks import small_disk
 
 pytestmark = pytest.mark.usefixtures("processes")
@@ -68,7 +68,12 @@ def decoded(row: Any) -> Any:
 
 def test_robomimic_finds_demos_masks_and_attributes_where_its_loader_looks(tmp_path: Path) -> None:
     sources = [
-        walked(tmp_path / "data", number, seconds=0.6, manifest={"quality_flags": {"success": number == 3}})
+        walked(
+            tmp_path / "data",
+            number,
+            seconds=0.6,
+            manifest={"quality_flags": {"success": number == 3}, "servers": {"head": {"key": HEAD, **OPTICS}}},
+        )
         for number in (1, 2, 3)
     ]
     exported(sources, out := tmp_path / "out", val=0.34, seed=1)
@@ -92,6 +97,7 @@ def test_robomimic_finds_demos_masks_and_attributes_where_its_loader_looks(tmp_p
             }  # fmt: skip
             assert sorted(demo["obs"]) == ["head_image", STATE]
             assert (demo["obs/head_image"].shape, demo["obs/head_image"].dtype) == ((count, 96, 160, 3), np.uint8)
+            assert {key: json.loads(demo["obs/head_image"].attrs[key]) for key in OPTICS} == OPTICS
             assert demo["dones"][:].tolist() == [0] * (count - 1) + [1]
             is_done = ids[name] == sources[2].episode_id
             assert demo["rewards"][:].tolist() == [0.0] * (count - 1) + [float(is_done)]

@@ -10,8 +10,10 @@ from typing import Any
 import pytest
 
 from adapters.robots.g1 import twist_keys
+from servers.recorder import RecorderConfig
 from station.bus import keys
 from station.bus.tap import Write
+from station.config import build
 from station.episode.reading.listing import list_episodes
 from station.episode.reading.reader import open_episode
 from station.episode.recorder.active_episode import ActiveEpisode
@@ -20,9 +22,10 @@ from station.episode.recorder.recording import Recording
 from station.episode.recorder.writer import EpisodeWriter
 from station.episode.storage.anchor import read_anchor
 from station.episode.storage.folder import new_folder
-from station.episode.storage.manifest import Manifest, load_manifest
+from station.episode.storage.manifest import Manifest, Recorder, load_manifest
 from station.episode.storage.progress import WriterOptions
 from station.episode.storage.request import RecordAnswer
+from station.errors import ConfigError
 from tests.episode.writes import Native, foreign
 from tests.waiting import wait_until
 
@@ -386,3 +389,47 @@ def test_the_interface_is_the_command_server_that_is_up(make: Make) -> None:
     recording.feed([cli.request("start"), cli.request("stop")])
     answer(recording)
     assert load_manifest(Path(answer(recording).path or "")).operator.interface == "pico"
+
+
+def test_keys_that_are_left_out_by_wish_are_in_no_episode_and_the_manifest_says_which(make: Make) -> None:
+    recording, g1, cli = make(preroll_s=1.0, leave_out=("policy_obs",)), Native(), Native("record")
+    seen = keys.policy_obs("g1")
+
+    def tick() -> list[Write]:
+        return [g1.write(BODY, b"[1]"), g1.write(seen, b"\0\0\0\0"), g1.write(keys.target("g1"), b"[2]")]
+
+    recording.feed(tick())
+    start = cli.request("start", task="walk", leave_out=["target_g1"])
+    recording.feed([start, *tick(), g1.write(keys.policy_obs("g1").replace("_obs", "_observer"), b"[3]")])
+    recording.feed(tick())
+    stop = cli.request("stop")
+    recording.feed([stop])
+    assert answer(recording).ok
+    reader = open_episode(Path(answer(recording).path or ""))
+    assert set(reader.topics()) == {BODY, keys.RECORD, "policy_observer_g1"}
+    assert [message.data for message in reader.messages([BODY])] == [b"[1]"] * 3
+    manifest = load_manifest(reader.folder)
+    assert manifest.recorder.leave_out == ["policy_obs", "target_g1"]
+    assert sum(stream.lost for stream in manifest.streams) == 0, "what is left out is not lost"
+
+
+def test_an_episode_that_is_taken_up_again_leaves_out_what_its_manifest_says(tmp_path: Path) -> None:
+    manifest = Manifest(episode_id="e", recorder=Recorder(leave_out=["policy_obs"]))
+    (tmp_path / "e").mkdir()
+    writer = EpisodeWriter(tmp_path / "e", anchor=read_anchor(), manifest=manifest)
+    take, g1 = ActiveEpisode(writer, manifest), Native()
+    take.put([g1.write(keys.policy_obs("g1"), b"1"), g1.write(BODY, b"[1]")], None)
+    take.finish("stop", time.monotonic_ns())
+    wait_until(lambda: take.is_over)
+    assert set(open_episode(tmp_path / "e").topics()) == {BODY}
+
+
+@pytest.mark.parametrize("name", ["", "station:event"])
+def test_what_the_station_says_of_itself_is_never_left_out(make: Make, name: str) -> None:
+    with pytest.raises(ConfigError, match="what the station says of itself is always recorded"):
+        build(RecorderConfig, {"leave_out": [name]}, where="recorder")
+    recording, cli = make(), Native("record")
+    recording.feed([cli.request("start", task="walk", leave_out=[name])])
+    refused = answer(recording)
+    assert not refused.ok
+    assert "what the station says of itself is always recorded" in refused.reason

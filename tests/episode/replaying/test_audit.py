@@ -28,8 +28,8 @@ from tests.episode.synthetic import ROBOT, STANDING, EpisodeBuilder, command
 class LinearRun:
     """Writes steps of the linear policy; a step can be lost, spoilt, or follow a reset."""
 
-    def __init__(self, builder: EpisodeBuilder) -> None:
-        self._builder, self._policy, self._number = builder, LinearPolicy(), 0
+    def __init__(self, builder: EpisodeBuilder, *, without: str = "") -> None:
+        self._builder, self._policy, self._number, self._without = builder, LinearPolicy(), 0, without
 
     def step(self, *, flip: str = "", lose_state: bool = False, lose_result: bool = False, reset: bool = False) -> None:
         number, self._number = self._number, self._number + 1
@@ -46,6 +46,7 @@ class LinearRun:
             keys.policy_action(ROBOT): _flipped(codec.f32(action), flip == "action"),
             keys.command_used(ROBOT): codec.f64(asked),
         }
+        results.pop(self._without, None)
         self._write({keys.robot_state(ROBOT): codec.f64(measured)}, at_s, is_lost=lose_state)
         self._write(results, at_s + 0.003, is_lost=lose_result)
 
@@ -68,6 +69,44 @@ def builder(tmp_path: Path) -> EpisodeBuilder:
 
 def audited(builder: EpisodeBuilder) -> Audit:
     return audit(open_episode(builder.finish()), policy=LinearPolicy())
+
+
+UNSEEN = keys.policy_obs(ROBOT)
+
+
+def test_observations_that_are_not_recorded_are_derived_and_equal_by_their_actions(builder: EpisodeBuilder) -> None:
+    run = LinearRun(builder, without=UNSEEN)
+    for number in range(50):
+        run.step(reset=number == 20)
+    found = audited(builder)
+    assert (found.steps, found.different, found.past_unknown, found.incomplete) == (50, 0, 0, 0)
+    assert (found.has_observations, found.observations.compared) == (False, 0)
+    assert found.is_equal
+    assert "observations  not recorded; derived, and equal where the actions are\n" in story(found)
+
+
+def test_an_action_of_an_observation_that_is_not_recorded_is_told_where_it_differs(builder: EpisodeBuilder) -> None:
+    run = LinearRun(builder, without=UNSEEN)
+    for number in range(50):
+        run.step(flip="action" if number == 30 else "", reset=number == 40)
+    found = audited(builder)
+    assert (found.steps, found.different, found.first_different) == (41, 1, 30)
+    assert found.past_unknown == 9, "nothing is proven from there to the reset"
+    assert not found.is_equal
+
+
+def test_without_observations_nothing_is_proven_before_a_policy_began_anew(builder: EpisodeBuilder) -> None:
+    run = LinearRun(builder, without=UNSEEN)
+    for number in range(30):
+        run.step(lose_result=number < 5, lose_state=number == 12, reset=number == 20)
+    found = audited(builder)
+    assert (found.steps, found.different, found.past_unknown) == (10, 0, 15)
+    assert "15 steps not proven: what the policy had seen before is not in the file" in story(found)
+    never = EpisodeBuilder(builder.folder.parent.parent, number=2)
+    run = LinearRun(never, without=UNSEEN)
+    for number in range(30):
+        run.step(lose_result=number < 5)
+    assert not audited(never).is_equal, "of which not one step was compared"
 
 
 def test_an_honest_episode_is_equal_bit_for_bit(builder: EpisodeBuilder) -> None:
@@ -249,6 +288,23 @@ def test_a_recording_that_begins_during_a_hand_over_derives_what_it_can(
     found = audit(open_episode(handed_over(builder, skip=skip)))
     assert (found.steps, found.different) == (150 - skip, 0)
     assert (found.observations.compared, found.observations.different) == (compared, 0)
+
+
+class Unseen(EpisodeBuilder):
+    """Writes no observation down."""
+
+    def write(self, values: Mapping[str, bytes], **where: Any) -> None:
+        super().write({key: value for key, value in values.items() if key != UNSEEN}, **where)
+
+
+@pytest.mark.parametrize(("skip", "compared"), [(0, 150), (65, 40), (90, 40)])
+def test_without_observations_a_hand_over_is_derived_where_the_file_holds_what_both_had_seen(
+    tmp_path: Path, skip: int, compared: int
+) -> None:
+    found = audit(open_episode(handed_over(Unseen(tmp_path), skip=skip)))
+    assert (found.different, found.has_observations, found.incomplete) == (0, False, 0)
+    assert (found.steps, found.past_unknown) == (compared, 150 - skip - compared)
+    assert found.is_equal, "a policy that takes over later was heard from its beginning"
 
 
 class Liar(EpisodeBuilder):
