@@ -15,7 +15,7 @@ import msgspec
 from station.cli import candidates
 from station.cli.options import data_option, jobs_option, json_option, task_option
 from station.cli.tidy import wanted_rows
-from station.errors import UsageError
+from station.errors import StationError, UsageError
 from station.printable import printable
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def command(
     from station.episode.storage.folder import data_folder
     from station.episode.storage.named_lock import remove_unlocked
     from station.episode.storage.whole_file import part_of
-    from station.export.jobs import map_episodes
+    from station.export.jobs import DiskRefuses, map_episodes
     from station.video import library
 
     base = data_folder(data)
@@ -80,6 +80,10 @@ def command(
 
         try:
             map_episodes(do, folders, jobs=1 if dry_run else jobs, on_done=on_done)
+        except DiskRefuses as error:
+            raise StationError(
+                f"{error.item}: {error}; make room, run it again: it goes on with what is left"
+            ) from error
         finally:  # of processes that were ended in the middle
             for file in files:
                 remove_unlocked(part_of(file))

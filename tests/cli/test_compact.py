@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from tests.cli.test_tidy import station
 from tests.episode.compacting.test_compact import jpeg, record
 from tests.episode.filming import Scene, film
+from tests.faults.disks import small_disk
 
 
 @pytest.fixture
@@ -56,6 +58,22 @@ def test_a_dry_run_and_a_missing_yes_change_nothing(data: Path) -> None:
     assert "--yes makes the pictures of 1 episode, 0.1 MB, H.264 for good" in asked.output
     assert station("compact").exit_code == 2
     assert not video(data, 1)
+
+
+@pytest.mark.usefixtures("processes")
+def test_a_disk_that_fills_up_costs_nothing_and_is_named(data: Path) -> None:
+    (data / "disk").mkdir()
+    source = record(
+        data / "source", [jpeg(number, width=320, height=240, grain=60.0) for number in range(10)], number=7
+    )
+    with small_disk(data / "disk", 1) as disk:
+        folder = disk.path / "walk" / source.name
+        shutil.copytree(source, folder)
+        done = station("compact", "--all", "--yes", "--crf", "3", "--jobs", "1", "--data", str(disk.path))
+        assert done.exit_code == 1
+        assert f"{folder}: the disk: No space left on device; make room, run it again" in done.output
+        assert (folder / "cameras.mcap").read_bytes() == (source / "cameras.mcap").read_bytes()
+        assert sorted(file.name for file in folder.iterdir()) == ["cameras.mcap", "manifest.yaml", "signals.mcap"]
 
 
 def test_one_that_is_damaged_is_told_and_the_rest_is_done(data: Path) -> None:
