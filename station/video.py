@@ -25,7 +25,7 @@ _PIXELS = "yuvj420p"  # JPEG's own planes and range: nothing is converted before
 _FULL_RANGE, _BT601 = 2, 5  # AVCOL_RANGE_JPEG, AVCOL_SPC_BT470BG
 _TICK = Fraction(1, 30)  # of the encoder's clock, by which it spends bits; a message has its own times
 _QUALITY = 95  # of a JPEG file made of a video's picture: 48 dB to that, far beyond what the video keeps
-_COMMENT = b"\xff\xfe"  # marker of a JPEG file
+_COMMENT, _LONGEST_MARK = b"\xff\xfe", 64  # marker of a JPEG file; bytes behind it
 
 Plane = NDArray[np.uint8]
 
@@ -86,6 +86,7 @@ class VideoDecoder:
             raise ValueError(f"{_CODEC}: {error.strerror or error}") from None
         if len(found) != 1:
             raise ValueError(f"{_CODEC}: {len(found)} pictures in a packet, expected one from a key frame on")
+        mark = mark[:_LONGEST_MARK]
         file: bytes = library("simplejpeg").encode_jpeg_yuv_planes(*planes(found[0]), quality=_QUALITY)
         return file[:2] + _COMMENT + (len(mark) + 2).to_bytes(2) + mark + file[2:]
 

@@ -128,7 +128,7 @@ def _say(attempt: Attempt[Path, CompactResult], *, is_dry: bool, is_quiet: bool)
     elif not is_quiet:
         words = {
             "no-pictures": "no pictures in it",
-            "current": f"compacted already, {_sizes(found)}",
+            "current": f"compacted already{f', {_sizes(found)}' if found.pictures else ''}",
             "left": f"left as it is: {found.why}",
             "compacted": f"{found.bytes_before / 1e6:.1f} MB of pictures" if is_dry else
             f"{_sizes(found)} in {found.seconds:.1f} s",

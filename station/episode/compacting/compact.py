@@ -26,6 +26,7 @@ from station.episode.storage import layout, pictures
 from station.episode.storage.anchor import iso
 from station.episode.storage.bin import expect_at_rest
 from station.episode.storage.file_hashes import changes, measure, words
+from station.episode.storage.folder import signals_file
 from station.episode.storage.manifest import Compacted, Manifest, RecordedFile, save_manifest
 from station.episode.storage.manifest_copy import manifest_to_change
 from station.episode.storage.manifest_parts import CompactedCamera
@@ -92,21 +93,23 @@ def compact(
     """
     began = time.perf_counter()
     expect_at_rest(folder, data)
-    reader = EpisodeReader(folder / layout.SIGNALS)
+    reader = EpisodeReader(signals_file(folder))
     _expect_whole(reader)
     found = CompactResult(state="no-pictures", episode_id=reader.episode_id or folder.name, path=str(folder))
-    if len(reader.parts) == 1 or not any(channel.is_typed for channel in reader.parts[1].channels() or ()):
+    channels = [channel for part in reader.parts[1:] for channel in part.channels() or () if channel.is_typed]
+    if not channels:
         return found
     manifest, files = reader.manifest, measure(folder)
     cameras = next(file for file in files if file.name == layout.CAMERAS)
-    written = reader.parts[1].contents.metadata.get(layout.COMPACTED_RECORD)
-    note = None if written is None else msgspec.json.decode(written[_NOTE], type=Compacted)
-    is_unsaid = note is not None and manifest.compacted is None  # killed before the manifest was written
-    described = note.made_of if note is not None and is_unsaid else cameras
+    is_video = any(channel.video for channel in channels)
+    # One that was killed before the manifest was written, which still names the file that is gone.
+    note = _note_in(reader.parts[1]) if is_video and manifest.compacted is None else None
+    described = cameras if note is None else note.made_of
     if changed := changes(manifest.files, [file for file in files if file is not cameras] + [described]):
         raise EpisodeError(f"{folder}: was changed after it was closed ({words(changed)}); left as it is")
-    if note is not None and not is_unsaid:
-        return _of(note, cameras.bytes, msgspec.structs.replace(found, state="current"))
+    if is_video and note is None:
+        found = msgspec.structs.replace(found, state="current", bytes_after=cameras.bytes)
+        return found if manifest.compacted is None else _of(manifest.compacted, cameras.bytes, found)
     if note is None:
         _expect_room(folder, cameras.bytes)
         found = msgspec.structs.replace(found, bytes_before=cameras.bytes)
@@ -129,7 +132,19 @@ def compact(
 
 def _expect_whole(reader: EpisodeReader) -> None:
     if reader.torn is not None or reader.is_active:
-        raise EpisodeError(f"{reader.folder.name}: {reader.torn}; first: station episodes repair {reader.folder.name}")
+        what = reader.torn or "was never finished"
+        raise EpisodeError(f"{reader.folder.name}: {what}; first: station episodes repair {reader.folder.name}")
+
+
+def _note_in(part: Part) -> Compacted | None:
+    """Return what a file of video says of how it was made; None where it lost that with its end."""
+    written = part.contents.metadata.get(layout.COMPACTED_RECORD)
+    if written is None:
+        return None
+    try:
+        return msgspec.json.decode(written.get(_NOTE, ""), type=Compacted)
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise EpisodeError(f"{part.path}: what it says of its compacting cannot be read: {error}") from error
 
 
 def _expect_room(folder: Path, size: int) -> None:

@@ -224,6 +224,13 @@ def test_an_episode_that_is_open_torn_or_changed_is_refused_and_left_alone(episo
     assert cameras.read_bytes() == whole
 
 
+def test_one_that_was_left_open_is_to_be_repaired_first(episode: Episode) -> None:
+    for name in ("signals.mcap", "cameras.mcap"):
+        (episode.folder / name).rename(episode.folder / f"{name}.active")
+    with pytest.raises(EpisodeError, match="first: station episodes repair"):
+        compact(episode.folder, episode.data)
+
+
 def test_a_damaged_chunk_of_pictures_is_refused(episode: Episode) -> None:
     cameras = episode.folder / "cameras.mcap"
     place, data = walk(cameras).chunks[3], bytearray(cameras.read_bytes())
@@ -291,6 +298,21 @@ def test_a_compacted_file_that_was_damaged_loses_one_chunk_and_keeps_the_stamps_
     found = list(frames(open_episode(folder), HEAD))
     assert [frame.captured_ns for frame in found] == [taken[number] for number in kept]
     assert [frame.jpeg for frame in found] == [shown[number] for number in kept]
+    assert compact(folder, tmp_path).state == "current"
+
+
+def test_a_compacted_file_that_was_cut_off_keeps_its_whole_chunks_and_is_known_as_compacted(tmp_path: Path) -> None:
+    folder = record(tmp_path, [jpeg(number) for number in range(40)])
+    compact(folder, tmp_path, gop=GOP)
+    cameras = folder / "cameras.mcap"
+    shown = [frame.jpeg for frame in frames(open_episode(folder), HEAD)]
+    cameras.write_bytes(cameras.read_bytes()[: walk(cameras).chunks[2].offset + 30])
+    repair(folder)
+    assert [frame.jpeg for frame in frames(open_episode(folder), HEAD)] == shown[: 2 * GOP]
+    assert compact(folder, tmp_path).state == "current"
+    manifest = load_manifest(folder)
+    manifest.compacted = None  # of somebody who wrote it anew
+    save_manifest(manifest, folder)
     assert compact(folder, tmp_path).state == "current"
 
 
