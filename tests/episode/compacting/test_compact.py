@@ -131,6 +131,20 @@ def test_every_message_keeps_its_times_and_stamps_and_every_picture_its_looks(ep
     assert {key: [frame.captured_ns for frame in frames(open_episode(episode.folder), key)] for key in taken} == taken
 
 
+@pytest.mark.parametrize("kind", ["4:2:0", "4:2:2", "4:4:4", "grey"])
+def test_colours_and_brightness_stay_however_a_camera_samples_them(tmp_path: Path, kind: str) -> None:
+    rows, columns = np.mgrid[0:64, 0:96]
+    shade = np.stack([255 * columns / 95, 255 * rows / 63, 255 - 255 * columns / 95], axis=-1).astype(np.uint8)
+    stream = io.BytesIO()
+    picture = Image.fromarray(shade).convert("L" if kind == "grey" else "RGB")
+    picture.save(stream, "JPEG", quality=95, **({} if kind == "grey" else {"subsampling": kind}))
+    folder = record(tmp_path, [stream.getvalue()] * 12)
+    assert compact(folder, tmp_path, crf=16).state == "compacted"
+    (shown, *_) = [frame.jpeg for frame in frames(open_episode(folder), HEAD)]
+    assert psnr(stream.getvalue(), shown) > 36.0
+    assert np.abs((rgb(shown) - rgb(stream.getvalue())).mean(axis=(0, 1))).max() < 1.0
+
+
 def test_any_reader_of_mcap_finds_foxgloves_type_in_annex_b_without_pictures_out_of_order(episode: Episode) -> None:
     was = {
         key: [one.message.timestamp for one in decoded(episode.folder / "cameras.mcap", key)] for key in (HEAD, WRIST)
