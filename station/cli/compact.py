@@ -32,7 +32,7 @@ _LONGEST = 4000  # characters of a line
               help="Those that started more than 12h or 30d ago, or before 2026-11-20.")  # fmt: skip
 @task_option
 @click.option("--crf", type=click.IntRange(1, 40), default=24, show_default=True, metavar="N",
-              help="Quality of x264: lower is better and larger; 20 keeps noise: 2 dB, five times the size.")  # fmt: skip
+              help="Quality of x264: lower is better, larger; 20 keeps noise: 2 dB, five times the size.")  # fmt: skip
 @click.option("--gop", type=click.IntRange(1, 600), default=30, show_default=True, metavar="N",
               help="A key picture at least every N pictures: fewer are smaller, and slower to jump to.")  # fmt: skip
 @jobs_option
