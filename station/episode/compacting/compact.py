@@ -1,8 +1,8 @@
 """Compacting an episode: its JPEG pictures become H.264, once every one of them was read back and compared.
 
-The new file is made beside the old one, read back, and takes its name in one rename. What the manifest
-then says of it stands in the new file too, so that a process killed between the rename and the manifest loses nothing:
-the next call writes the manifest.
+The new file is made beside the old one, read back, and takes its name in one rename. What the manifest then says of it
+stands in the new file too, so that a process killed between the rename and the manifest loses nothing: the next call
+writes the manifest.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class CompactResult(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         state: ``compacted``; ``current``: it was already; ``no-pictures``: it has none; ``left``: as it was.
         episode_id, path: The episode, and its folder.
-        why: It was left.
+        why: It was left as it was, in a line.
         bytes_before, bytes_after: Size of the file of pictures.
         pictures: How many, each of them compared with its JPEG file.
         psnr_db, psnr_worst_db: Of the camera with the lowest mean, and of the worst picture [dB].
@@ -116,13 +116,8 @@ def compact(
     if dry_run:
         return msgspec.structs.replace(found, state="compacted")
     if note is None:
-        note = Compacted(
-            at=iso(time.time_ns()), software=msgspec.to_builtins(software()),
-            encoder={"name": "libx264", **X264, "crf": crf, "gop": gop}, cameras={}, made_of=cameras,
-        )  # fmt: skip
         try:
-            with whole_file(folder / layout.CAMERAS) as file:
-                _write(file, folder / layout.CAMERAS, note, crf, gop, progress)
+            note = _replace(folder / layout.CAMERAS, cameras, crf, gop, progress)
         except Unfit as error:
             return msgspec.structs.replace(found, state="left", why=str(error), seconds=time.perf_counter() - began)
     _note(folder, note)
@@ -164,6 +159,17 @@ def _of(note: Compacted, size: int, found: CompactResult) -> CompactResult:
         psnr_db=min(camera.psnr_db for camera in cameras),
         psnr_worst_db=min(camera.psnr_worst_db for camera in cameras),
     )  # fmt: skip
+
+
+def _replace(path: Path, made_of: RecordedFile, crf: int, gop: int, progress: Progress | None) -> Compacted:
+    """Put the new file in the place of the old one, and return what is to be said of it."""
+    note = Compacted(
+        at=iso(time.time_ns()), software=msgspec.to_builtins(software()),
+        encoder={"name": "libx264", **X264, "crf": crf, "gop": gop}, cameras={}, made_of=made_of,
+    )  # fmt: skip
+    with whole_file(path) as file:
+        _write(file, path, note, crf, gop, progress)
+    return note
 
 
 def _write(file: BinaryIO, path: Path, note: Compacted, crf: int, gop: int, progress: Progress | None) -> None:
@@ -245,7 +251,10 @@ def _carry_verdict(manifest: Manifest, made_of: RecordedFile) -> str:
 
     It saw more than another check could: every time is the same, and of the pictures it had the better ones.
     """
-    measured = msgspec.convert(manifest.quality.get("files", []), list[RecordedFile])
+    try:
+        measured = msgspec.convert(manifest.quality.get("files", []), list[RecordedFile])
+    except msgspec.ValidationError:  # no check of ours wrote it
+        return ""
     before = [made_of if file.name == layout.CAMERAS else file for file in manifest.files]
     if not measured or changes(measured, before):
         return ""
