@@ -133,7 +133,7 @@ class EpisodeReader:
                 file is in memory, with ``log`` those that overlap in time; with both stamps and ``log``, everything.
             stamps: Whether to join the exact stamp to each native message.
             raw: Whether pictures are left as they stand in the file, for whoever only counts messages: those of a
-                compacted episode are decoded otherwise, 3 ms each.
+                compacted episode are decoded otherwise, 1 to 3 ms each.
 
         Raises:
             EpisodeError: a chunk in the middle of a file is damaged.
