@@ -30,8 +30,8 @@ HEAVY = (
 )  # fmt: skip
 
 NO_VERBS = {
-    "__init__", "calibrate_operator", "candidates", "fields", "keyboard", "log_lines", "main", "options", "quality",
-    "tables", "terminal_ui", "tidy",
+    "__init__", "calibrate_operator", "candidates", "compact", "fields", "keyboard", "log_lines", "main", "options",
+    "quality", "tables", "terminal_ui", "tidy",
 }  # fmt: skip
 """Modules of `station.cli` that verbs share."""
 

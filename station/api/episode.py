@@ -247,6 +247,8 @@ class Episode:
     def jpegs(self, camera: str | None = None) -> Iterator[tuple[float, bytes]]:
         """Iterate over the pictures of a camera as recorded: time of capture [s], and the bytes of the JPEG file.
 
+        Of an episode that was compacted the files are made of its video.
+
         Args:
             camera: One of `cameras`; None for the only one.
 

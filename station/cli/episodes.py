@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 import msgspec
 
-from station.cli import candidates, check, enrich, tidy
+from station.cli import candidates, check, compact, enrich, tidy
 from station.cli.options import NamedPath, Verbs, data_option, episode_argument, json_option
 from station.printable import printable
 
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 @click.group("episodes", cls=Verbs)
 def command() -> None:
-    """List, show, check, enrich, repair, tag and tidy up recorded episodes."""
+    """List, show, check, enrich, repair, tag, tidy up and compact recorded episodes."""
 
 
 command.add_command(check.command, "check")
 command.add_command(enrich.command, "enrich")
-for verb in tidy.COMMANDS:
+for verb in (*tidy.COMMANDS, compact.command):
     command.add_command(verb)
 
 

@@ -175,11 +175,11 @@ def prune(
             "name EPISODEs, or say which: --verdict reject, --discarded, --older-than 30d, --task NAME; "
             "--dry-run shows what would go"
         )
-    rows = _wanted(base, episodes, verdicts, older, task, is_discarded=discarded or None)
+    rows = wanted_rows(base, episodes, verdicts, older, task, is_discarded=discarded or None)
     _throw_away(rows, base, by, _why(verdicts, older, task, is_discarded=discarded), is_dry=dry_run, as_json=as_json)
 
 
-def _wanted(
+def wanted_rows(
     base: Path, episodes: Sequence[str], verdicts: Sequence[str], older: str | None, tasks: Sequence[str], *,
     is_discarded: bool | None,
 ) -> list[EpisodeRow]:  # fmt: skip

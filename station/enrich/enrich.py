@@ -136,7 +136,7 @@ def _survey(reader: EpisodeReader, topics: set[str] | None) -> _Survey:
     channels: dict[int, Channel] = {}
     shapes: dict[str, Shape] = {}
     count = 0
-    for message in reader.messages(topics):
+    for message in reader.messages(topics, raw=True):
         count += 1
         channel = message.channel
         if channel.id not in channels:

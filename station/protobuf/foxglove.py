@@ -20,6 +20,7 @@ _VECTOR3, _QUATERNION, _POSE = "foxglove.Vector3", "foxglove.Quaternion", "foxgl
 
 CAMERA_CALIBRATION = "foxglove.CameraCalibration"
 COMPRESSED_IMAGE = "foxglove.CompressedImage"
+COMPRESSED_VIDEO = "foxglove.CompressedVideo"
 FRAME_TRANSFORM = "foxglove.FrameTransform"
 LOG = "foxglove.Log"
 POSE_IN_FRAME = "foxglove.PoseInFrame"
@@ -45,6 +46,10 @@ _TYPES: dict[str, tuple[Field, ...]] = {
     COMPRESSED_IMAGE: (
         Field("timestamp", 1, TIMESTAMP), Field("data", 2, "bytes"), Field("format", 3, "string"),
         Field("frame_id", 4, "string"),
+    ),
+    COMPRESSED_VIDEO: (
+        Field("timestamp", 1, TIMESTAMP), Field("frame_id", 2, "string"), Field("data", 3, "bytes"),
+        Field("format", 4, "string"), Field("message_id", 100, "string"),
     ),
     LOG: (
         Field("timestamp", 1, TIMESTAMP), Field("level", 2, "enum:foxglove.Log.Level"), Field("message", 3, "string"),

@@ -79,4 +79,6 @@ def _measured(manifest: Manifest, cameras: Collection[str]) -> float | None:
     seconds = manifest.timing.duration_s or 0.0
     if manifest.state != "finished" or seconds < _LEAST_S or filmed != {*cameras} or not manifest.recorder.bytes:
         return None
-    return manifest.recorder.bytes / (seconds + manifest.timing.preroll_s) * 60e-6
+    compacted = manifest.compacted
+    saved = 0 if compacted is None else compacted.made_of.bytes - compacted.bytes
+    return (manifest.recorder.bytes + saved) / (seconds + manifest.timing.preroll_s) * 60e-6

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from adapters.robots.g1 import twist_keys
 from station.bus import codec, keys
@@ -38,10 +39,10 @@ class Scene:
     def signals(self, count: int) -> list[Write]:
         return [self._dated(self._g1, BODY, codec.json_vector([float(self._next())] * 35)) for _ in range(count)]
 
-    def picture(self, key: str = HEAD, size: int = 2000) -> Write:
+    def picture(self, key: str = HEAD, size: int = 2000, data: bytes = b"") -> Write:
         number = self._next()
         taken_ns = self._now_ns - EXPOSED_NS
-        return self._camera.write(key, jpeg(number, size), written_ns=self._now_ns, capture_ns=taken_ns)
+        return self._camera.write(key, data or jpeg(number, size), written_ns=self._now_ns, capture_ns=taken_ns)
 
     def _next(self) -> int:
         self._number += 1
@@ -52,11 +53,13 @@ class Scene:
         return source.write(key, value, written_ns=self._now_ns)
 
 
-def film(folder: Path, batches: Sequence[Sequence[Write]], anchor: Anchor, *, flush_bytes: int = 1) -> Manifest:
-    """Record batches, each flushed by itself, and close the episode; return its manifest."""
+def film(
+    folder: Path, batches: Sequence[Sequence[Write]], anchor: Anchor, *, flush_bytes: int = 1, **fields: Any
+) -> Manifest:
+    """Record batches, each flushed by itself, and close the episode; return its manifest, which has further fields."""
     folder.mkdir(parents=True, exist_ok=True)
     timing = Timing(anchor=anchor, started="2026-11-21T10:00:00+00:00")
-    manifest = Manifest(episode_id=folder.name, task=Task(name="walk"), timing=timing)
+    manifest = Manifest(episode_id=folder.name, task=Task(name="walk"), timing=timing, **fields)
     options = WriterOptions(flush_bytes=flush_bytes)
     writer = EpisodeWriter(folder, anchor=anchor, manifest=manifest, options=options, start_id="s")
     written = 0

@@ -28,6 +28,7 @@ READS_VALUES = re.compile(
 READS_FILES = {
     "station.cli.serve": "its own command line",
     "station.bus.codec": "is the decoder",
+    "station.episode.compacting.compact": "metadata of a file",
     "station.episode.storage.drops": "metadata of a file",
     "station.episode.storage.progress": "resume.json",
     "station.episode.writing.checkpoint": "checkpoint.json",

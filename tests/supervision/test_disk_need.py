@@ -7,7 +7,16 @@ import pytest
 
 from servers.camera import CameraConfig
 from station.bus import keys
-from station.episode.storage.manifest import Manifest, Recorder, Stream, Task, Timing, save_manifest
+from station.episode.storage.manifest import (
+    Compacted,
+    Manifest,
+    RecordedFile,
+    Recorder,
+    Stream,
+    Task,
+    Timing,
+    save_manifest,
+)
 from station.supervision.disk_need import SIGNALS_MB_PER_MINUTE, disk_need
 
 HEAD = CameraConfig(width=640, height=480, fps=30)
@@ -57,3 +66,10 @@ def test_the_last_episode_of_the_task_with_the_same_cameras_knows_better(tmp_pat
     assert disk_need({"left": HEAD}, tmp_path, "walk").why == "1 camera, estimated"
     assert disk_need({"head": HEAD}, tmp_path, "jog").why == "1 camera, estimated"
     assert disk_need({}, tmp_path, "walk").mb_per_minute == 18.0
+
+
+def test_an_episode_that_was_compacted_since_tells_what_it_needed_when_it_was_recorded(tmp_path: Path) -> None:
+    made_of = RecordedFile(name="cameras.mcap", bytes=30_000_000)
+    note = Compacted(at="", software={}, encoder={}, cameras={}, made_of=made_of, bytes=2_000_000)
+    record(tmp_path, 1, mb=12, seconds=30, compacted=note)
+    assert disk_need({"head": HEAD}, tmp_path, "walk").mb_per_minute == 80.0

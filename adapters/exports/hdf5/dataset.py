@@ -110,9 +110,9 @@ def _act(plan: Plan) -> list[str]:
     if plan.encoding == "jpeg" and common.cameras:
         told += [
             "",
-            "Pictures are the camera's JPEG files (`compress` is true), row by row, with zeros behind each; "
-            "`compress_len` has their lengths, cameras in the order of above. OpenCV decodes them to BGR: what hands "
-            "them to a network as they come, as act-plus-plus does, must see BGR from the robot too, or be exported "
-            "with `--encoding rgb`.",
+            "Pictures are JPEG files (`compress` is true), the camera's own but of compacted episodes, row by row, "
+            "with zeros behind each; `compress_len` has their lengths, cameras in the order of above. OpenCV decodes "
+            "them to BGR: what hands them to a network as they come, as act-plus-plus does, must see BGR from the "
+            "robot too, or be exported with `--encoding rgb`.",
         ]
     return told

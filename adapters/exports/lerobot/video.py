@@ -13,12 +13,11 @@ from typing import Any
 
 from adapters.exports.lerobot.av_library import PIXELS, Codec, av
 from station.errors import EpisodeError
+from station.video import X264
 
 _ENCODERS: dict[Codec, tuple[str, dict[str, str]]] = {
-    # No frames that refer to later ones: then order and number of the packets are those of the rows. No key frame
-    # where a scene changes: they come as often as was asked for. One thread: episodes are converted side by side, and
-    # the bytes do not depend on the machine.
-    "h264": ("libx264", {"preset": "veryfast", "crf": "23", "bf": "0", "sc_threshold": "0"}),
+    # One thread each: episodes are converted side by side, and the bytes do not depend on the machine.
+    "h264": ("libx264", X264),
     # Preset 10 and not LeRobot's 12: in 23 of 519 frames of a counter preset 12 left out what had just changed.
     "av1": ("libsvtav1", {"preset": "10", "crf": "30", "svtav1-params": "lp=1"}),
 }

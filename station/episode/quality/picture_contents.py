@@ -70,7 +70,10 @@ class PictureMeter:
     def __init__(self, reader: EpisodeReader) -> None:
         self._start_ns = reader.start_ns
         apart_ns = _apart_ns(reader.manifest.timing.duration_s)
-        self._cameras = {key: _Camera(name, key, apart_ns) for name, key in frames.cameras(reader).items()}
+        videos = {channel.topic for channel in reader.channels() if channel.video}
+        self._cameras = {
+            key: _Camera(name, key, apart_ns, is_video=key in videos) for name, key in frames.cameras(reader).items()
+        }
         self._decoder, self._decode = decoder() if self._cameras else ("", _by_pillow)
         self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="pictures") if self._cameras else None
         self._pending: deque[tuple[_Camera, int, Future[Look | None]]] = deque()
@@ -193,8 +196,8 @@ class _Runs:
 class _Camera:
     """The pictures of one camera so far."""
 
-    def __init__(self, name: str, key: str, apart_ns: int) -> None:
-        self._name, self._key, self._apart_ns = name, key, apart_ns
+    def __init__(self, name: str, key: str, apart_ns: int, *, is_video: bool) -> None:
+        self._name, self._key, self._apart_ns, self._is_video = name, key, apart_ns, is_video
         self.taken = array("q")
         self._last: bytes | None = None
         self._sizes: dict[tuple[int, int], None] = {}  # in order
@@ -242,7 +245,9 @@ class _Camera:
         for tally, is_so in ((self._black, look.is_black), (self._white, look.is_white), (self._flat, look.is_flat)):
             if is_so:
                 tally.add(taken_ns)
-        self._same_pixels.feed(taken_ns, is_repeat=before is not None and before.pixels == look.pixels)
+        # A video may show a still scene without its noise; of its pictures the bytes tell which were the same.
+        is_same = not self._is_video and before is not None and before.pixels == look.pixels
+        self._same_pixels.feed(taken_ns, is_repeat=is_same)
         if before is not None and _is_jump(before, look):
             self._jumps.add(taken_ns)
 

@@ -16,7 +16,8 @@ class Frame(NamedTuple):
     """One picture.
 
     Times are nanoseconds since the Unix epoch on the episode's clock: `captured_ns` when it was taken (when it was
-    written, where the camera does not say), `log_ns` arrival at the recorder. `jpeg` is the file, byte for byte.
+    written, where the camera does not say), `log_ns` arrival at the recorder. `jpeg` is the file, byte for byte;
+    of a compacted episode one that was made of its video.
     """
 
     jpeg: bytes

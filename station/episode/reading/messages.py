@@ -25,9 +25,10 @@ class Channel(msgspec.Struct, frozen=True, kw_only=True):
         source: Full source of a native writer, "" for a foreign one.
         writer: Server name, or ``foreign``.
         encoding: ``json``, ``application/octet-stream``, ``application/x-deleted``, or ``protobuf`` for pictures, whose
-            messages are handed out as the exact bytes of the key all the same.
+            messages are handed out as the exact bytes of the key all the same, or as JPEG files made of their video.
         contract: The contract that was recorded with it, or None.
         file: Name of the file that its messages are in.
+        video: Format of the video that its pictures were made into when the episode was compacted; "" for all others.
     """
 
     id: int
@@ -37,6 +38,7 @@ class Channel(msgspec.Struct, frozen=True, kw_only=True):
     encoding: str
     contract: Contract | None
     file: str = layout.SIGNALS
+    video: str = ""
 
     @property
     def is_native(self) -> bool:
@@ -60,7 +62,7 @@ class Channel(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Message(NamedTuple):
-    """One write, byte for byte.
+    """One write, byte for byte; a picture of a compacted episode as a JPEG file made of its video.
 
     Times are nanoseconds since the Unix epoch on the episode's clock: `log_ns` arrival at the recorder, `publish_ns`
     the writer's own time (equal to `log_ns` for a foreign writer). `sequence` is 32 bit: the writer's own count,
@@ -110,4 +112,5 @@ def channel_of(record: mcap.records.Channel, *, file: str = layout.SIGNALS, firs
         encoding=record.message_encoding,
         contract=contract_of(record),
         file=file,
+        video=metadata.get(layout.VIDEO, ""),
     )

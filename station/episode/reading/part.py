@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import mcap.records
 import msgspec
@@ -13,9 +13,10 @@ import msgspec
 from station.episode.reading.messages import Channel, Message, channel_of
 from station.episode.storage import layout
 from station.episode.storage.anchor import Anchor
-from station.episode.storage.pictures import picture_in
+from station.episode.storage.pictures import VIDEO_FORMAT, picture_in, video_in
 from station.episode.storage.records import ChunkPlace, Contents, parse_chunk, read_chunk, walk
 from station.errors import EpisodeError
+from station.video import VideoDecoder
 
 _DIGITS = 20  # of a channel's number, which has 16 bits
 _CHANNELS = 1 << 16
@@ -68,37 +69,48 @@ class Part:
         found = [self._channel(known[number]) for number, count in counts.items() if count]
         return [channel for channel in found if not channel.is_bookkeeping]
 
-    def in_file_order(self, topics: frozenset[str] | None, *, stamps: bool = False) -> Iterator[Message]:
-        """Iterate over the messages of some topics (None: all), joined to their exact stamps where those are wanted."""
+    def in_file_order(
+        self, topics: frozenset[str] | None, *, stamps: bool = False, raw: bool = False
+    ) -> Iterator[Message]:
+        """Iterate over the messages of some topics (None: all), joined to their exact stamps where those are wanted.
+
+        Raw pictures are the typed messages around them, as they stand in the file.
+        """
         if not stamps:
-            return self._messages(topics)
-        found = _join_stamps(self._messages(None, bookkeeping=True), self._first_id)
+            return self._messages(topics, raw=raw)
+        found = _join_stamps(self._messages(None, raw=raw, pictures_of=topics, bookkeeping=True), self._first_id)
         return (message for message in found if topics is None or message.topic in topics)
 
-    def in_log_order(self, topics: frozenset[str] | None, *, stamps: bool = False) -> Iterator[Message]:
+    def in_log_order(
+        self, topics: frozenset[str] | None, *, stamps: bool = False, raw: bool = False
+    ) -> Iterator[Message]:
         """Iterate over the messages of some topics by log time; with stamps all of them are in memory."""
         if stamps:
-            return iter(sorted(self.in_file_order(topics, stamps=True), key=_log_ns))
-        return self._merged_chunks(topics)
+            return iter(sorted(self.in_file_order(topics, stamps=True, raw=raw), key=_log_ns))
+        return self._merged_chunks(topics, raw=raw)
 
-    def _messages(self, topics: frozenset[str] | None, *, bookkeeping: bool = False) -> Iterator[Message]:
-        for _, messages in self._chunks(self.contents.chunks, topics, bookkeeping=bookkeeping):
+    def _messages(self, topics: frozenset[str] | None, **how: Any) -> Iterator[Message]:
+        for _, messages in self._chunks(self.contents.chunks, topics, **how):
             yield from messages
 
-    def _merged_chunks(self, topics: frozenset[str] | None) -> Iterator[Message]:
+    def _merged_chunks(self, topics: frozenset[str] | None, *, raw: bool) -> Iterator[Message]:
         """Merge chunks that overlap in time; holds no more than those in memory."""
         waiting: list[Message] = []
         places = sorted(self.contents.chunks, key=lambda place: place.start_ns)
-        for place, messages in self._chunks(places, topics):
+        for place, messages in self._chunks(places, topics, raw=raw):
             ready = next((i for i, message in enumerate(waiting) if message.log_ns >= place.start_ns), len(waiting))
             yield from waiting[:ready]
             waiting = sorted([*waiting[ready:], *messages], key=_log_ns)
         yield from waiting
 
     def _chunks(
-        self, places: Iterable[ChunkPlace], topics: frozenset[str] | None, *, bookkeeping: bool = False
-    ) -> Iterator[tuple[ChunkPlace, list[Message]]]:
-        """Read chunk by chunk; yields each one's messages of the wanted topics."""
+        self, places: Iterable[ChunkPlace], topics: frozenset[str] | None, *, bookkeeping: bool = False,
+        raw: bool = False, pictures_of: frozenset[str] | None = None,
+    ) -> Iterator[tuple[ChunkPlace, list[Message]]]:  # fmt: skip
+        """Read chunk by chunk; yields each one's messages of the wanted topics.
+
+        Pictures stay in their typed messages where they are wanted raw, or not `pictures_of` their topic are wanted.
+        """
         records = dict(self.contents.channels)
         wanted: dict[int, Channel | None] = {}
 
@@ -114,11 +126,13 @@ class Part:
         with self._opened() as file:
             for place in places:
                 found: list[Message] = []
+                videos: dict[int, VideoDecoder] = {}  # each chunk of a video begins with key frames
                 for number, sequence, log_ns, publish_ns, data in parse_chunk(self._read(file, place), records):
                     channel = wanted[number] if number in wanted else choose(number)
                     if channel is None:
                         continue
-                    value = self._picture(data, channel) if channel.is_typed else data
+                    is_opened = channel.is_typed and not raw and (pictures_of is None or channel.topic in pictures_of)
+                    value = self._picture(data, channel, videos) if is_opened else data
                     found.append(Message(channel.topic, value, log_ns, publish_ns, sequence, channel))
                 yield place, found
 
@@ -131,9 +145,15 @@ class Part:
     def _channel(self, record: mcap.records.Channel) -> Channel:
         return channel_of(record, file=self._name, first_id=self._first_id)
 
-    def _picture(self, data: bytes, channel: Channel) -> bytes:
+    def _picture(self, data: bytes, channel: Channel, videos: dict[int, VideoDecoder]) -> bytes:
         try:
-            return picture_in(data)
+            if not channel.video:
+                return picture_in(data)
+            if channel.video != VIDEO_FORMAT:
+                raise ValueError(f"video of format {channel.video!r}, this station reads {VIDEO_FORMAT}; upgrade it")
+            if channel.id not in videos:
+                videos[channel.id] = VideoDecoder()
+            return videos[channel.id].jpeg(*video_in(data))
         except ValueError as error:
             raise EpisodeError(f"{self.path}: a message of {channel.topic!r} holds no picture: {error}") from error
 

@@ -56,7 +56,7 @@ def count_streams(reader: EpisodeReader) -> list[Stream]:
     """Return what the manifest says of each stream, but from the file; by key, then by writer."""
     counted: dict[int, Channel] = {}
     start_ns: int | None = reader.anchor.wall_ns if reader.anchor else None
-    for message in reader.messages():
+    for message in reader.messages(raw=True):
         found = message.channel
         channel = counted.get(found.id)
         if channel is None:

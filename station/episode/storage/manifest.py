@@ -19,6 +19,7 @@ from station.atomic_file import refuse_special, write_atomic
 from station.episode.storage import bounds
 from station.episode.storage.layout import MANIFEST
 from station.episode.storage.manifest_parts import (
+    Compacted,
     Edit,
     Event,
     Hole,
@@ -36,6 +37,7 @@ from station.episode.storage.manifest_parts import (
 from station.errors import EpisodeError
 
 __all__ = [
+    "Compacted",
     "Edit",
     "Event",
     "Hole",
@@ -97,6 +99,7 @@ class Manifest(msgspec.Struct, kw_only=True):
         holes: Bounded: the last one reaches to the end of all that did not fit, which are counted beside them.
         files: The files of the recording as they were when they were closed; none while it is recorded, and in
             episodes of earlier stations.
+        compacted: How its JPEG pictures became video (`station episodes compact`); None where they are as recorded.
         tags: Words that people put on it, sorted.
         edits: What people changed after the recording: when, who, what was there before. The newest ones; how many
             older ones there were is counted beside them.
@@ -130,6 +133,7 @@ class Manifest(msgspec.Struct, kw_only=True):
     holes: list[Hole] = []
     holes_not_listed: int = 0
     files: list[RecordedFile] = []
+    compacted: Compacted | None = None
     quality_flags: QualityFlags = msgspec.field(default_factory=QualityFlags)
     tags: list[str] = []
     edits: list[Edit] = []

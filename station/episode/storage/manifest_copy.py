@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 _MAY_CHANGE = frozenset({
     "manifest_version", "state", "files", "recorder.bytes",  # known only once the copy is written
     "quality_flags", "marks", "quality", "recovery", "recovery_not_listed",  # what people and programs say of it later
-    "foreign", "shortened", "tags", "edits", "edits_not_listed",
+    "foreign", "shortened", "tags", "edits", "edits_not_listed", "compacted",
 })  # fmt: skip
 _DEEPEST = 3  # parts of a name
 _MOST_FIELDS = 50

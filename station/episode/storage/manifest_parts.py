@@ -245,6 +245,42 @@ class Recorder(msgspec.Struct, kw_only=True):
     ended_by: str = ""
 
 
+class CompactedCamera(msgspec.Struct, kw_only=True):
+    """What became of the pictures of one camera.
+
+    Attributes:
+        pictures: How many there are, every one of them compared with its JPEG file.
+        psnr_db, psnr_worst_db: Peak signal-to-noise ratio over all samples of luma and chroma, mean of the pictures and
+            that of the worst one [dB]; 100 is no difference.
+    """
+
+    pictures: int
+    psnr_db: float
+    psnr_worst_db: float
+
+
+class Compacted(msgspec.Struct, kw_only=True):
+    """How the JPEG pictures of an episode became video.
+
+    Attributes:
+        at: When, ISO 8601 with offset.
+        software: Version and revision of the code that did it.
+        encoder: Its name and settings.
+        cameras: What became of each camera's pictures, by its key.
+        made_of: The file of pictures that is gone.
+        bytes: Size of the one that took its place.
+        verdict: That of a check of the JPEG pictures which stands for these; "" where there was none that stood.
+    """
+
+    at: str
+    software: dict[str, Any]
+    encoder: dict[str, Any]
+    cameras: dict[str, CompactedCamera]
+    made_of: RecordedFile
+    bytes: int = 0
+    verdict: str = ""
+
+
 class AuditFound(msgspec.Struct, kw_only=True):
     """What an audit found (`station.episode.replaying.in_short`); nothing is proven of what was not compared.
 

@@ -1,5 +1,9 @@
 """Pictures in a file: each one a ``foxglove.CompressedImage`` around the exact bytes of its key.
 
+Of a compacted file each is a ``foxglove.CompressedVideo`` around a picture of H.264. Its field ``message_id`` tells
+pictures apart that the camera told apart: two in a row have the same where their JPEG files showed the same to the last
+sample. A video of a still scene may show the same for a while though the sensor's noise did not.
+
 What stands around a picture is made by hand: the library would copy each one, and it would have to be loaded by the
 recorder. Numbers of fields are those of `station.protobuf.foxglove`.
 """
@@ -15,12 +19,15 @@ from station.episode.storage.channels import topic_of
 from station.protobuf.wire import bytes_of, varint
 
 FORMAT = "jpeg"
+VIDEO_FORMAT = "h264"
 
 _NANOSECONDS = 1_000_000_000
 _OLDEST_NS = 10 * _NANOSECONDS  # a capture that is older than this before its write is on another clock: says nothing
 _SECONDS, _NANOS = b"\x08", b"\x10"  # of a time stamp
 _TIMESTAMP, _DATA, _FORMAT, _FRAME_ID = b"\x0a", b"\x12", b"\x1a", b"\x22"
 _DATA_NUMBER = 2
+_TIMESTAMP_NUMBER, _VIDEO_NUMBER, _IDENTITY_NUMBER = 1, 3, 100
+_VIDEO_FRAME_ID, _VIDEO_DATA, _VIDEO_FORMAT, _IDENTITY = b"\x12", b"\x1a", b"\x22", varint(_IDENTITY_NUMBER << 3 | 2)
 
 
 @lru_cache(maxsize=4096)
@@ -85,3 +92,30 @@ def picture_in(message: bytes) -> bytes:
         ValueError: it is none.
     """
     return bytes_of(message, _DATA_NUMBER)
+
+
+def compressed_video(packet: bytes, image: bytes, camera: str, identity: bytes) -> bytes:
+    """Return a whole message: a picture of H.264, the time stamp of a `compressed_image`, whose it is, and which."""
+    fields = (
+        (_TIMESTAMP, time_in(image)), (_VIDEO_FRAME_ID, camera.encode()), (_VIDEO_DATA, packet),
+        (_VIDEO_FORMAT, VIDEO_FORMAT.encode()), (_IDENTITY, identity),
+    )  # fmt: skip
+    return b"".join(part for tag, value in fields for part in (tag, varint(len(value)), value))
+
+
+def video_in(message: bytes) -> tuple[bytes, bytes]:
+    """Return the packet of a message, and which picture it is.
+
+    Raises:
+        ValueError: it is none.
+    """
+    return bytes_of(message, _VIDEO_NUMBER), bytes_of(message, _IDENTITY_NUMBER)
+
+
+def time_in(message: bytes) -> bytes:
+    """Return the time stamp of a message of either kind, as protobuf has it.
+
+    Raises:
+        ValueError: it is no message.
+    """
+    return bytes_of(message, _TIMESTAMP_NUMBER)

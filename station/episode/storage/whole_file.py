@@ -28,7 +28,7 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
         EpisodeError: another process is writing it.
         OutputRefused: the disk refused it.
     """
-    part = path.with_name(f".{path.name}.part")
+    part = part_of(path)
     claim: io.FileIO | None = None
     try:
         with _refusals():
@@ -48,6 +48,11 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
         raise
     with _refusals():
         sync_folder(path.parent)
+
+
+def part_of(path: Path) -> Path:
+    """Return where a file is while it is written."""
+    return path.with_name(f".{path.name}.part")
 
 
 @contextmanager

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import struct
 import zlib
-from typing import Literal
+from typing import Literal, Protocol
 
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Attachment, AttachmentIndex, Channel, ChunkIndex, Header, Metadata, MetadataIndex, Schema
 
-from station.episode.storage.disk import Disk
 from station.episode.storage.records import MAGIC
 from station.episode.storage.tail import Index
 
@@ -32,11 +31,23 @@ _LARGEST_INDEX = 32 << 20  # bytes; an hour of 60 keys has 5 MB
 Compression = Literal["zstd", ""]
 
 
+class Output(Protocol):
+    """A file, open at its end."""
+
+    def write(self, data: bytes, /) -> int:
+        """Append bytes."""
+        ...
+
+    def tell(self) -> int:
+        """Return the position that the next byte will have."""
+        ...
+
+
 class ChunkWriter:
     """Writes records; nothing of a chunk leaves before `end_chunk`.
 
     Args:
-        disk: The file, open at its end.
+        disk: Where to.
         is_new: Whether the file is empty; else its index cannot be known here.
         compression: Of the chunks: ``zstd``, or none for what does not become smaller by it, such as pictures.
 
@@ -44,7 +55,7 @@ class ChunkWriter:
         is_indexed: Whether all that the file's index must say is known here; else nothing of it is.
     """
 
-    def __init__(self, disk: Disk, *, is_new: bool = True, compression: Compression = "zstd") -> None:
+    def __init__(self, disk: Output, *, is_new: bool = True, compression: Compression = "zstd") -> None:
         self.is_indexed = is_new
         self._disk = disk
         self._index = Index()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import io
+import os
 import resource
 import sys
 from collections.abc import Iterator
@@ -134,3 +135,22 @@ def test_one_that_another_process_writes_is_refused(tmp_path: Path) -> None:
         with pytest.raises(EpisodeError, match=r"\.part: another process is writing this file; wait for it"):
             write(tmp_path / "report.html")
     assert part.exists()
+
+
+def test_all_of_it_is_on_the_disk_before_the_older_one_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, safe = tmp_path / "cameras.mcap", [0]
+    path.write_bytes(b"old")
+    fsync, replace = os.fsync, os.replace
+
+    def synced(descriptor: int) -> None:
+        fsync(descriptor)
+        safe[0] = os.fstat(descriptor).st_size
+
+    def replaced(part: Path, name: Path) -> None:
+        assert (safe[0], path.read_bytes()) == (100_000, b"old")
+        replace(part, name)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(os, "replace", replaced)
+    write(path, bytes(100_000))
+    assert path.stat().st_size == 100_000
