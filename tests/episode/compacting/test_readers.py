@@ -25,7 +25,7 @@ from station.episode.reading.reader import open_episode
 from station.episode.replaying.replay import Replay, moments
 from station.export.kind import Source
 from station.export.run import Workers, export
-from station.report.strip import strips
+from station.view.camera_strip import evenly, strips
 from tests.enrich.read_back import decoded
 from tests.episode.compacting.two_files import in_two_files
 from tests.export.pictured import HEAD, number_in, walked
@@ -78,7 +78,7 @@ def test_typed_siblings_and_reports_have_pictures(pair: Pair) -> None:
     enrich(reader)
     found = decoded(pair.compacted / "enriched.mcap", f"{HEAD}/image")
     assert numbers(one.message.data for one in found) == list(range(PICTURES))
-    assert all(thumbnail.jpeg is not None for thumbnail in strips(reader)["head"])
+    assert all(one is not None and one.jpeg for one in strips(reader, evenly(reader, 7), 220)["head"])
 
 
 def test_rows_of_a_lerobot_data_set_are_the_same_and_their_pictures_as_good(pair: Pair, tmp_path: Path) -> None:
