@@ -1,11 +1,14 @@
-"""Small files that are either the old or the new one after a crash, never half of each."""
+"""Small files, and whole folders, that are either the old or the new one after a crash, never half of each."""
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import os
 import tempfile
 from pathlib import Path
+
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 
 
 def write_atomic(path: Path, data: bytes, *, sync: bool = True, mode: int = 0o644) -> None:
@@ -49,6 +52,21 @@ def remove_leftovers(*paths: Path) -> None:
     for path in paths:
         for leftover in path.parent.glob(f".{path.name}.*"):
             leftover.unlink(missing_ok=True)
+
+
+def exchange(one: Path, other: Path) -> None:
+    """Exchange the names of two files or folders in one step: at no instant either name is missing.
+
+    Raises:
+        OSError: the system or the file system cannot do that (``EINVAL``, ``ENOSYS``), or refuses; nothing has changed.
+    """
+    rename = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)  # Python has no name for it
+    code = errno.ENOSYS
+    if rename is not None:
+        names = (_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other))
+        code = ctypes.get_errno() if rename(*names, _RENAME_EXCHANGE) else 0
+    if code:
+        raise OSError(code, os.strerror(code), str(other))
 
 
 def free_path(path: Path) -> Path:

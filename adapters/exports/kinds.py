@@ -5,6 +5,7 @@ from __future__ import annotations
 from adapters.exports import csv_tables, jointstate, named_rows, npz_arrays, parquet_tables
 from adapters.exports.hdf5 import kind as hdf5
 from adapters.exports.lerobot import kind as lerobot
+from adapters.exports.lerobot.plan import VERSION
 from adapters.exports.zarr import kind as zarr
 from station.export.kind import ExportKind
 
@@ -17,7 +18,8 @@ LEROBOT = ExportKind(
     join=lerobot.join,
     columns=lerobot.columns,
     inspect=lerobot.inspect,
-    version=5,
+    reopen=lerobot.reopen,
+    version=VERSION,
 )
 CSV = ExportKind(
     name="csv",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
     from station.export.columns import KeyColumns
-    from station.export.kind import ExportKind, SkippedEpisode
+    from station.export.kind import ExportKind, Reopened, SkippedEpisode
     from station.export.run import Exported, Preview, Workers
     from station.export.shards import Outcome
 
@@ -96,26 +96,31 @@ def _summary(name: str) -> str:
 def _verb(kind: ExportKind) -> click.Command:
     """Return the verb of a format: what all have, and the format's own options."""
     fields = options_of(kind.options)
+    about = "Add to what an export made in --out, as it was made; what is in it already is not added twice."
 
     @click.command(kind.name, help=_HELP.format(summary=kind.summary), short_help=kind.summary)
     @_of_every_format
     def verb(
         episodes: Sequence[str], out: Path | None, data: Path | None, task: tuple[str, ...], jobs: int, ray: str | None,
-        dry_run: bool, as_json: bool, **given: Any,
+        dry_run: bool, as_json: bool, append: bool = False, **given: Any,
     ) -> None:  # fmt: skip
         from station.config import build
-        from station.export.run import Workers
+        from station.export.run import Workers, reopen
         from station.export.select import sources
 
-        options = build(kind.options, fields.values(given), where=f"export {kind.name}")
-        if out is None and not dry_run:
+        asked = fields.values(given)
+        options = build(kind.options, asked, where=f"export {kind.name}")
+        if out is None and (append or not dry_run):
             raise UsageError(f"export {kind.name}: say which folder to make with --out")
         chosen, where = sources(episodes, data, tasks=task), Workers(jobs=jobs, ray_address=ray)
         if out is None or dry_run:
-            _preview(kind, chosen, options, where, as_json)
+            had = reopen(kind, out.resolve(), asked) if out is not None and append else None
+            _preview(kind, chosen, options, where, as_json, had)
         else:
-            _export(kind, chosen, options, out, where, as_json)
+            _export(kind, chosen, options, out, where, as_json, asked if append else None)
 
+    if kind.reopen is not None:
+        verb.params.append(click.Option(["--append"], is_flag=True, help=about))
     verb.params.extend(fields.params)
     return verb
 
@@ -145,7 +150,10 @@ EPISODES are paths, ids, beginnings of ids, `latest`, or patterns ('2026-11-21-*
 the data folder."""
 
 
-def _export(kind: ExportKind, chosen: Sequence[Any], options: Any, out: Path, where: Workers, as_json: bool) -> None:
+def _export(
+    kind: ExportKind, chosen: Sequence[Any], options: Any, out: Path, where: Workers, as_json: bool,
+    append: Mapping[str, Any] | None,
+) -> None:  # fmt: skip
     from station.export.kind import SkippedEpisode
     from station.export.progress import progress
     from station.export.run import export
@@ -156,21 +164,20 @@ def _export(kind: ExportKind, chosen: Sequence[Any], options: Any, out: Path, wh
 
             def on_done(outcome: Outcome) -> None:
                 seen.append(outcome)
-                tell(is_lost=outcome.made is None)
+                tell(is_lost=outcome.is_lost)
 
-            done = export(kind, chosen, options, out, where=where, on_done=on_done)
+            done = export(kind, chosen, options, out, where=where, append=append, on_done=on_done)
     except KeyboardInterrupt:
         safe = sum(outcome.made is not None for outcome in seen)
         again = "; the same command goes on from there" if safe else ""
         raise _Interrupted(f"interrupted; {safe} of {len(chosen)} episodes are converted and kept{again}") from None
     except StationError:
-        lost = [
-            SkippedEpisode(source=outcome.source, reason=outcome.reason) for outcome in seen if outcome.made is None
-        ]
+        lost = [SkippedEpisode(source=outcome.source, reason=outcome.reason) for outcome in seen if outcome.is_lost]
         _print_skipped("failed", lost if len(lost) > 1 else [])  # of one alone the error tells
         raise
     _print_skipped("failed", done.failed)
     _print_skipped("left out", done.left_out)
+    _print_there(done.there)
     for note in done.facts.get("notes", ()):
         click.echo(f"note: {printable(note)}", err=True)
     if as_json:
@@ -193,10 +200,19 @@ def _print_skipped(what: str, lost: Sequence[SkippedEpisode]) -> None:
         click.echo(f"{what}: {len(more)} more", err=True)
 
 
+def _print_there(there: Sequence[str]) -> None:
+    for episode in there[:_TOLD]:
+        click.echo(f"in it already: {episode}", err=True)
+    if more := there[_TOLD:]:
+        click.echo(f"in it already: {len(more)} more", err=True)
+
+
 def _result(kind: ExportKind, done: Exported) -> str:
     lost = [f"{len(those)} {what}" for what, those in (("failed", done.failed), ("left out", done.left_out)) if those]
+    lost += [f"{len(done.there)} in it already"] if done.there else []
     kept = [f"{done.kept} of them converted before"] if done.kept else []
-    counts = "; ".join([f"{done.episodes} episode{'s' if done.episodes != 1 else ''}", *kept, *lost])
+    added = f" added to {done.had}" if done.had else ""
+    counts = "; ".join([f"{done.episodes} episode{'s' if done.episodes != 1 else ''}{added}", *kept, *lost])
     size = f"{done.size_bytes / 1e6:.1f} MB in {done.files} file{'s' if done.files != 1 else ''}"
     return (
         f"{kind.name}: {counts}; {_duration(done.seconds)} of robot time, {done.rows} rows, {size}, "
@@ -210,18 +226,22 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 60:.1f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
-def _preview(kind: ExportKind, chosen: Sequence[Any], options: Any, where: Workers, as_json: bool) -> None:
+def _preview(
+    kind: ExportKind, chosen: Sequence[Any], options: Any, where: Workers, as_json: bool, had: Reopened | None
+) -> None:
     from station.export.columns import KeyColumns
     from station.export.progress import progress
     from station.export.run import preview
 
     with progress(len(chosen), "looking", is_quiet=as_json) as tell:
-        seen = preview(kind, chosen, options, where=where, on_done=tell)
+        seen = preview(kind, chosen, options, where=where, had=had, on_done=tell)
     if as_json:
         click.echo(json.dumps(_plain(seen)))
     else:
         for source in seen.sources:
             click.echo(f"goes in   {source.episode_id}")
+        for episode in seen.there:
+            click.echo(f"in it     {episode}")
         for lost in seen.left_out:
             click.echo(f"left out  {printable(lost.reason)}")
         if seen.plan is not None:
@@ -234,7 +254,7 @@ def _preview(kind: ExportKind, chosen: Sequence[Any], options: Any, where: Worke
         if more := seen.notes[_TOLD:]:
             click.echo(f"note      {len(more)} more")
         click.echo(f"{len(seen.sources)} of {len(chosen)} episodes would go in; nothing was written")
-    raise SystemExit(0 if seen.sources else 1)
+    raise SystemExit(0 if seen.sources or seen.there else 1)
 
 
 def _plain(seen: Preview) -> dict[str, Any]:
@@ -243,6 +263,7 @@ def _plain(seen: Preview) -> dict[str, Any]:
         "left_out": msgspec.to_builtins(seen.left_out),
         "plan": msgspec.to_builtins(seen.plan, enc_hook=str),
         "notes": list(seen.notes),
+        "there": list(seen.there),
     }
 
 

@@ -14,11 +14,14 @@ An export goes through four steps, whatever the format. Only the second is heavy
 4. ``join(shards, plan, folder)`` makes the result of all shards in an empty folder, which then gets its final name by
    one rename: nothing half is ever visible. A format without a join has the files of all shards as its result, so
    their names must differ: begin them with the episode's id.
+
+A format that can add to its own finished result has a ``reopen``. Then the plan is that of the result, the result with
+the new episodes is made beside it, and the two folders exchange their names in one step.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -91,10 +94,27 @@ class SkippedEpisode(msgspec.Struct, frozen=True, kw_only=True):
     reason: str
 
 
+@dataclass(frozen=True, slots=True)
+class Reopened:
+    """A finished result that episodes can be added to.
+
+    Attributes:
+        plan: What all its episodes have in common; those that are added must have it too.
+        episodes: Ids of those in it, each with the sha256 of its recording of signals.
+        join: ``(shards, left_out, folder) -> facts``: makes the result with these shards behind its own episodes, as
+            `ExportKind.join` does; what it leaves as it is it may link (`station.export.shards.place`).
+    """
+
+    plan: Any
+    episodes: Mapping[str, str]
+    join: Callable[[Sequence[Shard], Sequence[SkippedEpisode], Path], dict[str, Any]]
+
+
 Prepare = Callable[[Sequence[Source], Any], msgspec.Struct]
 Convert = Callable[[Source, Any, Path], ShardResult]
 Inspect = Callable[[Source, Any], Sequence[str]]
 Join = Callable[[Sequence[Shard], Sequence[SkippedEpisode], Any, Path], dict[str, Any]]
+Reopen = Callable[[Path, Mapping[str, Any]], Reopened]
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +139,9 @@ class ExportKind:
             ``--dry-run``. Without it the keys of the plan are told, with names and units.
         inspect: ``(source, plan) -> notes``, or None: for ``--dry-run``, all the checks of `convert` that need no
             output, by the same code; raises the same `StationError`. Each note is a line on what the result would lack.
+        reopen: ``(folder, given) -> Reopened``, or None where nothing can be added to a result. `given` has the options
+            that were asked for, no defaults. Raises `StationError` where the folder is no result of this format, or was
+            made with other options than those: one line that names the first difference.
         version: Counted up when the same episode and plan give other bytes; then older shards are made anew.
     """
 
@@ -130,4 +153,5 @@ class ExportKind:
     join: Join | None = None
     columns: Callable[[Any], Sequence[str]] | None = None
     inspect: Inspect | None = None
+    reopen: Reopen | None = None
     version: int = 1

@@ -1,7 +1,8 @@
 """Shards: what one episode gives, made in a process of its own, whole or not there, and found again by a later run.
 
 While an export is under way everything lies in ``.NAME.export`` beside the folder NAME that is asked for. NAME itself
-appears by one rename, at the end. All of it is on one file system, which workers on other machines must share.
+appears by one rename, at the end; where episodes are added to it, the old and the new one exchange names. All of it is
+on one file system, which workers on other machines must share.
 """
 
 from __future__ import annotations
@@ -19,13 +20,16 @@ from typing import Any, Literal
 import msgspec
 
 from station import registry
-from station.atomic_file import sync_folder, write_atomic
+from station.assets import sha256
+from station.atomic_file import exchange, sync_folder, write_atomic
 from station.episode.quality.finding_parts import RulesFile
 from station.episode.quality.rule_file import RuleBook, of_user
 from station.episode.storage import layout
+from station.episode.storage.folder import signals_file
+from station.episode.storage.manifest_copy import find_manifest
 from station.errors import BadFile, EpisodeError, StationError
 from station.export import verdict
-from station.export.kind import ExportKind, MinQuality, Shard, ShardResult, SkippedEpisode, Source, Success
+from station.export.kind import ExportKind, MinQuality, Reopened, Shard, ShardResult, SkippedEpisode, Source, Success
 
 _RECORD = "made.json"
 _FILES = "files"
@@ -59,15 +63,21 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         source: The episode.
-        status: ``made`` now, ``kept`` from an earlier run, ``left-out`` because it is not good enough, or ``failed``.
+        status: ``made`` now, ``kept`` from an earlier run, ``there`` in the result that is added to, ``left-out``
+            because it is not good enough, or ``failed``.
         reason: Why it is not there, in one line that names the episode.
         made: Of a shard that is there.
     """
 
     source: Source
-    status: Literal["made", "kept", "left-out", "failed"]
+    status: Literal["made", "kept", "there", "left-out", "failed"]
     reason: str = ""
     made: ShardResult | None = None
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the result has nothing of it."""
+        return self.status in ("left-out", "failed")
 
 
 class _Record(msgspec.Struct, frozen=True, kw_only=True):
@@ -79,15 +89,25 @@ class _Record(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @contextmanager
-def open_work(out: Path) -> Iterator[Path]:
+def open_work(out: Path, *, is_added_to: bool = False, hint: str = "") -> Iterator[Path]:
     """Claim an output folder for this process; give the folder in which the export works, kept when it is left.
 
+    Args:
+        out: The output.
+        is_added_to: Whether it is a finished result, whose place the one with more episodes takes; else it must not be
+            there, or be empty.
+        hint: What else can be done with an output that is there.
+
     Raises:
-        BadFile: the output is there already and not empty, another process exports to it, or it cannot be made.
+        BadFile: the output is there already and not empty, or is to be added to and is not there; another process
+            exports to it; or it cannot be made.
     """
     out = out.absolute()
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise BadFile(f"{out}: is there already and not empty; remove it, or name another folder with --out")
+    is_there = out.exists() and (not out.is_dir() or any(out.iterdir()))
+    if is_there and not is_added_to:
+        raise BadFile(f"{out}: is there already and not empty; remove it, {hint}or name another folder with --out")
+    if is_added_to and not is_there:
+        raise BadFile(f"{out}: nothing there to add to; without --append it is made")
     work = out.parent / f".{out.name}.export"
     try:
         (work / _SHARDS).mkdir(parents=True, exist_ok=True)
@@ -102,11 +122,32 @@ def open_work(out: Path) -> Iterator[Path]:
         shutil.rmtree(work / _MAKING, ignore_errors=True)  # of a run that was killed
         shutil.rmtree(work / _JOINED, ignore_errors=True)
         try:
+            if is_added_to:
+                _expect_exchange(work, out)
             yield work
         finally:
             _leave_nothing_empty(work)
     finally:
         os.close(descriptor)
+
+
+def _expect_exchange(work: Path, out: Path) -> None:
+    """Try what adding ends with, before hours of work."""
+    one, other = work / _JOINED, work / _MAKING
+    try:
+        if out.stat().st_dev != work.stat().st_dev:
+            raise OSError(errno.EXDEV, "it is mounted there")
+        one.mkdir()
+        other.mkdir()
+        exchange(one, other)
+    except OSError as error:
+        raise BadFile(
+            f"{out}: nothing can be added there, since its file system does not exchange two folders in one step "
+            f"({error.strerror}); export all episodes into another folder"
+        ) from error
+    finally:
+        for each in (one, other):
+            shutil.rmtree(each, ignore_errors=True)
 
 
 def _leave_nothing_empty(work: Path) -> None:
@@ -138,32 +179,73 @@ def make_shard(task: Task) -> Outcome:
     return Outcome(source=task.source, status="made", made=made)
 
 
-def finish(kind: ExportKind, plan: Any, outcomes: Sequence[Outcome], work: Path, out: Path) -> dict[str, Any]:
+def sort_out(had: Reopened, sources: Sequence[Source]) -> list[Outcome]:
+    """Return what becomes of the episodes that need no conversion: a result has them, or another one of their id."""
+    found: list[Outcome] = []
+    for source in sources:
+        if source.episode_id not in had.episodes:
+            continue
+        try:
+            digest, other = _digest(Path(source.folder)), had.episodes[source.episode_id]
+        except (EpisodeError, OSError) as error:
+            found.append(Outcome(source=source, status="failed", reason=_named(source, str(error))))
+            continue
+        why = (
+            f"{source.episode_id}: the data set has another recording of this id (signals of sha256 {other[:12]}, this "
+            f"one {digest[:12]}); give the folder of one another name"
+        )
+        is_same = digest == other
+        found.append(Outcome(source=source, status="there" if is_same else "failed", reason="" if is_same else why))
+    return found
+
+
+def _digest(folder: Path) -> str:
+    """Return the sha256 of a recording of signals: as its manifest says of a file of its size, else measured."""
+    signals = signals_file(folder)
+    size = signals.stat().st_size
+    stated = (file for file in find_manifest(folder).manifest.files if (file.name, file.bytes) == (signals.name, size))
+    return next((file.sha256 for file in stated if file.sha256), "") or sha256(signals)
+
+
+def finish(
+    kind: ExportKind, plan: Any, outcomes: Sequence[Outcome], work: Path, out: Path, had: Reopened | None = None
+) -> dict[str, Any]:
     """Join all shards, give the result its name, and remove what the export worked in; return the result's facts.
+
+    A result that is added to, `had`, is exchanged for the new one; where nothing is new it stays as it is.
 
     Raises:
         EpisodeError: not one episode could be converted; names the first reason.
         OSError: the disk refuses; the shards stay for a later run.
     """
-    left_out = [SkippedEpisode(source=o.source, reason=o.reason) for o in outcomes if o.made is None]
+    left_out = [SkippedEpisode(source=o.source, reason=o.reason) for o in outcomes if o.is_lost]
     shards = [
         Shard(outcome.source, work / _SHARDS / outcome.source.episode_id / _FILES, outcome.made)
         for outcome in outcomes
         if outcome.made is not None
     ]
+    if not shards and len(left_out) < len(outcomes):
+        for outcome in outcomes:  # of a run that was killed after the exchange
+            shutil.rmtree(work / _SHARDS / outcome.source.episode_id, ignore_errors=True)
+        return {}
     if not shards:
         more = f" (and {len(left_out) - 1} more)" if len(left_out) > 1 else ""
-        raise EpisodeError(
-            f"no episode could be exported; {left_out[0].reason if left_out else 'none was named'}{more}"
-        )
+        why = left_out[0].reason if left_out else "none was named"
+        raise EpisodeError(f"no episode could be {'exported' if had is None else 'added'}; {why}{more}")
     joined = work / _JOINED
     shutil.rmtree(joined, ignore_errors=True)
     joined.mkdir()
-    facts = kind.join(shards, left_out, plan, joined) if kind.join else _all_files(shards, joined)
+    if had is not None:
+        facts = had.join(shards, left_out, joined)
+    else:
+        facts = kind.join(shards, left_out, plan, joined) if kind.join else _all_files(shards, joined)
     _sync(joined)
-    if out.is_dir():
-        out.rmdir()  # empty, or this refuses
-    os.replace(joined, out)
+    if had is not None:
+        exchange(joined, out)
+    else:
+        if out.is_dir():
+            out.rmdir()  # empty, or this refuses
+        os.replace(joined, out)
     sync_folder(out.absolute().parent)
     shutil.rmtree(work, ignore_errors=True)
     return facts

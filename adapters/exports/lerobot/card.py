@@ -10,8 +10,9 @@ import msgspec
 
 from adapters.exports.lerobot.about import MEANING
 from adapters.exports.lerobot.episode import words_of
+from adapters.exports.lerobot.finished import Finished
 from adapters.exports.lerobot.named import Names
-from adapters.exports.lerobot.plan import ACTION, AGE, COMMANDER, GATE, STATE, SUBTASK, TIME, Plan
+from adapters.exports.lerobot.plan import ACTION, AGE, COMMANDER, GATE, STATE, SUBTASK, TIME, VERSION, Plan
 from station.export import trim as trims
 from station.export.columns import KeyColumns, unique_names
 from station.export.kind import Shard, SkippedEpisode
@@ -23,10 +24,16 @@ from station.software import software
 _MOST_ROWS = 200  # of a table; a card of thousands of episodes is read by nobody, and all stand in station.json
 
 
-def provenance(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan) -> dict[str, Any]:
-    """Return where every episode comes from, what was left out and why, and the plan."""
+def provenance(
+    shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan, had: Finished | None = None
+) -> dict[str, Any]:
+    """Return where every episode comes from, what was left out and why, the plan, and what made and added to it."""
+    ours = msgspec.to_builtins(software())
+    added = [] if had is None else [*had.added, {"from_episode": len(had.shards), "software": ours}]
     return {
-        "software": msgspec.to_builtins(software()),
+        "format": VERSION,
+        "software": ours if had is None else had.software,
+        "added": added,
         "plan": msgspec.to_builtins(plan),
         "rules": {**RULES, "trim": trims.RULES[plan.trim]},
         "episodes": [

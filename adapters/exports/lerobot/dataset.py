@@ -16,6 +16,7 @@ import numpy as np
 from adapters.exports.lerobot import about, card, named, parquet, stats
 from adapters.exports.lerobot.episode import ROWS, STATS, TOLD_S, EpisodeStats
 from adapters.exports.lerobot.features import INDEX, info
+from adapters.exports.lerobot.finished import PIXELS, PROVENANCE, Finished
 from adapters.exports.lerobot.layouts import Episode, Layout, layout_of, write_json
 from adapters.exports.lerobot.named import Names
 from adapters.exports.lerobot.parquet import Columns
@@ -48,14 +49,35 @@ def join(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan
         EpisodeError: a video has not as many pictures as its episode has rows.
         OSError: the disk refuses.
     """
-    parts = split(shards, plan.val, plan.seed)
+    return _join(shards, left_out, plan, folder, None)
+
+
+def join_to(had: Finished, shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], folder: Path) -> dict[str, Any]:
+    """Make a data set of a finished one and of shards behind its episodes, as if all had been exported together.
+
+    Tasks and names are numbered as they come, so those of the finished one keep their numbers, and so do its rows.
+
+    Raises:
+        EpisodeError, OSError: as `join`.
+    """
+    now = {lost.source.episode_id for lost in left_out} | {shard.source.episode_id for shard in shards}
+    before = [lost for lost in had.left_out if lost.source.episode_id not in now]
+    had.carry(folder)
+    return _join(shards, [*before, *left_out], had.plan, folder, had)
+
+
+def _join(
+    shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan, folder: Path, had: Finished | None
+) -> dict[str, Any]:
+    first = len(had.shards) if had is not None else 0
+    parts = split([*(had.shards if had is not None else ()), *shards], plan.val, plan.seed)
     ordered = [shard for part in parts.values() for shard in part]
     tasks = list(dict.fromkeys(shard.made.facts["task"] for shard in ordered))
     episodes = list(_numbered(ordered, tasks, plan))
     names = named.names_of(ordered, plan)
-    totals = _totals(ordered, episodes, names, plan.fps)
+    totals = _totals(ordered[first:], episodes[first:], names, plan.fps, had)
     with _opened(plan, folder) as layout:
-        for shard, episode in zip(ordered, episodes, strict=True):
+        for shard, episode in zip(ordered[first:], episodes[first:], strict=True):
             rows = {**parquet.read(shard.folder / ROWS), **_index(episode, plan.fps)}
             rows |= {column: those.renumbered(shard, rows[column]) for column, those in names.items()}
             if {len(values) for values in rows.values()} != {episode.length}:
@@ -74,7 +96,10 @@ def join(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan
     write_json(folder / "meta/names.json", named.document(names))
     ids = {name: [shard.source.episode_id for shard in part] for name, part in parts.items()}
     write_json(folder / "meta/splits.json", {"seed": plan.seed, "val": plan.val, "episodes": ids})
-    write_json(folder / "meta/station.json", card.provenance(ordered, left_out, plan))
+    write_json(folder / PROVENANCE, card.provenance(ordered, left_out, plan, had))
+    (folder / PIXELS).write_bytes(
+        msgspec.json.encode({name: counts.plain() for name, counts in totals.pictures.items()})
+    )
     (folder / "README.md").write_text(card.text(ordered, left_out, plan, document, names), encoding="utf-8")
     return {
         "rows": rows_in_all,
@@ -82,7 +107,7 @@ def join(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan
         "splits": splits,
         "layout": plan.layout,
         "cameras": [camera.name for camera in plan.common.cameras],
-        "notes": list(notes(ordered, plan)),
+        "notes": list(notes(shards, plan)),
     }
 
 
@@ -180,10 +205,20 @@ def _numbered(shards: Sequence[Shard], tasks: Sequence[str], plan: Plan) -> Iter
         first_row += shard.made.rows
 
 
-def _totals(shards: Sequence[Shard], episodes: Sequence[Episode], names: Mapping[str, Names], fps: int) -> _Totals:
+def _totals(
+    shards: Sequence[Shard], episodes: Sequence[Episode], names: Mapping[str, Names], fps: int, had: Finished | None
+) -> _Totals:
+    """Return the statistics with all episodes known, and the rows of those that are there added."""
     totals = _Totals()
+    if had is not None:
+        for each in had.stats():
+            totals.know(EpisodeStats(columns=each, pictures={}), {})
+        totals.pictures |= had.pixels
     for shard, episode in zip(shards, episodes, strict=True):
         totals.know(_measured(shard), _joined_stats(episode, shard, names, fps))
+    for rows in had.rows() if had is not None else ():
+        for column, values in rows.items():
+            totals.columns[column].add(values)
     return totals
 
 

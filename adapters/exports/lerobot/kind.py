@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +13,7 @@ from adapters.exports.lerobot import plan as plans
 from adapters.exports.lerobot.av_library import Codec
 from adapters.exports.lerobot.plan import Layout, Plan, Subtasks
 from station.export import trim as trims
-from station.export.kind import ExportOptions, Shard, ShardResult, SkippedEpisode, Source
+from station.export.kind import ExportOptions, Reopened, Shard, ShardResult, SkippedEpisode, Source
 from station.export.resample import PictureRule
 from station.export.trim import Trim
 
@@ -132,6 +133,20 @@ def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
     from adapters.exports.lerobot import episode
 
     return episode.convert(source, plan, folder)
+
+
+def reopen(folder: Path, given: Mapping[str, Any]) -> Reopened:
+    """Read what a data set is, to add to it; see `ExportKind.reopen`."""
+    from adapters.exports.lerobot import dataset, finished
+
+    had = finished.read(folder)
+    finished.expect_options(had, _with_no_camera(given))
+    episodes = {shard.source.episode_id: finished.signals_sha256(shard) for shard in had.shards}
+    return Reopened(had.plan, episodes, partial(dataset.join_to, had))
+
+
+def _with_no_camera(given: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: () if name == "camera" and value == (NO_CAMERA,) else value for name, value in given.items()}
 
 
 def join(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan, folder: Path) -> dict[str, Any]:

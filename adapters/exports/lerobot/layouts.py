@@ -44,7 +44,7 @@ class Episode:
 
 
 class Layout(ABC):
-    """Writes a data set, episode by episode, into a folder."""
+    """Writes a data set, episode by episode, into a folder: behind the episodes that it holds."""
 
     @abstractmethod
     def add(self, episode: Episode, rows: Columns) -> None:
@@ -127,9 +127,9 @@ class Version21(Layout):
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        (folder / "meta").mkdir(parents=True)
-        self._episodes = (folder / "meta/episodes.jsonl").open("w", encoding="utf-8")
-        self._stats = (folder / "meta/episodes_stats.jsonl").open("w", encoding="utf-8")
+        (folder / "meta").mkdir(parents=True, exist_ok=True)
+        self._episodes = (folder / "meta/episodes.jsonl").open("a", encoding="utf-8")
+        self._stats = (folder / "meta/episodes_stats.jsonl").open("a", encoding="utf-8")
 
     def add(self, episode: Episode, rows: Columns) -> None:
         """Write rows, and give the videos their place."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +26,14 @@ def table(columns: Mapping[str, NDArray[Any]]) -> Any:
 
 def read(file: Path) -> Columns:
     """Return the columns of a file that `write` wrote."""
-    found = pq.ParquetFile(file).read()
-    return {name: _values(found.column(name).combine_chunks()) for name in found.column_names}
+    return _columns(pq.ParquetFile(file).read())
+
+
+def read_parts(file: Path) -> Iterator[Columns]:
+    """Yield the columns of a file that an `Appender` wrote, table by table."""
+    found = pq.ParquetFile(file)
+    for part in range(found.num_row_groups):
+        yield _columns(found.read_row_group(part))
 
 
 def write(file: Path, rows: Any) -> None:
@@ -40,14 +46,14 @@ class Appender:
     """Writes tables one behind the other into files of a limited size, each table as one row group.
 
     Args:
-        folder: Where ``chunk-000/file-000.parquet`` … go.
+        folder: Where ``chunk-000/file-000.parquet`` … go, behind those that are there.
         limit_bytes: A file that has grown beyond this is the last but one.
         per_chunk: Files per folder.
     """
 
     def __init__(self, folder: Path, *, limit_bytes: int, per_chunk: int) -> None:
         self._folder, self._limit, self._per_chunk = folder, limit_bytes, per_chunk
-        self._number = -1
+        self._number = len(list(folder.glob("*/*.parquet"))) - 1
         self._writer: Any = None
         self._stream: Any = None
 
@@ -103,6 +109,10 @@ def _array(values: NDArray[Any]) -> Any:
         return pa.array(values)
     flat = pa.array(np.ascontiguousarray(values).reshape(-1))
     return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+
+
+def _columns(rows: Any) -> Columns:
+    return {name: _values(rows.column(name).combine_chunks()) for name in rows.column_names}
 
 
 def _values(array: Any) -> NDArray[Any]:

@@ -41,6 +41,9 @@ SUBTASK = "subtask_index"
 
 DEFAULT_FPS = 50
 
+VERSION = 5
+"""Of the format, as `ExportKind.version`."""
+
 _TRIED = 10  # pictures of a camera, for its size: the first may be torn
 
 

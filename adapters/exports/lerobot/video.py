@@ -99,7 +99,7 @@ class Concatenation:
     """Puts videos of one camera one behind the other, packet by packet, into files of a limited size.
 
     Args:
-        folder: Where ``chunk-000/file-000.mp4`` … go.
+        folder: Where ``chunk-000/file-000.mp4`` … go, behind those that are there.
         fps: Pictures per second of all of them.
         limit_bytes: A file that has grown beyond this is the last but one.
         per_chunk: Files per folder.
@@ -108,7 +108,7 @@ class Concatenation:
     def __init__(self, folder: Path, fps: int, *, limit_bytes: int, per_chunk: int) -> None:
         self._folder, self._period = folder, Fraction(1, fps)
         self._limit, self._per_chunk = limit_bytes, per_chunk
-        self._number, self._frames, self._bytes = -1, 0, 0
+        self._number, self._frames, self._bytes = len(list(folder.glob("*/*.mp4"))) - 1, 0, 0
         self._header = b""
         self._container: Any = None
         self._stream: Any = None

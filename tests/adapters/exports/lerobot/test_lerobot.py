@@ -63,7 +63,8 @@ def test_v30_has_the_files_types_and_names_that_lerobot_reads(tmp_path: Path) ->
     info = json.loads((out / "meta/info.json").read_text())
     assert {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()} == {
         "README.md", "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet", "meta/info.json",
-        "meta/modality.json", "meta/names.json", "meta/splits.json", "meta/station.json", "meta/stats.json",
+        "meta/modality.json", "meta/names.json", "meta/pixel_counts.json", "meta/splits.json", "meta/station.json",
+        "meta/stats.json",
         "meta/tasks.parquet",
         f"videos/{IMAGE}/chunk-000/file-000.mp4",
     }  # fmt: skip
