@@ -49,12 +49,20 @@ def number_in(rgb: Any) -> int:
     return sum(1 << bit for bit in range(_BITS) if pixels[bit * _CELL + 4 : (bit + 1) * _CELL - 4].mean() > 128)
 
 
-def shoot(builder: EpisodeBuilder, number: int, *, at_s: float, lag_s: float = 0.02, data: bytes | None = None) -> None:
+def shoot(
+    builder: EpisodeBuilder,
+    number: int,
+    *,
+    at_s: float,
+    lag_s: float = 0.02,
+    data: bytes | None = None,
+    key: str = HEAD,
+) -> None:
     """One picture, taken at a time and written a little later, as a camera server does."""
     source = f"camera.7.{boot_id()}.cafe"
     value = jpeg(number) if data is None else data
-    sequence = builder.skip(HEAD, writer="camera")
-    channel = builder._channel(HEAD, source, "camera", value)
+    sequence = builder.skip(key, writer="camera")
+    channel = builder._channel(key, source, "camera", value)
     taken = MONO_START_NS + round(at_s * 1e9)
     mark = Stamp(sequence, taken + round(lag_s * 1e9), WALL_START_NS, source, taken)
     builder._stamps.append(b"%d %s" % (channel, mark.encode()))

@@ -68,9 +68,24 @@ def look(root: Path) -> int:
     shift = (torch.stack([dataset[k]["timestamp"] for k in (0, 1)]).diff() * meta.fps).item()
     say(f"rows are {shift:.3f} periods apart; statistics of {len(meta.stats)} columns, quantiles "
         f"{'q01' in meta.stats['observation.state']}")  # fmt: skip
+    by_torchcodec(datasets, dataset, root)
     found = policy_features(meta.features)
     say("as inputs and outputs of a policy: " + ", ".join(f"{k} {f.type.name}" for k, f in found.items()))
     return 0
+
+
+def by_torchcodec(datasets: Any, by_pyav: Any, root: Path) -> None:
+    """Compare some pictures with those of the other decoder, which needs a system's FFmpeg libraries."""
+    import importlib.util
+
+    if importlib.util.find_spec("torchcodec") is None or not by_pyav.meta.camera_keys:
+        return
+    other = datasets.LeRobotDataset("station/export", root=root, video_backend="torchcodec")
+    rows = [round(k * (len(other) - 1) / 9) for k in range(10)]
+    differ = [
+        (by_pyav[row][name] - other[row][name]).abs().max().item() for row in rows for name in other.meta.camera_keys
+    ]
+    say(f"pictures of {len(rows)} rows by torchcodec differ from PyAV's by {max(differ):.4f} of 1 at most")
 
 
 def policy_features(features: Any) -> dict[str, Any]:
