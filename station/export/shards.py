@@ -20,7 +20,6 @@ from typing import Any, Literal
 import msgspec
 
 from station import registry
-from station.assets import sha256
 from station.atomic_file import exchange, sync_folder, write_atomic
 from station.episode.quality.finding_parts import RulesFile
 from station.episode.quality.rule_file import RuleBook, of_user
@@ -204,7 +203,12 @@ def _digest(folder: Path) -> str:
     signals = signals_file(folder)
     size = signals.stat().st_size
     stated = (file for file in find_manifest(folder).manifest.files if (file.name, file.bytes) == (signals.name, size))
-    return next((file.sha256 for file in stated if file.sha256), "") or sha256(signals)
+    return next((file.sha256 for file in stated if file.sha256), "") or _sha256(signals)
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def finish(

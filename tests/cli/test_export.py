@@ -101,6 +101,28 @@ def test_what_cannot_be_is_told_in_a_line(walked: Home, tmp_path: Path, argument
     assert list(tmp_path.iterdir()) == [], "where nothing was made, nothing is left"
 
 
+@pytest.mark.usefixtures("processes")
+def test_episodes_are_added_to_a_finished_data_set_once_each_and_as_it_was_made(walked: Home, tmp_path: Path) -> None:
+    out = tmp_path / "set"
+    assert walked.run("export", "lerobot", "*-0001", "--out", str(out), "--fps", "25").returncode == 0
+    again = walked.run("export", "lerobot", "*-0002", "--out", str(out))
+    assert one_line(again).startswith(f"{out}: is there already and not empty; remove it, add to it with --append, or")
+    other = walked.run("export", "lerobot", "*-0002", "--out", str(out), "--append", "--fps", "50")
+    assert (other.returncode, one_line(other)) == (
+        2, f"{out}: made with --fps 25, and --fps 50 is asked for; leave the option out, or export into another folder"
+    )  # fmt: skip
+    looked = walked.run("export", "lerobot", "*-000[12]", "--out", str(out), "--append", "--dry-run")
+    assert looked.stdout.startswith("goes in   2026-11-21-g1-walk-0002\nin it     2026-11-21-g1-walk-0001\n")
+    done = walked.run("export", "lerobot", "*-000[12]", "--out", str(out), "--append")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.splitlines()[0] == "in it already: 2026-11-21-g1-walk-0001"
+    assert done.stdout.startswith("lerobot: 1 episode added to 1; 1 in it already; ")
+    nothing = walked.run("export", "lerobot", "*-000[12]", "--out", str(out), "--append", "--json")
+    found = json.loads(nothing.stdout)
+    assert (nothing.returncode, found["episodes"], found["had"], len(found["there"])) == (0, 0, 2, 2)
+    assert json.loads((out / "meta/info.json").read_text())["total_episodes"] == 2
+
+
 HALF_WAY = """
 import os, runpy, signal
 from station import side_by_side

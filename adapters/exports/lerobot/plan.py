@@ -37,7 +37,8 @@ TIME = "time_ns"
 GATE = "gate"
 COMMANDER = "commander"
 SUBTASK = "subtask_index"
-"""LeRobot's own name: loaders of its that know ``meta/subtasks.parquet`` give the text of each row as ``subtask``."""
+"""LeRobot's own name: loaders of its that know ``meta/subtasks.parquet`` give the text of each row as ``subtask``;
+0.6.1 gives the number alone."""
 
 DEFAULT_FPS = 50
 

@@ -69,6 +69,8 @@ def look(root: Path) -> int:
     say(f"rows are {shift:.3f} periods apart; statistics of {len(meta.stats)} columns, quantiles "
         f"{'q01' in meta.stats['observation.state']}")  # fmt: skip
     by_torchcodec(datasets, dataset, root)
+    if hasattr(meta.episodes, "column_names"):  # v3.0
+        say("of each episode: " + ", ".join(name for name in meta.episodes.column_names if "/" not in name))
     found = policy_features(meta.features)
     say("as inputs and outputs of a policy: " + ", ".join(f"{k} {f.type.name}" for k, f in found.items()))
     return 0

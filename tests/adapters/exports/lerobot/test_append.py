@@ -29,6 +29,8 @@ from tests.killed_at import killed_at
 HERE = Workers(jobs=1)
 IMAGE = "observation.images.head"
 
+pytestmark = pytest.mark.usefixtures("processes")
+
 
 def exported(sources: list[Source], out: Path, **options: Any) -> Exported:
     return export(LEROBOT, sources, LeRobotOptions(**{"min_quality": "any", **options}), out, where=HERE)
@@ -288,7 +290,7 @@ def no_waiting_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fsync", lambda _: None)
 
 
-@pytest.mark.usefixtures("processes", "no_waiting_for_the_disk")
+@pytest.mark.usefixtures("no_waiting_for_the_disk")
 def test_killed_at_any_operation_on_files_the_set_is_whole_with_or_without_what_was_to_be_added(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -325,7 +327,7 @@ def refuse_joined(sync: Callable[[Path], None], folder: Path) -> None:
     sync(folder)
 
 
-@pytest.mark.usefixtures("processes", "no_waiting_for_the_disk")
+@pytest.mark.usefixtures("no_waiting_for_the_disk")
 def test_killed_right_after_the_exchange_the_same_command_finds_all_there_and_leaves_nothing_behind(
     tmp_path: Path,
 ) -> None:
