@@ -5,7 +5,7 @@ from __future__ import annotations
 from station.episode.quality.findings import Quality, Reason, Verdict
 
 OF_LATENESS = frozenset(
-    {"arm-sync", "bus-lost", "bus-silent", "commands-ended", "gap", "interrupted", "old-command", "slow"}
+    {"arm-sync", "bus-lost", "bus-silent", "commands-ended", "device-gap", "gap", "interrupted", "old-command", "slow"}
 )
 """Rules that a process may break which waits for a processor; `tests.late_verdicts` asks of some whether one did."""
 

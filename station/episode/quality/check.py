@@ -75,11 +75,14 @@ def check(
         reader: The episode.
         book: The rules.
         tell: Is told now and then how far it has come, from the start of the episode [s].
-        audit: What an audit found, to be judged too.
+        audit: What an audit found, to be judged too. Where none compared anything, what an earlier one found of these
+            files stands: a check that audits nothing makes no verdict better.
     """
     rules = book or rule_file.shipped()
     quality = _assemble(reader, Measurements(reader, tell))
-    quality.audit = audit
+    quality.audit = (
+        audit if audit is not None and audit.compared else _audited_before(reader.manifest, quality) or audit
+    )
     quality.not_judged = timing.not_judged(quality)
     quality.verdict, quality.reasons = judge(quality, rules.limits)
     quality.rules = list(rules.files)
@@ -124,6 +127,17 @@ def files_of(reader: EpisodeReader) -> list[RecordedFile]:
         raise EpisodeError(f"{error.filename or reader.folder}: cannot be read: {error.strerror}") from error
 
 
+def _audited_before(manifest: Manifest, quality: Quality) -> AuditFound | None:
+    """Return what an audit found of the files that were measured, by what an earlier check wrote; None for nothing."""
+    try:
+        files = msgspec.convert(manifest.quality.get("files"), list[RecordedFile])
+        found = msgspec.convert(manifest.quality.get("audit"), AuditFound)
+    except msgspec.ValidationError:
+        return None
+    is_same = files == quality.files and manifest.quality.get("manifest_changed") == quality.manifest_changed
+    return found if files and is_same and found.compared else None
+
+
 def is_lock_step(manifest: Manifest) -> bool:
     """Whether a server of the episode paced itself by states instead of by the clock."""
     return any(_paces_by_state(facts) for facts in manifest.servers.values())
@@ -142,7 +156,7 @@ def _assemble(reader: EpisodeReader, measured: Measurements) -> Quality:
     streams, commands = counter.streams(start_ns, drops, measured.ends), list(counter.commands())
     paused = pauses.find(commands, measured.ends)
     files = files_of(reader)
-    span_s, cameras = presence.ends_s(manifest, streams), measured.cameras.result(streams)
+    span_s, cameras = presence.ends_s(manifest, streams), measured.cameras.result(streams, start_ns)
     pictures = measured.pictures.result(motion.moves(measured.motion))
     return Quality(
         episode_id=reader.episode_id,
@@ -160,6 +174,7 @@ def _assemble(reader: EpisodeReader, measured: Measurements) -> Quality:
         swapped_cameras=swapped_cameras.find(reader, pictures),
         ends_s=span_s,
         presence=presence.find(streams, span_s, measured.ends, measured.heartbeats),
+        silences=presence.silences(measured.heartbeats),
         no_pictures=presence.without_pictures(manifest, (camera.key for camera in cameras), measured.heartbeats),
         rivals=rivals(commands, measured.ends),
         pauses=pauses.described(paused, start_ns),
@@ -253,7 +268,7 @@ class Measurements:
         }
         self.motion = motion.meters(reader)
         self.arms = [arms.ArmMeter(robot) for robot in arms.robots(topics)]
-        self.plausibility = plausibility.meters(reader, list(self.steps))
+        self.plausibility = plausibility.meters(reader, list(self.steps), is_lock_step=is_lock_step(reader.manifest))
         self.cameras = CameraMeter(frames.cameras(reader), stated_hz(reader.manifest))
         self.pictures = PictureMeter(reader)
         self.changes = ChangeCounter(self.start_ns, reader.contract)

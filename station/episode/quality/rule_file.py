@@ -146,6 +146,12 @@ class MostFactor(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
     above_factor: float
 
 
+class MostTimes(GradedRule, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How often something may happen that is usable still."""
+
+    usable_up_to: float
+
+
 class PictureAges(Seconds, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Limits of the age of pictures, and of how much younger than nothing they may be [s]."""
 
@@ -179,6 +185,9 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     not_mirrored: GradedRule
     deleted: Rule
     gap: Seconds
+    device_gap: MostSeconds
+    device_slow: MostSeconds
+    server_paused: MostSeconds
     slow: LeastShare
     rival_writers: Rule
     bus_silent: Rule
@@ -203,6 +212,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     cameras_swapped: Rule
     no_steps: Rule
     missing_keys: Rule
+    incomplete_steps: Shares
     never_tracked: Rule
     commands_ended: Rule
     interrupted: Shares
@@ -222,12 +232,18 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     quaternion_norm: Losses
     frozen_state: Seconds
     stuck_joint: Seconds
+    repeated_states: MostShare
+    position_jump: MostTimes
     orientation_disagrees: LeastAgreement
+    gyro_scale: MostFactor
     velocity_disagrees: LeastAgreement
     velocity_scale: MostFactor
     joint_order: Rule
+    joint_reversed: Rule
+    joint_offset: Angles
     beyond_limits: Angles
     step_times: Seconds
+    untimed_steps: MostShare
     before_written: MostShare
     command_ahead: Rule
     reused_states: Shares

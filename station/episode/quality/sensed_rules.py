@@ -29,7 +29,7 @@ def _camera_gap(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str
         gap_s = camera.longest_gap_s or 0.0
         if gap_s > max(limits.camera_gap.usable_above_s, GAP_PERIODS / (camera.nominal_hz or _ANY_HZ)):
             verdict: Verdict = "reject" if gap_s > limits.camera_gap.reject_above_s else "usable"
-            yield verdict, f"camera {camera.name}: no picture for {gap_s:.2f} s"
+            yield verdict, f"camera {camera.name}: no picture for {gap_s:.2f} s from {camera.gap_at_s or 0.0:.2f} s on"
 
 
 def _camera_slow(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -46,7 +46,8 @@ def _misaligned(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str
         if found.lag_s is None or least_s <= found.lag_s <= most_s:
             continue
         how = "after" if found.lag_s > 0 else "before"
-        yield "usable", f"{found.robot}: joints move {abs(found.lag_s) * 1e3:.0f} ms {how} the command that they got"
+        text = f"joints move {abs(found.lag_s) * 1e3:.0f} ms {how} the command that they got"
+        yield "usable", f"{found.robot}: {text}, by {keys.command_used(found.robot)} and {found.state_key}"
 
 
 def _idle_ends(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
