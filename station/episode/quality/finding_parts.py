@@ -261,6 +261,8 @@ class PictureQuality(msgspec.Struct, frozen=True, kw_only=True):
         exposure_jumps: Pictures that show what the one looked at before showed, in a brightness quite different.
         brightness: Mean grey, 0 to 255; None where nothing could be decoded.
         sharpness: Median variance of the Laplacian of the small grey pictures; compares pictures of one size and scene.
+        noise, turned, cut, relative_sharpness, focus_lost_s: Of `station.episode.quality.picture_views`.
+        exchanged_with, exchanged_s: The camera that it changed places with in the middle, and when [s]; "" for none.
         first_view: Mean of the first pictures looked at, 12x12 bytes of grey in base64; "" for none.
     """
 
@@ -284,8 +286,15 @@ class PictureQuality(msgspec.Struct, frozen=True, kw_only=True):
     white: Seen
     flat: Seen
     exposure_jumps: Seen
+    noise: Seen
+    turned: Seen
+    cut: Seen
+    relative_sharpness: float | None
+    focus_lost_s: float | None
     brightness: float | None
     sharpness: float | None
+    exchanged_with: str = ""
+    exchanged_s: float = 0.0
     first_view: str = ""
 
 

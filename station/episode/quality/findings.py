@@ -60,8 +60,8 @@ class StreamQuality(msgspec.Struct, frozen=True, kw_only=True):
         nominal_hz: Rate by contract [Hz]; None for keys written on events only.
         jitter_p50_s, jitter_p99_s: How far intervals differ from the median interval [s].
         longest_gap_s, gap_at_s: Longest interval, and when it began from the start of the episode [s].
-        slowest_s, slowest_at_s: Longest time that the writes of one second took, and when that began [s]; None for keys
-            without a rate.
+        slowest_s, slowest_at_s: Longest time that the writes of one second, by the median interval, took, and when that
+            began [s]; None for fewer.
         first_s, last_s: First and last message, from the start of the episode [s].
         paused_s: Sum of the intervals of which its writer had said that its commands end [s]; they count in none of the
             numbers before.

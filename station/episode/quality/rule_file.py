@@ -123,7 +123,7 @@ class MostRate(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class LeastSharpness(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The least sharpness: variance of the Laplacian of a small picture in grey of 0 to 255."""
+    """The least sharpness: variance of the Laplacian of a small picture over that of its grey."""
 
     below: float
 
@@ -209,6 +209,9 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     camera_flat: MostShare
     camera_exposure: MostShare
     camera_blurred: LeastSharpness
+    camera_noise: MostShare
+    camera_cut: MostShare
+    camera_turned: Rule
     cameras_swapped: Rule
     no_steps: Rule
     missing_keys: Rule

@@ -106,11 +106,12 @@ def _measure(
     intervals = every[~paused]
     span_s = float(intervals.sum())
     gap = int(np.where(paused, -1.0, every).argmax()) if len(intervals) else None
-    jitter = np.abs(intervals - np.median(intervals)) if len(intervals) else intervals
+    median_s = float(np.median(intervals)) if len(intervals) else 0.0
+    jitter = np.abs(intervals - median_s)
     contract = channel.contract
-    nominal_hz = contract.rate_hz if contract and not channel.is_deletion else None
-    second = round(nominal_hz or 0.0)
-    slow = int((times[second:] - times[:-second]).argmax()) if 0 < second < len(times) else None
+    second = round(1.0 / median_s) if median_s > 0 else 0  # a device may have a rate of its own
+    there = times[:-1]  # the last write of a device is its word that it has ended, long after the others
+    slow = int((there[second:] - there[:-second]).argmax()) if 0 < second < len(there) else None
     return StreamQuality(
         key=channel.topic,
         source=channel.source,
@@ -124,12 +125,12 @@ def _measure(
         repeated=repeated,
         out_of_order=out_of_order,
         rate_hz=len(intervals) / span_s if span_s > 0 else None,
-        nominal_hz=nominal_hz,
+        nominal_hz=contract.rate_hz if contract and not channel.is_deletion else None,
         jitter_p50_s=float(np.percentile(jitter, 50)) if len(jitter) else None,
         jitter_p99_s=float(np.percentile(jitter, 99)) if len(jitter) else None,
         longest_gap_s=None if gap is None else float(every[gap]),
         lost_at_s=_at_s(times, hole, start_ns),
-        slowest_s=None if slow is None else float(times[slow + second] - times[slow]) * 1e-9,
+        slowest_s=None if slow is None else float(there[slow + second] - there[slow]) * 1e-9,
         slowest_at_s=_at_s(times, slow, start_ns),
         gap_at_s=_at_s(times, gap, start_ns),
         first_s=float(times[0] - start_ns) * 1e-9,
