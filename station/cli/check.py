@@ -41,7 +41,7 @@ class _NotCheckedError(StationError):
 @click.option("--all", "is_whole", is_flag=True, help="Show the streams of the station's own too.")
 @click.option("--audit/--no-audit", "is_audited", default=None,
               help="Have policy and gate run again too, and reject what differs (`station audit`).  "
-              "[default: of episodes up to 120 s whose policy is on this machine]")  # fmt: skip
+              "[default: of episodes up to 60 s whose policy is on this machine]")  # fmt: skip
 @click.option("--no-write", is_flag=True, help="Leave the manifest as it is.")
 @data_option
 @json_option

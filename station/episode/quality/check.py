@@ -6,6 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ from station.episode.quality.rule_file import RuleBook
 from station.episode.quality.rules import judge
 from station.episode.quality.streams import StreamCounter, rivals
 from station.episode.reading import frames, steps
-from station.episode.reading.messages import Message
+from station.episode.reading.messages import Channel, Message
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step, StepJoiner
 from station.episode.storage import layout
@@ -269,7 +270,9 @@ class Measurements:
         self.motion = motion.meters(reader)
         self.arms = [arms.ArmMeter(robot) for robot in arms.robots(topics)]
         self.plausibility = plausibility.meters(reader, list(self.steps), is_lock_step=is_lock_step(reader.manifest))
-        self.cameras = CameraMeter(frames.cameras(reader), stated_hz(reader.manifest))
+        cameras = frames.cameras(reader)
+        self._camera_keys = set(cameras.values())
+        self.cameras = CameraMeter(cameras, stated_hz(reader.manifest))
         self.pictures = PictureMeter(reader)
         self.changes = ChangeCounter(self.start_ns, reader.contract)
         self.heartbeats = Heartbeats(self.start_ns)
@@ -286,6 +289,7 @@ class Measurements:
                 self._feeds[key].append(feed)
         for key, blocks in self._blocks.items():
             self._feeds[key].append(blocks.feed)
+        self._routes: dict[int, tuple[Feed, ...]] = {}  # by channel
         self._joiners = {robot: StepJoiner(robot, context=meter.context) for robot, meter in self.steps.items()}
         with self.pictures:
             messages = reader.messages(stamps=self.cameras.is_needed)  # stamps tell when a picture was taken
@@ -301,20 +305,32 @@ class Measurements:
 
     def _feed(self, message: Message) -> None:
         self.counter.feed(message)
-        self.cameras.feed(message)
-        self.pictures.feed(message)
-        self.changes.feed(message)
-        self.heartbeats.feed(message)
-        for feed in self._feeds.get(message.topic, ()):
+        route = self._routes.get(message.channel.id)
+        if route is None:
+            route = self._routes[message.channel.id] = self._route(message.channel)
+        for feed in route:
             feed(message)
-        for arm in self.arms:
-            arm.feed(message)
-        if message.topic == keys.EVENT:
-            self._feed_event(message)
-        for robot, joiner in self._joiners.items():
-            step = joiner.feed(message)
-            if step is not None:
-                self._feed_step(robot, step)
+
+    def _route(self, channel: Channel) -> tuple[Feed, ...]:
+        """Return what takes the messages of a channel; each has been asked once, and not for every message."""
+        topic, found = channel.topic, list[Feed]()
+        if topic in self._camera_keys:
+            found += [self.cameras.feed, self.pictures.feed]
+        if topic == keys.NOT_MIRRORED or channel.is_deletion:
+            found.append(self.changes.feed)
+        if topic.startswith(keys.SERVER_PREFIX):
+            found.append(self.heartbeats.feed)
+        found += self._feeds.get(topic, ())
+        found += [arm.feed for arm in self.arms if topic in arm.topics]
+        if topic == keys.EVENT:
+            found.append(self._feed_event)
+        found += [partial(self._join, robot) for robot, joiner in self._joiners.items() if topic in joiner.topics]
+        return tuple(found)
+
+    def _join(self, robot: str, message: Message) -> None:
+        step = self._joiners[robot].feed(message)
+        if step is not None:
+            self._feed_step(robot, step)
 
     def _feed_step(self, robot: str, step: Step) -> None:
         gate = self.steps[robot].feed(step)

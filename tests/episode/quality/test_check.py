@@ -413,6 +413,28 @@ def test_every_rule_has_a_case() -> None:
     assert set(RULES) == set(CASES) | others | set(SENSED) | set(PLAUSIBLE)  # the last two: tests of their own
 
 
+def test_a_device_of_a_rate_of_its_own_is_not_starved(builder: EpisodeBuilder) -> None:
+    walk(builder, seconds=6.0)
+    for number in range(300):
+        builder.write({keys.operator_status("keyboard"): b"{}"}, at_s=0.1 + 0.02 * number, writer="keyboard")
+    assert reasons(checked(builder)) == set()
+
+
+def test_a_device_that_says_its_last_word_late_was_not_silent(builder: EpisodeBuilder) -> None:
+    walk(builder, seconds=6.0)
+    for number in range(550):
+        builder.write({keys.operator_status("pico"): b"{}"}, at_s=0.1 + 0.01 * number, writer="pico")
+    builder.write({keys.operator_status("pico"): b"{}"}, at_s=6.05, writer="pico")
+    assert reasons(checked(builder)) == set()
+
+
+def test_a_server_that_starts_slowly_was_not_paused(builder: EpisodeBuilder) -> None:
+    walk(builder, seconds=6.0)
+    for at_s, state in ((0.2, "inactive"), (2.2, "inactive"), (4.0, "active"), (4.5, "active")):
+        builder.write({keys.server("head"): codec.json_object({"state": state})}, at_s=at_s, writer="head")
+    assert reasons(checked(builder)) == set()
+
+
 def test_limits_can_be_changed(builder: EpisodeBuilder) -> None:
     walk(builder, rate_hz=30.0, **FAST)
     reader = open_episode(builder.finish())

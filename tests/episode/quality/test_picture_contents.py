@@ -336,6 +336,15 @@ def test_what_a_camera_shows_from_half_on_is_told_with_when(
     assert told in quality.reasons[0].text
 
 
+def test_a_blur_of_a_moment_is_a_fast_motion(tmp_path: Path) -> None:
+    def film(shot: Shot) -> bytes:
+        return file_of(
+            blurred(scene(0) + noise(shot.number)) if 2.9 < shot.at_s < 3.3 else scene(0) + noise(shot.number)
+        )
+
+    assert said(checked(tmp_path, film, moves=False)) == []
+
+
 def test_cameras_that_change_names_in_the_middle_are_told_of_both(tmp_path: Path) -> None:
     def seen(shot: Shot, *, is_first: bool) -> bytes:
         other = np.tile(np.linspace(190.0, 60.0, 240)[:, None], (1, 320))
