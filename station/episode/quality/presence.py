@@ -27,7 +27,7 @@ _BLEND_S = 5.0  # how long a server goes on commanding, towards standing, after 
 _NEAR_S = 2.0  # a word that comes later than that after the last write does not say why there was none
 _BUS_LOST = "bus-lost"
 _FINALIZED = "finalized"
-_ACTIVE = "active"
+_WORKS = ("inactive", "active")  # before, it loads what it needs; from one to the other it may have to connect
 _RECORDER = "recorder"
 _JUDGED = ("command", "state", "policy", "sensor")
 _MOST = 1000  # losses that are listed; a file that was built to harm may hold millions
@@ -49,23 +49,23 @@ class Heartbeats:
     alive: set[str] = field(default_factory=set)
     farewells: dict[str, int] = field(default_factory=dict)
     silences: dict[str, tuple[int, int]] = field(default_factory=dict)
-    _working: dict[str, int] = field(default_factory=dict)  # by source: when it said so last [ns], in the episode
+    _said: dict[str, tuple[int, object]] = field(
+        default_factory=dict
+    )  # by source: last word, when [ns], in the episode
 
     def feed(self, message: Message) -> None:
         """Add a message; any other is passed over."""
         if not message.topic.startswith(keys.SERVER_PREFIX) or message.channel.is_deletion:
             return
         state, source = _state(message.data), message.channel.source
-        name, before_ns = message.topic.removeprefix(keys.SERVER_PREFIX), self._working.pop(source, None)
+        name, before = message.topic.removeprefix(keys.SERVER_PREFIX), self._said.pop(source, None)
         if state == _FINALIZED:
             self.farewells.setdefault(source, message.log_ns)
         elif message.log_ns >= self.start_ns:
             self.alive.add(name)
-            if state != _ACTIVE:
-                return
-            self._working[source] = message.publish_ns
-            if before_ns is not None:
-                silence = before_ns, message.publish_ns - before_ns
+            self._said[source] = message.publish_ns, state
+            if before is not None and before[1] == state and state in _WORKS:
+                silence = before[0], message.publish_ns - before[0]
                 self.silences[name] = max(self.silences.get(name, silence), silence, key=lambda one: one[1])
 
 

@@ -428,9 +428,19 @@ def test_a_device_that_says_its_last_word_late_was_not_silent(builder: EpisodeBu
     assert reasons(checked(builder)) == set()
 
 
+def test_a_server_that_waits_for_its_turn_and_is_paused_is_told(builder: EpisodeBuilder) -> None:
+    walk(builder, seconds=6.0)
+    for at_s in (0.2, 0.7, 2.5, 3.0):
+        builder.write({keys.server("head"): codec.json_object({"state": "inactive"})}, at_s=at_s, writer="head")
+    (reason,) = checked(builder).reasons
+    assert reason.text.startswith(
+        "server head (station:server:head): did not say that it works for 1.80 s from 0.70 s on"
+    )
+
+
 def test_a_server_that_starts_slowly_was_not_paused(builder: EpisodeBuilder) -> None:
     walk(builder, seconds=6.0)
-    for at_s, state in ((0.2, "inactive"), (2.2, "inactive"), (4.0, "active"), (4.5, "active")):
+    for at_s, state in ((0.2, "unconfigured"), (2.2, "inactive"), (4.0, "active"), (4.5, "active")):
         builder.write({keys.server("head"): codec.json_object({"state": state})}, at_s=at_s, writer="head")
     assert reasons(checked(builder)) == set()
 
