@@ -9,6 +9,7 @@ from tests.lateness import STALE_S, TooLate, Waits
 from tests.verdicts import worse_than
 
 _PERIOD_S = 0.02
+_HEARTBEAT_S = 0.5
 _LASTING = (0.3 + 1.0) / 0.3  # of an interruption to its cause: a silence of 0.3 s, and a second of entering after it
 _SLOW_SHARE = 0.05  # of the writes are missing in a stream that is slow
 
@@ -31,14 +32,25 @@ def _slow(quality: Quality, waits: Waits) -> tuple[float, float]:
     return _SLOW_SHARE * quality.duration_s, waits.seconds()
 
 
+def _device_slow(quality: Quality, waits: Waits) -> tuple[float, float]:
+    return max(stream.slowest_s or 0.0 for stream in quality.streams if stream.role == "sensor") - 1.0, waits.seconds()
+
+
+def _server_paused(quality: Quality, waits: Waits) -> tuple[float, float]:
+    return max(one.seconds for one in quality.silences) - _HEARTBEAT_S, waits.longest_s
+
+
 _LATENESS: dict[str, Callable[[Quality, Waits], tuple[float, float]]] = {
+    "device-gap": _gap,
+    "device-slow": _device_slow,
     "gap": _gap,
     "interrupted": _interrupted,
     "old-command": _old_command,
+    "server-paused": _server_paused,
     "slow": _slow,
 }
 """By how much a process was late at least for what a rule finds, and how long one was kept waiting, at a stretch or in
-all [s]. The last two never reject an episode."""
+all [s]. Those but gap and interrupted never reject an episode."""
 
 
 def expect_no_worse_in_time(than: Verdict, quality: Quality, waits: Waits) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import ArrayLike
 
 from station.bus import codec, keys
 from station.bus.robot_streams import driven_by_policy
@@ -39,10 +40,10 @@ def facts(**more: Any) -> dict[str, Any]:
     return {"server": "walker", "role": "low-level", "robot": NAME, "description": described, **more}
 
 
-def state(q: Floats, *, upright: bool = True) -> bytes:
+def state(q: Floats, *, dq: ArrayLike = (0.0, 0.0), upright: bool = True) -> bytes:
     """A value of its `keys.robot_state`."""
     quat = [1.0, 0.0, 0.0, 0.0] if upright else [0.0, 1.0, 0.0, 0.0]
-    return codec.f64(np.concatenate([q, np.zeros(2), quat, np.zeros(3)]))
+    return codec.f64(np.concatenate([q, dq, quat, np.zeros(3)]))
 
 
 def step(number: int, q: Floats) -> dict[str, bytes]:

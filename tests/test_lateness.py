@@ -87,7 +87,8 @@ def test_a_rejected_episode_is_excused_for_a_gap_that_somebody_waited_for_and_fo
     gap, fall = Reason("gap", "reject", "silent for 2 s"), Reason("fell", "reject", "1 fall(s)")
     stream = StreamQuality(
         key="k", source="s", writer="s", role="command", is_native=True, count=9, lost=0, repeated=0, out_of_order=0,
-        rate_hz=50.0, nominal_hz=50.0, jitter_p50_s=0.0, jitter_p99_s=0.0, longest_gap_s=2.0, first_s=0.0, last_s=9.0,
+        rate_hz=50.0, nominal_hz=50.0, jitter_p50_s=0.0, jitter_p99_s=0.0, longest_gap_s=2.0, gap_at_s=1.0,
+        first_s=0.0, last_s=9.0,
     )  # fmt: skip
     waits = Waits()
     waits.longest_s = 1.5

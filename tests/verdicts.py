@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from station.episode.quality.findings import Quality, Reason, Verdict
 
-OF_LATENESS = frozenset(
-    {"arm-sync", "bus-lost", "bus-silent", "commands-ended", "gap", "interrupted", "old-command", "slow"}
-)
+OF_LATENESS = frozenset({
+    "arm-sync", "bus-lost", "bus-silent", "commands-ended", "device-gap", "device-slow", "gap", "interrupted",
+    "old-command", "server-paused", "slow",
+})  # fmt: skip
 """Rules that a process may break which waits for a processor; `tests.late_verdicts` asks of some whether one did."""
 
 OF_A_LATE_BUS = frozenset({"bus-lost", "bus-silent"})

@@ -93,12 +93,15 @@ class Episode:
     def check(self) -> Quality:
         """Measure it from its files and judge it by this user's rules; the manifest stays as it is.
 
+        Policy and gate run again too, as in `station check`: of an episode that is short, and whose policy is here.
+
         ``verdict`` and ``reasons`` of what comes are what `station check` prints first.
         """
         from station.episode.quality.check import check
         from station.episode.quality.rule_file import of_user
+        from station.episode.replaying.in_short import LONGEST_S, audit_in_short
 
-        return check(self._reader, of_user())
+        return check(self._reader, of_user(), audit=audit_in_short(self._reader, longest_s=LONGEST_S))
 
     @property
     def duration_s(self) -> float:

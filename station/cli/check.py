@@ -39,13 +39,14 @@ class _NotCheckedError(StationError):
 @click.option("--print-rules", is_flag=True, is_eager=True, expose_value=False, callback=_print_rules,
               help="Print the rules that ship, every limit explained, and leave.")  # fmt: skip
 @click.option("--all", "is_whole", is_flag=True, help="Show the streams of the station's own too.")
-@click.option("--audit/--no-audit", "is_audited", default=False, show_default=True,
-              help="Have policy and gate run again too, and reject what differs (`station audit`).")  # fmt: skip
+@click.option("--audit/--no-audit", "is_audited", default=None,
+              help="Have policy and gate run again too, and reject what differs (`station audit`).  "
+              "[default: of episodes up to 60 s whose policy is on this machine]")  # fmt: skip
 @click.option("--no-write", is_flag=True, help="Leave the manifest as it is.")
 @data_option
 @json_option
 def command(
-    episode: str, rules: Path | None, is_whole: bool, is_audited: bool, no_write: bool, data: Path | None,
+    episode: str, rules: Path | None, is_whole: bool, is_audited: bool | None, no_write: bool, data: Path | None,
     as_json: bool,
 ) -> None:  # fmt: skip
     """Check EPISODE (a path, an id, the beginning of one, or `latest`).
@@ -56,14 +57,13 @@ def command(
     from station.episode.quality import rule_file
     from station.episode.quality.check import check, write_measured
     from station.episode.reading.reader import open_episode
+    from station.episode.replaying.in_short import LONGEST_S, audit_in_short
 
     book, audit = rule_file.of_user() if rules is None else rule_file.load(rules), None
     try:
         reader = open_episode(episode, data)
-        if is_audited:
-            from station.episode.replaying.in_short import audit_in_short
-
-            audit = audit_in_short(reader)
+        if is_audited is not False:
+            audit = audit_in_short(reader, longest_s=None if is_audited else LONGEST_S)
         with _progress(reader.manifest.timing.duration_s) as tell:
             quality = check(reader, book, tell, audit=audit)
     except EpisodeError as error:

@@ -294,8 +294,8 @@ def _aligned(found: Alignment, *, lock_step: bool) -> list[str]:
 def _plausible(found: Plausibility, *, lock_step: bool) -> list[str]:
     """Return how far what a robot says of itself agrees; nothing where nothing could be compared."""
     words = []
-    if found.orientation_agreement is not None:
-        words.append(f"gyro and orientation agree by {found.orientation_agreement:.2f}")
+    if found.orientation_agreement:
+        words.append(f"gyro and orientation agree by {min(found.orientation_agreement.values()):.2f} or more")
     if found.velocity_agreement:
         worst = min(found.velocity_agreement, key=found.velocity_agreement.__getitem__)
         words.append(f"velocities and positions by {found.velocity_agreement[worst]:.2f} or more ({plain(worst)})")

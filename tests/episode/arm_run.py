@@ -119,8 +119,9 @@ class ArmRun:
                     "fault_count": float(self.faults)}  # fmt: skip
         times = [2e-6, 2e-6, self.latency_s, 9e-6, 0.004, 0.0041, 0.0045, np.nan]
         word = {"backend": "sim", "profile": "speed125", "lead_rad": self.arm.lead_rad}
+        rates = self.builder.rates(keys.state_joints(ROBOT), q, at_s=self.at_s)
         values = {
-            keys.state_joints(ROBOT): codec.f64(np.concatenate([q, np.zeros(14)])),
+            keys.state_joints(ROBOT): codec.f64(np.concatenate([q, rates, np.zeros(7)])),
             keys.state_counters(ROBOT): codec.f64([*counted.values(), *times]),
         }
         if self.ticks % 24 == 1:

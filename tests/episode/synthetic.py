@@ -13,6 +13,7 @@ from mcap.writer import CompressionType, Writer
 
 from adapters.robots.g1 import twist_keys
 from adapters.robots.g1.joints import G1_29
+from station import rotations
 from station.bus import codec, contracts, keys
 from station.bus.stamp import Stamp, boot_id
 from station.contract import Contract
@@ -43,6 +44,7 @@ class EpisodeBuilder:
         self._channels: dict[tuple[str, str, str], int] = {}
         self._sequences: dict[tuple[str, str], int] = {}
         self._stamps: list[bytes] = []
+        self._places: dict[str, tuple[float, Floats]] = {}  # when and where joints were last, by key
         self.contracts: dict[str, Contract] = {}  # in the place of today's, by key
 
     def write(self, values: Mapping[str, bytes], *, at_s: float, writer: str = "g1", lag_s: float = 0.0002) -> None:
@@ -55,6 +57,13 @@ class EpisodeBuilder:
             mark = Stamp(seq, written, WALL_START_NS + round(at_s * 1e9), source)
             self._stamps.append(b"%d %s" % (channel, mark.encode()))
             self._add(channel, value, at_s + lag_s, at_s, seq)
+
+    def rates(self, key: str, q: Floats, *, at_s: float) -> Floats:
+        """Return the velocities that a robot measures which is at `q`: since it was where it was last."""
+        before_s, before = self._places.get(key, (at_s, q))
+        self._places[key] = at_s, np.array(q)
+        with np.errstate(all="ignore"):  # some are made that no robot has
+            return (q - before) / (at_s - before_s) if at_s > before_s else np.zeros(len(q))
 
     def repeat(self, key: str, value: bytes, *, at_s: float, seq: int, writer: str = "g1") -> None:
         """A message whose sequence number is chosen: a duplicate, or one out of order."""
@@ -219,9 +228,12 @@ def _ask(builder: EpisodeBuilder, wanted: Floats, source: dict[str, Any], *, at_
 
 def _read(builder: EpisodeBuilder, q: Floats, quat: Sequence[float], place: Sequence[float], *, at_s: float) -> None:
     """What the robot writes of its state: joints, orientation, and where its root is."""
+    rates = builder.rates(keys.robot_state(ROBOT), np.concatenate([q, quat]), at_s=at_s)
+    with np.errstate(all="ignore"):
+        turning = rotations.multiply(rotations.inverse(quat), rates[29:])
     builder.write(
         {
-            keys.robot_state(ROBOT): codec.f64(np.concatenate([q, np.zeros(29), quat, np.zeros(3)])),
+            keys.robot_state(ROBOT): codec.f64(np.concatenate([q, rates[:29], quat, 2.0 * turning[1:]])),
             twist_keys.state_body(ROBOT): codec.json_vector(np.concatenate([np.zeros(5), q])),
             keys.sim_qpos(ROBOT): codec.f64(np.concatenate([place, quat, q])),
         },

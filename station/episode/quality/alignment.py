@@ -45,7 +45,7 @@ class AlignmentMeter:
     """
 
     def __init__(self, robot: str, state_key: str, contract: Callable[[str], Contract | None]) -> None:
-        self.robot = robot
+        self.robot, self.state_key = robot, state_key
         self._leads = array("q")
         self._sequence = 0
         self._repeated = self._skipped = 0
@@ -75,6 +75,7 @@ class AlignmentMeter:
         lag_s, correlation = self._shifts.result(joints=len(self._pairs[0]))
         return Alignment(
             robot=self.robot,
+            state_key=self.state_key,
             steps=len(leads),
             lead_p50_s=p50,
             lead_p99_s=p99,

@@ -98,6 +98,11 @@ class ArmMeter:
     _profiles: list[str] = field(default_factory=list)
     _backend: str = ""
 
+    @property
+    def topics(self) -> set[str]:
+        """The keys that it wants to be fed."""
+        return {family(self.robot) for family in (keys.target, keys.state_controller, keys.state_counters)}
+
     def feed(self, message: Message) -> None:
         """Add a message; those of other keys are passed over."""
         if message.channel.is_deletion:

@@ -66,18 +66,24 @@ class CameraMeter:
             if age_ns == 0 and -_CLOCKS_NS < (stated_ns := pictures.stated_age_ns(message.stamp) or 0) < 0:
                 self._ahead_ns[message.topic] = max(self._ahead_ns.get(message.topic, 0), -stated_ns)
 
-    def result(self, streams: Iterable[StreamQuality]) -> list[CameraQuality]:
-        """Return what became of each camera's pictures, by name; `streams` know of lost and dropped writes."""
+    def result(self, streams: Iterable[StreamQuality], start_ns: int) -> list[CameraQuality]:
+        """Return what became of each camera's pictures, by name; `streams` know of lost and dropped writes.
+
+        Times are told from `start_ns` [ns since the epoch].
+        """
         of_key: dict[str, list[StreamQuality]] = {key: [] for key in self._names}
         for stream in streams:
             if stream.key in of_key:
                 of_key[stream.key].append(stream)
-        return [self._camera(name, key, of_key[key]) for key, name in self._names.items() if len(self._taken[key])]
+        return [
+            self._camera(name, key, of_key[key], start_ns) for key, name in self._names.items() if len(self._taken[key])
+        ]
 
-    def _camera(self, name: str, key: str, streams: list[StreamQuality]) -> CameraQuality:
+    def _camera(self, name: str, key: str, streams: list[StreamQuality], start_ns: int) -> CameraQuality:
         taken = np.sort(np.frombuffer(self._taken[key], np.int64))
         ages = np.frombuffer(self._ages[key], np.int64) * 1e-9
         intervals = np.diff(taken) * 1e-9
+        gap = int(intervals.argmax()) if len(intervals) else None
         beat_s = _beat_s(intervals)
         lost = sum(stream.lost + stream.dropped for stream in streams)
         missing = max(lost, _empty_places(taken, round(beat_s * 1e9)))
@@ -92,7 +98,8 @@ class CameraMeter:
             drop_share=missing / (len(taken) + missing),
             rate_hz=1.0 / beat_s if beat_s > 0 else None,
             nominal_hz=self._stated_hz.get(key, max(nominal, default=None)),
-            longest_gap_s=float(intervals.max()) if len(intervals) else None,
+            longest_gap_s=None if gap is None else float(intervals[gap]),
+            gap_at_s=None if gap is None else round((int(taken[gap]) - start_ns) * 1e-9, 3),
             age_p50_s=float(np.percentile(ages, 50)),
             age_p99_s=float(np.percentile(ages, 99)),
             ahead_s=self._ahead_ns.get(key, 0) * 1e-9,

@@ -6,6 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ from station.episode.quality.rule_file import RuleBook
 from station.episode.quality.rules import judge
 from station.episode.quality.streams import StreamCounter, rivals
 from station.episode.reading import frames, steps
-from station.episode.reading.messages import Message
+from station.episode.reading.messages import Channel, Message
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step, StepJoiner
 from station.episode.storage import layout
@@ -75,11 +76,14 @@ def check(
         reader: The episode.
         book: The rules.
         tell: Is told now and then how far it has come, from the start of the episode [s].
-        audit: What an audit found, to be judged too.
+        audit: What an audit found, to be judged too. Where none compared anything, what an earlier one found of these
+            files stands: a check that audits nothing makes no verdict better.
     """
     rules = book or rule_file.shipped()
     quality = _assemble(reader, Measurements(reader, tell))
-    quality.audit = audit
+    quality.audit = (
+        audit if audit is not None and audit.compared else _audited_before(reader.manifest, quality) or audit
+    )
     quality.not_judged = timing.not_judged(quality)
     quality.verdict, quality.reasons = judge(quality, rules.limits)
     quality.rules = list(rules.files)
@@ -124,6 +128,17 @@ def files_of(reader: EpisodeReader) -> list[RecordedFile]:
         raise EpisodeError(f"{error.filename or reader.folder}: cannot be read: {error.strerror}") from error
 
 
+def _audited_before(manifest: Manifest, quality: Quality) -> AuditFound | None:
+    """Return what an audit found of the files that were measured, by what an earlier check wrote; None for nothing."""
+    try:
+        files = msgspec.convert(manifest.quality.get("files"), list[RecordedFile])
+        found = msgspec.convert(manifest.quality.get("audit"), AuditFound)
+    except msgspec.ValidationError:
+        return None
+    is_same = files == quality.files and manifest.quality.get("manifest_changed") == quality.manifest_changed
+    return found if files and is_same and found.compared else None
+
+
 def is_lock_step(manifest: Manifest) -> bool:
     """Whether a server of the episode paced itself by states instead of by the clock."""
     return any(_paces_by_state(facts) for facts in manifest.servers.values())
@@ -142,7 +157,7 @@ def _assemble(reader: EpisodeReader, measured: Measurements) -> Quality:
     streams, commands = counter.streams(start_ns, drops, measured.ends), list(counter.commands())
     paused = pauses.find(commands, measured.ends)
     files = files_of(reader)
-    span_s, cameras = presence.ends_s(manifest, streams), measured.cameras.result(streams)
+    span_s, cameras = presence.ends_s(manifest, streams), measured.cameras.result(streams, start_ns)
     pictures = measured.pictures.result(motion.moves(measured.motion))
     return Quality(
         episode_id=reader.episode_id,
@@ -160,6 +175,7 @@ def _assemble(reader: EpisodeReader, measured: Measurements) -> Quality:
         swapped_cameras=swapped_cameras.find(reader, pictures),
         ends_s=span_s,
         presence=presence.find(streams, span_s, measured.ends, measured.heartbeats),
+        silences=presence.silences(measured.heartbeats),
         no_pictures=presence.without_pictures(manifest, (camera.key for camera in cameras), measured.heartbeats),
         rivals=rivals(commands, measured.ends),
         pauses=pauses.described(paused, start_ns),
@@ -253,8 +269,10 @@ class Measurements:
         }
         self.motion = motion.meters(reader)
         self.arms = [arms.ArmMeter(robot) for robot in arms.robots(topics)]
-        self.plausibility = plausibility.meters(reader, list(self.steps))
-        self.cameras = CameraMeter(frames.cameras(reader), stated_hz(reader.manifest))
+        self.plausibility = plausibility.meters(reader, list(self.steps), is_lock_step=is_lock_step(reader.manifest))
+        cameras = frames.cameras(reader)
+        self._camera_keys = set(cameras.values())
+        self.cameras = CameraMeter(cameras, stated_hz(reader.manifest))
         self.pictures = PictureMeter(reader)
         self.changes = ChangeCounter(self.start_ns, reader.contract)
         self.heartbeats = Heartbeats(self.start_ns)
@@ -271,6 +289,7 @@ class Measurements:
                 self._feeds[key].append(feed)
         for key, blocks in self._blocks.items():
             self._feeds[key].append(blocks.feed)
+        self._routes: dict[int, tuple[Feed, ...]] = {}  # by channel
         self._joiners = {robot: StepJoiner(robot, context=meter.context) for robot, meter in self.steps.items()}
         with self.pictures:
             messages = reader.messages(stamps=self.cameras.is_needed)  # stamps tell when a picture was taken
@@ -286,20 +305,32 @@ class Measurements:
 
     def _feed(self, message: Message) -> None:
         self.counter.feed(message)
-        self.cameras.feed(message)
-        self.pictures.feed(message)
-        self.changes.feed(message)
-        self.heartbeats.feed(message)
-        for feed in self._feeds.get(message.topic, ()):
+        route = self._routes.get(message.channel.id)
+        if route is None:
+            route = self._routes[message.channel.id] = self._route(message.channel)
+        for feed in route:
             feed(message)
-        for arm in self.arms:
-            arm.feed(message)
-        if message.topic == keys.EVENT:
-            self._feed_event(message)
-        for robot, joiner in self._joiners.items():
-            step = joiner.feed(message)
-            if step is not None:
-                self._feed_step(robot, step)
+
+    def _route(self, channel: Channel) -> tuple[Feed, ...]:
+        """Return what takes the messages of a channel; each has been asked once, and not for every message."""
+        topic, found = channel.topic, list[Feed]()
+        if topic in self._camera_keys:
+            found += [self.cameras.feed, self.pictures.feed]
+        if topic == keys.NOT_MIRRORED or channel.is_deletion:
+            found.append(self.changes.feed)
+        if topic.startswith(keys.SERVER_PREFIX):
+            found.append(self.heartbeats.feed)
+        found += self._feeds.get(topic, ())
+        found += [arm.feed for arm in self.arms if topic in arm.topics]
+        if topic == keys.EVENT:
+            found.append(self._feed_event)
+        found += [partial(self._join, robot) for robot, joiner in self._joiners.items() if topic in joiner.topics]
+        return tuple(found)
+
+    def _join(self, robot: str, message: Message) -> None:
+        step = self._joiners[robot].feed(message)
+        if step is not None:
+            self._feed_step(robot, step)
 
     def _feed_step(self, robot: str, step: Step) -> None:
         gate = self.steps[robot].feed(step)

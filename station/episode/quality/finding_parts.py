@@ -73,6 +73,17 @@ class Loss(msgspec.Struct, frozen=True, kw_only=True):
     reason: str
 
 
+class Silence(msgspec.Struct, frozen=True, kw_only=True):
+    """The longest time between two words of a server that it works, which it says twice a second.
+
+    `at_s` is when it began, from the start of the episode, and `seconds` how long it was [s].
+    """
+
+    server: str
+    at_s: float
+    seconds: float
+
+
 class CameraQuality(msgspec.Struct, frozen=True, kw_only=True):
     """The pictures of one camera, by the times at which they were taken.
 
@@ -87,7 +98,7 @@ class CameraQuality(msgspec.Struct, frozen=True, kw_only=True):
         drop_share: `missing` of `expected`, 0..1.
         rate_hz: The camera's own rate, from its usual intervals [Hz]; None for fewer than two pictures.
         nominal_hz: Rate that it was set to, by the word of its server, else by contract [Hz].
-        longest_gap_s: Longest time between two pictures [s].
+        longest_gap_s, gap_at_s: Longest time between two pictures, and when it began from the start of the episode [s].
         age_p50_s, age_p99_s: From the taking of a picture to its write [s]; 0 where the camera does not say.
         ahead_s: How long before it was taken, by its own time, a picture was written at most [s]; 0 for never.
     """
@@ -102,6 +113,7 @@ class CameraQuality(msgspec.Struct, frozen=True, kw_only=True):
     rate_hz: float | None
     nominal_hz: float | None
     longest_gap_s: float | None
+    gap_at_s: float | None
     age_p50_s: float | None
     age_p99_s: float | None
     ahead_s: float = 0.0
@@ -194,6 +206,7 @@ class Alignment(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         robot: Suffix of its keys.
+        state_key: The state.
         steps: Steps with both instants.
         lead_p50_s, lead_p99_s, lead_least_s, lead_max_s: How long before the state was read the command was written
             (arrived, for a writer without stamps) [s]. Negative: the command is younger than the state, as in
@@ -207,6 +220,7 @@ class Alignment(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     robot: str
+    state_key: str
     steps: int
     lead_p50_s: float | None
     lead_p99_s: float | None
@@ -247,6 +261,8 @@ class PictureQuality(msgspec.Struct, frozen=True, kw_only=True):
         exposure_jumps: Pictures that show what the one looked at before showed, in a brightness quite different.
         brightness: Mean grey, 0 to 255; None where nothing could be decoded.
         sharpness: Median variance of the Laplacian of the small grey pictures; compares pictures of one size and scene.
+        noise, turned, cut, relative_sharpness, focus_lost_s: Of `station.episode.quality.picture_views`.
+        exchanged_with, exchanged_s: The camera that it changed places with in the middle, and when [s]; "" for none.
         first_view: Mean of the first pictures looked at, 12x12 bytes of grey in base64; "" for none.
     """
 
@@ -270,8 +286,15 @@ class PictureQuality(msgspec.Struct, frozen=True, kw_only=True):
     white: Seen
     flat: Seen
     exposure_jumps: Seen
+    noise: Seen
+    turned: Seen
+    cut: Seen
+    relative_sharpness: float | None
+    focus_lost_s: float | None
     brightness: float | None
     sharpness: float | None
+    exchanged_with: str = ""
+    exchanged_s: float = 0.0
     first_view: str = ""
 
 
@@ -358,6 +381,23 @@ class StuckJoint(msgspec.Struct, frozen=True, kw_only=True):
     asked_rad: float
 
 
+class PositionJump(msgspec.Struct, frozen=True, kw_only=True):
+    """A joint whose position went further from one state to the next than its velocity explains.
+
+    Attributes:
+        joint: The joint.
+        at_s, by_rad: The first time, from the start of the episode [s], and by how much [rad].
+        count: How often.
+        joints: How many joints jumped with it that time.
+    """
+
+    joint: str
+    at_s: float
+    by_rad: float
+    count: int
+    joints: int
+
+
 class MisplacedJoint(msgspec.Struct, frozen=True):
     """A joint that follows the command of another one: how far it goes with its own, and with that one, up to 1."""
 
@@ -377,8 +417,11 @@ class StepTimes(msgspec.Struct, frozen=True, kw_only=True):
         before_written_share: Share of steps that used their command before it was written, 0..1.
         commands_ahead: By how many commands `command_used` is ahead of the one that its step names.
         command_difference: Mean difference of both; None where they were not compared.
-        reused_states_share: Share of steps that saw the state of the step before, 0..1; of robots that write one for
-            each step.
+        reused_states_share, reused_at_s: Share of steps that saw the state of the step before, 0..1, and the first of
+            them; of robots that write one for each step.
+        command_key: Key of the commands; "" where the steps follow none that holds the same elements.
+        untimed: Steps, of `timed`, that tell no instant of their own.
+        timed: Steps that have a timing.
     """
 
     steps: int
@@ -388,6 +431,10 @@ class StepTimes(msgspec.Struct, frozen=True, kw_only=True):
     commands_ahead: int
     command_difference: float | None
     reused_states_share: float
+    reused_at_s: float | None
+    command_key: str
+    untimed: Seen
+    timed: int
 
 
 class Plausibility(msgspec.Struct, frozen=True, kw_only=True):
@@ -399,12 +446,19 @@ class Plausibility(msgspec.Struct, frozen=True, kw_only=True):
         values: Keys with values that cannot be.
         frozen: Equal states in a row; None for none.
         stuck: Joints that were stuck, the longest first.
-        orientation_agreement: How far the gyro agrees with the turning of the orientation, up to 1; None where too
-            little turned.
+        repeats: States, of the `moving` ones, that are the one before once more.
+        moving: States that came while it moved.
+        orientation_agreement: How far each axis of the gyro agrees with the turning of the orientation, up to 1; of
+            those about which that turned.
+        gyro_factor: Gyro as recorded for each rad/s of the orientation; None where nothing agrees.
         velocity_agreement: How far the velocity of each joint that moved agrees with its positions, up to 1.
         velocity_like: Joints whose positions agree best with the velocity of another one, and of which.
-        velocity_factor: Velocity as recorded for each rad/s of the positions, median; None where nothing agrees.
+        velocity_factor: Velocity as recorded for each rad/s of the positions, median; None where nothing agrees, 0 for
+            nothing but zeros.
+        jumps: Joints whose positions jumped.
         misplaced: Joints that follow each other's commands.
+        reversed: Joints that move against their own commands, with how far they agree, down to -1.
+        offsets_rad: Joints that stay beside their own commands by the same angle, and by which [rad].
         times: How states and commands lie to the steps' instants; None where there are too few steps.
     """
 
@@ -413,9 +467,15 @@ class Plausibility(msgspec.Struct, frozen=True, kw_only=True):
     values: list[ValueFaults]
     frozen: FrozenState | None
     stuck: list[StuckJoint]
-    orientation_agreement: float | None
+    repeats: Seen
+    moving: int
+    orientation_agreement: dict[str, float]
+    gyro_factor: float | None
     velocity_agreement: dict[str, float]
     velocity_like: dict[str, str]
     velocity_factor: float | None
+    jumps: list[PositionJump]
     misplaced: list[MisplacedJoint]
+    reversed: dict[str, float]
+    offsets_rad: dict[str, float]
     times: StepTimes | None

@@ -19,6 +19,8 @@ from station.episode.quality.finding_parts import (
     PictureQuality,
     Plausibility,
     RulesFile,
+    Seen,
+    Silence,
 )
 from station.episode.storage.file_hashes import FileChange
 from station.episode.storage.manifest_parts import AuditFound, RecordedFile
@@ -50,13 +52,16 @@ class StreamQuality(msgspec.Struct, frozen=True, kw_only=True):
         count: Messages in the file.
         lost: Sequence numbers missing between the least and the greatest, without as many as the recorder dropped;
             always 0 for a foreign writer.
+        lost_at_s: When the last message before the first that is missing was, from the start of the episode [s].
         dropped, dropped_bulky: As in `station.episode.storage.manifest.Stream`.
         repeated: Messages whose number was there already.
         out_of_order: Messages whose number is smaller than that of the message before.
         rate_hz: Mean rate [Hz]; None for fewer than two messages.
         nominal_hz: Rate by contract [Hz]; None for keys written on events only.
         jitter_p50_s, jitter_p99_s: How far intervals differ from the median interval [s].
-        longest_gap_s: Longest interval [s].
+        longest_gap_s, gap_at_s: Longest interval, and when it began from the start of the episode [s].
+        slowest_s, slowest_at_s: Longest time that the writes of one second, by the median interval, took, and when that
+            began [s]; None for fewer.
         first_s, last_s: First and last message, from the start of the episode [s].
         paused_s: Sum of the intervals of which its writer had said that its commands end [s]; they count in none of the
             numbers before.
@@ -76,8 +81,12 @@ class StreamQuality(msgspec.Struct, frozen=True, kw_only=True):
     jitter_p50_s: float | None
     jitter_p99_s: float | None
     longest_gap_s: float | None
+    gap_at_s: float | None
     first_s: float
     last_s: float
+    lost_at_s: float | None = None
+    slowest_s: float | None = None
+    slowest_at_s: float | None = None
     dropped: int = 0
     dropped_bulky: int = 0
     paused_s: float = 0.0
@@ -166,6 +175,7 @@ class StepQuality(msgspec.Struct, frozen=True, kw_only=True):
         interrupted_share: Share of the time between the first and the last tracking step that was not tracking, pauses
             of the commands left out.
         clamped, refused: Greatest counts that the gate reported; None where it reported none.
+        lacking: Keys that nearly all steps hold and some do not: in how many it is missing, and when first.
         compared_steps: Steps in which the gate was tracking and the motion playing.
         mean_joint_error_rad: Over those steps, as `station.control.tracking` defines it, so that it compares with a
             rehearsal [rad]; None where no joint is commanded.
@@ -183,6 +193,7 @@ class StepQuality(msgspec.Struct, frozen=True, kw_only=True):
     interrupted_share: float
     clamped: int | None
     refused: int | None
+    lacking: dict[str, Seen]
     compared_steps: int
     mean_joint_error_rad: float | None
     worst_joint: str
@@ -223,6 +234,7 @@ class Quality(msgspec.Struct, kw_only=True):
         ends_s: From when to when there is an episode, from its start [s].
         presence: How each rated key lies in it.
         no_pictures: Keys of cameras that were there, and of which there is no picture.
+        silences: The longest silence of each server.
         losses: Servers that died or fell silent and cameras that were lost, by events.
         rivals: Command keys with several writers at once.
         pauses: Times without commands that their writer told of beforehand, in order.
@@ -274,6 +286,7 @@ class Quality(msgspec.Struct, kw_only=True):
     ends_s: tuple[float, float] = (0.0, 0.0)
     presence: list[KeyPresence] = []
     no_pictures: list[str] = []
+    silences: list[Silence] = []
     losses: list[Loss] = []
     rivals: list[RivalWriters] = []
     pauses: list[CommandPause] = []

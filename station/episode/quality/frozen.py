@@ -4,6 +4,9 @@ Frozen: the very same numbers in more than five writes in a row, while the gate 
 applied command covers more than 0.05 rad meanwhile or the frozen velocities say that a joint moves. An arm in
 simulation that stands still repeats its state exactly: nothing asks it to move, and its velocities are none.
 
+Repeated: a state that is the one before once more, in a write of its own, while a velocity says that a joint moves. A
+sensor that is read half as often as it is told repeats every second one.
+
 Stuck: time is cut into windows of 0.5 s. In a row of them a joint covers less than 0.5 mrad, which is encoder noise,
 while its applied command covers more than 0.1 rad and another joint does move. A joint at its end is not stuck: it is
 asked to go further.
@@ -17,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from station.episode.quality.finding_parts import FrozenState, StuckJoint
+from station.episode.quality.finding_parts import FrozenState, Seen, StuckJoint
 from station.episode.quality.motion import IDLE_BELOW_RAD
 from station.episode.reading.messages import Ints
 from station.protocols import Floats
@@ -89,12 +92,15 @@ class FrozenMeter:
         self._run: _Run | None = None
         self._seconds = 0.0
         self._longest: _Run | None = None
+        self._writes = self._repeats = self._repeat_ns = 0
+        self.moving = 0
 
     def take(self, rows: StepRows) -> None:
         """Add steps."""
         same = np.zeros(len(rows.times), dtype=np.bool_)
         same[1:] = (rows.state[1:] == rows.state[:-1]).all(axis=1)
         same[0] = self._last is not None and np.array_equal(self._last, rows.state[0])
+        self._count_repeats(rows, same)
         starts = np.flatnonzero(~same)
         bounds = starts if len(starts) and starts[0] == 0 else np.concatenate([[0], starts])
         ends = np.append(bounds[1:], len(same)) - 1
@@ -122,6 +128,21 @@ class FrozenMeter:
             at_s=round((run.first_ns - self._start_ns) * 1e-9, 3),
             writes=run.last_write - run.first_write + 1,
         )
+
+    def repeats(self) -> Seen:
+        """Return how many of the states that came while it moved are the one before once more."""
+        first_s = round((self._repeat_ns - self._start_ns) * 1e-9, 3) if self._repeats else None
+        return Seen(self._repeats, first_s)
+
+    def _count_repeats(self, rows: StepRows, same: NDArray[np.bool_]) -> None:
+        is_new = np.diff(rows.writes, prepend=self._writes) > 0
+        self._writes = int(rows.writes[-1])
+        moving = is_new & (rows.speed > _MOVES_RAD_S)
+        self.moving += int(moving.sum())
+        repeated = np.flatnonzero(moving & same)
+        if len(repeated):
+            self._repeat_ns = self._repeat_ns or int(rows.times[repeated[0]])
+            self._repeats += len(repeated)
 
     def _add(self, run: _Run, *, goes_on: bool) -> None:
         if goes_on and self._run is not None:

@@ -20,6 +20,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,6 +28,7 @@ from station import jpeg
 from station.bus import codec
 from station.episode.quality import swapped_cameras
 from station.episode.quality.finding_parts import PictureQuality, Seen
+from station.episode.quality.picture_views import TILES, ViewMeter, exchanged, likeness
 from station.episode.reading import frames
 from station.episode.reading.messages import Ints, Message
 from station.episode.reading.reader import EpisodeReader
@@ -49,7 +51,7 @@ _LEAST_APART_S, _MOST_APART_S = 0.5, 10.0  # from one picture that is looked at 
 _MOST_SAMPLES = 600  # of each camera
 _FREEZE_NS = 500_000_000  # the same picture for longer is a freeze, for less it is a repeat
 _LEAST_WIDTH, _LEAST_HEIGHT = 160, 120  # that is decoded [px]
-_THUMB = 12  # rows and columns that pictures are compared by
+_CUT_TILES = 3  # rows of tiles at the lower end, of one colour
 _MOST_PIXELS = 40_000_000  # of a picture that is opened; a camera has 2 to 12 million
 _FIRST = 2  # pictures looked at that make the first view
 _MOST_SIZES = 8
@@ -106,9 +108,16 @@ class PictureMeter:
         """
         while self._pending:
             self._gather()
-        return [
-            camera.result(self._start_ns, moves, self._decoder) for camera in self._cameras.values() if camera.taken
-        ]
+        taken = {camera.name: camera for camera in self._cameras.values() if camera.taken}
+        swaps = exchanged({name: camera.views for name, camera in taken.items()})
+        found = [camera.result(self._start_ns, moves, self._decoder) for camera in taken.values()]
+        for place, one in enumerate(found):
+            if one.name in swaps:
+                other, at_ns = swaps[one.name]
+                found[place] = msgspec.structs.replace(
+                    one, exchanged_with=other, exchanged_s=_s(at_ns - self._start_ns)
+                )
+        return found
 
     def _gather(self) -> None:
         camera, taken_ns, found = self._pending.popleft()
@@ -129,6 +138,7 @@ class Look(NamedTuple):
         white_share: Share of the pixels that are blown out, 0..1.
         sharpness: Variance of the Laplacian.
         thumb: Means of 12x12 tiles, shape (12, 12).
+        is_cut: Whether its lower end, a quarter or more, is of one colour.
         pixels: All that was decoded, to be compared.
     """
 
@@ -138,6 +148,7 @@ class Look(NamedTuple):
     white_share: float
     sharpness: float
     thumb: Floats
+    is_cut: bool
     pixels: bytes
 
     @property
@@ -197,7 +208,8 @@ class _Camera:
     """The pictures of one camera so far."""
 
     def __init__(self, name: str, key: str, apart_ns: int, *, is_video: bool) -> None:
-        self._name, self._key, self._apart_ns, self._is_video = name, key, apart_ns, is_video
+        self.name, self._key, self._apart_ns, self._is_video = name, key, apart_ns, is_video
+        self.views = ViewMeter()
         self.taken = array("q")
         self._last: bytes | None = None
         self._sizes: dict[tuple[int, int], None] = {}  # in order
@@ -240,6 +252,9 @@ class _Camera:
             return
         self._brightness.append(look.mean)
         self._sharpness.append(look.sharpness)
+        shows_nothing = look.is_black or look.is_white or look.is_flat
+        sharpness = None if shows_nothing else look.sharpness / look.std**2
+        self.views.add(taken_ns, look.thumb, sharpness, is_cut=look.is_cut)
         if len(self._first) < _FIRST:
             self._first.append(look.thumb)
         for tally, is_so in ((self._black, look.is_black), (self._white, look.is_white), (self._flat, look.is_flat)):
@@ -257,9 +272,10 @@ class _Camera:
         moving, repeats = _within(self.taken, moves), _within(self._same_bytes.repeats, moves)
         freezes = [*self._same_bytes.freezes, *self._same_pixels.freezes]
         longest = max(freezes, key=lambda span: span[1] - span[0], default=None)
+        views = self.views.result(start_ns)
         frozen_ns, frozen_from_ns = max(((_overlap_ns(span, moves), span[0]) for span in freezes), default=(0, 0))
         return PictureQuality(
-            name=self._name,
+            name=self.name,
             key=self._key,
             pictures=len(self.taken),
             sizes=[f"{width}x{height}" for width, height in self._sizes],
@@ -279,6 +295,7 @@ class _Camera:
             white=self._white.seen(start_ns),
             flat=self._flat.seen(start_ns),
             exposure_jumps=self._jumps.seen(start_ns),
+            **views._asdict(),
             brightness=round(float(np.mean(self._brightness)), 1) if self._brightness else None,
             sharpness=round(float(np.median(self._sharpness)), 1) if self._sharpness else None,
             first_view=swapped_cameras.first_view(np.mean(self._first, axis=0)) if self._first else "",
@@ -308,11 +325,7 @@ def _overlap_ns(span: tuple[int, int], spans: Spans) -> int:
 
 def _is_jump(before: Look, look: Look) -> bool:
     """Whether two pictures show the same in another brightness."""
-    if abs(look.mean - before.mean) <= JUMP or look.thumb.shape != before.thumb.shape:
-        return False
-    one, other = before.thumb - before.thumb.mean(), look.thumb - look.thumb.mean()
-    size = float(np.sqrt((one * one).sum() * (other * other).sum()))
-    return size > 0 and float((one * other).sum()) > JUMP_LIKENESS * size
+    return abs(look.mean - before.mean) > JUMP and likeness(before.thumb, look.thumb) > JUMP_LIKENESS
 
 
 def look(decode: Callable[[bytes], Grey | None], data: bytes) -> Look | None:
@@ -320,20 +333,23 @@ def look(decode: Callable[[bytes], Grey | None], data: bytes) -> Look | None:
     grey = decode(data)
     if grey is None:
         return None
-    if min(grey.shape) < _THUMB:
-        grey = grey.repeat(_THUMB, axis=0).repeat(_THUMB, axis=1)
+    if min(grey.shape) < TILES:
+        grey = grey.repeat(TILES, axis=0).repeat(TILES, axis=1)
     counts = np.bincount(grey.ravel(), minlength=256)
     levels, total = np.arange(256), grey.size
     mean = float(counts @ levels) / total
-    rows, columns = grey.shape[0] // _THUMB, grey.shape[1] // _THUMB
-    cut = grey[: rows * _THUMB, : columns * _THUMB].reshape(_THUMB, rows, _THUMB, columns)
+    rows, columns = grey.shape[0] // TILES, grey.shape[1] // TILES
+    cut = grey[: rows * TILES, : columns * TILES].reshape(TILES, rows, TILES, columns)
+    thumb = cut.sum(axis=1, dtype=np.uint32).sum(axis=2) / (rows * columns)
+    is_cut = bool(np.ptp(thumb[-_CUT_TILES:]) < FLAT_STD and grey[-_CUT_TILES * rows :].std() < FLAT_STD)
     return Look(
         mean=mean,
         std=float(np.sqrt(max(0.0, float(counts @ (levels * levels)) / total - mean * mean))),
         p99=float(np.searchsorted(np.cumsum(counts), 0.99 * total)),
         white_share=float(counts[WHITE:].sum()) / total,
         sharpness=_sharpness(grey),
-        thumb=cut.sum(axis=1, dtype=np.uint32).sum(axis=2) / (rows * columns),
+        thumb=thumb,
+        is_cut=is_cut,
         pixels=grey.tobytes(),
     )
 

@@ -37,9 +37,10 @@ Feed = Callable[[Message], None]
 _OPEN = 64  # steps of which results are awaited
 
 
-def meters(reader: EpisodeReader, driven: list[str]) -> dict[str, PlausibilityMeter]:
+def meters(reader: EpisodeReader, driven: list[str], *, is_lock_step: bool) -> dict[str, PlausibilityMeter]:
     """Return a meter for each robot of an episode; `driven` are those that have policy steps."""
-    return {robot: PlausibilityMeter(reader, robot) for robot in dict.fromkeys([*driven, *steps.robots_of(reader)])}
+    robots = dict.fromkeys([*driven, *steps.robots_of(reader)])
+    return {robot: PlausibilityMeter(reader, robot, is_lock_step=is_lock_step) for robot in robots}
 
 
 def differences(reader: EpisodeReader) -> list[ContractDifference]:
@@ -66,9 +67,10 @@ class PlausibilityMeter:
     Args:
         reader: The episode.
         robot: Suffix of its keys.
+        is_lock_step: Whether states came as a machine had time for them.
     """
 
-    def __init__(self, reader: EpisodeReader, robot: str) -> None:
+    def __init__(self, reader: EpisodeReader, robot: str, *, is_lock_step: bool) -> None:
         self._robot, self._start_ns = robot, reader.start_ns
         self._state_key = steps.state_key(robot, reader.topics())
         self._used_key, self._timing_key = keys.command_used(robot), keys.policy_timing(robot)
@@ -76,7 +78,7 @@ class PlausibilityMeter:
         judged = {key: item for key, item in reader.recorded.items() if item is not None and self._is_judged(item)}
         self._values = {key: ValueMeter(self._start_ns, description) for key in judged}
         self._state, self._used = reader.contract(self._state_key), reader.contract(self._used_key)
-        self._derivatives = DerivativeMeter(self._state.names if self._state is not None else ())
+        self._derivatives = self._derivative_meter(is_lock_step=is_lock_step)
         self._joints, self._columns = _shared(self._state, self._used)
         self._speeds = _columns(self._state, _VELOCITY, "rad/s")
         self._frozen = FrozenMeter(self._start_ns)
@@ -86,7 +88,7 @@ class PlausibilityMeter:
             (item for item in judged.values() if item.role == "command" and _is_same(item, self._used)), None
         )
         self._command_key = command.key if command is not None else ""
-        self._times = StepTimesMeter(self._used, command)
+        self._times = StepTimesMeter(self._used, command, self._start_ns)
         self._written: dict[str, tuple[int, int]] = defaultdict(lambda: (0, 0))  # by source: how many states, and when
         self._seen: OrderedDict[tuple[str, int], tuple[int, int]] = OrderedDict()  # by source and time of the results
         self._last_write = 0
@@ -124,6 +126,7 @@ class PlausibilityMeter:
         """Return what cannot be, and how far what can be compared agrees."""
         self._flush_steps()
         agreement, like, factor = self._derivatives.velocities()
+        orientation, gyro_factor = self._derivatives.orientation()
         with np.errstate(all="ignore"):
             stuck = self._stuck.result()
         return Plausibility(
@@ -132,13 +135,24 @@ class PlausibilityMeter:
             values=[found for meter in self._values.values() if (found := meter.result()) is not None],
             frozen=self._frozen.result(),
             stuck=stuck,
-            orientation_agreement=self._derivatives.orientation(),
+            repeats=self._frozen.repeats(),
+            moving=self._frozen.moving,
+            orientation_agreement=orientation,
+            gyro_factor=gyro_factor,
             velocity_agreement=agreement,
             velocity_like=like,
             velocity_factor=factor,
-            misplaced=self._order.result(),
+            jumps=self._derivatives.jumps(),
+            misplaced=self._order.misplaced(),
+            reversed=self._order.reversed(),
+            offsets_rad=self._order.offsets_rad(),
             times=self._times.result(),
         )
+
+    def _derivative_meter(self, *, is_lock_step: bool) -> DerivativeMeter:
+        names = self._state.names if self._state is not None else ()
+        hz = self._state.rate_hz if self._state is not None and is_lock_step else None
+        return DerivativeMeter(names, self._start_ns, 1.0 / hz if hz else None)
 
     def _add_write(self, message: Message) -> None:
         if not message.channel.is_deletion:

@@ -20,9 +20,10 @@ from station.contract import TIMING_STAGES, Contract
 from station.control.gate import MOVING
 from station.control.tracking import TrackingError
 from station.episode.quality import falls
+from station.episode.quality.finding_parts import Seen
 from station.episode.quality.findings import FallSeen, Spread, StepQuality
 from station.episode.quality.pauses import Span
-from station.episode.reading.steps import Step, timing_row
+from station.episode.reading.steps import RESULTS, Step, timing_row
 from station.protocols import Floats
 
 _STAGES = TIMING_STAGES
@@ -30,6 +31,7 @@ _FIRST_STAGE = 2  # after tick and command_seq
 _TRACKING = "tracking"
 _PLAYING = "playing"
 _HEIGHT = "root_z"
+_MOST_LACKING = 0.2  # of the steps; a key that more of them lack is written when it likes, or is not there to the end
 
 
 @dataclass
@@ -55,6 +57,9 @@ class StepMeter:
     _tracking: TrackingError | None = None
     _joints: tuple[str, ...] = ()
     _counts: dict[str, int] = field(default_factory=dict)
+    _held: dict[frozenset[str], list[int]] = field(
+        default_factory=dict
+    )  # by the keys of steps: how many, the first [ns]
 
     def __post_init__(self) -> None:
         self._layouts = {
@@ -72,6 +77,7 @@ class StepMeter:
         """Add a step, and return the state that the gate was in, "" where nothing says."""
         self._times.append(step.at_ns)
         self._numbers[step.source].append(step.number)
+        self._held.setdefault(frozenset(step.values), [0, step.at_ns])[0] += 1
         gate = codec.parse_facts(step.values.get(keys.command_gate(self.robot)))
         self._gates.append(sys.intern(str(gate.get("state", ""))))
         for name in ("clamped", "refused"):
@@ -106,6 +112,7 @@ class StepMeter:
             interrupted_share=interrupted,
             clamped=self._counts.get("clamped"),
             refused=self._counts.get("refused"),
+            lacking=self._lacking(),
             compared_steps=tracking.ticks if tracking else 0,
             mean_joint_error_rad=tracking.mean_joint_error_rad if tracking else None,
             worst_joint=worst,
@@ -113,6 +120,17 @@ class StepMeter:
             joint_errors_rad=errors,
             mean_root_height_error_m=tracking.mean_root_height_error_m if tracking else None,
         )
+
+    def _lacking(self) -> dict[str, Seen]:
+        """Return in how many steps each key is missing that nearly all of them hold; their keys are written at once."""
+        found = {}
+        for key in (family(self.robot) for family in RESULTS):
+            without = [counted for held, counted in self._held.items() if key not in held]
+            count = sum(counted[0] for counted in without)
+            if 0 < count < _MOST_LACKING * len(self._times):
+                first_s = round((min(counted[1] for counted in without) - self.start_ns) * 1e-9, 3)
+                found[key] = Seen(count, first_s)
+        return found
 
     def falls(self) -> list[FallSeen]:
         """Return the falls that the recorded pose shows."""

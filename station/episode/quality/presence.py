@@ -16,7 +16,7 @@ from typing import Any, get_args
 from station.bus import codec, keys
 from station.bus.contracts import contract
 from station.contract import Contract
-from station.episode.quality.finding_parts import KeyPresence, Loss, LossKind
+from station.episode.quality.finding_parts import KeyPresence, Loss, LossKind, Silence
 from station.episode.quality.findings import StreamQuality
 from station.episode.quality.pauses import End
 from station.episode.reading.messages import Message
@@ -27,6 +27,7 @@ _BLEND_S = 5.0  # how long a server goes on commanding, towards standing, after 
 _NEAR_S = 2.0  # a word that comes later than that after the last write does not say why there was none
 _BUS_LOST = "bus-lost"
 _FINALIZED = "finalized"
+_WORKS = ("inactive", "active")  # before, it loads what it needs; from one to the other it may have to connect
 _RECORDER = "recorder"
 _JUDGED = ("command", "state", "policy", "sensor")
 _MOST = 1000  # losses that are listed; a file that was built to harm may hold millions
@@ -41,20 +42,31 @@ class Heartbeats:
         start_ns: Start of the episode [ns since the epoch].
         alive: Names of servers that lived during the episode.
         farewells: Sources that said that they end, and when first [ns since the epoch].
+        silences: By server, when it was silent for longest between two words that it works, and for how long [ns].
     """
 
     start_ns: int
     alive: set[str] = field(default_factory=set)
     farewells: dict[str, int] = field(default_factory=dict)
+    silences: dict[str, tuple[int, int]] = field(default_factory=dict)
+    _said: dict[str, tuple[int, object]] = field(
+        default_factory=dict
+    )  # by source: last word, when [ns], in the episode
 
     def feed(self, message: Message) -> None:
         """Add a message; any other is passed over."""
         if not message.topic.startswith(keys.SERVER_PREFIX) or message.channel.is_deletion:
             return
-        if _state(message.data) == _FINALIZED:
-            self.farewells.setdefault(message.channel.source, message.log_ns)
+        state, source = _state(message.data), message.channel.source
+        name, before = message.topic.removeprefix(keys.SERVER_PREFIX), self._said.pop(source, None)
+        if state == _FINALIZED:
+            self.farewells.setdefault(source, message.log_ns)
         elif message.log_ns >= self.start_ns:
-            self.alive.add(message.topic.removeprefix(keys.SERVER_PREFIX))
+            self.alive.add(name)
+            self._said[source] = message.publish_ns, state
+            if before is not None and before[1] == state and state in _WORKS:
+                silence = before[0], message.publish_ns - before[0]
+                self.silences[name] = max(self.silences.get(name, silence), silence, key=lambda one: one[1])
 
 
 def ends_s(manifest: Manifest, streams: Sequence[StreamQuality]) -> tuple[float, float]:
@@ -101,6 +113,18 @@ def without_pictures(manifest: Manifest, seen: Iterable[str], heard: Heartbeats)
         str(facts.get("key")) for name, facts in manifest.servers.items() if name in heard.alive or not heard.alive
     }
     return sorted(key for key in (listed | stated) - set(seen) if _is_camera(contract(key)))
+
+
+def silences(heard: Heartbeats) -> list[Silence]:
+    """Return the longest silence of each server between two words that it works, the recorder's apart.
+
+    A pause of that one loses nothing: it takes up the bus's stream where it was.
+    """
+    return [
+        Silence(server=name, at_s=round((at_ns - heard.start_ns) * 1e-9, 3), seconds=round(lasted_ns * 1e-9, 3))
+        for name, (at_ns, lasted_ns) in sorted(heard.silences.items())
+        if name != _RECORDER
+    ]
 
 
 def losses(events: Iterable[tuple[float, Mapping[str, Any]]], manifest: Manifest) -> list[Loss]:

@@ -123,7 +123,7 @@ class MostRate(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class LeastSharpness(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The least sharpness: variance of the Laplacian of a small picture in grey of 0 to 255."""
+    """The least sharpness: variance of the Laplacian of a small picture over that of its grey."""
 
     below: float
 
@@ -144,6 +144,12 @@ class MostFactor(Rule, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """By what factor, or by one over it, a scale may be off."""
 
     above_factor: float
+
+
+class MostTimes(GradedRule, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How often something may happen that is usable still."""
+
+    usable_up_to: float
 
 
 class PictureAges(Seconds, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -179,6 +185,9 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     not_mirrored: GradedRule
     deleted: Rule
     gap: Seconds
+    device_gap: MostSeconds
+    device_slow: MostSeconds
+    server_paused: MostSeconds
     slow: LeastShare
     rival_writers: Rule
     bus_silent: Rule
@@ -200,9 +209,13 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     camera_flat: MostShare
     camera_exposure: MostShare
     camera_blurred: LeastSharpness
+    camera_noise: MostShare
+    camera_cut: MostShare
+    camera_turned: Rule
     cameras_swapped: Rule
     no_steps: Rule
     missing_keys: Rule
+    incomplete_steps: Shares
     never_tracked: Rule
     commands_ended: Rule
     interrupted: Shares
@@ -222,12 +235,18 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     quaternion_norm: Losses
     frozen_state: Seconds
     stuck_joint: Seconds
+    repeated_states: MostShare
+    position_jump: MostTimes
     orientation_disagrees: LeastAgreement
+    gyro_scale: MostFactor
     velocity_disagrees: LeastAgreement
     velocity_scale: MostFactor
     joint_order: Rule
+    joint_reversed: Rule
+    joint_offset: Angles
     beyond_limits: Angles
     step_times: Seconds
+    untimed_steps: MostShare
     before_written: MostShare
     command_ahead: Rule
     reused_states: Shares

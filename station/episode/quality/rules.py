@@ -19,6 +19,7 @@ _NAMED = 5  # keys of a finding that are listed
 _DESCRIBED = ("command", "state", "policy", "sensor")
 _OF_THE_ROBOT = ("state", "policy")
 _ANY_HZ = 1e9
+_LAST_S = 0.005
 _SHORTEST_S = 1e-3  # of an episode; keeps a share finite
 
 
@@ -72,9 +73,10 @@ def _manifest_changed(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, st
 
 
 def _audit_differs(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
-    if (audit := quality.audit) is not None and audit.different:
-        text = f"{audit.different} of {audit.compared} recorded vectors are not what they are computed to be again"
-        yield "reject", f"{text}; `station audit` says which"
+    for one in quality.audit.differences if quality.audit is not None else ():
+        share = f"{one.different} of {one.compared}" if one.compared else f"{one.different}"
+        text = f"{one.key}: {share} values are not what {' and '.join(one.of)} give again"
+        yield "reject", text if one.first_s is None else f"{text}, the first at {one.first_s:.2f} s"
 
 
 def _discarded(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -98,7 +100,8 @@ def _lost(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
         worst = max(streams, key=lambda stream: stream.lost)
         share = max(_lost_share(stream) for stream in streams)
         verdict: Verdict = "reject" if share > limits.lost.reject_above_share else "usable"
-        text = f"{_named(worst)}: {worst.lost} of {worst.lost + worst.count} writes are missing"
+        where = "" if worst.lost_at_s is None else f", the first at {worst.lost_at_s:.2f} s"
+        text = f"{_named(worst)}: {worst.lost} of {worst.lost + worst.count} writes are missing{where}"
         if len(streams) > 1:
             total = sum(stream.lost for stream in streams)
             text += f"; {total} in all {len(streams)} streams of {writer} that lack some"
@@ -150,7 +153,38 @@ def _gap(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
         gap_s = worst.longest_gap_s or 0.0
         verdict: Verdict = "reject" if gap_s > limits.gap.reject_above_s else "usable"
         others = f"; at most that long: {len(streams) - 1} more of its streams" if len(streams) > 1 else ""
-        yield verdict, f"{_named(worst)}: silent for {gap_s:.3f} s (limit {limits.gap.usable_above_s:g} s){others}"
+        where = f"for {gap_s:.3f} s from {worst.gap_at_s or 0.0:.2f} s on"
+        yield verdict, f"{_named(worst)}: silent {where} (limit {limits.gap.usable_above_s:g} s){others}"
+
+
+def _device_gap(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for stream in _devices(quality, lambda one: one.longest_gap_s or 0.0):
+        gap_s, at_s = stream.longest_gap_s or 0.0, stream.gap_at_s or 0.0
+        is_last = at_s + gap_s > stream.last_s - _LAST_S  # before its word that the device's server has ended
+        if gap_s > limits.device_gap.above_s and not is_last:
+            yield "usable", f"{_named(stream)}: silent for {gap_s:.3f} s from {at_s:.2f} s on"
+
+
+def _device_slow(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for stream in _devices(quality, lambda one: one.slowest_s or 0.0):
+        slowest_s = stream.slowest_s or 0.0
+        if slowest_s > limits.device_slow.above_s:
+            where = f"took {slowest_s:.2f} s from {stream.slowest_at_s or 0.0:.2f} s on"
+            yield "usable", f"{_named(stream)}: the writes of one second {where}: it was starved, or paused in turns"
+
+
+def _devices(quality: Quality, worst: Callable[[StreamQuality], float]) -> list[StreamQuality]:
+    """Return of each operator's device the stream that is worst, of those that it writes at a rate."""
+    cameras = {camera.key for camera in quality.cameras}
+    streams = [one for one in quality.streams if one.role == "sensor" and one.nominal_hz and one.key not in cameras]
+    return [max(group, key=worst) for group in _by_writer(streams).values()]
+
+
+def _server_paused(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for one in quality.silences:
+        if one.seconds > limits.server_paused.above_s:
+            where = f"did not say that it works for {one.seconds:.2f} s from {one.at_s:.2f} s on"
+            yield "usable", f"server {one.server} ({keys.server(one.server)}): {where}: it was paused, or starved"
 
 
 def _slow(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -197,10 +231,19 @@ def _estop(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
 
 def _no_steps(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
     if not any(robot.steps for robot in quality.steps):
-        yield (
-            "usable",
-            "no policy step in the file: nothing to audit, and training data of it needs --state and --action",
-        )
+        of = " and ".join(robot.robot for robot in quality.motion)
+        text = "nothing to audit, and training data of it needs --state and --action"
+        yield "usable", f"no policy step{f' of {of}' * bool(of)} in the file: {text}"
+
+
+def _incomplete_steps(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for robot in quality.steps:
+        for key, seen in robot.lacking.items():
+            share = seen.count / robot.steps
+            if share > limits.incomplete_steps.usable_above_share:
+                verdict: Verdict = "reject" if share > limits.incomplete_steps.reject_above_share else "usable"
+                where = f"the first at {seen.first_s or 0.0:.2f} s"
+                yield verdict, f"{key}: {seen.count} of {robot.steps} steps lack it, {where}; a step writes all at once"
 
 
 def _missing_keys(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -218,7 +261,8 @@ def _missing_keys(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
 def _never_tracked(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
     for robot in quality.steps:
         if robot.steps and not robot.gate_shares.get("tracking"):
-            yield "reject", f"{robot.robot}: the gate never let a command through ({_shares(robot)})"
+            told = _shares(robot) or f"nothing tells what it did: no {keys.command_gate(robot.robot)} in the file"
+            yield "reject", f"{robot.robot}: the gate never let a command through ({told})"
 
 
 def _commands_ended(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -449,6 +493,9 @@ RULES: dict[str, Finder] = {
     "lossy-tap": _lossy_tap,
     "holes": _holes,
     "gap": _gap,
+    "device-gap": _device_gap,
+    "device-slow": _device_slow,
+    "server-paused": _server_paused,
     "slow": _slow,
     "rival-writers": _rivals,
     "bus-silent": _bus_silent,
@@ -470,6 +517,7 @@ RULES: dict[str, Finder] = {
     "estop": _estop,
     "no-steps": _no_steps,
     "missing-keys": _missing_keys,
+    "incomplete-steps": _incomplete_steps,
     "never-tracked": _never_tracked,
     "commands-ended": _commands_ended,
     "interrupted": _interrupted,

@@ -29,7 +29,7 @@ def _camera_gap(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str
         gap_s = camera.longest_gap_s or 0.0
         if gap_s > max(limits.camera_gap.usable_above_s, GAP_PERIODS / (camera.nominal_hz or _ANY_HZ)):
             verdict: Verdict = "reject" if gap_s > limits.camera_gap.reject_above_s else "usable"
-            yield verdict, f"camera {camera.name}: no picture for {gap_s:.2f} s"
+            yield verdict, f"camera {camera.name}: no picture for {gap_s:.2f} s from {camera.gap_at_s or 0.0:.2f} s on"
 
 
 def _camera_slow(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -46,7 +46,8 @@ def _misaligned(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str
         if found.lag_s is None or least_s <= found.lag_s <= most_s:
             continue
         how = "after" if found.lag_s > 0 else "before"
-        yield "usable", f"{found.robot}: joints move {abs(found.lag_s) * 1e3:.0f} ms {how} the command that they got"
+        text = f"joints move {abs(found.lag_s) * 1e3:.0f} ms {how} the command that they got"
+        yield "usable", f"{found.robot}: {text}, by {keys.command_used(found.robot)} and {found.state_key}"
 
 
 def _idle_ends(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -167,12 +168,37 @@ def _camera_exposure(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict
 
 def _camera_blurred(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for found in quality.pictures:
-        if found.sharpness is not None and found.sharpness < limits.camera_blurred.below:
-            text = f"sharpness {found.sharpness:.1f}, expected {limits.camera_blurred.below:g} and more"
+        if found.focus_lost_s is not None:
+            yield "usable", f"{_camera(found)}: its focus went at {found.focus_lost_s:.2f} s"
+        elif found.relative_sharpness is not None and found.relative_sharpness < limits.camera_blurred.below:
+            text = f"sharpness {found.relative_sharpness:.3f}, expected {limits.camera_blurred.below:g} and more"
             yield "usable", f"{_camera(found)}: {text}"
 
 
+def _camera_noise(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for found in quality.pictures:
+        if found.noise.count > limits.camera_noise.above_share * found.looked_at:
+            yield "reject", f"{_camera(found)}: {_of(found.noise, found.looked_at)} looked at are noise"
+
+
+def _camera_cut(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for found in quality.pictures:
+        if found.cut.count > limits.camera_cut.above_share * found.looked_at:
+            what = "have a lower end of one colour, and the first ones none"
+            yield "usable", f"{_camera(found)}: {_of(found.cut, found.looked_at)} looked at {what}"
+
+
+def _camera_turned(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    for found in quality.pictures:
+        if found.turned.count:
+            yield "usable", f"{_camera(found)}: turned upside down at {found.turned.first_s or 0.0:.2f} s"
+
+
 def _cameras_swapped(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
+    for found_pictures in quality.pictures:
+        if other := found_pictures.exchanged_with:
+            where = f"at {found_pictures.exchanged_s:.2f} s"
+            yield "reject", f"{_camera(found_pictures)}: shows from then on, {where}, what {other} showed before"
     if found := quality.swapped_cameras:
         how = "serial numbers" if found[0].told_by == "serial" else "what they see"
         what = ", ".join(f"{one.camera} is the one that was {one.was}" for one in found)
@@ -200,6 +226,9 @@ SENSED: dict[str, Finder] = {
     "camera-flat": _camera_flat,
     "camera-exposure": _camera_exposure,
     "camera-blurred": _camera_blurred,
+    "camera-noise": _camera_noise,
+    "camera-cut": _camera_cut,
+    "camera-turned": _camera_turned,
     "cameras-swapped": _cameras_swapped,
     "misaligned": _misaligned,
     "idle-ends": _idle_ends,

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from station.contract import TIMING_STAGES, Contract
 from station.episode.quality.blocks import at_once, decoded
-from station.episode.quality.finding_parts import StepTimes
+from station.episode.quality.finding_parts import Seen, StepTimes
 from station.episode.reading.messages import Ints
 from station.episode.reading.steps import timing_row
 from station.protocols import Floats
@@ -69,15 +69,19 @@ class StepTimesMeter:
     Args:
         used, command: What the command after the gate holds, and what the key of the command does; None for neither, or
             where both do not hold the same elements.
+        start_ns: Instant that times are told from [ns since the epoch].
     """
 
-    def __init__(self, used: Contract | None, command: Contract | None) -> None:
+    def __init__(self, used: Contract | None, command: Contract | None, start_ns: int) -> None:
+        self._start_ns, self._command_key = start_ns, command.key if command is not None else ""
         is_same = used is not None and command is not None and used.names == command.names
         self._used, self._command = (used, command) if is_same else (None, None)
         self._sources: set[str] = set()
         self._commands: dict[int, tuple[int, bytes]] = {}  # by number: when it was written, and what it holds
         self._states_off, self._commands_off = array("q"), array("q")
-        self._steps = self._early = self._stamped = self._reused = self._again = self._compared = 0
+        self._reused_ns = 0
+        self._untimed = array("q")
+        self._steps = self._early = self._stamped = self._reused = self._again = self._compared = self._timed = 0
         self._distance = np.zeros(_MOST_AHEAD + 1)
 
     def add_command(self, source: str, number: int, at_ns: int, data: bytes) -> None:
@@ -91,10 +95,14 @@ class StepTimesMeter:
         for step in steps:
             self._steps += step.state_ns > 0
             self._again = self._again + 1 if step.is_reused else 0
+            if step.is_reused and not self._reused:
+                self._reused_ns = step.at_ns
             self._reused += step.is_reused
         timed = [step for step in steps if step.timing is not None]
         rows = _rows([step.timing or b"" for step in timed])
         good = np.flatnonzero(rows[:, _SENT] > 0)
+        self._untimed.extend(timed[index].at_ns for index in np.flatnonzero((rows[:, _FIRST_STAGE:] <= 0).all(axis=1)))
+        self._timed += len(timed)
         if len(good):
             self._compare(rows[good], [timed[index] for index in good])
         for number in list(self._commands)[:-_KEPT]:
@@ -104,6 +112,7 @@ class StepTimesMeter:
         """Return how times lie to each other; None where too little says when anything was."""
         state_s, command_s = (_off_s(off) for off in (self._states_off, self._commands_off))
         ahead, differs = self._ahead()
+        first_s = round((self._untimed[0] - self._start_ns) * 1e-9, 3) if self._untimed else None
         if self._steps < _LEAST_STEPS:
             return None
         return StepTimes(
@@ -114,6 +123,10 @@ class StepTimesMeter:
             commands_ahead=ahead,
             command_difference=differs,
             reused_states_share=(self._reused - self._again) / self._steps,
+            reused_at_s=round((self._reused_ns - self._start_ns) * 1e-9, 3) if self._reused else None,
+            command_key=self._command_key,
+            untimed=Seen(len(self._untimed), first_s),
+            timed=self._timed,
         )
 
     def _compare(self, rows: Ints, steps: list[Timed]) -> None:

@@ -100,13 +100,18 @@ def _ints(values: array[int]) -> Ints:
 def _measure(
     channel: Channel, times: Ints, numbers: Ints, paused: NDArray[np.bool_], start_ns: int, drops: Drops
 ) -> StreamQuality:
-    missing, repeated, out_of_order = _by_number(numbers) if channel.is_native else (0, 0, 0)
+    missing, repeated, out_of_order, hole = _by_number(numbers) if channel.is_native else (0, 0, 0, None)
     dropped, bulky = (0, 0) if channel.is_deletion else drops.of(channel.topic, channel.source)
     every = np.diff(times) * 1e-9
     intervals = every[~paused]
     span_s = float(intervals.sum())
-    jitter = np.abs(intervals - np.median(intervals)) if len(intervals) else intervals
+    gap = int(np.where(paused, -1.0, every).argmax()) if len(intervals) else None
+    median_s = float(np.median(intervals)) if len(intervals) else 0.0
+    jitter = np.abs(intervals - median_s)
     contract = channel.contract
+    second = round(1.0 / median_s) if median_s > 0 else 0  # a device may have a rate of its own
+    there = times[:-1]  # the last write of a device is its word that it has ended, long after the others
+    slow = int((there[second:] - there[:-second]).argmax()) if 0 < second < len(there) else None
     return StreamQuality(
         key=channel.topic,
         source=channel.source,
@@ -123,17 +128,29 @@ def _measure(
         nominal_hz=contract.rate_hz if contract and not channel.is_deletion else None,
         jitter_p50_s=float(np.percentile(jitter, 50)) if len(jitter) else None,
         jitter_p99_s=float(np.percentile(jitter, 99)) if len(jitter) else None,
-        longest_gap_s=float(intervals.max()) if len(intervals) else None,
+        longest_gap_s=None if gap is None else float(every[gap]),
+        lost_at_s=_at_s(times, hole, start_ns),
+        slowest_s=None if slow is None else float(there[slow + second] - there[slow]) * 1e-9,
+        slowest_at_s=_at_s(times, slow, start_ns),
+        gap_at_s=_at_s(times, gap, start_ns),
         first_s=float(times[0] - start_ns) * 1e-9,
         last_s=float(times[-1] - start_ns) * 1e-9,
         paused_s=float(every[paused].sum()),
     )
 
 
-def _by_number(numbers: Ints) -> tuple[int, int, int]:
-    """Return how many sequence numbers are missing, repeated, and smaller than the one before."""
+def _at_s(times: Ints, index: int | None, start_ns: int) -> float | None:
+    return None if index is None else round(float(times[index] - start_ns) * 1e-9, 3)
+
+
+def _by_number(numbers: Ints) -> tuple[int, int, int, int | None]:
+    """Return how many sequence numbers are missing, repeated, and smaller than the one before.
+
+    And how many messages have smaller ones than the first that is missing, less one; None where none is missing.
+    """
     steps = (np.diff(numbers) + _WRAP // 2) % _WRAP - _WRAP // 2
     unwrapped = np.concatenate([[0], np.cumsum(steps)])
-    different = len(np.unique(unwrapped))
-    lost = int(unwrapped.max() - unwrapped.min()) + 1 - different
-    return lost, len(numbers) - different, int(np.count_nonzero(steps < 0))
+    there = np.unique(unwrapped)
+    lost = int(there[-1] - there[0]) + 1 - len(there)
+    hole = int((np.diff(there) > 1).argmax()) if lost else None
+    return lost, len(numbers) - len(there), int(np.count_nonzero(steps < 0)), hole

@@ -17,6 +17,10 @@ _ENDS = ("began-late", "ended-early", "writer-gap")
 _OF_THE_CONTROL = ("slow", "old-command", "misaligned", "jerky", "jerky-command", "velocity-scale")
 
 
+_OF_STATES = ("gyro-scale", "position-jump", "repeated-states")
+"""Rules that need to know when each state was written."""
+
+
 def times_of(manifest: Manifest) -> TimesOf:
     """Return whose times an episode has."""
     imported = manifest.foreign.get(IMPORTED)
@@ -30,11 +34,14 @@ def not_judged(quality: Quality) -> dict[str, str]:
     """Return the rules that the times of an episode cannot answer, and why, in a few words."""
     found: dict[str, str] = {}
     if quality.lock_step:
-        found |= dict.fromkeys(("gap", *_ENDS, *_OF_THE_CONTROL), _LOCK_STEP)
+        own = set(_OF_THE_CONTROL) - {"velocity-scale"}  # its period is that of the contract
+        found |= dict.fromkeys(sorted({"gap", "device-gap", *_ENDS, *own}), _LOCK_STEP)
     if quality.times_of == "polled":
-        found |= dict.fromkeys(_OF_THE_CONTROL, _POLLED)
+        found |= dict.fromkeys((*_OF_THE_CONTROL, *_OF_STATES), _POLLED)
     if quality.times_of == "nominal":
-        found |= dict.fromkeys(("gap", "camera-gap", "camera-slow", *_OF_THE_CONTROL, "idle-ends"), _NOMINAL)
+        found |= dict.fromkeys(
+            ("gap", "device-gap", "camera-gap", "camera-slow", *_OF_THE_CONTROL, *_OF_STATES, "idle-ends"), _NOMINAL
+        )
     return found
 
 

@@ -10,6 +10,7 @@ controller's session refused a target, its refusal stands in the file, and the t
 
 from __future__ import annotations
 
+from array import array
 from collections import OrderedDict
 from dataclasses import dataclass, field
 
@@ -43,7 +44,9 @@ class ArmAudit(msgspec.Struct, kw_only=True):
         steps: Ticks in the file.
         followed: Those in which a command was followed.
         commands: Commands after the gate, derived and recorded.
-        states_different: Followed ticks whose derived state of the gate is another.
+        states_different, first_state_different_s: Followed ticks whose derived state of the gate is another, and when
+            the first was, from the start of the episode [s].
+        command_key: Key of the commands that went through the gate again.
         targets: Targets, derived and recorded, in the ticks whose joints are in the file.
         refused: Ticks in which the controller's session refused to be engaged, or a target.
         segments: Runs of followed ticks without a missing one; derivation starts anew at each.
@@ -56,6 +59,8 @@ class ArmAudit(msgspec.Struct, kw_only=True):
     followed: int = 0
     commands: Comparison = msgspec.field(default_factory=Comparison)
     states_different: int = 0
+    first_state_different_s: float | None = None
+    command_key: str = ""
     targets: Comparison = msgspec.field(default_factory=Comparison)
     refused: int = 0
     segments: int = 0
@@ -83,7 +88,8 @@ def audit_arm(reader: EpisodeReader, robot: str) -> ArmAudit:
         EpisodeError: the episode does not say what the arm's command and gate were.
     """
     command_format, config = _stated(reader, robot)
-    run = _Run(ArmAudit(episode_id=reader.episode_id, robot=robot), command_format, config)
+    found = ArmAudit(episode_id=reader.episode_id, robot=robot, command_key=command_format.key)
+    run = _Run(found, command_format, config)
     joiner = StepJoiner(robot, context={keys.state_controller(robot)})
     for message in reader.messages({*joiner.topics, command_format.key}):
         if message.topic == command_format.key:
@@ -92,7 +98,8 @@ def audit_arm(reader: EpisodeReader, robot: str) -> ArmAudit:
             run.on_step(step)
     for step in joiner.finish():
         run.on_step(step)
-    return run.found
+    run.place(reader.start_ns)
+    return found
 
 
 def _stated(reader: EpisodeReader, robot: str) -> tuple[JointCommand, GateConfig]:
@@ -123,6 +130,8 @@ class _Run:
     found: ArmAudit
     command_format: JointCommand
     config: GateConfig
+    _states: Comparison = field(default_factory=Comparison)
+    _times: array[int] = field(default_factory=lambda: array("q"))  # of every tick [ns]
     _commands: OrderedDict[int, list[Message]] = field(default_factory=OrderedDict)
     _before: Step | None = None
     _held: Floats | None = None  # the target of the tick before, where a command was followed in it
@@ -131,6 +140,13 @@ class _Run:
     def __post_init__(self) -> None:
         bounds = Bounds.of(self.command_format, self.config.rate_factor)
         self._gate = Gate(self.command_format.default, self.config, bounds, holds_position=True)
+
+    def place(self, start_ns: int) -> None:
+        """Say when the first difference of each kind was, by the start of the episode [ns since the epoch]."""
+        for compared in (self.found.commands, self.found.targets, self._states):
+            compared.place(self._times, start_ns)
+        self.found.states_different = self._states.different
+        self.found.first_state_different_s = self._states.first_different_s
 
     def on_command(self, message: Message) -> None:
         """Remember a command."""
@@ -143,6 +159,7 @@ class _Run:
         found, robot = self.found, self.found.robot
         found.steps += 1
         number = found.steps - 1
+        self._times.append(step.at_ns)
         row = timing_row(step.values.get(keys.policy_timing(robot)))
         gate = codec.parse_facts(step.values.get(keys.command_gate(robot)))
         used, target = _vector(step, keys.command_used(robot)), _vector(step, keys.target(robot))
@@ -183,7 +200,7 @@ class _Run:
         delay_s = (row[_ARRIVED] - row[_WRITTEN]) * 1e-9 if row[_WRITTEN] else 0.0
         decision = self._gate.step(now_s, command, now_s - row[_ARRIVED] * 1e-9, delay_s=delay_s)
         self.found.commands.add(number, used, decision.vector)
-        self.found.states_different += decision.state != state
+        self._states.add_state(number, state, decision.state)
 
     def _command(self, seq: int, arrived_ns: int) -> Floats | None:
         """Return the command of a number: of several writers' the one that a good one of them wrote last."""

@@ -14,6 +14,7 @@ nothing is proven.
 from __future__ import annotations
 
 import time
+from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -72,14 +73,17 @@ class Audit(AuditedPolicy, kw_only=True):
         steps: Policy steps whose observation and action are in the file.
         different: Those whose action differs in any bit.
         max_abs_difference: Greatest difference of an element of an action.
-        first_different: Number of the first step that differs, or None.
+        first_different, first_different_s: Number of the first step that differs, and when that was, from the start of
+            the episode [s]; None where none does.
         observations: The same for observations derived again from recorded state and command.
         not_derived: Why an observation could not be derived, of the first such step; "" where there is none.
         has_observations: Whether observations were recorded; else they are derived for the actions.
         past_unknown: Steps without a recorded observation before which something is not in the file that the policy had
             seen, so that its action could not be derived.
         commands: The same for what the gate let through, derived from the recorded commands.
-        gates_different: Steps in which the gate was in another state than derived.
+        gates_different, first_gate_different_s: Steps in which the gate was in another state than derived, and when the
+            first was [s].
+        command_key: Key of the commands that went through the gate again; "" where none did.
         commands_not_proven: How many steps the gate could not be followed through, by why.
         targets: The same for what was sent to the joints, positions and gains, derived from the recorded actions.
         targets_not_proven: How many steps their targets could not be derived in, wholly or in part, by why.
@@ -97,12 +101,15 @@ class Audit(AuditedPolicy, kw_only=True):
     different: int
     max_abs_difference: float
     first_different: int | None
+    first_different_s: float | None
     observations: Comparison
     not_derived: str
     has_observations: bool = True
     past_unknown: int = 0
     commands: Comparison
     gates_different: int
+    first_gate_different_s: float | None
+    command_key: str
     commands_not_proven: dict[str, int]
     targets: Comparison
     targets_not_proven: dict[str, int]
@@ -167,6 +174,7 @@ def audit(
         has_observations=keys.policy_obs(suspect.robot) in reader.topics(),
     )  # fmt: skip
     run.on_file(reader)
+    run.place(reader.start_ns)
     audited = [_audited(suspects[name], load(name)) for name in run.drove or list(suspects)[:1]]
     return _result(reader.episode_id, run, gate, audited, time.perf_counter() - began)
 
@@ -186,12 +194,15 @@ def _result(
         different=actions.different,
         max_abs_difference=actions.max_abs_difference,
         first_different=actions.first_different,
+        first_different_s=actions.first_different_s,
         observations=run.observations,
         not_derived=run.not_derived,
         has_observations=run.has_observations,
         past_unknown=run.past_unknown,
         commands=Comparison() if isinstance(gate, str) else gate.commands,
-        gates_different=0 if isinstance(gate, str) else gate.states_different,
+        gates_different=0 if isinstance(gate, str) else gate.states.different,
+        first_gate_different_s=None if isinstance(gate, str) else gate.states.first_different_s,
+        command_key="" if isinstance(gate, str) else gate.of.command_format.key,
         commands_not_proven={gate: run.count} if isinstance(gate, str) else dict(gate.not_proven),
         targets=targets.targets,
         targets_not_proven=dict(targets.not_proven),
@@ -263,6 +274,7 @@ class _Run:
     first_ns: int = 0
     last_ns: int = 0
     count: int = 0
+    _times: array[int] = field(default_factory=lambda: array("q"))  # of every step [ns]
     _before: Step | None = None
     _driving: str = ""
     _next: str | None = None  # who listened in the step before; None where that is not in the file
@@ -283,9 +295,16 @@ class _Run:
         for step in joiner.finish():
             self.on_step(step)
 
+    def place(self, start_ns: int) -> None:
+        """Say when the first difference of each kind was, by the start of the episode [ns since the epoch]."""
+        followed = (self.gate.commands, self.gate.states) if self.gate is not None else ()
+        for found in (self.actions, self.observations, self.targets.targets, *followed):
+            found.place(self._times, start_ns)
+
     def on_step(self, step: Step) -> None:
         """Compare one step."""
         number, self.count = self.count, self.count + 1
+        self._times.append(step.at_ns)
         told = gate_told(step, self.robot)
         if self.gate is not None:
             self.gate.on_step(number, step, told)

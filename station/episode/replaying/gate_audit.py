@@ -116,7 +116,7 @@ class GateReplay:
         of: How the gate was set.
         anchor: Clock of the file; None where it says none.
         commands: What the gate let through, derived and recorded.
-        states_different: Steps in which the gate was in another state.
+        states: What state it was in, likewise.
         not_proven: How many steps were not compared, by why.
     """
 
@@ -124,7 +124,7 @@ class GateReplay:
     of: GateSetting
     anchor: Anchor | None
     commands: Comparison = field(default_factory=Comparison)
-    states_different: int = 0
+    states: Comparison = field(default_factory=Comparison)
     not_proven: Counter[str] = field(default_factory=Counter)
     _written: OrderedDict[int, list[Message]] = field(default_factory=OrderedDict)
     _resets: set[str] = field(default_factory=set)  # sources of servers that told of one since the last step
@@ -228,8 +228,7 @@ class GateReplay:
             return
         age = math.inf if vector is None or age_s is None else age_s
         decision = gate.step(now_s, vector, age, delay_s=self._delay_s(row))
-        is_same_state = decision.state == state
-        self.states_different += not is_same_state
+        is_same_state = self.states.add_state(number, state, decision.state)
         if not (self.commands.add(number, used, decision.vector) and is_same_state):
             self._resume(used, now_s, told, row)  # what follows is not compared with what is wrong already
 

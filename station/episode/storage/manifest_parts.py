@@ -281,6 +281,23 @@ class Compacted(msgspec.Struct, kw_only=True):
     verdict: str = ""
 
 
+class AuditDifference(msgspec.Struct, frozen=True, kw_only=True):
+    """A recorded key that is not what it is computed to be again.
+
+    Attributes:
+        key: The key.
+        of: Keys that it was computed from.
+        compared, different: Values that were computed, and those that differ.
+        first_s: When the first of them was, from the start of the episode [s].
+    """
+
+    key: str
+    of: list[str]
+    compared: int
+    different: int
+    first_s: float | None = None
+
+
 class AuditFound(msgspec.Struct, kw_only=True):
     """What an audit found (`station.episode.replaying.in_short`); nothing is proven of what was not compared.
 
@@ -289,9 +306,11 @@ class AuditFound(msgspec.Struct, kw_only=True):
         different: Those that are not what was recorded, to the last bit, and states of the gate that are not.
         not_proven: Steps of which something could not be compared; one counts for each thing.
         not_audited: Robots that were not audited, and why, a line each.
+        differences: Keys that differ, in the order of a step.
     """
 
     compared: int = 0
     different: int = 0
     not_proven: int = 0
     not_audited: list[str] = []
+    differences: list[AuditDifference] = []

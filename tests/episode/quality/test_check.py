@@ -298,6 +298,34 @@ def _nothing(_: EpisodeBuilder) -> None:
     pass
 
 
+def _device(builder: EpisodeBuilder, gap_s: float, *, slow_s: float = 0.0) -> None:
+    """A device that pauses after a second, and one that is starved for two."""
+    walk(builder, seconds=8.0)
+    at_s, number = 0.1, 0
+    while at_s < 8.0:
+        builder.write({keys.operator_status("pico"): b"{}"}, at_s=at_s, writer="pico")
+        at_s += 0.01 + slow_s * (150 <= number < 300) + gap_s * (number == 100)
+        number += 1
+
+
+def _heartbeats(builder: EpisodeBuilder, *, gap_s: float) -> None:
+    walk(builder, seconds=6.0)
+    for number in range(8):
+        health = {keys.server("pico"): codec.json_object({"state": "active"})}
+        builder.write(health, at_s=0.2 + 0.5 * number + gap_s * (number > 3), writer="pico")
+
+
+def _incomplete(builder: EpisodeBuilder) -> None:
+    write, lost = builder.write, keys.command_used(ROBOT)
+    for number in range(100):
+        if 50 <= number < 55:
+            builder.write = lambda values, **when: write(  # type: ignore[method-assign]
+                {key: value for key, value in values.items() if key != lost}, **when
+            )
+        tick(builder, number, at_s=0.1 + number / 50)
+        builder.write = write  # type: ignore[method-assign]
+
+
 LOSSLESS = {"backend": "replication", "is_lossless": True}
 CASES: dict[str, tuple[Callable[[EpisodeBuilder], None], dict[str, Any], str]] = {
     "empty": (_nothing, {}, "reject"),
@@ -310,6 +338,9 @@ CASES: dict[str, tuple[Callable[[EpisodeBuilder], None], dict[str, Any], str]] =
     "lossy-tap": (_plain(), {"recorder": {"backend": "poll"}}, "usable"),
     "holes": (_plain(), {"recorder": {**LOSSLESS, "restarts": 1}, "holes": [{"from_s": 0.5}]}, "reject"),
     "gap": (lambda builder: _silence(builder, 2.0), {}, "reject"),
+    "device-gap": (lambda builder: _device(builder, 0.3), {}, "usable"),
+    "device-slow": (lambda builder: _device(builder, 0.0, slow_s=0.01), {}, "usable"),
+    "server-paused": (lambda builder: _heartbeats(builder, gap_s=1.5), {}, "usable"),
     "slow": (_plain(rate_hz=30.0), {}, "usable"),
     "rival-writers": (_rival, {}, "reject"),
     "bus-silent": (_event("bus-silent"), {}, "usable"),
@@ -318,6 +349,7 @@ CASES: dict[str, tuple[Callable[[EpisodeBuilder], None], dict[str, Any], str]] =
     "operator-reset": (_event("operator-reset"), {}, "usable"),
     "estop": (_event("estop"), {}, "reject"),
     "no-steps": (_only_events, {}, "usable"),
+    "incomplete-steps": (_incomplete, {}, "usable"),
     "never-tracked": (_plain(gate="waiting"), {}, "reject"),
     "commands-ended": (_end_commands, {}, "usable"),
     "interrupted": (lambda builder: _interrupt(builder, 10), {}, "usable"),
@@ -379,6 +411,38 @@ def test_every_rule_has_a_case() -> None:
     in_test_changed_files = {"changed", "manifest-changed", "audit-differs"}
     others = {"torn", "unfinished", "dropped-images"} | in_test_missing | in_test_changed_files
     assert set(RULES) == set(CASES) | others | set(SENSED) | set(PLAUSIBLE)  # the last two: tests of their own
+
+
+def test_a_device_of_a_rate_of_its_own_is_not_starved(builder: EpisodeBuilder) -> None:
+    walk(builder, seconds=6.0)
+    for number in range(300):
+        builder.write({keys.operator_status("keyboard"): b"{}"}, at_s=0.1 + 0.02 * number, writer="keyboard")
+    assert reasons(checked(builder)) == set()
+
+
+def test_a_device_that_says_its_last_word_late_was_not_silent(builder: EpisodeBuilder) -> None:
+    walk(builder, seconds=6.0)
+    for number in range(550):
+        builder.write({keys.operator_status("pico"): b"{}"}, at_s=0.1 + 0.01 * number, writer="pico")
+    builder.write({keys.operator_status("pico"): b"{}"}, at_s=6.05, writer="pico")
+    assert reasons(checked(builder)) == set()
+
+
+def test_a_server_that_waits_for_its_turn_and_is_paused_is_told(builder: EpisodeBuilder) -> None:
+    walk(builder, seconds=6.0)
+    for at_s in (0.2, 0.7, 2.5, 3.0):
+        builder.write({keys.server("head"): codec.json_object({"state": "inactive"})}, at_s=at_s, writer="head")
+    (reason,) = checked(builder).reasons
+    assert reason.text.startswith(
+        "server head (station:server:head): did not say that it works for 1.80 s from 0.70 s on"
+    )
+
+
+def test_a_server_that_starts_slowly_was_not_paused(builder: EpisodeBuilder) -> None:
+    walk(builder, seconds=6.0)
+    for at_s, state in ((0.2, "unconfigured"), (2.2, "inactive"), (4.0, "active"), (4.5, "active")):
+        builder.write({keys.server("head"): codec.json_object({"state": state})}, at_s=at_s, writer="head")
+    assert reasons(checked(builder)) == set()
 
 
 def test_limits_can_be_changed(builder: EpisodeBuilder) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from station.episode.quality.findings import Quality
 from station.episode.quality.standing import stands
 from station.episode.reading.reader import open_episode
 from station.episode.storage.manifest import save_manifest
+from station.protocols import Floats
 from tests.episode.scenes import (
     CAMERA_HZ,
     HEAD,
@@ -287,3 +289,68 @@ def test_an_episode_without_cameras_starts_no_thread(tmp_path: Path) -> None:
 def test_of_a_long_episode_fewer_pictures_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(picture_contents, "_MOST_SAMPLES", 4)
     assert head(checked(tmp_path, sound)).looked_at == 4
+
+
+CHANCE = np.random.default_rng(7)
+
+
+def from_half_on(spoil: Callable[[Floats], Floats]) -> Film:
+    """A sound camera until 3 s, of which the pictures are then spoilt."""
+
+    def film(shot: Shot) -> bytes:
+        grey = scene(shot.number // 8) + noise(shot.number)  # it hardly moves
+        return file_of(spoil(grey) if shot.at_s >= 3.0 else grey)
+
+    return film
+
+
+def blurred(grey: Floats) -> Floats:
+    """Out of focus: means over 40 pixels, twice."""
+    kernel = np.ones(40) / 40
+    for axis in (0, 1, 0, 1):
+        grey = np.apply_along_axis(
+            lambda line: np.convolve(np.pad(line, 20, mode="edge"), kernel, "valid")[1:], axis, grey
+        )
+    return grey
+
+
+def cut(grey: Floats) -> Floats:
+    return np.concatenate([grey[:120], np.full_like(grey[120:], 128.0)])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "expected", "told"),
+    [
+        (lambda grey: CHANCE.uniform(0, 255, grey.shape), ("camera-noise", "reject"), "first at 3."),
+        (cut, ("camera-cut", "usable"), "(the first at 3."),
+        (lambda grey: grey[::-1, ::-1], ("camera-turned", "usable"), "turned upside down at 3."),
+        (blurred, ("camera-blurred", "usable"), "its focus went at 3."),
+    ],
+    ids=["noise", "cut", "turned", "blurred"],
+)  # fmt: skip
+def test_what_a_camera_shows_from_half_on_is_told_with_when(
+    tmp_path: Path, spoil: Callable[[Floats], Floats], expected: tuple[str, str], told: str
+) -> None:
+    quality = checked(tmp_path, from_half_on(spoil))
+    assert said(quality) == [expected]
+    assert told in quality.reasons[0].text
+
+
+def test_a_blur_of_a_moment_is_a_fast_motion(tmp_path: Path) -> None:
+    def film(shot: Shot) -> bytes:
+        return file_of(
+            blurred(scene(0) + noise(shot.number)) if 2.9 < shot.at_s < 3.3 else scene(0) + noise(shot.number)
+        )
+
+    assert said(checked(tmp_path, film, moves=False)) == []
+
+
+def test_cameras_that_change_names_in_the_middle_are_told_of_both(tmp_path: Path) -> None:
+    def seen(shot: Shot, *, is_first: bool) -> bytes:
+        other = np.tile(np.linspace(190.0, 60.0, 240)[:, None], (1, 320))
+        return file_of((scene(shot.number // 8) if is_first is (shot.at_s < 3.0) else other) + noise(shot.number))
+
+    quality = checked(tmp_path, lambda shot: seen(shot, is_first=True), wrist=lambda shot: seen(shot, is_first=False))
+    assert said(quality) == [("cameras-swapped", "usable")] * 2
+    assert "shows from then on, at 3." in quality.reasons[0].text
+    assert quality.reasons[0].text.endswith("what wrist showed before")

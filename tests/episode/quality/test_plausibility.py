@@ -17,8 +17,6 @@ from station.bus import codec, keys
 from station.episode.quality.blocks import at_once
 from station.episode.quality.check import check
 from station.episode.quality.findings import Quality
-from station.episode.quality.rule_file import shipped
-from station.episode.quality.rules import judge
 from station.episode.quality.state_rules import PLAUSIBLE
 from station.episode.reading.reader import open_episode
 from station.episode.storage.anchor import read_anchor
@@ -68,8 +66,10 @@ def test_a_walk_of_the_real_policy_is_believed(walked: Path, tmp_path: Path) -> 
     quality = check(open_episode(walked))
     (found,) = quality.plausibility
     assert told(quality) == {}
-    assert found.orientation_agreement is not None
-    assert found.orientation_agreement > 0.9
+    assert len(found.orientation_agreement) == 3
+    assert min(found.orientation_agreement.values()) > 0.85
+    assert found.gyro_factor == pytest.approx(1.0, abs=0.15)
+    assert found.velocity_factor == pytest.approx(1.0, abs=0.15)
     assert len(found.velocity_agreement) > 10
     assert min(found.velocity_agreement.values()) > 0.8
     assert told(check(open_episode(rewritten(walked, tmp_path, as_it_is)))) == {}
@@ -142,14 +142,36 @@ def test_an_orientation_in_another_order_or_frame_disagrees_with_the_gyro(
     assert verdicts(quality)["orientation-disagrees"] == "reject"
 
 
-def test_a_gyro_that_measures_nothing_says_nothing(walked: Path, tmp_path: Path) -> None:
-    def silence(state: Floats, at_s: float) -> Floats:
-        state[QUAT.stop :] = 0.0
+@pytest.mark.parametrize(("factor", "said"), [(0.0, "0 rad/s of the gyro"), (180 / np.pi, "5")])
+def test_a_gyro_of_another_scale_is_told(walked: Path, tmp_path: Path, factor: float, said: str) -> None:
+    def scale(state: Floats, at_s: float) -> Floats:
+        state[QUAT.stop :] *= factor
         return state
 
-    quality = spoilt(walked, tmp_path, silence)
-    assert quality.plausibility[0].orientation_agreement is None
-    assert told(quality) == {}
+    quality = spoilt(walked, tmp_path, scale)
+    assert verdicts(quality) == {"gyro-scale": "usable"}
+    assert told(quality)["gyro-scale"].startswith(f"{STATE}: {said}")
+
+
+def test_axes_of_a_gyro_that_are_exchanged_are_told_though_the_third_turns_faster(walked: Path, tmp_path: Path) -> None:
+    def exchange(state: Floats, at_s: float) -> Floats:
+        gyro = state[QUAT.stop :]
+        state[QUAT.stop :] = [gyro[1], -gyro[0], gyro[2]]
+        return state
+
+    quality = spoilt(walked, tmp_path, exchange)
+    assert quality.plausibility[0].orientation_agreement["gyro_z"] > 0.85
+    assert verdicts(quality) == {"orientation-disagrees": "reject"}
+    assert f"{STATE}: gyro_" in told(quality)["orientation-disagrees"]
+
+
+def test_a_robot_that_stands_says_nothing_of_its_gyro(tmp_path: Path) -> None:
+    builder, noise = EpisodeBuilder(tmp_path), np.random.default_rng(5)
+    for number in range(300):
+        turned = np.array([1.0, *(1e-4 * noise.standard_normal(3))])
+        tick(builder, number, at_s=0.1 + number / 50, quat=turned / np.linalg.norm(turned))
+    (found,) = check(open_episode(builder.finish())).plausibility
+    assert (found.orientation_agreement, found.gyro_factor) == ({}, None)
 
 
 def test_velocities_of_other_joints_are_told_with_whose_they_are(walked: Path, tmp_path: Path) -> None:
@@ -192,13 +214,81 @@ def test_velocities_in_degrees_are_told_where_times_are_those_of_the_control(wal
     quality = spoilt(walked, tmp_path, degrees)
     factor = quality.plausibility[0].velocity_factor
     assert factor == pytest.approx(180 / np.pi, rel=0.1)
-    assert "velocity-scale" in quality.not_judged  # in lock-step an interval is what the machine took
-    live = msgspec.structs.replace(quality, not_judged={}, lock_step=False)
-    assert "velocities are 5" in dict(_judged(live))["velocity-scale"]
+    assert quality.lock_step, "an interval is what the contract says, and not what the machine took"
+    assert told(quality)["velocity-scale"].startswith(f"{STATE}: 5")
 
 
-def _judged(quality: Quality) -> list[tuple[str, str]]:
-    return [(reason.rule, reason.text) for reason in judge(quality, shipped().limits)[1]]
+@pytest.mark.parametrize("factor", [0.0, 3.0])
+def test_velocities_that_are_tripled_or_zero_are_told(walked: Path, tmp_path: Path, factor: float) -> None:
+    def scale(state: Floats, at_s: float) -> Floats:
+        state[JOINTS : 2 * JOINTS] *= factor
+        return state
+
+    quality = spoilt(walked, tmp_path, scale)
+    assert verdicts(quality) == {"velocity-scale": "usable"}
+    assert quality.plausibility[0].velocity_factor == pytest.approx(factor, rel=0.15)
+
+
+def test_an_encoder_that_slips_is_told_by_joint_and_time(walked: Path, tmp_path: Path) -> None:
+    def slip(state: Floats, at_s: float) -> Floats:
+        state[KNEE] += 0.3 * (at_s > 4.0)
+        return state
+
+    quality = spoilt(walked, tmp_path, slip)
+    (jump,) = quality.plausibility[0].jumps
+    assert (jump.joint, jump.count, jump.joints) == ("left_knee", 1, 1)
+    assert jump.by_rad == pytest.approx(0.3, abs=0.15)
+    assert jump.at_s == pytest.approx(4.0, abs=0.05)
+    assert told(quality)["position-jump"].startswith(f"{STATE}: left_knee jumps by ")
+    assert verdicts(quality)["position-jump"] == "usable"
+
+
+def test_a_robot_that_is_put_on_its_feet_has_not_slipped(tmp_path: Path) -> None:
+    for name, is_told in (("operator-reset", False), ("mark", True)):
+        builder = EpisodeBuilder(tmp_path, task=name)
+        for number in range(200):
+            q = STANDING + 0.1 * np.sin(0.1 * number) + (0.5 if number >= 100 else 0.0)
+            if number == 100:
+                builder.rates(STATE, np.concatenate([q, [1.0, 0.0, 0.0, 0.0]]), at_s=0.09 + number / 50)
+            tick(builder, number, at_s=0.1 + number / 50, q=q)
+        builder.event(name, at_s=2.09)
+        assert ("position-jump" in told(check(open_episode(builder.finish())))) is is_told
+
+
+def test_a_sensor_that_is_read_half_as_often_as_it_is_told_repeats_itself(walked: Path, tmp_path: Path) -> None:
+    held: list[Floats] = []
+
+    def hold(state: Floats, at_s: float) -> Floats:
+        held.append(held[-1] if len(held) % 2 else state)
+        return held[-1].copy()
+
+    quality = spoilt(walked, tmp_path, hold)
+    assert verdicts(quality) == {"repeated-states": "usable"}
+    assert 0.4 < quality.plausibility[0].repeats.count / quality.plausibility[0].moving < 0.6
+
+
+@pytest.mark.parametrize(
+    ("spoil", "rule"), [(lambda q: -q, "joint-reversed"), (lambda q: q + 0.5, "joint-offset")], ids=["sign", "zero"]
+)
+def test_a_joint_of_the_wrong_sign_or_zero_is_told(
+    walked: Path, tmp_path: Path, spoil: Callable[[float], float], rule: str
+) -> None:
+    def change(state: Floats, at_s: float) -> Floats:
+        state[KNEE] = spoil(state[KNEE])
+        return state
+
+    assert "left_knee" in told(spoilt(walked, tmp_path, change))[rule]
+
+
+def test_steps_that_tell_no_instant_are_told_with_the_first(tmp_path: Path) -> None:
+    builder = EpisodeBuilder(tmp_path)
+    for number in range(200):
+        tick(builder, number, at_s=0.1 + number / 50)
+        if number >= 100:
+            builder.write({TIMING: codec.json_vector([number, number, *[0] * 6])}, at_s=0.105 + number / 50)
+    quality = check(open_episode(builder.finish()))
+    assert "the first at 2.1" in told(quality)["untimed-steps"]
+    assert verdicts(quality)["untimed-steps"] == "usable"
 
 
 def test_legs_that_are_exchanged_in_state_follow_each_others_commands(walked: Path, tmp_path: Path) -> None:
@@ -337,12 +427,15 @@ def test_times_that_fit_are_believed(tmp_path: Path) -> None:
 def test_states_that_are_stamped_early_or_late_are_told(tmp_path: Path, late_s: float) -> None:
     quality = Waving(state_late_s=late_s).recorded(tmp_path)
     assert verdicts(quality)["step-times"] == "reject"
-    assert f"states are stamped 100 ms {'later' if late_s > 0 else 'earlier'}" in told(quality)["step-times"]
+    how = "later" if late_s > 0 else "earlier"
+    assert told(quality)["step-times"].startswith(
+        f"states in {STATE} are stamped 100 ms {how} than the steps in {TIMING}"
+    )
 
 
 def test_commands_that_are_stamped_after_their_use_are_told(tmp_path: Path) -> None:
     quality = Waving(command_late_s=0.08).recorded(tmp_path)
-    assert "commands are stamped 80 ms later" in told(quality)["step-times"]
+    assert f"commands in {BODY} are stamped 80 ms later" in told(quality)["step-times"]
 
 
 def test_commands_that_were_used_before_they_were_written_are_told(tmp_path: Path) -> None:
@@ -404,8 +497,8 @@ def test_a_robot_that_no_description_of_ours_knows_is_believed(tmp_path: Path) -
     builder = EpisodeBuilder(tmp_path)
     builder.contracts |= {item.key: item for item in strider.DESCRIPTION.contracts()}
     for number in range(200):
-        q = np.array([0.3, -0.3]) * np.sin(0.1 * number)
-        builder.write({keys.robot_state(strider.NAME): strider.state(q)}, at_s=0.02 * number, writer="walker")
+        q, dq = (np.array([0.3, -0.3]) * one for one in (np.sin(0.1 * number), 5.0 * np.cos(0.1 * number)))
+        builder.write({keys.robot_state(strider.NAME): strider.state(q, dq=dq)}, at_s=0.02 * number, writer="walker")
         builder.write(strider.step(number, q), at_s=0.02 * number + 0.004, writer="walker")
     quality = check(open_episode(builder.finish({"servers": {"walker": strider.facts()}})))
     assert told(quality) == {}
@@ -419,7 +512,8 @@ def test_wheels_may_turn_for_ever_and_what_has_no_end_is_not_in_degrees(tmp_path
     builder = EpisodeBuilder(tmp_path)
     builder.contracts |= {item.key: item for item in wheels.contracts()}
     for number in range(100):
-        builder.write({keys.robot_state(strider.NAME): strider.state(np.full(2, 0.5 * number))}, at_s=0.02 * number)
+        state = strider.state(np.full(2, 0.5 * number), dq=[25.0, 25.0])
+        builder.write({keys.robot_state(strider.NAME): state}, at_s=0.02 * number)
     facts = strider.facts(description=msgspec.to_builtins(wheels))
     assert told(check(open_episode(builder.finish({"servers": {"walker": facts}})))) == {}
 

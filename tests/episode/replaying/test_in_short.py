@@ -13,11 +13,12 @@ from station.cli.main import cli
 from station.episode.quality import rule_file
 from station.episode.quality.standing import standing
 from station.episode.reading.reader import open_episode
+from station.episode.replaying import in_short
 from station.episode.replaying.in_short import audit_in_short
 from station.episode.storage.manifest import load_manifest, save_manifest
 from tests.episode import lock_step
 from tests.episode.replaying.test_gate_audit import Forger, noise
-from tests.episode.synthetic import EpisodeBuilder
+from tests.episode.synthetic import ROBOT, EpisodeBuilder
 
 
 def checked(folder: Path, *options: str) -> tuple[int, Any]:
@@ -31,11 +32,12 @@ def rules(quality: Any) -> set[str]:
 
 def test_an_honest_episode_is_compared_in_four_ways(tmp_path: Path) -> None:
     folder = lock_step.record(EpisodeBuilder(tmp_path), seconds=2.0)
-    _, quality = checked(folder, "--audit")
-    assert quality["audit"] == {"compared": 400, "different": 0, "not_proven": 0, "not_audited": []}
+    _, quality = checked(folder)
+    sound = {"compared": 400, "different": 0, "not_proven": 0, "not_audited": [], "differences": []}
+    assert quality["audit"] == sound
     assert "audit-differs" not in rules(quality)
     assert load_manifest(folder).quality["audit"] == quality["audit"]
-    told = CliRunner().invoke(cli, ["check", str(folder), "--audit"]).stdout
+    told = CliRunner().invoke(cli, ["check", str(folder)]).stdout
     assert "audit: 400 vectors computed again, 0 different" in told
 
 
@@ -48,6 +50,30 @@ def test_forged_targets_are_rejected_and_stay_so_for_an_export(tmp_path: Path) -
     assert "audit-differs" in rules(quality)
     found = standing(open_episode(folder), rule_file.shipped(), is_judged_anew=True)
     assert "audit-differs" in {reason.rule for reason in found.reasons}
+    code, quality = checked(folder, "--no-audit")
+    assert (code, quality["audit"]["different"]) == (1, 100), "a check that audits nothing makes no verdict better"
+
+
+def test_what_differs_is_told_by_key_and_time(tmp_path: Path) -> None:
+    folder = lock_step.record(Forger(tmp_path, target_=noise), seconds=2.0)
+    _, quality = checked(folder)
+    (reason,) = (reason for reason in quality["reasons"] if reason["rule"] == "audit-differs")
+    (found,) = quality["audit"]["differences"]
+    assert (found["key"], found["of"]) == (f"target_{ROBOT}", [f"policy_action_{ROBOT}"])
+    assert reason["text"].startswith(
+        f"target_{ROBOT}: 100 of 100 values are not what policy_action_{ROBOT} give again, the first at "
+    )
+    assert found["first_s"] == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_long_episode_is_audited_where_it_is_asked_for_alone(tmp_path: Path, monkeypatch: Any) -> None:
+    folder = lock_step.record(Forger(tmp_path, target_=noise), seconds=1.5)
+    monkeypatch.setattr(in_short, "LONGEST_S", 1.0)
+    _, quality = checked(folder)
+    (line,) = quality["audit"]["not_audited"]
+    assert line.endswith(" s, longer than 1 s; `station check --audit` audits it all the same")
+    assert "audit-differs" not in rules(quality)
+    assert checked(folder, "--audit")[1]["audit"]["different"] > 0
 
 
 def test_a_policy_that_is_not_here_is_told_and_no_reject(tmp_path: Path) -> None:
