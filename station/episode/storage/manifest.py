@@ -90,8 +90,8 @@ class Manifest(msgspec.Struct, kw_only=True):
     Attributes:
         state: ``recording`` on disk without a live recorder means that the recorder was killed.
         servers: What every server stated on ``station:config:<name>``, by server name.
-        cameras: What is known of cameras that no server stated: those of an imported recording. The cameras of a live
-            one stand in `servers`, each with its ``camera`` and ``key``.
+        cameras: Whose pictures there are, once it is closed: ``name``, ``key``, ``pictures``, size [px] and rate [Hz];
+            more of each stands in `servers`, by its ``key``. Of an imported recording, what is known of its cameras.
         motions: First statement of each motion file on a ``command_source`` key, with that key.
         runbook: Steps and answers, who and when, as the supervisor gave them.
         streams: Bounded; of a client that invents keys, the first ones, and how many more are in the signals.

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from station.episode.storage import pictures
 from station.episode.storage.anchor import Anchor
 from station.episode.storage.file_hashes import measure
 from station.episode.storage.manifest import MAX_STREAMS, Manifest
@@ -38,6 +40,21 @@ def close_manifest(manifest: Manifest, anchor: Anchor, totals: Totals) -> None:
     recorder.messages, recorder.bytes, recorder.dropped = totals.messages, totals.bytes, totals.dropped
     recorder.lag_p50_ms, recorder.lag_p99_ms = totals.lag_p50_ms, totals.lag_p99_ms
     measure_holes(manifest, anchor, totals.gaps)
+    manifest.cameras = manifest.cameras or _cameras(manifest)
+
+
+def _cameras(manifest: Manifest) -> list[dict[str, Any]]:
+    """Return whose pictures there are: name, key, how many, and size [px] and rate [Hz] as their servers state them."""
+    counts = Counter[str]()
+    for stream in manifest.streams:
+        counts[stream.key] += stream.count if pictures.is_picture(stream.key) else 0
+    stated = {str(facts.get("key")): facts for facts in manifest.servers.values()}
+    return [
+        {"name": pictures.camera_of(key), "key": key, "pictures": count}
+        | {name: stated[key][name] for name in ("width", "height", "fps") if name in stated.get(key, {})}
+        for key, count in sorted(counts.items())
+        if count
+    ]
 
 
 def note_files(manifest: Manifest, folder: Path) -> None:

@@ -17,6 +17,7 @@ from mcap.records import Chunk, MessageIndex
 from mcap.stream_reader import StreamReader
 from rerun.chunk import McapReader
 
+from station.bus import keys
 from station.bus.tap import Write
 from station.contract import Contract
 from station.episode.reading.frames import cameras, frames
@@ -174,3 +175,15 @@ def test_rerun_shows_the_pictures_with_no_word_from_us(episode: Path, writes: li
         if str(chunk.entity_path) == f"/{HEAD}" and "EncodedImage:blob" in batch.schema.names:
             blobs += [bytes(value[0]) for value in batch.column("EncodedImage:blob").to_pylist()]
     assert blobs == [write.value for write in writes if write.key == HEAD]
+
+
+def test_the_manifest_of_a_closed_episode_names_its_cameras(tmp_path: Path) -> None:
+    scene = Scene()
+    stated = {"key": HEAD, "width": 640, "height": 480, "fps": 30.0, "source": "uvc", "role": "sensor"}
+    silent = {"key": keys.camera_image("left"), "fps": 30.0}
+    batches = [[*scene.signals(2), scene.picture(HEAD), scene.picture(WRIST)], [scene.picture(HEAD)]]
+    manifest = film(tmp_path / "walk-0001", batches, scene.anchor, servers={"head": stated, "left": silent})
+    assert manifest.cameras == [
+        {"name": "head", "key": HEAD, "pictures": 2, "width": 640, "height": 480, "fps": 30.0},
+        {"name": "wrist", "key": WRIST, "pictures": 1},
+    ]
