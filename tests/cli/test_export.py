@@ -217,7 +217,7 @@ def test_recordings_of_twist2_become_episodes_that_list_check_show_and_export(ho
     checked = home.run("check", rows[0]["episode_id"])
     assert "recorded by TWIST2's recorder, which polled: what came between is lost" in checked.stdout
     assert (
-        "not judged: slow, old-command, misaligned, jerky, jerky-command, velocity-scale: its recorder polled"
+        "jerky-command, velocity-scale, gyro-scale, position-jump, repeated-states: its recorder polled"
         in checked.stdout
     )
     command = ("export", "lerobot", "--task", "cabinet", "--out", str(tmp_path / "set"))

@@ -39,6 +39,7 @@ READS_FILES = {
     "adapters.devices.fakes.pico.script": "the script of a fake",
     "adapters.devices.fakes.script": "the script of a fake",
     "adapters.exports.lerobot.dataset": "its own statistics of a shard",
+    "adapters.exports.lerobot.finished": "a data set of its own",
     "adapters.foreign.twist2_file": "a recording of another recorder",
 }
 """Modules whose JSON is no value of the bus: anybody may write to the bus, not anybody to these."""

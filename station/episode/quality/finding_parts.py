@@ -458,7 +458,7 @@ class Plausibility(msgspec.Struct, frozen=True, kw_only=True):
         jumps: Joints whose positions jumped.
         misplaced: Joints that follow each other's commands.
         reversed: Joints that move against their own commands, with how far they agree, down to -1.
-        offsets_rad: Joints that stay beside their own commands by the same angle, and by which [rad].
+        offsets_rad: Joints that follow their own commands and stay beside them by the same angle, and by which [rad].
         times: How states and commands lie to the steps' instants; None where there are too few steps.
     """
 

@@ -5,8 +5,9 @@ of the mean squared distance of both. A joint is out of place where it hardly go
 goes with that of another (above 0.6), and is at most 0.6 times as far from that as from its own. Both have to move, and
 both have to be out of place: names that were exchanged are exchanged among themselves.
 
-A joint that goes with the negative of its own command (below -0.7) has the wrong sign. One that stays beside it by an
-angle that varies by less than half of itself has another zero, or is held there by something.
+A joint that goes with the negative of its own command (below -0.7) has the wrong sign. One that goes with its command
+(above 0.6), and stays beside it by an angle that varies by less than half of itself, has another zero. One that does
+not says nothing: a policy may leave joints of its command alone.
 """
 
 from __future__ import annotations
@@ -84,14 +85,16 @@ class JointOrderMeter:
         return {self._joints[joint]: float(own[joint]) for joint in np.flatnonzero(moves & (own < _AGAINST))}
 
     def offsets_rad(self) -> dict[str, float]:
-        """Return by what angle joints stay beside their own commands, the greatest first [rad]."""
+        """Return by what angle joints that follow their own commands stay beside them, the greatest first [rad]."""
         if self._steps < _LEAST_STEPS:
             return {}
+        _, agreement = self._agreement()
         with np.errstate(all="ignore"):
             mean = (self._sums[0] - self._sums[1]) / self._steps
             square = (self._squares.sum(axis=0) - 2.0 * np.diag(self._products)) / self._steps
             varies = np.sqrt(np.maximum(square - mean**2, 0.0))
-        steady = (varies < _STEADY * np.abs(mean)) & (np.abs(mean) > _LEAST_OFFSET_RAD)
+            follows = np.diag(agreement) > _OTHER
+        steady = follows & (varies < _STEADY * np.abs(mean)) & (np.abs(mean) > _LEAST_OFFSET_RAD)
         order = sorted(np.flatnonzero(steady).tolist(), key=lambda joint: -abs(float(mean[joint])))
         return {self._joints[joint]: round(float(mean[joint]), 4) for joint in order}
 

@@ -55,7 +55,7 @@ _CUT_TILES = 3  # rows of tiles at the lower end, of one colour
 _MOST_PIXELS = 40_000_000  # of a picture that is opened; a camera has 2 to 12 million
 _FIRST = 2  # pictures looked at that make the first view
 _MOST_SIZES = 8
-_MOST_PENDING, _THREADS = 32, 2
+_MOST_PENDING, THREADS = 32, 2
 
 Grey = NDArray[np.uint8]
 
@@ -77,7 +77,7 @@ class PictureMeter:
             key: _Camera(name, key, apart_ns, is_video=key in videos) for name, key in frames.cameras(reader).items()
         }
         self._decoder, self._decode = decoder() if self._cameras else ("", _by_pillow)
-        self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="pictures") if self._cameras else None
+        self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="pictures") if self._cameras else None
         self._pending: deque[tuple[_Camera, int, Future[Look | None]]] = deque()
 
     def __enter__(self) -> PictureMeter:

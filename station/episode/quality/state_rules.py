@@ -164,7 +164,7 @@ def _joint_offset(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, s
         joint, off_rad = next(iter(robot.offsets_rad.items()), ("", 0.0))
         if abs(off_rad) > limits.joint_offset.usable_above_rad:
             verdict: Verdict = "reject" if abs(off_rad) > limits.joint_offset.reject_above_rad else "usable"
-            text = f"{joint} stays {off_rad:+.2f} rad beside its command: another zero, or held there"
+            text = f"{joint} stays {off_rad:+.2f} rad beside the command that it follows: another zero"
             yield verdict, f"{robot.state_key}: {text}"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from tests.figures import Figures
 PICTURES = 200
 LIMIT_MS = 1.5
 """A file of 60 kB: nearly all of it is the unpacking of its bytes, which no scale of decoding saves."""
+PARALLEL_MS = 0.5
 
 
 def test_a_picture_that_is_looked_at_takes_little_time_of_a_core(proof: Figures) -> None:
@@ -28,3 +30,12 @@ def test_a_picture_that_is_looked_at_takes_little_time_of_a_core(proof: Figures)
     proof.figure(what, took_ms, "ms", f"{LIMIT_MS:g} ms")
     assert None not in looks
     assert took_ms < LIMIT_MS
+    with ThreadPoolExecutor(picture_contents.THREADS) as pool:
+        began_s = time.perf_counter()
+        looks = list(pool.map(lambda n: picture_contents.look(decode, files[n % len(files)]), range(PICTURES)))
+        wall_ms = (time.perf_counter() - began_s) / PICTURES * 1e3
+    proof.figure(
+        f"the same in {picture_contents.THREADS} threads, time that passes", wall_ms, "ms", f"{PARALLEL_MS:g} ms"
+    )
+    assert None not in looks
+    assert wall_ms < PARALLEL_MS
