@@ -172,10 +172,10 @@ class DerivativeMeter:
         jumped = (np.abs(step) > explained) & np.isfinite(step) & (np.abs(step) < np.inf)
         if self._period_s is None:
             jumped &= (intervals < _GAP * self._interval_s)[:, None]
-        for row, joint in zip(*np.nonzero(jumped), strict=True):
-            if row >= first and len(self._jumps) < _MOST_JUMPS:
-                by_rad, joints = float(step[row, joint]), int(jumped[row].sum())
-                self._jumps.append((int(times[row + 1]), int(joint), by_rad, joints))
+        for new, joint in np.argwhere(jumped[first:])[: _MOST_JUMPS - len(self._jumps)]:
+            row = first + new
+            by_rad, joints = float(step[row, joint]), int(jumped[row].sum())
+            self._jumps.append((int(times[row + 1]), int(joint), by_rad, joints))
         return np.asarray(jumped)
 
     def _add_turning(self, values: Floats, fits: NDArray[np.bool_]) -> None:

@@ -147,25 +147,6 @@ def _camera_black(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, s
             yield verdict, f"{_camera(found)}: {_of(found.black, found.looked_at)} looked at are black"
 
 
-def _camera_saturated(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
-    for found in quality.pictures:
-        if found.white.count > limits.camera_saturated.above_share * found.looked_at:
-            yield "usable", f"{_camera(found)}: {_of(found.white, found.looked_at)} looked at are blown out"
-
-
-def _camera_flat(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
-    for found in quality.pictures:
-        if found.flat.count > limits.camera_flat.above_share * found.looked_at:
-            yield "usable", f"{_camera(found)}: {_of(found.flat, found.looked_at)} looked at show one colour"
-
-
-def _camera_exposure(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
-    for found in quality.pictures:
-        if found.exposure_jumps.count > limits.camera_exposure.above_share * found.looked_at:
-            what = f"{_of(found.exposure_jumps, found.looked_at)} looked at are the one before in another brightness"
-            yield "usable", f"{_camera(found)}: {what}"
-
-
 def _camera_blurred(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     for found in quality.pictures:
         if found.focus_lost_s is not None:
@@ -173,19 +154,6 @@ def _camera_blurred(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict,
         elif found.relative_sharpness is not None and found.relative_sharpness < limits.camera_blurred.below:
             text = f"sharpness {found.relative_sharpness:.3f}, expected {limits.camera_blurred.below:g} and more"
             yield "usable", f"{_camera(found)}: {text}"
-
-
-def _camera_noise(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
-    for found in quality.pictures:
-        if found.noise.count > limits.camera_noise.above_share * found.looked_at:
-            yield "reject", f"{_camera(found)}: {_of(found.noise, found.looked_at)} looked at are noise"
-
-
-def _camera_cut(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
-    for found in quality.pictures:
-        if found.cut.count > limits.camera_cut.above_share * found.looked_at:
-            what = "have a lower end of one colour, and the first ones none"
-            yield "usable", f"{_camera(found)}: {_of(found.cut, found.looked_at)} looked at {what}"
 
 
 def _camera_turned(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -205,6 +173,19 @@ def _cameras_swapped(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str
         yield "usable", f"cameras changed places since {found[0].episode_id}, by {how}: {what}"
 
 
+def _too_many(
+    seen: Callable[[PictureQuality], Seen], share: Callable[[Limits], float], words: str, verdict: Verdict = "usable"
+) -> Finder:
+    """Return a rule on cameras of which more than a share of the pictures looked at is seen to be something."""
+
+    def find(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+        for found in quality.pictures:
+            if seen(found).count > share(limits) * found.looked_at:
+                yield verdict, f"{_camera(found)}: {_of(seen(found), found.looked_at)} looked at {words}"
+
+    return find
+
+
 def _camera(found: PictureQuality) -> str:
     return f"camera {found.name} ({found.key})"
 
@@ -222,12 +203,24 @@ SENSED: dict[str, Finder] = {
     "camera-frozen": _camera_frozen,
     "camera-repeats": _camera_repeats,
     "camera-black": _camera_black,
-    "camera-saturated": _camera_saturated,
-    "camera-flat": _camera_flat,
-    "camera-exposure": _camera_exposure,
+    "camera-saturated": _too_many(
+        lambda one: one.white, lambda limits: limits.camera_saturated.above_share, "are blown out"
+    ),
+    "camera-flat": _too_many(lambda one: one.flat, lambda limits: limits.camera_flat.above_share, "show one colour"),
+    "camera-exposure": _too_many(
+        lambda one: one.exposure_jumps,
+        lambda limits: limits.camera_exposure.above_share,
+        "are the one before in another brightness",
+    ),
     "camera-blurred": _camera_blurred,
-    "camera-noise": _camera_noise,
-    "camera-cut": _camera_cut,
+    "camera-noise": _too_many(
+        lambda one: one.noise, lambda limits: limits.camera_noise.above_share, "are noise", "reject"
+    ),
+    "camera-cut": _too_many(
+        lambda one: one.cut,
+        lambda limits: limits.camera_cut.above_share,
+        "have a lower end of one colour, and the first ones none",
+    ),
     "camera-turned": _camera_turned,
     "cameras-swapped": _cameras_swapped,
     "misaligned": _misaligned,

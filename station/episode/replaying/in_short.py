@@ -1,7 +1,8 @@
 """The audit of an episode in short, of all its robots, for a verdict.
 
 Every `station check` asks for it, of episodes that are not longer than `LONGEST_S`, and where what it needs is on this
-machine: nothing is fetched. Nobody checks an episode while it is recorded, so no audit runs beside a robot.
+machine: nothing is fetched. An episode that is still recorded is not audited unasked. Between takes a robot may run
+while somebody checks the last one: the audit then takes a core for a second or so more than the check itself.
 """
 
 from __future__ import annotations
