@@ -14,7 +14,7 @@ help:   ## this list
 demo: $(VENV)/.installed   ## run the main job once and print the report
 	@$(BIN)/station demo
 
-PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist loadscope
+PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist loadscope --no-loadscope-reorder# the order of tests/tiers.py: those that wait come first
 
 test: $(VENV)/.installed-test $(VENV)/.installed-kord   ## the test suite, without proofs
 	@$(PYTEST) -m "not proof" --changed-builds
