@@ -108,7 +108,7 @@ class DerivativeMeter:
         for index in np.flatnonzero(moved):
             row = np.where(moved, agreement[index], -1.0)
             best = int(row.argmax())
-            if best != index and row[best] > _LIKE:
+            if row[best] > _LIKE >= agreement[best, best]:  # exchanged: the other one's positions need another, too
                 like[self._joints[index]] = self._joints[best]
         agree = [factors[index] for index in np.flatnonzero(moved) if agreement[index, index] > _LIKE]
         return own, like, float(np.median(agree)) if agree else None

@@ -198,6 +198,18 @@ def test_a_joint_that_shakes_faster_than_states_are_written_is_sound(walked: Pat
     assert told(quality) == {}
 
 
+def test_a_joint_that_shakes_beside_another_that_moves_as_it_does_is_sound(walked: Path, tmp_path: Path) -> None:
+    """Its positions fit the other one's velocity, which is that one's own: nothing is exchanged."""
+    noise, hip = np.random.default_rng(3), G1_29.index("left_hip_pitch")
+
+    def shake(state: Floats, at_s: float) -> Floats:
+        state[KNEE] = 0.6 + state[hip]
+        state[JOINTS + KNEE] = 3.0 * noise.standard_normal()
+        return state
+
+    assert "velocity-disagrees" not in told(spoilt(walked, tmp_path, shake))
+
+
 def test_velocities_of_the_wrong_sign_are_told(walked: Path, tmp_path: Path) -> None:
     def invert(state: Floats, at_s: float) -> Floats:
         state[JOINTS + KNEE] *= -1.0
