@@ -67,11 +67,11 @@ $(VENV)/.installed: $(VENV)/bin/python pyproject.toml
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	@touch $@
 
-# A pinned torch: a looser pin can pull gigabytes of CUDA that no test uses.
+# A pinned torch: a looser pin can pull gigabytes of CUDA that no test uses. Of its files few are ever imported, and those
+# are compiled then: to compile all takes half of an installation.
 $(VENV)/.installed-test: $(VENV)/.installed pyproject.toml
 	@echo "Installing what the tests need; this takes a few minutes …"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check torch==2.13.0
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,torch,train]'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile torch==2.13.0 --editable '.[test,torch,train]'
 	@touch $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed pyproject.toml
