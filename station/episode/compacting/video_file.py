@@ -56,7 +56,7 @@ class VideoFile:
         self._encoders: dict[int, VideoEncoder] = {}
         self._counts: defaultdict[int, int] = defaultdict(int)  # of the open chunk
         self._waiting: list[_Waiting] = []
-        self._writer = ChunkWriter(file, compression="")
+        self._writer = ChunkWriter(file)
         self._writer.start(layout.PROFILE)
         for name in _HEAD:
             self._writer.write_metadata(name, old.contents.metadata.get(name, {}))

@@ -15,6 +15,8 @@ import av
 import numpy as np
 import pytest
 from av.video.frame import PictureType
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
 from PIL import Image
 
 from station.bus.tap import Write
@@ -172,6 +174,16 @@ def test_a_key_frame_with_its_headers_comes_every_so_many_pictures(tmp_path: Pat
     assert keys == [0, 10, 20]
     assert all({SPS, PPS, IDR} <= {*units(packets[number])} for number in keys)
     assert note_of(folder).encoder["gop"] == GOP
+
+
+def test_what_stands_beside_the_pictures_is_packed(tmp_path: Path) -> None:
+    """Where a robot moves little, stamps and headers were a fifth of the file."""
+    folder = record(tmp_path, [jpeg(3)] * 200)
+    compact(folder, tmp_path, gop=30)
+    with (folder / "cameras.mcap").open("rb") as file:
+        chunks = [record for record in StreamReader(file, emit_chunks=True).records if isinstance(record, Chunk)]
+    assert sum(len(chunk.data) for chunk in chunks) < 0.6 * sum(chunk.uncompressed_size for chunk in chunks)
+    assert len(chunks) == 7
 
 
 def test_the_manifest_says_what_was_done_and_the_files_are_those_that_it_names(episode: Episode) -> None:
