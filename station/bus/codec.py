@@ -15,6 +15,7 @@ import re
 import sys
 import threading
 from collections.abc import Sequence
+from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
@@ -71,8 +72,6 @@ def parse_json_vector(data: bytes, length: int | None = None) -> NDArray[np.floa
         BadNumber: one of the numbers is not finite, or too large.
         BadValue: not JSON, not a flat list of numbers, or wrong length.
     """
-    import numpy as np
-
     _check_length(data)
     try:
         numbers = _decode_list(data)
@@ -80,7 +79,8 @@ def parse_json_vector(data: bytes, length: int | None = None) -> NDArray[np.floa
         raise _why_not_a_vector(data) from None
     if length is not None and len(numbers) != length:
         raise BadValue(f"{len(numbers)} values, expected {length}")
-    return np.array(numbers, dtype=np.float64)
+    vector: NDArray[np.float64] = _numpy().array(numbers, float)
+    return vector
 
 
 def f64(values: Sequence[float] | NDArray[Any]) -> bytes:
@@ -204,6 +204,14 @@ def is_modest(value: Any, *, values: int = 20_000, depth: int = 32) -> bool:
         if not level or count > values:
             break
     return not level and count <= values
+
+
+@cache
+def _numpy() -> Any:
+    """Load NumPy with the first array: an import in each call takes as long as a short vector."""
+    import numpy as np
+
+    return np
 
 
 def _parse_raw(data: bytes, layout: str, kind: str) -> NDArray[Any]:
