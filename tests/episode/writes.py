@@ -24,9 +24,9 @@ class Native:
         stamp = Stamp(self.skip(key), mono_ns, time.time_ns(), self.source, capture_ns)
         return Write(key, value, stamp.encode(), mono_ns + 100_000)
 
-    def json(self, key: str, **facts: Any) -> Write:
+    def json(self, key: str, *, written_ns: int | None = None, **facts: Any) -> Write:
         """One write of a JSON object."""
-        return self.write(key, json.dumps(facts).encode())
+        return self.write(key, json.dumps(facts).encode(), written_ns=written_ns)
 
     def skip(self, key: str) -> int:
         """Spend a sequence number: without a write of it, that write got lost."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from station.bus import stamp
 from station.clock import SYSTEM, Clock
 from station.episode.recorder.active_episode import ActiveEpisode
 from station.episode.recorder.disk_space import DiskSpace
@@ -88,6 +89,7 @@ class Answers:
 _MOST_CLOSING = 8  # each holds a queue and a thread until the disk lets go of it
 _MOST_NOTICES = 256  # that wait; of a flood of requests, each of which is refused, the newest are told
 _NONE = "no episode is being recorded"
+_ENDING = ("stop", "discard")
 
 
 class RecorderController:
@@ -205,9 +207,8 @@ class RecorderController:
             return
         try:
             request = parse_request(write.value)
-            {"start": self._start, "stop": self._stop, "mark": self._mark, "discard": self._discard}[request.action](
-                request, write.mono_ns
-            )
+            act = {"start": self._start, "stop": self._stop, "mark": self._mark, "discard": self._discard}
+            act[request.action](request, _written_ns(write) if request.action in _ENDING else write.mono_ns)
         except (Refused, EpisodeError) as error:
             self._notice("record-refused", "warning", reason=str(error))
             self.answers.give(RecordAnswer(id=asker or "", ok=False, reason=str(error)))
@@ -302,7 +303,7 @@ class RecorderController:
     def _end(self, take: ActiveEpisode, ended_by: str, mono_ns: int) -> None:
         self._active = None
         self._closing.append(take)
-        take.finish(ended_by, mono_ns)
+        take.finish(ended_by, max(mono_ns, take.anchor.mono_ns))
 
     def _end_in_time(self, take: ActiveEpisode) -> None:
         """End an episode while the disk has room for its last words."""
@@ -406,3 +407,13 @@ class Ring:
         """Forget everything: after a hole, what came before it must not pass for what came just before."""
         self._batches.clear()
         self._bytes = 0
+
+
+def _written_ns(write: Write) -> int:
+    """Return when a request was written; where its stamp is of another clock, or none, when it arrived [ns, monotonic].
+
+    An episode ends when that was asked for: on a busy machine the recorder may hear of it a second later, and nothing
+    that was written meanwhile is in the episode.
+    """
+    mark = stamp.decode(write.stamp) if write.stamp is not None else None
+    return min(mark.mono_ns, write.mono_ns) if mark is not None and mark.is_from_this_boot else write.mono_ns

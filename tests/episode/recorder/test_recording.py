@@ -99,6 +99,25 @@ def test_an_episode_holds_exactly_what_lies_between_start_and_stop_and_the_prero
     assert reader.manifest.recorder.ended_by == "stop"
 
 
+def test_an_episode_ends_when_that_was_asked_for_however_late_its_recorder_hears_of_it(make: Make) -> None:
+    recording, g1, cli, now = make(preroll_s=0.0), Native(), Native("record"), time.monotonic_ns()
+    start, within = cli.request("start"), [g1.write(BODY, b"[%d]" % n, written_ns=now + n * SECOND) for n in range(3)]
+    asked = cli.json(keys.RECORD, written_ns=now + 3 * SECOND, id="stop", action="stop")
+    recording.feed([start, *within, asked._replace(mono_ns=now + 5 * SECOND)])
+    answer(recording)
+    timing = load_manifest(Path(answer(recording).path or "")).timing
+    assert timing.duration_s == pytest.approx(3.0, abs=0.1)
+
+
+@pytest.mark.parametrize("stamp", [b"1 1 1 record.1.otherboot.ab", b"nonsense", None])
+def test_where_a_stop_does_not_say_when_it_was_written_its_arrival_counts(make: Make, stamp: bytes | None) -> None:
+    recording, cli, now = make(preroll_s=0.0), Native("record"), time.monotonic_ns()
+    asked = cli.request("stop")._replace(mono_ns=now + 5 * SECOND, stamp=stamp)
+    recording.feed([cli.request("start"), asked])
+    answer(recording)
+    assert load_manifest(Path(answer(recording).path or "")).timing.duration_s == pytest.approx(5.0, abs=0.1)
+
+
 def test_without_preroll_an_episode_begins_behind_the_request(make: Make) -> None:
     recording, g1, cli = make(preroll_s=0.0), Native(), Native("record")
     recording.feed([g1.write(BODY, b"[0]"), cli.request("start"), g1.write(BODY, b"[1]"), cli.request("stop")])
