@@ -37,7 +37,7 @@ def rows_plan(sources: Sequence[Source], options: RowOptions, *, val: float = 0.
         action=options.action, robot=options.robot, camera=options.camera, pictures=options.pictures,
         trim=options.trim, val=val, seed=seed,
     )  # fmt: skip
-    return lerobot.prepare(sources, wish)
+    return lerobot.prepare(sources, wish, has_depth=True)
 
 
 def page(

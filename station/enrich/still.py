@@ -3,12 +3,12 @@
 ======================  ==============================  ===========================================================
 topic                   message type                    for
 ======================  ==============================  ===========================================================
-``KEY/calibration``     ``foxglove.CameraCalibration``  a camera whose server stated its intrinsics
+``KEY/calibration``     ``foxglove.CameraCalibration``  a camera, or depth, whose server stated its intrinsics
 ``KEY/tf``              ``foxglove.FrameTransform``     one that stated its mount, where the file has the frame that
                                                         it is fixed to: ``world``, or the root of a robot
 ======================  ==============================  ===========================================================
 
-The frame of a camera is called as its pictures say, after the camera.
+The frame of a camera is called as its pictures say, after the camera; its depth is in the same frame.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections.abc import Collection
 from station.enrich.siblings import TRANSFORM
 from station.episode.reading import frames
 from station.episode.reading.reader import EpisodeReader
-from station.episode.storage.pictures import camera_of
+from station.episode.storage.pictures import camera_of, is_depth
 from station.protobuf import foxglove
 from station.protobuf.schema import Schema
 
@@ -40,10 +40,12 @@ def optics_of(reader: EpisodeReader, known: Collection[str]) -> dict[str, tuple[
             made[f"{key}/{CALIBRATION}"] = (
                 foxglove.schema(foxglove.CAMERA_CALIBRATION), foxglove.camera_calibration(inner, at_ns, camera)
             )  # fmt: skip
-        if mount is not None and mount.parent in known:
+        if mount is None or is_depth(key):
+            continue  # the frame of depth is that of its camera
+        if mount.parent in known:
             values = [*mount.position_m, *mount.quat_wxyz]
             transform = foxglove.transform(values, at_ns, mount.parent, camera)
             made[f"{key}/{TRANSFORM}"] = foxglove.schema(foxglove.FRAME_TRANSFORM), transform
-        elif mount is not None:
+        else:
             made[f"{key}/{TRANSFORM}"] = f"it is fixed to {mount.parent}, a frame that the signals do not give"
     return made

@@ -134,6 +134,13 @@ def notes(shards: Sequence[Shard], plan: Plan) -> Iterator[str]:
                 f"{len(with_others)} of {len(shards)} episodes ({with_others[0].source.episode_id} first) {has}, and "
                 f"that are not in the data set: {', '.join(names)}; {cure}, and episodes without them are not"
             )
+    with_depth = [shard for shard in shards if shard.made.facts["missed"].get("depth")]
+    if with_depth:
+        names = sorted({name for shard in with_depth for name in shard.made.facts["missed"]["depth"]})
+        yield (
+            f"{len(with_depth)} of {len(shards)} episodes ({with_depth[0].source.episode_id} first) have depth of "
+            f"{', '.join(names)}, which is not in the data set; station export hdf5 and zarr take it"
+        )
     yield from _trim_notes(shards, plan)
     cut = {shard.source.episode_id: said for shard in shards if (said := _cut(shard))}
     if cut:

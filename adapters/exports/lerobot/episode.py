@@ -117,7 +117,7 @@ def provenance(reader: EpisodeReader) -> dict[str, Any]:
         **about.said(manifest),
         "checkpoint": Path(manifest.policy.checkpoint).name,
         "checkpoint_sha256": manifest.policy.sha256,
-        "optics": {name: known[key].facts() for name, key in frames.cameras(reader).items() if key in known},
+        "optics": {name: known[key].facts() for name, key in frames.all_pictures(reader).items() if key in known},
     }
 
 

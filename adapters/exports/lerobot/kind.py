@@ -78,12 +78,16 @@ class LeRobotOptions(ExportOptions, frozen=True, kw_only=True, forbid_unknown_fi
     seed: Annotated[int, Meta(description="Decides which episodes are set aside.")] = 0
 
 
-def prepare(sources: Sequence[Source], options: LeRobotOptions) -> Plan:
-    """Return what all episodes of the data set have in common; see `ExportKind.prepare`."""
+def prepare(sources: Sequence[Source], options: LeRobotOptions, *, has_depth: bool = False) -> Plan:
+    """Return what all episodes of the data set have in common; see `ExportKind.prepare`.
+
+    Formats on the rows of a LeRobot data set may take the depth of cameras, this one does not.
+    """
     wish = plans.PlanRequest(
         state=options.state,
         action=options.action,
         cameras=() if options.camera == (NO_CAMERA,) else options.camera or None,
+        has_depth=has_depth,
         robot=options.robot,
         min_quality=options.min_quality,
         success=options.success,

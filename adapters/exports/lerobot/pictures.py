@@ -106,7 +106,8 @@ def expect_size(what: str, picture: Any, camera: Camera) -> None:
     Raises:
         EpisodeError: it has; tells both sizes.
     """
-    if (picture.height // 2 * 2, picture.width // 2 * 2) != (camera.height, camera.width):
+    least = 1 if camera.step_m is not None else 2  # a video has even sides
+    if (picture.height // least * least, picture.width // least * least) != (camera.height, camera.width):
         raise EpisodeError(
             f"{what}: a picture of {picture.width}x{picture.height} pixels, the data set has "
             f"{camera.width}x{camera.height}; export these episodes apart"

@@ -56,7 +56,7 @@ def join(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan
     (folder / "README.md").write_text(text, encoding="utf-8")
     return {
         "rows": sum(shard.made.rows for shard in shards),
-        "cameras": [camera.name for camera in plan.rows.common.cameras],
+        "cameras": [camera.name for camera in plan.rows.common.pictures],
         "notes": list(notes(shards, plan.rows)),
     }
 
@@ -88,7 +88,7 @@ def _optics(shards: Sequence[Shard]) -> dict[str, Any]:
 
 def _copy_pictures(shards: Sequence[Shard], plan: Plan, put: Put) -> None:
     """Give the chunk of each picture its number in the whole."""
-    names = {f"{DATA}/{picture_name(camera)}" for camera in plan.rows.common.cameras}
+    names = {f"{DATA}/{picture_name(camera)}" for camera in plan.rows.common.pictures}
     begin = 0
     for shard in shards:
         with zipfile.ZipFile(shard.folder / SHARD) as archive:
@@ -131,13 +131,14 @@ def _about(shards: Sequence[Shard], plan: Plan) -> dict[str, Any]:
 
 def _how(plan: Plan) -> list[str]:
     common = plan.rows.common
-    names = [STATE, ACTION, *(picture_name(camera) for camera in common.cameras)]
+    names = [STATE, ACTION, *(picture_name(camera) for camera in common.pictures)]
     observed = {
         STATE: {"shape": [sum(len(one.names) for one in common.state)], "type": "low_dim"},
         **{
             picture_name(camera): {"shape": [3, camera.height, camera.width], "type": "rgb"}
             for camera in common.cameras
         },
+        **{picture_name(camera): {"shape": [camera.height, camera.width], "type": "depth"} for camera in common.depths},
     }
     shapes = {"obs": observed, "action": {"shape": [sum(len(one.names) for one in common.action)]}}
     suffix = ".zip" if plan.store == "zip" else ""

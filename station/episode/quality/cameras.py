@@ -25,7 +25,8 @@ from station.protocols import Floats
 
 def stated_hz(manifest: Manifest) -> dict[str, float]:
     """Return the rate that each camera gives by the word of its server, by its key [Hz]."""
-    stated = ((facts.get("key"), facts.get("fps")) for facts in (*manifest.cameras, *manifest.servers.values()))
+    told = (one for facts in (*manifest.cameras, *manifest.servers.values()) for one in pictures.stated(facts))
+    stated = ((facts.get("key"), facts.get("fps")) for facts in told)
     return {key: hz for key, fps in stated if isinstance(key, str) and (hz := codec.number(fps)) is not None and hz > 0}
 
 
@@ -40,7 +41,7 @@ class CameraMeter:
     """Takes the messages of an episode with their stamps, and tells at the end what became of each camera's pictures.
 
     Args:
-        cameras: Key of each camera by its name, as `station.episode.reading.frames.cameras` gives them.
+        cameras: Key of each camera by its name, as `station.episode.reading.frames.all_pictures` gives them.
         stated_hz: Rate that each camera was set to, by its key, where that was stated; as `stated_hz` gives them.
     """
 

@@ -11,6 +11,7 @@ from station.episode.quality.rule_file import Ends, GradedRule, Limits, Rule
 from station.episode.quality.sensed_rules import GAP_PERIODS, SENSED, Finder
 from station.episode.quality.state_rules import PLAUSIBLE
 from station.episode.quality.timing import not_judged
+from station.episode.storage import pictures
 from station.episode.storage.file_hashes import words
 
 _JUDGED_ROLES = ("command", "state", "policy")
@@ -423,7 +424,7 @@ def _no_pictures(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
     for key in quality.no_pictures:
         yield (
             "reject",
-            f"camera {key.removeprefix(keys.camera_image(''))}: its server lived, and there is no picture of it",
+            f"camera {pictures.title_of(key)}: its server lived, and there is no picture of it",
         )
 
 

@@ -104,7 +104,8 @@ def _camera_torn(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, st
     for found in quality.pictures:
         told = []
         if found.torn.count:
-            told.append(f"{_of(found.torn, found.pictures)} are no whole JPEG file")
+            form = "JPEG" if found.depth is None else "PNG"
+            told.append(f"{_of(found.torn, found.pictures)} are no whole {form} file")
         if found.unreadable.count:
             told.append(f"{_of(found.unreadable, found.looked_at)} looked at cannot be decoded")
         if told:
@@ -160,6 +161,14 @@ def _camera_turned(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]
     for found in quality.pictures:
         if found.turned.count:
             yield "usable", f"{_camera(found)}: turned upside down at {found.turned.first_s or 0.0:.2f} s"
+
+
+def _camera_blind(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for found in quality.pictures:
+        if found.depth is not None and found.depth.blind_s > limits.camera_blind.usable_above_s:
+            verdict: Verdict = "reject" if found.depth.blind_s > limits.camera_blind.reject_above_s else "usable"
+            text = f"sees nothing for {found.depth.blind_s:.1f} s from {found.depth.blind_at_s or 0.0:.2f} s on"
+            yield verdict, f"{_camera(found)}: {text}, no pixel has a depth"
 
 
 def _cameras_swapped(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -222,6 +231,7 @@ SENSED: dict[str, Finder] = {
         "have a lower end of one colour, and the first ones none",
     ),
     "camera-turned": _camera_turned,
+    "camera-blind": _camera_blind,
     "cameras-swapped": _cameras_swapped,
     "misaligned": _misaligned,
     "idle-ends": _idle_ends,

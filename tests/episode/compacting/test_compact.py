@@ -140,7 +140,7 @@ def test_colours_and_brightness_stay_however_a_camera_samples_them(tmp_path: Pat
     picture.save(stream, "JPEG", quality=95, **({} if kind == "grey" else {"subsampling": kind}))
     folder = record(tmp_path, [stream.getvalue()] * 12)
     assert compact(folder, tmp_path, crf=16).state == "compacted"
-    (shown, *_) = [frame.jpeg for frame in frames(open_episode(folder), HEAD)]
+    (shown, *_) = [frame.data for frame in frames(open_episode(folder), HEAD)]
     assert psnr(stream.getvalue(), shown) > 36.0
     assert np.abs((rgb(shown) - rgb(stream.getvalue())).mean(axis=(0, 1))).max() < 1.0
 
@@ -302,7 +302,7 @@ def test_a_compacted_file_that_was_damaged_loses_one_chunk_and_keeps_the_stamps_
     taken = [frame.captured_ns for frame in frames(open_episode(folder), HEAD)]
     compact(folder, tmp_path, gop=GOP)
     cameras = folder / "cameras.mcap"
-    shown = [frame.jpeg for frame in frames(open_episode(folder), HEAD)]
+    shown = [frame.data for frame in frames(open_episode(folder), HEAD)]
     data = bytearray(cameras.read_bytes())
     place = walk(cameras).chunks[1]
     data[place.offset + place.length // 2] ^= 1
@@ -311,7 +311,7 @@ def test_a_compacted_file_that_was_damaged_loses_one_chunk_and_keeps_the_stamps_
     kept = [*range(GOP), *range(2 * GOP, 40)]
     found = list(frames(open_episode(folder), HEAD))
     assert [frame.captured_ns for frame in found] == [taken[number] for number in kept]
-    assert [frame.jpeg for frame in found] == [shown[number] for number in kept]
+    assert [frame.data for frame in found] == [shown[number] for number in kept]
     assert compact(folder, tmp_path).state == "current"
 
 
@@ -319,10 +319,10 @@ def test_a_compacted_file_that_was_cut_off_keeps_its_whole_chunks_and_is_known_a
     folder = record(tmp_path, [jpeg(number) for number in range(40)])
     compact(folder, tmp_path, gop=GOP)
     cameras = folder / "cameras.mcap"
-    shown = [frame.jpeg for frame in frames(open_episode(folder), HEAD)]
+    shown = [frame.data for frame in frames(open_episode(folder), HEAD)]
     cameras.write_bytes(cameras.read_bytes()[: walk(cameras).chunks[2].offset + 30])
     repair(folder)
-    assert [frame.jpeg for frame in frames(open_episode(folder), HEAD)] == shown[: 2 * GOP]
+    assert [frame.data for frame in frames(open_episode(folder), HEAD)] == shown[: 2 * GOP]
     assert compact(folder, tmp_path).state == "current"
     manifest = load_manifest(folder)
     manifest.compacted = None  # of somebody who wrote it anew
@@ -343,7 +343,7 @@ def test_a_check_of_the_video_says_of_repeats_what_one_of_the_jpeg_files_said(
     (before,) = check(open_episode(folder)).pictures
     assert compact(folder, tmp_path, crf=30).state == "compacted"
     reader = open_episode(folder)
-    pixels = [rgb(frame.jpeg).tobytes() for frame in frames(reader, HEAD)]
+    pixels = [rgb(frame.data).tobytes() for frame in frames(reader, HEAD)]
     assert sum(one == other for one, other in pairwise(pixels)) > 20
     (after,) = check(reader).pictures
     assert (before.repeats, after.repeats) == (repeats, repeats)
