@@ -48,8 +48,13 @@ def disk_need(configs: dict[str, object], data: Path, task: str | None) -> DiskN
         for name, config in configs.items()
         if isinstance(config, Filming)
     }
+    depths = {
+        f"{getattr(config, 'name', '') or name}{pictures.DEPTH_ENDING}"
+        for name, config in configs.items()
+        if isinstance(config, Filming) and getattr(config, "depth", False)
+    }
     for manifest in _newest(data, task) if task else ():
-        if (found := _measured(manifest, cameras)) is not None:
+        if (found := _measured(manifest, {*cameras, *depths})) is not None:
             return DiskNeed(found, f"as {manifest.episode_id}")
     filmed = sum(cameras.values()) * 60e-6
     why = f"{len(cameras)} camera{'s' if len(cameras) > 1 else ''}, estimated" if cameras else ""
@@ -69,9 +74,9 @@ def _newest(data: Path, task: str) -> Sequence[Manifest]:
 
 
 def _measured(manifest: Manifest, cameras: Collection[str]) -> float | None:
-    """Return what an episode needed [MB/min]; None of one that was short, or had other cameras."""
+    """Return what an episode needed [MB/min]; None of one that was short, or had other cameras, or depth."""
     filmed = {
-        pictures.camera_of(stream.key) for stream in manifest.streams if stream.file == layout.CAMERAS and stream.count
+        pictures.title_of(stream.key) for stream in manifest.streams if stream.file == layout.CAMERAS and stream.count
     }
     seconds = manifest.timing.duration_s or 0.0
     if manifest.state != "finished" or seconds < _LEAST_S or filmed != {*cameras} or not manifest.recorder.bytes:
