@@ -26,6 +26,8 @@ from station.software import software
 
 BUFFER = "replay_buffer.zarr"
 
+_NO_DEPTH = "; it knows pictures in colour and numbers, and depth only in a task of your own"
+
 Put = Callable[[str, bytes], None]
 """Adds a file of the buffer: its path in it, and what is in it."""
 
@@ -138,7 +140,6 @@ def _how(plan: Plan) -> list[str]:
             picture_name(camera): {"shape": [3, camera.height, camera.width], "type": "rgb"}
             for camera in common.cameras
         },
-        **{picture_name(camera): {"shape": [camera.height, camera.width], "type": "depth"} for camera in common.depths},
     }
     shapes = {"obs": observed, "action": {"shape": [sum(len(one.names) for one in common.action)]}}
     suffix = ".zip" if plan.store == "zip" else ""
@@ -151,7 +152,7 @@ def _how(plan: Plan) -> list[str]:
         f'ReplayBuffer.copy_from_path("{BUFFER}{suffix}", keys={json.dumps(names)})',
         "```",
         "",
-        "Shapes for its task (`shape_meta`):",
+        f"Shapes for its task (`shape_meta`){_NO_DEPTH if common.depths else ''}:",
         "",
         "```json",
         json.dumps(shapes, indent=2),

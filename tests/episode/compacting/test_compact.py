@@ -15,8 +15,10 @@ import av
 import numpy as np
 import pytest
 from av.video.frame import PictureType
+from mcap.reader import make_reader
 from PIL import Image
 
+from station import depth
 from station.bus.tap import Write
 from station.episode.compacting.compact import compact, compared
 from station.episode.quality.check import check, write_measured
@@ -32,6 +34,7 @@ from station.episode.writing.repair import repair
 from station.errors import EpisodeError, StationError
 from tests.enrich.read_back import decoded
 from tests.episode.compacting.two_files import in_two_files
+from tests.episode.depth_scenes import DEPTH, steps
 from tests.episode.filming import HEAD, WRIST, Scene, film
 from tests.episode.scenes import Shot, file_of, filmed, noise, noisy, scene
 from tests.killed_at import killed_at
@@ -369,6 +372,37 @@ def test_a_verdict_on_other_files_stands_no_more_than_before(episode: Episode, f
     compact(episode.folder, episode.data)
     assert stands(open_episode(episode.folder)) is None
     assert note_of(episode.folder).verdict == ""
+
+
+def test_depth_stays_as_it_was_byte_for_byte_and_says_so(tmp_path: Path) -> None:
+    shots, folder = Scene(), tmp_path / "walk" / "2026-11-21-g1-walk-0001"
+    batches: list[list[Write]] = []
+    for number in range(3 * GOP):
+        picture = shots.picture(data=jpeg(number))
+        batches.append([picture, picture._replace(key=DEPTH, value=depth.encoded(steps(number)))])
+    film(folder, batches, shots.anchor)
+    before = [message for message in messages(folder) if message.topic == DEPTH]
+    done = compact(folder, tmp_path, gop=GOP)
+    assert (done.state, done.kept, done.pictures) == ("compacted", [DEPTH], 3 * GOP)
+    assert set(note_of(folder).cameras) == {HEAD}
+    after = [message for message in messages(folder) if message.topic == DEPTH]
+    assert [message[1:5] for message in after] == [message[1:5] for message in before]
+    assert [message.stamp for message in after] == [message.stamp for message in before]
+    assert {message.channel.video for message in after} == {""}
+    with (folder / "cameras.mcap").open("rb") as file:
+        kinds = {channel.topic: kind.name for kind, channel, _ in make_reader(file).iter_messages() if kind is not None}
+    assert kinds == {HEAD: "foxglove.CompressedVideo", DEPTH: "foxglove.CompressedImage"}
+    assert compact(folder, tmp_path).state == "current"
+    assert check(open_episode(folder)).pictures[1].torn.count == 0
+
+
+def test_an_episode_with_depth_alone_is_left_as_it_is(tmp_path: Path) -> None:
+    shots, folder = Scene(), tmp_path / "walk" / "2026-11-21-g1-walk-0001"
+    film(folder, [[shots.picture(key=DEPTH, data=depth.encoded(steps(n)))] for n in range(5)], shots.anchor)
+    before = (folder / "cameras.mcap").read_bytes()
+    done = compact(folder, tmp_path)
+    assert (done.state, done.kept) == ("no-pictures", [DEPTH])
+    assert (folder / "cameras.mcap").read_bytes() == before
 
 
 def test_without_pyav_a_compacted_episode_is_counted_and_whoever_looks_is_told_what_to_install(
