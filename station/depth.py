@@ -19,6 +19,7 @@ Steps = NDArray[np.uint16]
 """Depth in steps, shape (height, width); 0 where nothing was measured."""
 
 _MOST = 65535  # steps
+_MOST_PIXELS = 40_000_000  # of a picture that is opened; a camera has half a million to 2 million
 _LEVEL = 1
 """Of zlib, up to 9. For 640x480 of a simulated eye 1 takes 4 ms and 11 kB, of the noise of a sensor 12 ms and 250 kB;
 6 makes the latter 7 % smaller in 80 ms."""
@@ -69,10 +70,11 @@ def encoded(steps: Steps) -> bytes:
 
 
 def decoded(data: bytes) -> Steps | None:
-    """Return the picture of a file; None for what is no whole depth picture."""
+    """Return the picture of a file; None for what is no whole depth picture, or larger than any camera's."""
     from PIL import Image
 
-    if head(data) is None:
+    known = head(data)
+    if known is None or known.width * known.height > _MOST_PIXELS:
         return None
     try:
         with Image.open(io.BytesIO(data), formats=("PNG",)) as picture:

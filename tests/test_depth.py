@@ -68,6 +68,14 @@ def test_what_is_whole_by_its_chunks_and_holds_too_few_rows_is_not_decoded() -> 
     assert depth.decoded(short) is None
 
 
+def test_a_picture_that_would_fill_the_memory_is_not_opened() -> None:
+    body = b"IHDR" + (100_000).to_bytes(4) + (100_000).to_bytes(4) + bytes([16, 0, 0, 0, 0])
+    file = depth.encoded(room())
+    vast = file[:8] + (13).to_bytes(4) + body + zlib.crc32(body).to_bytes(4) + file[33:]
+    assert depth.head(vast) == (100_000, 100_000)
+    assert depth.decoded(vast) is None
+
+
 def test_metres_become_millimetres_and_what_is_out_of_range_is_no_depth() -> None:
     steps = depth.of_metres(
         np.array([[0.0, 0.0004, 0.0006, 1.2344, 9.9999, 10.001, np.inf, np.nan, -1.0]]), farthest_m=10.0

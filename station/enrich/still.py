@@ -18,7 +18,7 @@ from collections.abc import Collection
 from station.enrich.siblings import TRANSFORM
 from station.episode.reading import frames
 from station.episode.reading.reader import EpisodeReader
-from station.episode.storage.pictures import camera_of, is_depth
+from station.episode.storage.pictures import camera_of
 from station.protobuf import foxglove
 from station.protobuf.schema import Schema
 
@@ -32,7 +32,7 @@ def optics_of(reader: EpisodeReader, known: Collection[str]) -> dict[str, tuple[
         reader: The episode.
         known: Frames that the file has.
     """
-    found, why_not = frames.optics(reader)
+    (found, why_not), depths = frames.optics(reader), frames.depths(reader).values()
     made: dict[str, tuple[Schema, bytes] | str] = {f"{key}/{CALIBRATION}": why for key, why in why_not.items()}
     for key, (inner, mount) in found.items():
         camera, at_ns = camera_of(key), reader.start_ns
@@ -40,7 +40,7 @@ def optics_of(reader: EpisodeReader, known: Collection[str]) -> dict[str, tuple[
             made[f"{key}/{CALIBRATION}"] = (
                 foxglove.schema(foxglove.CAMERA_CALIBRATION), foxglove.camera_calibration(inner, at_ns, camera)
             )  # fmt: skip
-        if mount is None or is_depth(key):
+        if mount is None or key in depths:
             continue  # the frame of depth is that of its camera
         if mount.parent in known:
             values = [*mount.position_m, *mount.quat_wxyz]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -13,7 +14,6 @@ from station import depth
 from station.episode.reading import frames
 from station.episode.reading.frames import Frame
 from station.episode.reading.reader import EpisodeReader
-from station.episode.storage.pictures import is_depth
 from station.protocols import Floats
 
 if TYPE_CHECKING:
@@ -53,21 +53,24 @@ def strips(reader: EpisodeReader, at_s: Sequence[float] | Floats, width: int) ->
         at_s: Instants in order, from the start of the episode [s].
         width: Of the pictures, which are no higher [px]; those of a camera that is smaller stay as they are.
     """
+    depths = set(frames.depths(reader).values())
+    wanted_ns = [reader.start_ns + round(each * 1e9) for each in at_s]
     return {
-        name: _strip(reader, topic, width, [reader.start_ns + round(each * 1e9) for each in at_s])
+        name: _strip(reader, topic, wanted_ns, partial(_small_depth if topic in depths else _small, width=width))
         for name, topic in list(frames.all_pictures(reader).items())[:_MOST_CAMERAS]
     }
 
 
-def _strip(reader: EpisodeReader, topic: str, width: int, wanted_ns: Sequence[int]) -> list[Thumbnail | None]:
-    small = _small_depth if is_depth(topic) else _small
+def _strip(
+    reader: EpisodeReader, topic: str, wanted_ns: Sequence[int], small: Callable[[Frame], bytes | None]
+) -> list[Thumbnail | None]:
     strip: list[Thumbnail | None] = []
     newest: Frame | None = None
 
     def show_newest_before(end_ns: float) -> None:
         count = sum(at_ns < end_ns for at_ns in wanted_ns[len(strip) :])
         if count and newest is not None:
-            strip.extend([Thumbnail((newest.captured_ns - reader.start_ns) * 1e-9, small(newest, width))] * count)
+            strip.extend([Thumbnail((newest.captured_ns - reader.start_ns) * 1e-9, small(newest))] * count)
         else:
             strip.extend([None] * count)
 
@@ -97,8 +100,7 @@ def _small_depth(frame: Frame, width: int) -> bytes | None:
     from matplotlib import colormaps
     from PIL import Image
 
-    known = depth.head(frame.data)
-    steps = depth.decoded(frame.data) if known and known.width * known.height <= _MOST_PIXELS else None
+    steps = depth.decoded(frame.data)
     if steps is None:
         return None
     seen = steps > 0

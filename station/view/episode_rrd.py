@@ -11,7 +11,7 @@ import rerun as rr
 
 from station.episode.reading import frames
 from station.episode.reading.reader import EpisodeReader
-from station.episode.storage.pictures import camera_of, is_depth
+from station.episode.storage.pictures import camera_of
 from station.errors import StationError
 from station.view import layout, phases, poses, scene
 from station.view.depth_pictures import draw_depth
@@ -134,9 +134,9 @@ def _draw_robot(
         return warnings
     view.poses = len(where.times_ns)
     scene.log_shapes(recording, scene.ROBOT, model)
-    optics, why_not = frames.optics(source.reader)
+    (optics, why_not), depths = frames.optics(source.reader), frames.depths(source.reader).values()
     for key, one in optics.items():
-        if one.mount is not None and one.mount.parent in model.visible and not is_depth(key):
+        if one.mount is not None and one.mount.parent in model.visible and key not in depths:
             placed[camera_of(key)] = scene.log_camera(recording, scene.ROBOT, camera_of(key), one)
     warnings += [f"{key}: {why}; the camera is not drawn" for key, why in why_not.items()]
     _send(recording, scene.ROBOT, model, where, source)

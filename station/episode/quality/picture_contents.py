@@ -273,7 +273,9 @@ class _Camera:
             return
         self._blind.add(taken_ns)
         self._blind_since_ns = self._blind_since_ns or taken_ns
-        self._longest_blind = max(self._longest_blind, (taken_ns - self._blind_since_ns, -self._blind_since_ns))
+        lasted_ns = taken_ns - self._blind_since_ns
+        if self._blind.count == 1 or lasted_ns > self._longest_blind[0]:
+            self._longest_blind = lasted_ns, self._blind_since_ns
 
     def _add_colour(self, taken_ns: int, look: Look) -> None:
         before, self._before = self._before, look
@@ -335,7 +337,7 @@ class _Camera:
             measured_share=round(float(np.mean(self._shares)), 4) if self._shares else None,
             blind=self._blind.seen(start_ns),
             blind_s=_s(lasted_ns),
-            blind_at_s=_s(-since_ns - start_ns) if self._blind.count else None,
+            blind_at_s=_s(since_ns - start_ns) if self._blind.count else None,
         )
 
 
@@ -393,7 +395,7 @@ def look(decode: Callable[[bytes], Grey | None], data: bytes) -> Look | None:
 
 def measured_share(data: bytes) -> float | None:
     """Return the share of a depth picture in which anything was measured, 0..1; None for one that cannot be decoded."""
-    steps = None if not _is_sane(depth.head(data)) else depth.decoded(data)
+    steps = depth.decoded(data)
     return None if steps is None else float(np.count_nonzero(steps)) / steps.size
 
 
@@ -418,7 +420,7 @@ def decoder() -> tuple[str, Callable[[bytes], Grey | None]]:
 
 def _by_simplejpeg(library: Any, data: bytes) -> Grey | None:
     options: Mapping[str, Any] = {"min_width": _LEAST_WIDTH, "min_height": _LEAST_HEIGHT, "fastdct": True}
-    if not _is_sane(jpeg.head(data)):
+    if not _is_sane(data):
         return None
     for is_strict in (True, False):
         try:
@@ -434,7 +436,7 @@ def _by_simplejpeg(library: Any, data: bytes) -> Grey | None:
 def _by_pillow(data: bytes) -> Grey | None:
     from PIL import Image
 
-    if not _is_sane(jpeg.head(data)):
+    if not _is_sane(data):
         return None
     try:
         with Image.open(io.BytesIO(data), formats=("JPEG",)) as picture:
@@ -444,5 +446,6 @@ def _by_pillow(data: bytes) -> Grey | None:
         return None
 
 
-def _is_sane(known: jpeg.Head | depth.Head | None) -> bool:
+def _is_sane(data: bytes) -> bool:
+    known = jpeg.head(data)
     return known is not None and known.width * known.height <= _MOST_PIXELS

@@ -112,7 +112,12 @@ def test_a_fault_is_told_by_camera_key_and_time(
 
 
 def test_a_hand_before_the_camera_for_a_moment_is_no_fault(tmp_path: Path) -> None:
-    assert said(checked(tmp_path, blind(2.0, 2.9))) == []
+    quality = checked(tmp_path, blind(2.6, 2.9))
+    assert said(quality) == []
+    found = quality.pictures[0].depth
+    assert found is not None
+    assert (found.blind.count, found.blind_s, found.blind_at_s) == (1, 0.0, found.blind.first_s)
+    assert 2.6 <= (found.blind.first_s or 0.0) < 2.9
 
 
 def black(shot: Shot) -> bytes:
