@@ -33,15 +33,19 @@ def measured(shot: Shot) -> bytes:
 
 
 def filmed(data: Path, film: Film = measured, *, colour: Film | None = None) -> Path:
-    """Record a robot that moves an arm before a camera with depth, perhaps with colour; return the folder."""
+    """Record a robot that moves an arm before a camera with depth, perhaps with colour; return the folder.
+
+    A film gives b"" for a picture that is not written.
+    """
     builder = EpisodeBuilder(data)
     times = [(n / STATE_HZ, 0, n) for n in range(round(LENGTH_S * STATE_HZ))]
     times += [(n / CAMERA_HZ, 1, n) for n in range(round(LENGTH_S * CAMERA_HZ))]
     for at_s, is_picture, count in sorted(times):
         if is_picture:
             shot = Shot(count)
-            beside = {} if colour is None else {HEAD: colour(shot)}
-            builder.write({**beside, DEPTH: film(shot)}, at_s=at_s, writer="head")
+            shown = {} if colour is None else {HEAD: colour(shot)}
+            shown = {key: data for key, data in {**shown, DEPTH: film(shot)}.items() if data}
+            builder.write(shown, at_s=at_s, writer="head")
         else:
             q = STANDING.copy()
             q[18] += 0.4 * np.sin(np.pi * at_s)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 
 from station.bus import keys
+from station.episode.quality.cameras import told_apart
 from station.episode.quality.finding_parts import KeyChanges, KeyPresence, Loss
 from station.episode.quality.findings import Interruption, Quality, Reason, StepQuality, StreamQuality, Verdict
 from station.episode.quality.rule_file import Ends, GradedRule, Limits, Rule
@@ -375,7 +376,7 @@ def _camera_at_an_end(
     quality: Quality, limit: Ends, missing_s: Callable[[KeyPresence], float], what: str
 ) -> Iterator[tuple[Verdict, str]]:
     of_key = {one.key: one for one in quality.presence}
-    for camera in quality.cameras:
+    for camera in told_apart(quality.cameras):
         one, periods_s = of_key.get(camera.key), GAP_PERIODS / (camera.nominal_hz or _ANY_HZ)
         if one is not None and missing_s(one) > max(limit.usable_above_s, periods_s):
             share = missing_s(one) / _length_s(quality)

@@ -120,6 +120,19 @@ def test_a_hand_before_the_camera_for_a_moment_is_no_fault(tmp_path: Path) -> No
     assert 2.6 <= (found.blind.first_s or 0.0) < 2.9
 
 
+def pausing(film: Callable[[Shot], bytes]) -> Callable[[Shot], bytes]:
+    return lambda shot: b"" if 3.0 <= shot.at_s < 4.5 else film(shot)
+
+
+def test_a_pause_of_a_camera_and_its_depth_is_told_once_and_one_of_depth_alone_as_such(tmp_path: Path) -> None:
+    both = check(open_episode(filmed(tmp_path / "both", pausing(measured), colour=pausing(sound))))
+    alone = check(open_episode(filmed(tmp_path / "alone", pausing(measured), colour=sound)))
+    for quality, name in ((both, "head"), (alone, "head_depth")):
+        told = [reason.text.split(":")[0] for reason in quality.reasons if reason.rule == "camera-gap"]
+        assert told == [f"camera {name}"]
+    assert [camera.missing for camera in both.cameras] == [23, 23], "the table has both"
+
+
 def black(shot: Shot) -> bytes:
     return file_of(4.0 + noise(shot.number))
 
