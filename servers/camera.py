@@ -1,4 +1,4 @@
-"""The camera server: pictures of one camera, as JPEG files on the bus.
+"""The camera server: pictures of one camera, as JPEG files on the bus, and its depth beside them as PNG files.
 
 One process per camera. What a camera is, an adapter knows (`adapters.cameras`, found by the setting `source`). A
 runbook starts several under names of their own:
@@ -23,11 +23,13 @@ from station import libraries, registry
 from station.camera.serve import serve_camera
 from station.camera.source import CameraKind, Newest, PictureSettings
 from station.config import to_plain
+from station.episode.storage.pictures import DEPTH_ENDING
 from station.life.server import Life, ServerKind
 from station.optics import Intrinsics, Mount, Optics
 
 _NAME = re.compile(r"[a-z0-9_]+")
 _JPEG_BYTES_PER_PIXEL = 0.2  # USB cameras gave 40 to 90 kB for 640x480 at quality 90; what is simulated needs half
+_DEPTH_BYTES_PER_PIXEL = 0.8  # of a sensor's noise; what is simulated has none and needs a twentieth
 
 
 class CameraConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -41,6 +43,8 @@ class CameraConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         fps: Pictures per second [Hz]; None for the source's own: 30, or as files or senders have it.
         width, height: Size of the pictures [px]; None for the source's own: 640x480, or as files or senders have it.
         quality: JPEG quality of pictures that are encoded here, 1 to 100.
+        depth: Whether to publish depth beside the pictures, in its key ``camera_depth_NAME``: 16-bit PNG in
+            millimetres, 0 where there is none; the sources ``realsense`` and ``mujoco`` have it.
         intrinsics: Of the camera, at the size of its pictures: width, height, fx, fy, cx, cy [px], distortion
             (``none``, ``plumb_bob``, ``rational_polynomial``, ``kannala_brandt``), coefficients; None for what the
             source knows.
@@ -56,6 +60,7 @@ class CameraConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     width: int | None = None
     height: int | None = None
     quality: int = 90
+    depth: bool = False
     intrinsics: Intrinsics | None = None
     mount: Mount | None = None
     niceness: int = 5
@@ -64,6 +69,15 @@ class CameraConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         registry.expect("camera", self.source)
         if self.name and not _NAME.fullmatch(self.name):
             raise ValueError(f"name is {self.name!r}; expected small letters, digits and _, for example left_wrist")
+        if self.name.endswith(DEPTH_ENDING):
+            raise ValueError(
+                f"name is {self.name!r}, which is what the depth of a camera is called; choose another end"
+            )
+        if self.depth and not self.kind.has_depth:
+            known = (name for name in registry.names("camera") if registry.find("camera", name).has_depth)
+            raise ValueError(
+                f"depth is true, and the source {self.source} gives none; those that do: {', '.join(known)}"
+            )
         if self.fps is not None and not 0.1 <= self.fps <= 240.0:
             raise ValueError(f"fps is {self.fps:g}; expected 0.1 to 240 Hz")
         for field, value in (("width", self.width), ("height", self.height)):
@@ -96,12 +110,15 @@ class CameraConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     def picture_bytes_per_s(self) -> float:
         """Return about how much its pictures need [bytes/s]; where a source decides, 640x480 at 30 Hz counts."""
-        return (self.width or 640) * (self.height or 480) * _JPEG_BYTES_PER_PIXEL * (self.fps or 30.0)
+        of_a_pixel = _JPEG_BYTES_PER_PIXEL + (_DEPTH_BYTES_PER_PIXEL if self.depth else 0.0)
+        return (self.width or 640) * (self.height or 480) * of_a_pixel * (self.fps or 30.0)
 
     @property
     def settings(self) -> PictureSettings:
         """What is wanted of the pictures."""
-        return PictureSettings(fps=self.fps, width=self.width, height=self.height, quality=self.quality)
+        return PictureSettings(
+            fps=self.fps, width=self.width, height=self.height, quality=self.quality, depth=self.depth
+        )
 
 
 def main(config: CameraConfig, life: Life) -> int:

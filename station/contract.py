@@ -8,7 +8,7 @@ import msgspec
 
 Role = Literal["command", "state", "policy", "sensor", "network", "event", "control"]
 VectorCodec = Literal["json-vector", "f32", "f64"]
-Codec = Literal[VectorCodec, "json", "jpeg", "text", "integer"]
+Codec = Literal[VectorCodec, "json", "jpeg", "png", "text", "integer"]
 
 
 class Element(msgspec.Struct, frozen=True):
@@ -48,6 +48,7 @@ class Contract(msgspec.Struct, frozen=True, kw_only=True):
         codec: How the bytes are read.
         elements: Names and units of a vector's numbers in order; empty for other values.
         rate_hz: Nominal rate of writes [Hz]; None when it is written on events only.
+        step_m: What a step of a depth picture is [m]; None for what is none.
         note: Frame, order and traps, in a sentence.
     """
 
@@ -57,6 +58,7 @@ class Contract(msgspec.Struct, frozen=True, kw_only=True):
     codec: Codec
     elements: tuple[Element, ...] = ()
     rate_hz: float | None = None
+    step_m: float | None = None
     note: str = ""
 
     @property
@@ -71,6 +73,9 @@ class Contract(msgspec.Struct, frozen=True, kw_only=True):
 
 
 POSE = elements((("x", "y", "z"), "m"), (("qw", "qx", "qy", "qz"), ""))
+
+DEPTH_STEP_M = 0.001
+"""What a step is in the depth pictures that the station's cameras write [m]."""
 
 TIMING_STAGES = ("command_written", "command_arrived", "state_read", "observed", "inferred", "sent")
 """Instants of one policy step, in the order of `keys.policy_timing`."""

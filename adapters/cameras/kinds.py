@@ -144,9 +144,10 @@ FILES = CameraKind(
 )
 MUJOCO = CameraKind(
     name="mujoco",
-    about="what head or wrist cameras of a simulated G1 see",
+    about="what head or wrist cameras of a simulated G1 see, and how far it is (depth)",
     library="simplejpeg",
     extra="video",
+    has_depth=True,
     options=MujocoOptions,
     open=_mujoco,
     keys=lambda options: (keys.sim_qpos(options.robot),),
@@ -161,7 +162,8 @@ ZMQ = CameraKind(
 )
 REALSENSE = CameraKind(
     name="realsense",
-    about="colour of an Intel RealSense, with the factory's intrinsics",
+    about="colour and depth of an Intel RealSense, with the factory's intrinsics",
+    has_depth=True,
     library="pyrealsense2",
     extra="realsense",
     options=RealSenseOptions,

@@ -18,16 +18,18 @@ from adapters.robots.g1 import mjcf
 from adapters.robots.g1.addresses import Addresses
 from adapters.robots.g1.joints import G1_29
 from adapters.robots.picture import Camera as Eye
-from station import assets
+from station import assets, depth
 from station.bus import codec
 from station.bus.sample import Sample
 from station.camera.source import CameraError, Drops, Newest, Picture, PictureSettings
+from station.contract import DEPTH_STEP_M
 from station.errors import StationError
 from station.optics import Intrinsics, Mount, Optics, from_opengl
 from station.protocols import Floats
 
 _SIZE, _FPS = (640, 480), 30.0
 _MOST_PX = 4096
+_FARTHEST_M = 10.0  # of depth, as stereo cameras have it; what is farther is 0
 _NUMBERS = 7 + len(G1_29)
 
 
@@ -55,6 +57,7 @@ class MujocoCamera:
         self._width, self._height = settings.width or _SIZE[0], settings.height or _SIZE[1]
         self._fps = settings.fps or _FPS
         self._pace, self._encoder = Pace(self._fps), Encoder(settings.quality)
+        self._has_depth = settings.depth
         self._detail: Literal["fine", "plain"] = "fine" if is_fine else "plain"
         self._shown: Sample | None = None
         self._why_not = ""
@@ -92,7 +95,10 @@ class MujocoCamera:
         if qpos is None or self._eye is None:
             return None
         pixels = self._eye.capture(self._pose(qpos), self._name)
-        return Picture(self._encoder.rgb(pixels), _written_ns(sample))
+        seen = b""
+        if self._has_depth:
+            seen = depth.encoded(depth.of_metres(self._eye.depth_m(), farthest_m=_FARTHEST_M))
+        return Picture(self._encoder.rgb(pixels), _written_ns(sample), seen)
 
     def why_silent(self) -> str:
         """Return what is missing."""
@@ -125,6 +131,7 @@ class MujocoCamera:
                     quat_wxyz=from_opengl(model.cam_quat[camera].tolist()),
                 ),
             ).facts(),
+            **({"depth": self._depth_facts()} if self._has_depth else {}),
             "library": f"mujoco {mujoco.__version__}",
         }
 
@@ -133,6 +140,10 @@ class MujocoCamera:
         eye, self._eye = self._eye, None
         if eye is not None:
             eye.close()
+
+    def _depth_facts(self) -> dict[str, Any]:
+        nearest_m = float(self._model.vis.map.znear * self._model.stat.extent)
+        return {"step_m": DEPTH_STEP_M, "range_m": [round(nearest_m, 4), _FARTHEST_M], "is_aligned": True}
 
     def _parsed(self, sample: Sample) -> Floats | None:
         try:

@@ -1,4 +1,7 @@
-"""An Intel RealSense's colour camera through its SDK, with the factory's intrinsics; or a recording of the SDK.
+"""An Intel RealSense's colour camera, and its depth, through its SDK, with the factory's intrinsics; or a recording.
+
+Depth is aligned to colour by the SDK, so that a pixel of the one sees what that of the other sees, and comes in
+millimetres whatever the step of the camera is.
 
 A time of capture is the SDK's where it is on this machine's clock (its domains global and system time); else a picture
 counts as taken when it arrives. A recording of the SDK is played in real time and begins anew at its end.
@@ -13,10 +16,13 @@ from typing import Any
 import numpy as np
 
 from adapters.cameras.encode import Encoder, library
+from station import depth
 from station.camera.source import CameraError, Drops, Picture, PictureSettings
+from station.contract import DEPTH_STEP_M
 from station.optics import Distortion, Intrinsics, Optics
 
 _SIZE, _FPS = (640, 480), 30
+_DEPTH_SIZE = (640, 480)  # before it is aligned, which gives it the size of the colour; every depth camera has it
 _STALLED_S = 5.0
 _OLDEST_NS = 1_000_000_000  # a time that is older, or in the future, is on another clock
 _QUEUED = 32  # pictures that the SDK may hold: more are not taken at once
@@ -31,7 +37,7 @@ inverse one turns a pixel into a ray) mean something else, and have no place her
 
 
 class RealSenseCamera:
-    """Reads a colour stream; implements `station.camera.source.Camera`.
+    """Reads a colour stream, and depth where that is wanted; implements `station.camera.source.Camera`.
 
     Args:
         serial: Of the camera; "" for the only one.
@@ -46,6 +52,8 @@ class RealSenseCamera:
         self.drops = Drops()
         self._sdk = library("pyrealsense2", "pyrealsense2", "the source realsense", extra="realsense")
         self._encoder = Encoder(settings.quality)
+        self._align: Any = None  # of depth to colour, where that is wanted
+        self._step_m = DEPTH_STEP_M  # of the camera's own depth
         self._what = str(file) if file is not None else f"RealSense {serial or 'camera'}"
         self._config = self._sdk.config()
         self._pipeline = self._sdk.pipeline()
@@ -60,8 +68,13 @@ class RealSenseCamera:
             profile = self._config.resolve(self._sdk.pipeline_wrapper(self._pipeline))
             self._video = profile.get_stream(self._sdk.stream.color).as_video_stream_profile()
             self._device = {name: self._said(profile.get_device(), name) for name in _TOLD}
+            if settings.depth:
+                profile.get_stream(self._sdk.stream.depth)
+                self._step_m = float(profile.get_device().first_depth_sensor().get_depth_scale())
+                self._align = self._sdk.align(self._sdk.stream.color)
         except RuntimeError as error:
-            raise CameraError(f"{self._what}: {_line(error)}; expected a camera with such a colour stream") from None
+            streams = "colour and depth streams" if settings.depth else "a colour stream"
+            raise CameraError(f"{self._what}: {_line(error)}; expected a camera with such {streams}") from None
 
     def read(self, timeout_s: float) -> Picture | None:
         """Return the newest picture; see `Camera.read`."""
@@ -97,6 +110,7 @@ class RealSenseCamera:
             "exposure": None,
             **optics.facts(),
             **({"intrinsics_why_not": why_not} if why_not else {}),
+            **({"depth": self._depth_facts()} if self._align is not None else {}),
         }
 
     def close(self) -> None:
@@ -128,15 +142,17 @@ class RealSenseCamera:
         width, height = settings.width or _SIZE[0], settings.height or _SIZE[1]
         fps = round(settings.fps or _FPS)
         self._config.enable_stream(self._sdk.stream.color, width, height, self._sdk.format.rgb8, fps)
+        if settings.depth:
+            self._config.enable_stream(self._sdk.stream.depth, *_DEPTH_SIZE, self._sdk.format.z16, fps)
 
     def _newest(self, frames: Any) -> Picture | None:
         """Return the newest picture of what the SDK holds; count the others."""
-        now_ns, newest = time.monotonic_ns(), None
+        now_ns, newest, beside = time.monotonic_ns(), None, None
         for _ in range(_QUEUED):
             frame = frames.get_color_frame()
             if frame:
                 self.drops.skipped += newest is not None
-                newest = frame
+                newest, beside = frame, frames
                 self._count(frame.get_frame_number())
             frames = self._pipeline.poll_for_frames()
             if not frames.size():
@@ -144,7 +160,18 @@ class RealSenseCamera:
         if newest is None:
             return None
         self._heard_s = time.monotonic()
-        return Picture(self._encoder.rgb(np.asanyarray(newest.get_data())), self._captured_ns(newest, now_ns))
+        jpeg = self._encoder.rgb(np.asanyarray(newest.get_data()))
+        return Picture(jpeg, self._captured_ns(newest, now_ns), self._depth_of(beside))
+
+    def _depth_of(self, frames: Any) -> bytes:
+        """Return the depth of a set of frames, aligned; b"" where none is wanted, or none came with this picture."""
+        frame = self._align.process(frames).get_depth_frame() if self._align is not None else None
+        if not frame:
+            return b""
+        return depth.encoded(depth.rescaled(np.asanyarray(frame.get_data()), self._step_m))
+
+    def _depth_facts(self) -> dict[str, Any]:
+        return {"step_m": DEPTH_STEP_M, "camera_step_m": self._step_m, "range_m": None, "is_aligned": True}
 
     def _count(self, number: int) -> None:
         if self._number is not None:

@@ -19,13 +19,14 @@ _MOST_TOLD = 200  # episodes in the page; a page of thousands is read by nobody
 
 
 class RowOptions(ExportOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What decides the rows; all as in `LeRobotOptions`."""
+    """What decides the rows; all as in `LeRobotOptions`, but that depth goes in unasked."""
 
     fps: Annotated[int, Meta(ge=1, le=1000, description=_AS_LEROBOT)] | None = None
     state: Annotated[tuple[str, ...], Meta(description=_AS_LEROBOT)] = ()
     action: Annotated[tuple[str, ...], Meta(description=_AS_LEROBOT)] = ()
     robot: Annotated[str, Meta(description=_AS_LEROBOT)] = ""
     camera: Annotated[tuple[str, ...], Meta(description=_AS_LEROBOT)] = ()
+    depth: Annotated[bool, Meta(description="Depth of the cameras, beside their pictures.")] = True
     pictures: Annotated[PictureRule, Meta(description=_AS_LEROBOT)] = "nearest"
     trim: Annotated[Trim, Meta(description=_AS_LEROBOT)] = "waiting"
 
@@ -34,7 +35,8 @@ def rows_plan(sources: Sequence[Source], options: RowOptions, *, val: float = 0.
     """Return what the rows of all episodes have in common; see `ExportKind.prepare`."""
     wish = lerobot.LeRobotOptions(
         min_quality=options.min_quality, success=options.success, fps=options.fps, state=options.state,
-        action=options.action, robot=options.robot, camera=options.camera, pictures=options.pictures,
+        action=options.action, robot=options.robot, camera=options.camera, depth=options.depth,
+        pictures=options.pictures,
         trim=options.trim, val=val, seed=seed,
     )  # fmt: skip
     return lerobot.prepare(sources, wish)

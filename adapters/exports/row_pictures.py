@@ -38,7 +38,7 @@ class RowPictures:
     Args:
         what: Episode and camera, for messages.
         rows: Which picture in order of arrival each row shall show, never descending, shape (n,).
-        read: Returns the picture of a JPEG file, None for what cannot be read; raises `EpisodeError` for one that does
+        read: Returns the picture of a file, None for what cannot be read; raises `EpisodeError` for one that does
             not fit.
         show: Called with every row's number and its picture, row by row.
     """
@@ -51,7 +51,7 @@ class RowPictures:
         self._arrived = self._bad = 0
         self._last: tuple[int, Any] | None = None
 
-    def feed(self, jpeg: bytes) -> None:
+    def feed(self, file: bytes) -> None:
         """Add the next picture in order of arrival.
 
         Raises:
@@ -61,15 +61,13 @@ class RowPictures:
         self._arrived += 1
         if row == len(self._rows) or self._rows[row] != number:
             return
-        picture = self._read(jpeg)
+        picture = self._read(file)
         if picture is not None:
             self._last = number, picture
         else:
             self._bad += 1
         if self._last is None:
-            raise EpisodeError(
-                f"{self._what}: picture {number}, the first one of the rows, is no JPEG that can be read"
-            )
+            raise EpisodeError(f"{self._what}: picture {number}, the first one of the rows, cannot be read")
         shown, picture = self._last
         while row < len(self._rows) and self._rows[row] == number:
             self._show(row, picture)
@@ -83,7 +81,7 @@ class RowPictures:
             EpisodeError: too many could not be read.
         """
         if self._bad > max(1, _MOST_BAD * len(set(self._rows.tolist()))):
-            raise EpisodeError(f"{self._what}: {self._bad} pictures are no JPEG files that can be read")
+            raise EpisodeError(f"{self._what}: {self._bad} pictures cannot be read")
         return Shown(np.array(self._shown, dtype=np.int64), self._bad)
 
 

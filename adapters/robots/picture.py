@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from station.errors import StationError, UnknownName
+from station.protocols import Floats32
 
 _BACKENDS = ("egl", "osmesa", "glfw")  # the first needs no display, the second no graphics driver either
 _GEOM_LIMIT = 2000
@@ -37,6 +38,7 @@ class Camera:
         self._gl.make_current()
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR  # keeps its precision far away
         self._scene = mujoco.MjvScene(model, maxgeom=_GEOM_LIMIT)
         self._options = mujoco.MjvOption()
 
@@ -60,6 +62,17 @@ class Camera:
         picture = np.empty((self.height, self.width, 3), dtype=np.uint8)
         mujoco.mjr_readPixels(picture, None, frame, self._context)
         return np.flipud(picture)  # OpenGL counts rows from the bottom
+
+    def depth_m(self) -> Floats32:
+        """Return the depth of the picture that was captured last, shape (height, width), along the optical axis [m].
+
+        What is not drawn is as far as the model draws at all: its far plane.
+        """
+        self._gl.make_current()
+        read = np.empty((self.height, self.width), dtype=np.float32)
+        mujoco.mjr_readPixels(None, read, mujoco.MjrRect(0, 0, self.width, self.height), self._context)
+        near, far = (plane * self._model.stat.extent for plane in (self._model.vis.map.znear, self._model.vis.map.zfar))
+        return np.flipud(np.float32(near * far) / (np.float32(near) + read * np.float32(far - near)))
 
     def close(self) -> None:
         """Release the graphics memory; a second call does nothing."""

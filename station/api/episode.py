@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from station import depth as depths
 from station.api import streams as found
 from station.api.steps import Steps, names_and_units, read_steps
 from station.api.streams import Holds, Stream
@@ -26,7 +27,7 @@ from station.episode.reading.vectors import numbers
 from station.episode.storage.manifest import Manifest
 from station.errors import EpisodeError, UnknownName
 from station.printable import printable
-from station.protocols import Floats
+from station.protocols import Floats, Floats32
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -127,6 +128,11 @@ class Episode:
     def cameras(self) -> list[str]:
         """Names of its cameras."""
         return list(frames.cameras(self._reader))
+
+    @cached_property
+    def depth_cameras(self) -> list[str]:
+        """Names of its cameras whose depth was recorded."""
+        return list(frames.depths(self._reader))
 
     @cached_property
     def streams(self) -> list[Stream]:
@@ -247,6 +253,29 @@ class Episode:
             else:
                 yield time_s, rgb
 
+    def depth(self, camera: str | None = None) -> Iterator[tuple[float, Floats32]]:
+        """Iterate over the depth of a camera: time of capture [s], and metres, shape (height, width), float32.
+
+        Depth is measured along the optical axis, and is 0 where nothing was measured. It is recorded in whole steps, of
+        a millimetre each; `raw` gives the PNG files as they are. A picture that cannot be decoded is left out, with a
+        warning.
+
+        Args:
+            camera: One of `depth_cameras`; None for the only one.
+
+        Raises:
+            UnknownName: there is no such camera, or it has no depth.
+            EpisodeError: none is named, and there is none or there are several; or its file is damaged.
+        """
+        name, topic = self._chosen("camera with depth", frames.depths(self._reader), camera)
+        step_m = frames.step_m(self._reader, topic)
+        for time_s, data in self._files(topic):
+            steps = depths.decoded(data)
+            if steps is None:
+                _warn(f"camera {name}: the depth of {time_s:.3f} s cannot be decoded; left out")
+            else:
+                yield time_s, depths.in_metres(steps, step_m)
+
     def jpegs(self, camera: str | None = None) -> Iterator[tuple[float, bytes]]:
         """Iterate over the pictures of a camera as recorded: time of capture [s], and the bytes of the JPEG file.
 
@@ -259,15 +288,8 @@ class Episode:
             UnknownName: there is no such camera.
             EpisodeError: none is named, and there is none or there are several; or its file is damaged.
         """
-        by_name = frames.cameras(self._reader)
-        if camera is None and len(by_name) != 1:
-            which = f"cameras {' and '.join(by_name)}; name one" if by_name else "no camera in it"
-            raise EpisodeError(f"{self.id}: {which}")
-        name = next(iter(by_name)) if camera is None else camera
-        if name not in by_name:
-            raise UnknownName(f"camera of {self.id}", name, by_name)
-        for frame in frames.frames(self._reader, by_name[name]):
-            yield (frame.captured_ns - self._reader.start_ns) * _NANOSECONDS, frame.jpeg
+        _, topic = self._chosen("camera", frames.cameras(self._reader), camera)
+        yield from self._files(topic)
 
     def wall_ns(self, time_s: ArrayLike) -> Ints:
         """Return times of the episode on the wall clock [ns since the Unix epoch]; shape as given.
@@ -301,6 +323,20 @@ class Episode:
         torn = [] if self.torn is None else [f"  torn: {self.torn}"]
         return "\n".join(printable(line) for line in [head, *torn, *found.lines(self.streams)])
 
+    def _chosen(self, what: str, by_name: Mapping[str, str], camera: str | None) -> tuple[str, str]:
+        """Return name and key of the camera that is meant."""
+        if camera is None and len(by_name) != 1:
+            which = f"cameras {' and '.join(by_name)}; name one" if by_name else f"no {what} in it"
+            raise EpisodeError(f"{self.id}: {which}")
+        name = next(iter(by_name)) if camera is None else camera
+        if name not in by_name:
+            raise UnknownName(f"{what} of {self.id}", name, by_name)
+        return name, by_name[name]
+
+    def _files(self, topic: str) -> Iterator[tuple[float, bytes]]:
+        for frame in frames.frames(self._reader, topic):
+            yield (frame.captured_ns - self._reader.start_ns) * _NANOSECONDS, frame.data
+
     @cached_property
     def _channels(self) -> dict[str, list[Channel]]:
         """Channels with values by key."""
@@ -326,7 +362,9 @@ class Episode:
     def _refuse(self, key: str, held: Holds) -> NoReturn:
         """Refuse a key that holds no numbers; the error says how its values are read."""
         names = {topic: name for name, topic in frames.cameras(self._reader).items()}
-        how = {"pictures": f"pictures({names.get(key)!r})", "json": f"json({key!r})"}.get(held, f"raw({key!r})")
+        depth_of = {topic: name for name, topic in frames.depths(self._reader).items()}
+        pictures = f"depth({depth_of[key]!r})" if key in depth_of else f"pictures({names.get(key)!r})"
+        how = {"pictures": pictures, "json": f"json({key!r})"}.get(held, f"raw({key!r})")
         has_contract = any(channel.contract is not None for channel in self._channels[key])
         why = f"holds {held}, no numbers" if has_contract else "has no contract, so nothing says what its numbers are"
         raise EpisodeError(f"{self.id}: key {key!r} {why}; episode.{how} reads it")

@@ -69,7 +69,7 @@ def holds(channels: Collection[Channel]) -> Holds:
     contract = next((channel.contract for channel in channels if channel.contract is not None), None)
     if contract is None:
         return "json" if all(channel.encoding == layout.JSON for channel in channels) else "bytes"
-    if contract.codec == pictures.FORMAT:
+    if contract.codec in pictures.FORMATS:
         return "pictures"
     if contract.vector_codec is not None or contract.codec == "integer":
         return "numbers"

@@ -81,7 +81,7 @@ def _of_robots() -> dict[str, tuple[str, ...]]:
         "command": (*commands, *signals, *_BUTTONS, keys.EVENT),
         "low-level": (*_STATES, *shared["state"], *signals, keys.EVENT),
         "recorder": (keys.RECORDER, keys.RECORD_ACK, keys.TAP_PROBE, keys.EVENT),
-        "sensor": (*_OPERATOR, keys.camera_image(_ANY), *shared["sensor"], keys.EVENT),
+        "sensor": (*_OPERATOR, keys.camera_image(_ANY), keys.camera_depth(_ANY), *shared["sensor"], keys.EVENT),
         "observer": (keys.EVENT,),
         "viewer": (),
         "operator": (

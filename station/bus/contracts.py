@@ -15,7 +15,7 @@ import msgspec
 from station import registry
 from station.bus import joints, keys
 from station.bus.robot_streams import command_stream
-from station.contract import POSE, Codec, Contract, Element, Role, elements
+from station.contract import DEPTH_STEP_M, POSE, Codec, Contract, Element, Role, elements
 from station.description import RobotDescription, RobotFamily, stated
 from station.errors import StationError
 
@@ -283,10 +283,21 @@ def _of_operator(key: str) -> Contract | None:
 
 
 def _of_camera(key: str) -> Contract | None:
-    if not key.startswith(keys.camera_image("")) or keys.is_stamp(key):
+    if keys.is_stamp(key):
         return None
-    note = "one JPEG file per picture; the stamp's capture_ns is when it was taken, on its writer's monotonic clock"
-    return Contract(key=key, family="station", role="sensor", codec="jpeg", rate_hz=30.0, note=note)
+    when = "the stamp's capture_ns is when it was taken, on its writer's monotonic clock"
+    if key.startswith(keys.camera_image("")):
+        note = f"one JPEG file per picture; {when}"
+        return Contract(key=key, family="station", role="sensor", codec="jpeg", rate_hz=30.0, note=note)
+    if key.startswith(keys.camera_depth("")):
+        note = (
+            "one PNG file per picture, a channel of 16 bits in millimetres along the optical axis, 0 for no depth; "
+            f"written with the camera's picture of the same moment; {when}"
+        )
+        return Contract(
+            key=key, family="station", role="sensor", codec="png", rate_hz=30.0, step_m=DEPTH_STEP_M, note=note
+        )
+    return None
 
 
 @cache

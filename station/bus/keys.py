@@ -161,6 +161,11 @@ def camera_image(camera: str) -> str:
     return f"camera_image_{camera}"
 
 
+def camera_depth(camera: str) -> str:
+    """Depth of a camera's newest picture, as a PNG file of 16 bits."""
+    return f"camera_depth_{camera}"
+
+
 # -- Ours, of the station ----------------------------------------------------------------------------------------
 ESTOP = "station:estop"
 ESTOP_PRESSED = "station:estop:pressed"  # whatever is written here stops: who may press need not be able to release

@@ -1,6 +1,7 @@
 """The loop that all cameras share: read the newest picture, publish, tell.
 
-A picture is one atomic write of a whole JPEG file and its stamp, with the time of capture in it. Nothing is queued: as
+A picture is one atomic write of a whole JPEG file and its stamp, with the time of capture in it; of a camera that gives
+depth, that is in the same write, of the same moment. Nothing is queued: as
 long as the bus owes the answer to a picture no other is written, and the newest one goes when it has answered. What is
 dropped, and where, is counted and stands in the server's health; that it begins and ends are the events
 ``camera-dropping`` and ``camera-steady``. A camera that gives nothing, or is torn out, is ``camera-lost``; it is looked
@@ -49,7 +50,7 @@ def serve_camera(
     """
     key = keys.camera_image(name)
     head = {"server": life.name, "role": "sensor", "camera": name, "key": key, "fps_wanted": fps, **facts}
-    camera_loop = _CameraLoop(life, open_camera, key, head, optics)
+    camera_loop = _CameraLoop(life, open_camera, name, head, optics)
     try:
         if not life.ready():
             return 0
@@ -65,9 +66,10 @@ class _CameraLoop:
     """Between a camera and the bus."""
 
     def __init__(
-        self, life: Life, open_camera: Callable[[], Camera], key: str, head: Mapping[str, Any], optics: Optics
+        self, life: Life, open_camera: Callable[[], Camera], name: str, head: Mapping[str, Any], optics: Optics
     ) -> None:
-        self._life, self._open, self._key, self._head, self._optics = life, open_camera, key, head, optics
+        self._life, self._open, self._head, self._optics = life, open_camera, head, optics
+        self._key, self._depth_key = keys.camera_image(name), keys.camera_depth(name)
         self._clock = life.clock
         self._camera: Camera | None = None
         self._silence_s, self._look_s = _SILENT_S, 0.0
@@ -135,6 +137,8 @@ class _CameraLoop:
     def _capture(self, camera: Camera) -> None:
         self._camera, facts = camera, {**camera.facts(), **self._optics.facts()}
         _expect_size(self._optics, facts)
+        if depth := facts.get("depth"):
+            facts["depth"] = {"key": self._depth_key, **depth}
         if facts != self._facts:
             self._facts = facts
             self._life.configured({**self._head, **facts})
@@ -144,13 +148,14 @@ class _CameraLoop:
     def _publish(self, picture: Picture) -> None:
         bus = self._life.bus
         is_behind = bus.is_late and not bus.catch_up()
-        if is_behind or not bus.publish({self._key: picture.jpeg}, capture_ns=picture.capture_ns):
+        values = {self._key: picture.jpeg, **({self._depth_key: picture.depth} if picture.depth else {})}
+        if is_behind or not bus.publish(values, capture_ns=picture.capture_ns):
             self._unsent += 1
             return
         self._published += 1
         if self._camera is not None and self._facts.get("width") is None:
             self._capture(self._camera)  # a stream shows its size with its first picture
-        self._bytes += len(picture.jpeg)
+        self._bytes += len(picture.jpeg) + len(picture.depth)
         self._capture_ns = picture.capture_ns
 
     def _welcome(self, now_s: float) -> None:

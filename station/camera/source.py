@@ -25,10 +25,12 @@ class Picture(NamedTuple):
     Attributes:
         jpeg: A whole JPEG file.
         capture_ns: When it was taken, on this machine's monotonic clock [ns].
+        depth: Depth of the same moment, as `station.depth` has it; b"" for none.
     """
 
     jpeg: bytes
     capture_ns: int
+    depth: bytes = b""
 
 
 class Drops(msgspec.Struct):
@@ -60,12 +62,14 @@ class PictureSettings(msgspec.Struct, frozen=True, kw_only=True):
         fps: Pictures per second [Hz].
         width, height: Size [px].
         quality: JPEG quality of pictures that the station encodes, 1 to 100.
+        depth: Whether depth is wanted beside each picture; of a kind that `has_depth`.
     """
 
     fps: float | None = None
     width: int | None = None
     height: int | None = None
     quality: int = 90
+    depth: bool = False
 
 
 @runtime_checkable
@@ -100,6 +104,8 @@ class Camera(Protocol):
         Always ``width``, ``height`` [px] (None before the first picture of a stream), ``fps`` [Hz] (None where the
         source does not say), ``format``, ``device``, ``capture`` (what the time of capture means), ``exposure`` (None
         where it is not known); where known ``serial``, ``intrinsics`` and ``mount``, as `station.optics.Optics.facts`.
+        Of a camera that gives depth ``depth``: ``step_m`` [m], ``range_m``, the nearest and the farthest that it
+        measures [m], ``is_aligned``, whether a pixel sees what that of the picture sees; and what differs of the above.
         """
         ...
 
@@ -124,6 +130,7 @@ class CameraKind:
         options: Type of its options.
         open: Opens a camera of options, wishes, and what gives the newest value of a key; imports what is heavy.
         keys: Returns the keys of the bus that a camera of these options looks at.
+        has_depth: Whether it can give depth beside its pictures.
         plugged_in: Returns each one that can be seen now, as a person is told; raises `CameraError` where nobody can
             tell: no library, no permission. None for a kind that is not plugged in.
     """
@@ -135,4 +142,5 @@ class CameraKind:
     options: type[msgspec.Struct]
     open: Callable[[Any, PictureSettings, Newest], Camera]
     keys: Callable[[Any], Sequence[str]] = _no_keys
+    has_depth: bool = False
     plugged_in: Callable[[], Sequence[str]] | None = None

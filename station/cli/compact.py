@@ -46,10 +46,10 @@ def command(
 ) -> None:  # fmt: skip
     """Make the JPEG pictures of episodes H.264, for good: some fifteen times smaller, and read by all that read them.
 
-    Every time stamp stays as it is. Every picture is compared with its JPEG file before that goes: an episode with a
-    camera of less than 35 dB of PSNR stays as it is, and a line says so. Ended at any moment, an episode has the ones
-    or the other; the same command goes on with what is left. It asks first. Exit code 1 when an episode is damaged,
-    changed or being written, or the disk refused.
+    Every time stamp stays as it is, and so does depth, byte for byte. Every picture is compared with its JPEG file
+    before that goes: an episode with a camera of less than 35 dB of PSNR stays as it is, and a line says so. Ended at
+    any moment, an episode has the ones or the other; the same command goes on with what is left. It asks first. Exit
+    code 1 when an episode is damaged, changed or being written, or the disk refused.
     """
     from station.episode.compacting.compact import compact
     from station.episode.storage import layout
@@ -127,13 +127,14 @@ def _say(attempt: Attempt[Path, CompactResult], *, is_dry: bool, is_quiet: bool)
         click.echo(f"station: {printable(attempt.error, _LONGEST)}", err=True)
     elif not is_quiet:
         words = {
-            "no-pictures": "no pictures in it",
+            "no-pictures": "no pictures in colour in it" if found.kept else "no pictures in it",
             "current": f"compacted already{f', {_sizes(found)}' if found.pictures else ''}",
             "left": f"left as it is: {found.why}",
             "compacted": f"{found.bytes_before / 1e6:.1f} MB of pictures" if is_dry else
             f"{_sizes(found)} in {found.seconds:.1f} s",
         }  # fmt: skip
-        click.echo(printable(f"{found.episode_id} {words[found.state]}", _LONGEST))
+        kept = f"; depth stays as it is: {', '.join(found.kept)}" if found.kept else ""
+        click.echo(printable(f"{found.episode_id} {words[found.state]}{kept}", _LONGEST))
 
 
 def _sizes(found: CompactResult) -> str:

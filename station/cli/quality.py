@@ -203,22 +203,43 @@ def _print_pictures(console: Console, pictures: list[PictureQuality]) -> None:
     if not pictures:
         return
     titles = ("size", "torn", "repeats", "longest still", "looked at", "black", "white", "flat", "grey", "sharpness")
+    colour = [item for item in pictures if item.depth is None]
     rows = [
         (
-            plain(item.name), ", ".join(item.sizes) or "–", _bad(item.torn.count + item.unreadable.count),
-            str(item.repeats), f"{item.still_s:.1f} s", str(item.looked_at), _bad(item.black.count),
+            *_bytes_of(item), _bad(item.black.count),
             _bad(item.white.count), _bad(item.flat.count), _unit(item.brightness, 1, "", digits=0).strip(),
             _unit(item.sharpness, 1, "", digits=0).strip(),
         )
-        for item in pictures
+        for item in colour
     ]  # fmt: skip
-    console.print()
-    print_table([Column("pictures", "left"), *map(Column, titles)], rows)
-    if any(item.decoder == "pillow" for item in pictures):
+    if rows:
+        console.print()
+        print_table([Column("pictures", "left"), *map(Column, titles)], rows)
+    rows = [
+        (*_bytes_of(item), _bad(item.depth.blind.count), _percent(item.depth.measured_share))
+        for item in pictures
+        if item.depth is not None
+    ]
+    if rows:
+        console.print()
+        print_table([Column("depth", "left"), *map(Column, (*titles[:5], "blind", "measured"))], rows)
+    if any(item.decoder == "pillow" for item in colour):
         console.print(
             "[dim]damage within a picture is seen by simplejpeg alone: pip install 'teleop-station\\[video]'[/]",
             soft_wrap=True,
         )
+
+
+def _bytes_of(item: PictureQuality) -> tuple[str, ...]:
+    """Return what the bytes of a camera's pictures are worth, as the first columns of its row."""
+    return (
+        plain(item.name), ", ".join(item.sizes) or "–", _bad(item.torn.count + item.unreadable.count),
+        str(item.repeats), f"{item.still_s:.1f} s", str(item.looked_at),
+    )  # fmt: skip
+
+
+def _percent(share: float | None) -> str:
+    return "–" if share is None else f"{share:.0%}"
 
 
 def _bad(count: int) -> str:

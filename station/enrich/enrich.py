@@ -17,10 +17,11 @@ from station.enrich.scalars import Shape
 from station.enrich.siblings import TRANSFORM, WORLD_FRAME, Siblings, siblings
 from station.enrich.still import optics_of
 from station.enrich.vector import type_name
-from station.episode.reading.frames import cameras
+from station.episode.reading.frames import all_pictures
 from station.episode.reading.messages import Channel
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.left_open import is_left_open
+from station.episode.storage.pictures import FORMATS
 from station.episode.storage.whole_file import whole_file
 from station.errors import EpisodeError
 from station.protobuf import schema as protobuf
@@ -102,7 +103,7 @@ def enrich(
         ) from error
     return Enriched(
         state="written", episode_id=reader.episode_id, path=str(path), topics=len(made.topics), messages=made.messages,
-        left_out={**made.left_out, **({} if pictures else dict.fromkeys(cameras(reader).values(), _NO_PICTURES))},
+        left_out={**made.left_out, **({} if pictures else dict.fromkeys(all_pictures(reader).values(), _NO_PICTURES))},
         unfit=dict(made.unfit), size_bytes=size_bytes, seconds=time.perf_counter() - began,
     )  # fmt: skip
 
@@ -119,7 +120,7 @@ def _expect_finished(reader: EpisodeReader) -> None:
 
 def _topics(reader: EpisodeReader, *, pictures: bool) -> set[str] | None:
     """Return the keys that are read; None for all."""
-    return None if pictures else {*reader.topics()} - {*cameras(reader).values()}
+    return None if pictures else {*reader.topics()} - {*all_pictures(reader).values()}
 
 
 class _Survey(NamedTuple):
@@ -247,4 +248,4 @@ class _Output:
 
 
 def _is_picture(channel: Channel) -> bool:
-    return channel.contract is not None and channel.contract.codec == "jpeg"
+    return channel.contract is not None and channel.contract.codec in FORMATS

@@ -7,7 +7,7 @@ topic          message type                                               for
                names them, the unit as the field's comment
 ``KEY/typed``  ``station.<Key>``, an optional field per scalar            JSON objects, but for events
 ``KEY/log``    ``foxglove.Log``                                           events
-``KEY/image``  ``foxglove.CompressedImage``, format jpeg                  pictures; its time is that of capture
+``KEY/image``  ``foxglove.CompressedImage``, format jpeg; png for depth   pictures; its time is that of capture
 ``KEY/pose``   ``foxglove.PoseInFrame``                                   x y z qw qx qy qz: head, controllers
 ``KEY/poses``  ``foxglove.PosesInFrame``                                  several of those: the joints of a hand
 ``KEY/tf``     ``foxglove.FrameTransform`` from ``world`` to ``<key>``    root_x … root_quat_z: ground truth of the root
@@ -63,7 +63,7 @@ def siblings(contract: Contract, shape: Shape, name: str) -> Siblings | str:
         name: Full name for a message type of its own.
     """
     try:
-        if contract.codec == "jpeg":
+        if contract.codec in pictures.FORMATS:
             return _picture(contract)
         if contract.key == keys.EVENT:
             return _event(contract)
@@ -77,10 +77,10 @@ def siblings(contract: Contract, shape: Shape, name: str) -> Siblings | str:
 
 
 def _picture(contract: Contract) -> Siblings:
-    camera = pictures.camera_of(contract.key)
+    camera, form = pictures.camera_of(contract.key), contract.codec
 
     def encode(message: Message) -> list[bytes]:
-        return [pictures.compressed_image(message.data, captured_ns(message), camera)]
+        return [pictures.compressed_image(message.data, captured_ns(message), camera, form)]
 
     return Siblings([(f"{contract.key}/{IMAGE}", foxglove.schema(foxglove.COMPRESSED_IMAGE))], encode)
 

@@ -3,12 +3,12 @@
 ======================  ==============================  ===========================================================
 topic                   message type                    for
 ======================  ==============================  ===========================================================
-``KEY/calibration``     ``foxglove.CameraCalibration``  a camera whose server stated its intrinsics
+``KEY/calibration``     ``foxglove.CameraCalibration``  a camera, or depth, whose server stated its intrinsics
 ``KEY/tf``              ``foxglove.FrameTransform``     one that stated its mount, where the file has the frame that
                                                         it is fixed to: ``world``, or the root of a robot
 ======================  ==============================  ===========================================================
 
-The frame of a camera is called as its pictures say, after the camera.
+The frame of a camera is called as its pictures say, after the camera; its depth is in the same frame.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def optics_of(reader: EpisodeReader, known: Collection[str]) -> dict[str, tuple[
         reader: The episode.
         known: Frames that the file has.
     """
-    found, why_not = frames.optics(reader)
+    (found, why_not), depths = frames.optics(reader), frames.depths(reader).values()
     made: dict[str, tuple[Schema, bytes] | str] = {f"{key}/{CALIBRATION}": why for key, why in why_not.items()}
     for key, (inner, mount) in found.items():
         camera, at_ns = camera_of(key), reader.start_ns
@@ -40,10 +40,12 @@ def optics_of(reader: EpisodeReader, known: Collection[str]) -> dict[str, tuple[
             made[f"{key}/{CALIBRATION}"] = (
                 foxglove.schema(foxglove.CAMERA_CALIBRATION), foxglove.camera_calibration(inner, at_ns, camera)
             )  # fmt: skip
-        if mount is not None and mount.parent in known:
+        if mount is None or key in depths:
+            continue  # the frame of depth is that of its camera
+        if mount.parent in known:
             values = [*mount.position_m, *mount.quat_wxyz]
             transform = foxglove.transform(values, at_ns, mount.parent, camera)
             made[f"{key}/{TRANSFORM}"] = foxglove.schema(foxglove.FRAME_TRANSFORM), transform
-        elif mount is not None:
+        else:
             made[f"{key}/{TRANSFORM}"] = f"it is fixed to {mount.parent}, a frame that the signals do not give"
     return made

@@ -117,8 +117,19 @@ def cameras(quality: Quality) -> Html | None:
          f"{item.still_s:.1f} s", str(item.looked_at), _count(item.black.count), _count(item.white.count),
          _count(item.flat.count), "–" if item.brightness is None else f"{item.brightness:.0f}")
         for item in quality.pictures[:_MOST_ROWS]
+        if item.depth is None
     ]  # fmt: skip
-    return join([tag("h3", "Cameras"), table(head, rows, class_="numbers"), table(shown, worth, class_="numbers")])
+    seen = ("depth", "size", "torn", "repeats", "longest still", "looked at", "blind", "measured")
+    depths = [
+        (item.name, ", ".join(item.sizes) or "–", _count(item.torn.count + item.unreadable.count), str(item.repeats),
+         f"{item.still_s:.1f} s", str(item.looked_at), _count(item.depth.blind.count),
+         "–" if item.depth.measured_share is None else f"{item.depth.measured_share:.0%}")
+        for item in quality.pictures[:_MOST_ROWS]
+        if item.depth is not None
+    ]  # fmt: skip
+    tables = [table(titles, lines, class_="numbers")
+              for titles, lines in ((head, rows), (shown, worth), (seen, depths)) if lines]  # fmt: skip
+    return join([tag("h3", "Cameras"), *tables])
 
 
 def streams(found: Sequence[StreamQuality]) -> Html:

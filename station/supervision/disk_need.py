@@ -6,8 +6,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
-from station.bus import keys
-from station.episode.storage import layout
+from station.episode.storage import layout, pictures
 from station.episode.storage.folder import find_episodes, slug
 from station.episode.storage.manifest import Manifest
 from station.episode.storage.manifest_copy import find_manifest
@@ -49,12 +48,17 @@ def disk_need(configs: dict[str, object], data: Path, task: str | None) -> DiskN
         for name, config in configs.items()
         if isinstance(config, Filming)
     }
+    depths = {
+        f"{getattr(config, 'name', '') or name}{pictures.DEPTH_ENDING}"
+        for name, config in configs.items()
+        if isinstance(config, Filming) and getattr(config, "depth", False)
+    }
     for manifest in _newest(data, task) if task else ():
-        if (found := _measured(manifest, cameras)) is not None:
+        if (found := _measured(manifest, {*cameras, *depths})) is not None:
             return DiskNeed(found, f"as {manifest.episode_id}")
-    pictures = sum(cameras.values()) * 60e-6
+    filmed = sum(cameras.values()) * 60e-6
     why = f"{len(cameras)} camera{'s' if len(cameras) > 1 else ''}, estimated" if cameras else ""
-    return DiskNeed(SIGNALS_MB_PER_MINUTE + pictures, why)
+    return DiskNeed(SIGNALS_MB_PER_MINUTE + filmed, why)
 
 
 def _newest(data: Path, task: str) -> Sequence[Manifest]:
@@ -70,11 +74,9 @@ def _newest(data: Path, task: str) -> Sequence[Manifest]:
 
 
 def _measured(manifest: Manifest, cameras: Collection[str]) -> float | None:
-    """Return what an episode needed [MB/min]; None of one that was short, or had other cameras."""
+    """Return what an episode needed [MB/min]; None of one that was short, or had other cameras, or depth."""
     filmed = {
-        stream.key.removeprefix(keys.camera_image(""))
-        for stream in manifest.streams
-        if stream.file == layout.CAMERAS and stream.count
+        pictures.title_of(stream.key) for stream in manifest.streams if stream.file == layout.CAMERAS and stream.count
     }
     seconds = manifest.timing.duration_s or 0.0
     if manifest.state != "finished" or seconds < _LEAST_S or filmed != {*cameras} or not manifest.recorder.bytes:

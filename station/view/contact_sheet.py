@@ -60,7 +60,7 @@ def save_sheet(
         StationError: the episode holds no pose of a robot, no model of it is here, or the file cannot be written.
     """
     run = read_run(reader, robot)
-    shown = moments(run, COLUMNS * (1 if frames.cameras(reader) else ROWS))
+    shown = moments(run, COLUMNS * (1 if frames.all_pictures(reader) else ROWS))
     if run.measured is None or not shown:
         raise StationError(f"{run.episode_id}: no contact sheet, it holds no pose of a robot")
     model, warnings = find_path(reader.manifest.servers.values(), run.robot, robot_model)

@@ -14,6 +14,7 @@ from station.episode.reading.reader import EpisodeReader
 from station.episode.storage.pictures import camera_of
 from station.errors import StationError
 from station.view import layout, phases, poses, scene
+from station.view.depth_pictures import draw_depth
 from station.view.episode_curves import Source, draw_curves
 from station.view.episode_story import draw_events, draw_states
 from station.view.find_model import find_model
@@ -102,10 +103,12 @@ def draw(
     drawn = draw_curves(recording, source, view.robot)
     view.curves = drawn.entities
     view.warnings += drawn.warnings
-    view.warnings += _draw_robot(recording, source, view, robot_model)
+    placed: dict[str, str] = {}
+    view.warnings += _draw_robot(recording, source, view, robot_model, placed)
+    depths = draw_depth(recording, source, placed)
     draw_states(recording, source, view.robot)
     view.events = draw_events(recording, source)
-    arranged = layout.layout(drawn.contracts, has_robot=view.poses > 0, groups=drawn.groups)
+    arranged = layout.layout(drawn.contracts, has_robot=view.poses > 0, groups=drawn.groups, pictures=depths)
     recording.send_blueprint(arranged)
     view.seconds = time.perf_counter() - began
     return view
@@ -117,7 +120,10 @@ def _recording(reader: EpisodeReader) -> rr.RecordingStream:
     return recording
 
 
-def _draw_robot(recording: rr.RecordingStream, source: Source, view: View, robot_model: str | Path | None) -> list[str]:
+def _draw_robot(
+    recording: rr.RecordingStream, source: Source, view: View, robot_model: str | Path | None, placed: dict[str, str]
+) -> list[str]:
+    """Draw robot and reference, put the entity of each camera that is drawn with it into `placed`, by its name."""
     description, recorded = source.reader.known.robot(view.robot), source.contracts.values()
     where = poses.measured(source.vectors, poses.state_keys(view.robot, recorded, description), description)
     if where is None:
@@ -128,10 +134,10 @@ def _draw_robot(recording: rr.RecordingStream, source: Source, view: View, robot
         return warnings
     view.poses = len(where.times_ns)
     scene.log_shapes(recording, scene.ROBOT, model)
-    optics, why_not = frames.optics(source.reader)
+    (optics, why_not), depths = frames.optics(source.reader), frames.depths(source.reader).values()
     for key, one in optics.items():
-        if one.mount is not None and one.mount.parent in model.visible:
-            scene.log_camera(recording, scene.ROBOT, camera_of(key), one)
+        if one.mount is not None and one.mount.parent in model.visible and key not in depths:
+            placed[camera_of(key)] = scene.log_camera(recording, scene.ROBOT, camera_of(key), one)
     warnings += [f"{key}: {why}; the camera is not drawn" for key, why in why_not.items()]
     _send(recording, scene.ROBOT, model, where, source)
     ghost = poses.asked(source.vectors, poses.command_keys(view.robot, recorded, description), where)

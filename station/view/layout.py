@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import rerun as rr
@@ -39,7 +39,12 @@ _LONGEST_LEGEND = 8
 
 
 def layout(
-    contracts: Iterable[Contract], *, has_robot: bool, groups: Mapping[str, tuple[str, ...]], timeline: str = TIMELINE
+    contracts: Iterable[Contract],
+    *,
+    has_robot: bool,
+    groups: Mapping[str, tuple[str, ...]],
+    pictures: Sequence[str] = (),
+    timeline: str = TIMELINE,
 ) -> Any:
     """Return the blueprint.
 
@@ -47,6 +52,7 @@ def layout(
         contracts: Keys that have curves.
         has_robot: Whether there is a robot to look at.
         groups: Names of joints by limb, where commanded and measured ones are there to be compared; else none.
+        pictures: Entities that are pictures, for a tab of their own.
         timeline: The timeline that is shown.
     """
     story: list[Any] = [
@@ -59,6 +65,10 @@ def layout(
         story.insert(0, rrb.Spatial3DView(origin=f"/{scene.WORLD}", name="Robot and reference", eye_controls=eye))
         shares.insert(0, 6.0)
     tabs = _tabs(list(contracts), groups)
+    if pictures:
+        tabs.append(
+            rrb.Grid(*(rrb.Spatial2DView(origin=f"/{entity}", name=entity) for entity in pictures), name="Depth")
+        )
     left = rrb.Vertical(*story, row_shares=shares)
     body = rrb.Horizontal(left, rrb.Tabs(*tabs), column_shares=[1, 1]) if tabs else left
     return rrb.Blueprint(body, rrb.TimePanel(timeline=timeline), collapse_panels=True)

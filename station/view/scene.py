@@ -52,14 +52,18 @@ def log_shapes(recording: rr.RecordingStream, root: str, model: RobotModel, *, i
         recording.log(entity, _placed(shape), *_drawn(shape, colour), static=True)
 
 
-def log_camera(recording: rr.RecordingStream, root: str, name: str, optics: Optics) -> None:
-    """Log where a camera of a robot is mounted and what it sees, as the pyramid that viewers draw; needs both."""
+def log_camera(recording: rr.RecordingStream, root: str, name: str, optics: Optics) -> str:
+    """Log where a camera of a robot is and what it sees, as the pyramid that viewers draw, and return its entity.
+
+    Needs both; "" where one is not known.
+    """
     inner, mount = optics
     if inner is None or mount is None:
-        return
+        return ""
     w, x, y, z = mount.quat_wxyz
+    entity = f"{_entity(root, mount.parent)}/{name}"
     recording.log(
-        f"{_entity(root, mount.parent)}/{name}",
+        entity,
         rr.Transform3D(translation=mount.position_m, quaternion=[x, y, z, w]),
         rr.Pinhole(
             image_from_camera=np.reshape(inner.matrix, (3, 3)), resolution=[inner.width, inner.height],
@@ -67,6 +71,7 @@ def log_camera(recording: rr.RecordingStream, root: str, name: str, optics: Opti
         ),
         static=True,
     )  # fmt: skip
+    return entity
 
 
 def log_pose(recording: rr.RecordingStream, root: str, model: RobotModel, positions: Floats, quats: Floats) -> None:

@@ -225,6 +225,28 @@ def test_pictures_come_decoded_or_as_recorded_with_the_time_of_capture(episode: 
     assert all(jpeg.startswith(b"\xff\xd8") for _, jpeg in episode.jpegs("head"))
 
 
+def test_depth_comes_in_metres_at_the_times_of_its_pictures(tmp_path: Path) -> None:
+    episode = station.open_episode(walked(tmp_path, seconds=0.2, has_depth=True).folder)
+    assert (episode.cameras, episode.depth_cameras) == (["head"], ["head"])
+    found = list(episode.depth())
+    assert {(metres.shape, metres.dtype) for _, metres in found} == {((47, 81), np.dtype(np.float32))}
+    assert [float(metres[9, 9]) for _, metres in found] == pytest.approx([1.0 + 0.001 * n for n in range(6)])
+    assert all((metres[0] == 0.0).all() for _, metres in found), "0 where nothing was measured"
+    assert [time_s for time_s, _ in found] == [time_s for time_s, _ in episode.pictures("head")]
+    with pytest.raises(station.StationError, match=r"holds pictures, no numbers; episode.depth\('head'\) reads it"):
+        episode.numpy("camera_depth_head")
+
+
+def test_who_asks_for_depth_that_is_not_there_is_told(tmp_path: Path, episode: station.Episode) -> None:
+    with pytest.raises(station.StationError, match="no camera with depth in it"):
+        next(episode.depth())
+    deep = station.open_episode(walked(tmp_path, seconds=0.2, has_depth=True, bad_pictures=(1,)).folder)
+    with pytest.raises(station.StationError, match=r"unknown camera with depth of .* 'haed'"):
+        next(deep.depth("haed"))
+    with pytest.warns(UserWarning, match=r"camera head: the depth of 0\.116 s cannot be decoded; left out"):
+        assert len(list(deep.depth("head"))) == 5
+
+
 def test_a_picture_that_cannot_be_decoded_is_left_out_and_said(tmp_path: Path) -> None:
     episode = station.open_episode(walked(tmp_path, seconds=0.1, bad_pictures=(1,)).folder)
     with pytest.warns(UserWarning, match=r"camera head: the picture of 0\.116 s cannot be decoded"):

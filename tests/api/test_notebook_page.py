@@ -20,7 +20,7 @@ OPENED, NUMBERS = EXAMPLES[:2]
 @pytest.fixture
 def notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Names of a notebook after the first cell of the page."""
-    walked(tmp_path, seconds=0.5)
+    walked(tmp_path, seconds=0.5, has_depth=True)
     monkeypatch.setenv("STATION_DATA", str(tmp_path))
     names: dict[str, Any] = {}
     exec(OPENED, names)

@@ -48,6 +48,15 @@ def test_the_other_stock_keys_have_a_contract(key: str) -> None:
     assert contracts.contract(key) is not None
 
 
+def test_depth_says_what_a_step_is_and_pictures_in_colour_say_nothing_of_one() -> None:
+    beside, colour = (contracts.contract(key) for key in (keys.camera_depth("head"), keys.camera_image("head")))
+    assert beside is not None
+    assert colour is not None
+    assert (beside.codec, beside.step_m, beside.role, beside.rate_hz) == ("png", 0.001, "sensor", colour.rate_hz)
+    assert (colour.codec, colour.step_m) == ("jpeg", None)
+    assert contracts.contract(keys.stamp(keys.camera_depth("head"))) is None
+
+
 def names(key: str) -> tuple[str, ...]:
     found = contracts.contract(key)
     assert found is not None

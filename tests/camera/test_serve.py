@@ -22,7 +22,7 @@ from tests.virtual.network import Network
 from tests.virtual.written import Log
 
 FPS = 30.0
-KEY = keys.camera_image("head")
+KEY, DEPTH = keys.camera_image("head"), keys.camera_depth("head")
 UNKNOWN = Optics()
 SEEDS = range(30)
 OLD_S = 0.2
@@ -42,7 +42,7 @@ class Eye:
 
     def __init__(self, clock: VirtualClock) -> None:
         self.drops = Drops()
-        self.is_silent = self.is_there = False
+        self.is_silent = self.is_there = self.has_depth = False
         self.is_there = True
         self.tried_s: list[float] = []
         self._clock, self._period_ns = clock, round(1e9 / FPS)
@@ -65,7 +65,7 @@ class Eye:
         if index == self._given or self.is_silent or not self.is_there:
             return None
         self._given = index
-        return Picture(b"%d" % index, index * self._period_ns)
+        return Picture(b"%d" % index, index * self._period_ns, b"depth of %d" % index if self.has_depth else b"")
 
     def _index(self) -> int:
         return self._clock.monotonic_ns() // self._period_ns
@@ -74,8 +74,9 @@ class Eye:
         return "is its cap on?"
 
     def facts(self) -> dict[str, Any]:
+        depth = {"depth": {"step_m": 0.001, "range_m": None, "is_aligned": True}} if self.has_depth else {}
         return {"width": 2, "height": 1, "fps": FPS, "format": "number", "device": "eye", "capture": "exact",
-                "exposure": None}  # fmt: skip
+                "exposure": None, **depth}  # fmt: skip
 
     def close(self) -> None:
         pass
@@ -84,9 +85,10 @@ class Eye:
 class Station:
     """The camera server, what it wrote, and its eye."""
 
-    def __init__(self, clock: VirtualClock, optics: Optics = UNKNOWN) -> None:
+    def __init__(self, clock: VirtualClock, optics: Optics = UNKNOWN, *, has_depth: bool = False) -> None:
         self.optics = optics
         self.clock, self.network, self.eye = clock, Network(clock, (20_000, 200_000)), Eye(clock)
+        self.eye.has_depth = has_depth
         self.log = Log(self.network)
         self.process = clock.spawn(self._serve, "camera")
 
@@ -111,9 +113,9 @@ class Station:
 
 
 @contextmanager
-def station(seed: int = 1, optics: Optics = UNKNOWN) -> Iterator[Station]:
+def station(seed: int = 1, optics: Optics = UNKNOWN, *, has_depth: bool = False) -> Iterator[Station]:
     with VirtualClock(seed, late_ns=1_000_000) as clock:
-        yield Station(clock, optics)
+        yield Station(clock, optics, has_depth=has_depth)
 
 
 def intrinsics(width: int, height: int) -> Intrinsics:
@@ -125,6 +127,27 @@ def test_what_is_known_of_the_optics_stands_in_what_the_server_states() -> None:
     with station(optics=optics) as place:
         place.clock.sleep(2.0)
         assert of_facts(json.loads(place.log.newest(keys.CONFIG_PREFIX + "camera"))) == optics
+
+
+def test_depth_goes_to_the_bus_in_the_same_write_as_its_picture_with_the_same_time() -> None:
+    with station(has_depth=True) as place:
+        place.clock.sleep(2.0)
+        colour, beside = (place.log.of(key) for key in (KEY, DEPTH))
+        assert len(colour) > 30
+        assert [(write.value, write.at_s) for write in beside] == [
+            (b"depth of " + write.value, write.at_s) for write in colour
+        ]
+        marks = [[stamp.decode(write.value) for write in place.log.of(keys.stamp(key))] for key in (KEY, DEPTH)]
+        assert marks[0] == marks[1]
+        facts = json.loads(place.log.newest(keys.CONFIG_PREFIX + "camera"))
+        assert (facts["key"], facts["depth"]["key"], facts["depth"]["step_m"]) == (KEY, DEPTH, 0.001)
+
+
+def test_a_camera_without_depth_states_and_writes_none() -> None:
+    with station() as place:
+        place.clock.sleep(1.0)
+        assert place.log.of(DEPTH) == []
+        assert "depth" not in json.loads(place.log.newest(keys.CONFIG_PREFIX + "camera"))
 
 
 def test_intrinsics_of_pictures_of_another_size_are_refused_at_the_start() -> None:

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from station import depth
 from tests.cli.test_tidy import station
 from tests.episode.compacting.test_compact import jpeg, record
+from tests.episode.depth_scenes import DEPTH, steps
 from tests.episode.filming import Scene, film
 from tests.faults.disks import small_disk
 
@@ -47,6 +49,18 @@ def test_one_line_per_episode_says_what_became_of_it_and_a_second_call_finds_not
     assert [video(data, number) for number in (1, 2)] == [True, False]
     again = station("compact", name(1), "--yes")
     assert (again.exit_code, again.stdout.split(",")[0]) == (0, f"{name(1)} compacted already")
+
+
+def test_depth_that_stays_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STATION_DATA", str(tmp_path))
+    shots, pictures = Scene(), []
+    for number in range(60):
+        colour = shots.picture(data=jpeg(number))
+        pictures += [colour, colour._replace(key=DEPTH, value=depth.encoded(steps(number, width=8, height=60)))]
+    film(tmp_path / "walk" / name(1), [pictures], shots.anchor)
+    for options in (("--dry-run",), ("--yes",), ("--yes",)):
+        done = station("compact", name(1), *options)
+        assert (done.exit_code, done.stdout.strip().endswith(f"; depth stays as it is: {DEPTH}")) == (0, True)
 
 
 def test_a_dry_run_and_a_missing_yes_change_nothing(data: Path) -> None:

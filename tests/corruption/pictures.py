@@ -1,15 +1,17 @@
-"""Pictures of an episode as a stranger reads and writes them: JPEG files in ``foxglove.CompressedImage`` messages."""
+"""Pictures of an episode as a stranger reads and writes them: files in ``foxglove.CompressedImage`` messages."""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 
 import numpy as np
 import simplejpeg
+from PIL import Image as Picture
 
 from tests.corruption.files import ONE_S, DoesNotFit, Episode, Message, Stream
 
-PREFIX = "camera_image_"
+PREFIX, DEPTH_PREFIX = "camera_image_", "camera_depth_"
 _QUALITY = 90
 _TIMESTAMP, _DATA = 1, 2  # numbers of the fields
 _VARINT, _FIXED64, _LENGTH, _FIXED32 = 0, 1, 2, 5  # wire types
@@ -18,7 +20,7 @@ Image = np.ndarray
 
 
 def camera_name(stream: Stream) -> str:
-    return stream.key.removeprefix(PREFIX)
+    return stream.key.removeprefix(PREFIX).removeprefix(DEPTH_PREFIX)
 
 
 def cameras(episode: Episode, least: int = 1) -> list[Stream]:
@@ -31,6 +33,30 @@ def cameras(episode: Episode, least: int = 1) -> list[Stream]:
     if len(found) < least:
         raise DoesNotFit(f"{len(found)} cameras")
     return found
+
+
+def depth(episode: Episode) -> Stream:
+    """Return the stream of depth of the first camera that has it.
+
+    Raises:
+        DoesNotFit: none has.
+    """
+    streams = sorted(episode.streams(episode.cameras).items())
+    found = next((stream for key, stream in streams if key.startswith(DEPTH_PREFIX)), None)
+    if found is None:
+        raise DoesNotFit("no depth")
+    return found
+
+
+def is_picture(key: str) -> bool:
+    return key.startswith((PREFIX, DEPTH_PREFIX))
+
+
+def no_depth(width: int, height: int) -> bytes:
+    """Return a depth picture in which nothing was measured."""
+    stream = io.BytesIO()
+    Picture.fromarray(np.zeros((height, width), np.uint16)).save(stream, "PNG")
+    return stream.getvalue()
 
 
 def jpeg_of(message: Message) -> bytes:

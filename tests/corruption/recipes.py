@@ -232,7 +232,7 @@ def _delete(episode: Episode, stream: Stream, wanted: Callable[[int], bool], *, 
     gone = {id(one) for index, one in enumerate(stream.messages) if not wanted(index)}
     keep(episode, [stream], lambda one: id(one) not in gone)
     if renumbered:
-        renumber(episode, stream.key, is_picture=stream.key.startswith(pictures.PREFIX))
+        renumber(episode, stream.key, is_picture=pictures.is_picture(stream.key))
 
 
 def _few(stream: Stream, share: float) -> set[int]:
@@ -443,7 +443,7 @@ def all_moved_by_an_hour(episode: Episode) -> Harm:
     for recording in recordings:
         for message in recording.messages():
             message.move(3600 * ONE_S, arrival=True)
-            if recording.channels[message.channel].topic.startswith(pictures.PREFIX):
+            if pictures.is_picture(recording.channels[message.channel].topic):
                 pictures.move_capture(message, 3600 * ONE_S)
     return Harm((SIGNALS, *episode.streams()))
 
@@ -675,6 +675,39 @@ def resolution_changes(episode: Episode) -> Harm:
     return _spoil_pictures(
         episode, lambda image: pictures.resized(image, image.shape[0] // 2, image.shape[1] // 2), from_half=True
     )
+
+
+@recipe("pictures")
+def depth_frozen(episode: Episode) -> Harm:
+    """Depth repeats one picture throughout, with running stamps; the colour beside it is sound."""
+    stream = pictures.depth(episode)
+    file = pictures.jpeg_of(stream.messages[len(stream.messages) // 2])
+    for message in stream.messages:
+        pictures.put_jpeg(message, file)
+    return Harm((stream.key, pictures.camera_name(stream)))
+
+
+@recipe("pictures")
+def depth_all_zero_from_half_on(episode: Episode) -> Harm:
+    """From half on depth has not one pixel that was measured: the projector went out."""
+    stream = pictures.depth(episode)
+    from_ns = half_ns(stream.messages)
+    head = pictures.jpeg_of(stream.messages[0])[16:24]  # of a PNG file: width and height
+    nothing = pictures.no_depth(int.from_bytes(head[:4]), int.from_bytes(head[4:]))
+    for message in stream.messages:
+        if message.log_ns >= from_ns:
+            pictures.put_jpeg(message, nothing)
+    return Harm((stream.key, pictures.camera_name(stream)), episode.at_s(from_ns))
+
+
+@recipe("pictures")
+def tenth_of_the_depth_cut_off(episode: Episode) -> Harm:
+    """Every tenth depth picture lacks its second half."""
+    stream = pictures.depth(episode)
+    for message in stream.messages[5::10]:
+        file = pictures.jpeg_of(message)
+        pictures.put_jpeg(message, file[: len(file) // 2])
+    return Harm((stream.key, pictures.camera_name(stream)))
 
 
 @recipe("pictures")

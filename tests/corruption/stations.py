@@ -24,7 +24,7 @@ steps:
     ready_within: 60s
   - start: head
     server: camera
-    with: {source: mujoco, width: 320, height: 240, fps: 15}
+    with: {source: mujoco, width: 320, height: 240, fps: 15, depth: true}
     ready_within: 60s
   - start: left_wrist
     server: camera

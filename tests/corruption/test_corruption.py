@@ -11,12 +11,16 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 
+from station.episode.quality.check import check
+from station.episode.reading.reader import open_episode
 from tests.corruption import pictures
 from tests.corruption.bench import Bench
 from tests.corruption.files import CAMERAS, MANIFEST, SIGNALS, STAMPS, DoesNotFit, Episode
 from tests.corruption.judging import Verdict, cell
 from tests.corruption.parts import Harm, Robot
 from tests.corruption.recipes import CONTROL, RECIPES, spoil
+from tests.episode import depth_scenes
+from tests.episode.compacting.two_files import in_two_files
 
 OLD = Path(__file__).parents[1] / "episode/of_version_0_1/episodes"
 WALK, LOOK, ARM = (OLD / f"2026-11-22-{name}-0001" for name in ("g1-walk", "g1-look", "kassow-kr810-jog"))
@@ -112,6 +116,26 @@ def test_a_black_camera_is_black_and_nothing_else_is_changed(copied) -> None:
     assert max(int(pictures.decoded(message).max()) for message in spoiled.messages) == 0
     assert others(copy / CAMERAS, spoiled.key) == others(LOOK / CAMERAS, spoiled.key)
     assert others(copy / SIGNALS) == others(LOOK / SIGNALS)
+
+
+@pytest.mark.parametrize(
+    ("name", "rule"),
+    [
+        ("depth-frozen", "camera-frozen"),
+        ("depth-all-zero-from-half-on", "camera-blind"),
+        ("tenth-of-the-depth-cut-off", "camera-torn"),
+    ],
+)
+def test_spoiled_depth_is_told_by_its_key_and_nothing_else_is_changed(
+    name: str, rule: str, copied, tmp_path: Path
+) -> None:
+    sound = in_two_files(depth_scenes.filmed(tmp_path / "made"), tmp_path / "sound")
+    copy = copied(sound)
+    assert depth_scenes.DEPTH in spoil(name, copy, sound).names
+    assert others(copy / SIGNALS) == others(sound / SIGNALS)
+    told = {reason.rule: reason.text for reason in check(open_episode(copy)).reasons}
+    assert depth_scenes.DEPTH in told[rule]
+    assert rule not in {reason.rule for reason in check(open_episode(sound)).reasons}
 
 
 def test_deleted_states_are_gone_with_their_stamps_and_the_manifest_counts_what_is_left(copied) -> None:

@@ -22,6 +22,8 @@ from station.episode.reading.reader import open_episode
 from station.errors import EpisodeError
 from tests.enrich.read_back import comments, decoded, topics
 from tests.enrich.recordings import FALL_S, POSE, filmed, jpeg, walked
+from tests.episode import depth_scenes
+from tests.episode.scenes import PICTURES, Shot
 from tests.episode.synthetic import ROBOT, WALL_START_NS, EpisodeBuilder, walk
 
 HEAD = keys.camera_image("head")
@@ -112,6 +114,18 @@ def test_the_root_of_a_simulated_robot_is_a_transform_from_the_world(walk_folder
     last = found[-1].message
     assert (last.parent_frame_id, last.child_frame_id) == ("world", keys.sim_qpos(ROBOT))
     assert (last.rotation.w, last.rotation.x) == (1.0, 0.0)
+
+
+def test_depth_keeps_its_bytes_and_stands_in_the_frame_of_its_camera(tmp_path: Path) -> None:
+    folder = depth_scenes.filmed(tmp_path)
+    enriched(folder)
+    found = decoded(folder / source.ENRICHED, f"{depth_scenes.DEPTH}/image")
+    assert {(one.schema.name, one.message.format, one.message.frame_id) for one in found} == {
+        ("foxglove.CompressedImage", "png", "head")
+    }
+    assert [one.message.data for one in found] == [depth_scenes.measured(Shot(number)) for number in range(PICTURES)]
+    left_out = enriched(folder, is_forced=True, pictures=False).left_out
+    assert depth_scenes.DEPTH in left_out, "without pictures depth is left out too"
 
 
 def test_a_picture_keeps_its_bytes_and_tells_when_it_was_taken(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from station import depth
 from station.bus import codec, keys
 from station.bus.stamp import Stamp, boot_id
 from station.export.kind import Source
@@ -23,7 +24,7 @@ from tests.episode.synthetic import (
     tick,
 )
 
-HEAD = keys.camera_image("head")
+HEAD, DEPTH = keys.camera_image("head"), keys.camera_depth("head")
 _BITS, _CELL = 10, 16
 OPTICS: dict[str, Any] = {
     "intrinsics": {"width": 160, "height": 96, "fx": 100.0, "fy": 101.0, "cx": 79.5, "cy": 47.5,
@@ -41,6 +42,13 @@ def jpeg(number: int, *, width: int = 160, height: int = 96) -> bytes:
     stream = io.BytesIO()
     Image.fromarray(picture).save(stream, "JPEG", quality=90)
     return stream.getvalue()
+
+
+def depth_steps(number: int) -> depth.Steps:
+    """Depth that shows a number: 1000 mm and so many more, with a row without depth; odd sides."""
+    steps = np.full((47, 81), 1000 + number, dtype=np.uint16)
+    steps[0] = 0
+    return steps
 
 
 def number_in(rgb: Any) -> int:
@@ -79,8 +87,9 @@ def pose(number: int) -> Floats:
 def walked(
     data: Path, number: int = 1, *, seconds: float = 2.0, camera_hz: float = 30.0, jitter_s: float = 0.0,
     task: str = "walk", manifest: dict[str, Any] | None = None, bad_pictures: tuple[int, ...] = (),
+    has_depth: bool = False,
 ) -> Source:  # fmt: skip
-    """Record a walk: step k has joint 0 at k/1000, and asks for 0.5 + k/1000; picture k carries k."""
+    """Record a walk: step k has joint 0 at k/1000, asks for 0.5 + k/1000; picture k carries k, its depth too."""
     builder = EpisodeBuilder(data, task=task, number=number)
     rng = np.random.default_rng(number)
     step_events: list[tuple[float, int, int]] = [(0.1 + k / 50, 0, k) for k in range(round(seconds * 50))]
@@ -88,7 +97,10 @@ def walked(
         step_events += [(0.083 + k / camera_hz, 1, k) for k in range(round(seconds * camera_hz))]
     for at_s, is_picture, k in sorted(step_events):
         if is_picture:
-            shoot(builder, k, at_s=at_s, data=b"no picture" if k in bad_pictures else None)
+            bad = b"no picture" if k in bad_pictures else None
+            shoot(builder, k, at_s=at_s, data=bad)
+            if has_depth:
+                shoot(builder, k, at_s=at_s, data=bad or depth.encoded(depth_steps(k)), key=DEPTH)
         else:
             asked = command(pose(500 + k))
             tick(builder, k, at_s=at_s + float(rng.uniform(-jitter_s, jitter_s)), q=pose(k), asked=asked)

@@ -49,7 +49,7 @@ def test_every_value_and_picture_is_in_the_episode_at_its_time(tmp_path: Path) -
     cameras = frames.cameras(reader)
     assert list(cameras) == ["rgb"]
     shown = list(frames.frames(reader, cameras["rgb"]))
-    assert [frame.jpeg for frame in shown] == [jpeg(n) for n in range(5)]
+    assert [frame.data for frame in shown] == [jpeg(n) for n in range(5)]
     assert [frame.captured_ns for frame in shown] == [m.log_ns for m in body]
     manifest = reader.manifest
     assert (manifest.task.name, manifest.task.instruction) == ("cabinet", "open the cabinet")

@@ -26,6 +26,7 @@ from adapters.commands.arm import arm_command
 from adapters.motions.clip import Clip
 from adapters.robots import arm_limits
 from adapters.robots.g1 import twist_keys
+from station import depth
 from station.api.live import Record, Station
 from station.bus import codec, contracts, keys, stamp
 from station.bus.address import BusAddress
@@ -499,6 +500,7 @@ def _by_itself() -> list[Parser]:
         Parser("facts", codec.parse_facts, (dumped(CONFIG),), (_BODY + "codec",)),
         Parser("vector f64", codec.parse_f64, (codec.f64(np.ones(7)),), (_BODY + "codec",), (codec.BadValue,)),
         Parser("vector f32", codec.parse_f32, (codec.f32(np.ones(7)),), (_BODY + "codec",), (codec.BadValue,)),
+        Parser("depth", depth.decoded, (depth.encoded(np.eye(8, dtype=np.uint16)),), ("station.depth",)),
         Parser("stamp", _stamped, (STAMP, b"1 2 3 a.b.c.d"), (
             _BODY + "stamp", _BODY + "client", _BODY + "watch", "station.view.status", _EPISODE + "storage.channels",
             _EPISODE + "storage.pictures", _EPISODE + "recorder.tap_reader", _EPISODE + "recorder.resume")),

@@ -226,6 +226,8 @@ def test_a_camera_that_cannot_be_used_ends_the_start_with_one_line_that_says_wha
         ({"fps": 0}, "fps is 0; expected 0.1 to 240 Hz"),
         ({"width": 5}, "width is 5; expected 16 to 8192 px"),
         ({"quality": 101}, "quality is 101; expected 1 to 100"),
+        ({"depth": True}, "depth is true, and the source uvc gives none; those that do: mujoco, realsense"),
+        ({"name": "head_depth"}, "name is 'head_depth', which is what the depth of a camera is called"),
         ({"name": "Head Cam"}, "name is 'Head Cam'; expected small letters, digits and _"),
     ],
 )

@@ -63,6 +63,10 @@ def test_the_last_episode_of_the_task_with_the_same_cameras_knows_better(tmp_pat
     assert disk_need({"head": HEAD}, tmp_path, "walk") == (80.0, f"as {newest}")
     named = {"camera-1": CameraConfig(name="head")}
     assert disk_need(named, tmp_path, "walk").mb_per_minute == 80.0
+    with_depth = CameraConfig(source="mujoco", width=640, height=480, fps=30, depth=True)
+    found = disk_need({"head": with_depth}, tmp_path, "walk")
+    assert found.why == "1 camera, estimated", "that one had no depth"
+    assert found.mb_per_minute > 4 * disk_need({"head": HEAD}, tmp_path, "jog").mb_per_minute, "noise of a sensor"
     assert disk_need({"left": HEAD}, tmp_path, "walk").why == "1 camera, estimated"
     assert disk_need({"head": HEAD}, tmp_path, "jog").why == "1 camera, estimated"
     assert disk_need({}, tmp_path, "walk").mb_per_minute == 18.0

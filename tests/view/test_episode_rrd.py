@@ -10,6 +10,7 @@ import pytest
 
 from adapters.robots.g1 import twist_keys
 from adapters.robots.g1.joints import G1_29
+from station import depth
 from station.bus import codec, keys
 from station.episode.reading.reader import open_episode
 from station.errors import BadFile, StationError
@@ -17,7 +18,7 @@ from station.view.episode_rrd import save
 from station.view.layout import TIMELINE
 from tests.episode import lock_step
 from tests.episode.synthetic import ROBOT, STANDING, EpisodeBuilder, command, tick, walk
-from tests.export.pictured import jpeg
+from tests.export.pictured import depth_steps, jpeg
 from tests.view import arms
 from tests.view.robots import tiny
 from tests.view.rrd import Recorded, verify
@@ -79,6 +80,29 @@ def test_a_camera_is_drawn_where_it_is_mounted(builder: EpisodeBuilder, tmp_path
     assert np.ravel(recorded.column(entity, ":quaternion")).tolist() == [-0.5, 0.5, -0.5, 0.5], "x y z w"
     (told,) = [warning for warning in view.warnings if "broken" in warning]
     assert "fx is 0; expected a focal length above 0 px" in told
+
+
+def test_depth_lies_below_its_camera_in_the_scene_in_millimetres(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    walk(builder, seconds=0.5)
+    for number in range(3):
+        for name in ("knee", "room"):
+            builder.write({keys.camera_depth(name): depth.encoded(depth_steps(number))}, at_s=0.1 * number, writer=name)
+    inner = {"width": 160, "height": 96, "fx": 100.0, "fy": 101.0, "cx": 79.5, "cy": 47.5}
+    mount = {"parent": "left_knee", "position_m": [0.1, 0.0, 0.2], "quat_wxyz": [0.5, -0.5, 0.5, -0.5]}
+    servers = {
+        "knee": {"key": keys.camera_image("knee"), "depth": {"key": keys.camera_depth("knee")}, "intrinsics": inner,
+                 "mount": mount},
+    }  # fmt: skip
+    builder.write({keys.camera_image("knee"): jpeg(1)}, at_s=0.3, writer="knee")
+    path = tmp_path / "ep.rrd"
+    save(open_episode(builder.finish({"servers": servers})), path, robot_model=tiny(tmp_path))
+    verify(path)
+    recorded = Recorded(path)
+    for entity in ("world/robot/left_knee/knee/depth", "depth/room"):
+        blobs = recorded.column(entity, "EncodedDepthImage:blob")
+        assert [bytes(blob[0]) for blob in blobs] == [depth.encoded(depth_steps(number)) for number in range(3)]
+        assert np.ravel(recorded.column(entity, "EncodedDepthImage:meter")).tolist() == [1000.0] * 3
+        assert recorded.seconds(entity, TIMELINE) == pytest.approx([0.0, 0.1, 0.2], abs=0.001)
 
 
 def test_time_line_is_seconds_since_the_start_of_the_episode(builder: EpisodeBuilder, tmp_path: Path) -> None:

@@ -47,7 +47,9 @@ def arrays(plan: Plan) -> list[Array]:
 
 
 def picture_path(plan: Plan, camera: Camera) -> str:
-    """Return where the pictures of a camera stand in the group of an episode."""
+    """Return where the pictures of a camera, or its depth, stand in the group of an episode."""
+    if camera.step_m is not None:
+        return f"obs/{_plain(camera.name)}" if plan.layout == "robomimic" else f"observations/images_depth/{camera.of}"
     return f"obs/{_plain(camera.name)}_image" if plan.layout == "robomimic" else f"observations/images/{camera.name}"
 
 
@@ -64,6 +66,10 @@ def described(plan: Plan) -> list[str]:
     return [
         *(str(one) for one in arrays(plan)),
         *(f"{picture_path(plan, one)}: {one.key}, {one.width}x{one.height}, {what}" for one in common.cameras),
+        *(
+            f"{picture_path(plan, one)}: {one.key}, {one.width}x{one.height}, depth, uint16, {one.step_m:g} m, 0: none"
+            for one in common.depths
+        ),
         *more,
     ]
 

@@ -22,6 +22,12 @@ from station.export.shards import place
 
 FILE = "dataset.hdf5"
 
+_ABOUT_DEPTH = (
+    "",
+    "Depth is in steps, not in 0 to 1, to which robomimic cuts what it is given as depth: set a processor of its "
+    "depth modality that multiplies with the attribute `step` (metres) and scales what a network shall see.",
+)
+
 _GYM = 2  # the kind of an environment that robomimic does not have to know; none is to be made of it
 _PARTS = {TRAIN: "train", VAL: "valid"}  # as robomimic calls them
 
@@ -56,7 +62,7 @@ def join(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan
     return {
         "rows": sum(shard.made.rows for shard in ordered),
         "layout": plan.layout,
-        "cameras": [camera.name for camera in plan.rows.common.cameras],
+        "cameras": [camera.name for camera in plan.rows.common.pictures],
         "notes": list(notes(ordered, plan.rows)),
     }
 
@@ -82,7 +88,8 @@ def _one_file(parts: dict[str, list[Shard]], plan: Plan, target: Path) -> None:
 def _robomimic(plan: Plan) -> list[str]:
     low = [one.path.removeprefix("obs/") for one in arrays(plan) if not one.is_action]
     pictures = [picture_path(plan, camera).removeprefix("obs/") for camera in plan.rows.common.cameras]
-    modalities = {"low_dim": low, "rgb": pictures, "depth": [], "scan": []}
+    depths = [picture_path(plan, camera).removeprefix("obs/") for camera in plan.rows.common.depths]
+    modalities = {"low_dim": low, "rgb": pictures, "depth": depths, "scan": []}
     config = {
         "train": {"data": FILE, "hdf5_filter_key": "train", "hdf5_load_next_obs": False},
         "experiment": {"rollout": {"enabled": False}},
@@ -95,6 +102,7 @@ def _robomimic(plan: Plan) -> list[str]:
         "```json",
         json.dumps(config, indent=2),
         "```",
+        *(_ABOUT_DEPTH if depths else ()),
     ]
 
 

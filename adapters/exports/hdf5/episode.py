@@ -41,7 +41,7 @@ def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
             from adapters.exports.hdf5 import pictures
 
             facts["pictures"] = pictures.write(group, reader, plan, table)
-            for camera in plan.rows.common.cameras:
+            for camera in plan.rows.common.pictures:
                 optics = facts["optics"].get(camera.name, {})
                 group[picture_path(plan, camera)].attrs.update({name: json.dumps(one) for name, one in optics.items()})
     rows = len(table.ticks_ns)

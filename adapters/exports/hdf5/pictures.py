@@ -1,4 +1,4 @@
-"""The pictures of an episode into its file, one at a time: as pixels, or as the camera's own JPEG files."""
+"""The pictures of an episode into its file, one at a time: as pixels, or as the camera's own JPEG files; and depth."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from adapters.exports.lerobot.av_library import Decoder
 from adapters.exports.lerobot.pictures import expect_size
 from adapters.exports.lerobot.plan import Camera
 from adapters.exports.row_pictures import RowPictures, show_all
-from adapters.exports.row_pixels import RowPixels
+from adapters.exports.row_pixels import RowPixels, about_depth
 from station.episode.reading.messages import Ints
 from station.episode.reading.reader import EpisodeReader
 from station.export.resample import Table
@@ -29,16 +29,22 @@ def write(group: Any, reader: EpisodeReader, plan: Plan, table: Table) -> dict[s
         EpisodeError: a picture has another size than the data set, or too many cannot be read; names the camera.
         OSError: the disk refuses.
     """
-    cameras = plan.rows.common.cameras
-    longest = _longest(reader, [camera.key for camera in cameras]) if plan.encoding == "jpeg" else {}
+    common = plan.rows.common
+    longest = _longest(reader, [camera.key for camera in common.cameras]) if plan.encoding == "jpeg" else {}
     sinks: dict[Camera, RowPixels | _Files] = {}
-    for camera in cameras:
+    for camera in common.pictures:
         what, numbers = f"{reader.episode_id}: camera {camera.name!r}", table.pictures[camera.key].numbers
         path = picture_path(plan, camera)
-        if plan.encoding == "jpeg":
+        if camera.step_m is not None:
+            size = (camera.height, camera.width, *((1,) if plan.layout == "robomimic" else ()))
+            array = _pixels(group, path, size, np.uint16, len(numbers))
+            array.attrs.update(about_depth(camera))
+            sinks[camera] = RowPixels(array, camera, what, numbers)
+        elif plan.encoding == "jpeg":
             sinks[camera] = _Files(group, path, camera, what, numbers, longest[camera.key])
         else:
-            sinks[camera] = RowPixels(_pixels(group, path, camera, len(numbers)), camera, what, numbers)
+            array = _pixels(group, path, (camera.height, camera.width, 3), np.uint8, len(numbers))
+            sinks[camera] = RowPixels(array, camera, what, numbers)
     facts = show_all(reader, {camera: sink.rows for camera, sink in sinks.items()})
     lengths = [sink.lengths for sink in sinks.values() if isinstance(sink, _Files)]
     if lengths:
@@ -46,10 +52,9 @@ def write(group: Any, reader: EpisodeReader, plan: Plan, table: Table) -> dict[s
     return facts
 
 
-def _pixels(group: Any, path: str, camera: Camera, count: int) -> Any:
-    size = (camera.height, camera.width, 3)
+def _pixels(group: Any, path: str, size: tuple[int, ...], kind: type[np.generic], count: int) -> Any:
     return group.create_dataset(
-        path, (count, *size), np.uint8, chunks=(1, *size), compression="gzip", compression_opts=_LEVEL
+        path, (count, *size), kind, chunks=(1, *size), compression="gzip", compression_opts=_LEVEL
     )
 
 

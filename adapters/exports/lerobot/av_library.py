@@ -11,5 +11,8 @@ Codec = Literal["h264", "av1"]
 PIXELS = "yuv420p"
 """Colour planes of every video: what all decoders read."""
 
+DEPTH_PIXELS = "gray12le"
+"""Of depth."""
+
 av: Any = video.library(remedy=", or leave the pictures out with --camera none")
 Decoder = video.JpegDecoder

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from adapters.exports.lerobot import depth_codes
 from adapters.exports.lerobot.about import MEANING
 from adapters.exports.lerobot.episode import words_of
 from adapters.exports.lerobot.finished import Finished
@@ -99,6 +100,8 @@ def _rows_text(plan: Plan) -> str:
             f"- pictures: {RULES['picture' if plan.pictures == 'nearest' else 'newest picture']}",
             f"- video: {plan.codec}, {_key_frames(plan.gop)}",
         ]
+    if common.depths:
+        lines.append(f"- depth: {depth_codes.RULE}")
     lines += [
         "",
         "`timestamp` is the number of the row over the rate, as LeRobot wants it. Real instants and ages stand in",
@@ -123,9 +126,9 @@ def _columns_text(plan: Plan) -> str:
         (f"`{STATE}`", "as listed below", _listed(one.key for one in common.state)),
         (f"`{ACTION}`", "as listed below", _listed(one.key for one in common.action)),
         *((f"`{camera.column}`", f"{camera.width} x {camera.height} pixels", f"`{camera.key}`")
-          for camera in common.cameras),
+          for camera in common.pictures),
         (f"`{AGE}{STATE}`, `{AGE}{ACTION}`", "s, one per key", "age of the value at the tick"),
-        *((f"`{camera.age_column}`", "s", "age of the picture at the tick") for camera in common.cameras),
+        *((f"`{camera.age_column}`", "s", "age of the picture at the tick") for camera in common.pictures),
         (f"`{TIME}`", "ns since the epoch", "the tick, on the episode's clock"),
         (f"`{GATE}`", "number of a name, below", "what the robot's gate did with the command"),
         (f"`{COMMANDER}`", "number of a name, below", "who commanded: server, and its device or motion file"),

@@ -106,7 +106,7 @@ def _join(
         "tasks": len(tasks),
         "splits": splits,
         "layout": plan.layout,
-        "cameras": [camera.name for camera in plan.common.cameras],
+        "cameras": [camera.name for camera in plan.common.pictures],
         "notes": list(notes(shards, plan)),
     }
 
@@ -134,6 +134,13 @@ def notes(shards: Sequence[Shard], plan: Plan) -> Iterator[str]:
                 f"{len(with_others)} of {len(shards)} episodes ({with_others[0].source.episode_id} first) {has}, and "
                 f"that are not in the data set: {', '.join(names)}; {cure}, and episodes without them are not"
             )
+    with_depth = [shard for shard in shards if shard.made.facts["missed"].get("depth")]
+    if with_depth:
+        names = sorted({name for shard in with_depth for name in shard.made.facts["missed"]["depth"]})
+        yield (
+            f"{len(with_depth)} of {len(shards)} episodes ({with_depth[0].source.episode_id} first) have depth of "
+            f"{', '.join(names)}, which is not in the data set; with --depth it is, in layout v3.0"
+        )
     yield from _trim_notes(shards, plan)
     cut = {shard.source.episode_id: said for shard in shards if (said := _cut(shard))}
     if cut:
@@ -197,7 +204,7 @@ def _numbered(shards: Sequence[Shard], tasks: Sequence[str], plan: Plan) -> Iter
     first_row = 0
     for number, shard in enumerate(shards):
         task = shard.made.facts["task"]
-        videos = {camera.column: shard.folder / f"{camera.column}.mp4" for camera in plan.common.cameras}
+        videos = {camera.column: shard.folder / f"{camera.column}.mp4" for camera in plan.common.pictures}
         yield Episode(
             index=number, task=task, task_index=tasks.index(task), length=shard.made.rows, first_row=first_row,
             videos=videos, fields=about.fields(shard),

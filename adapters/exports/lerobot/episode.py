@@ -76,11 +76,11 @@ def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
     parquet.write(folder / ROWS, parquet.table(columns))
     measured = EpisodeStats(
         columns={name: stats.of_rows(values) for name, values in columns.items() if name not in named.FACTS},
-        pictures={camera.column: encoded[camera.key].pixels.plain() for camera in common.cameras},
+        pictures={camera.column: encoded[camera.key].pixels.plain() for camera in common.pictures},
     )
     (folder / STATS).write_bytes(msgspec.json.encode(measured))
     facts = {
-        "pictures": {camera.name: _picture_facts(encoded[camera.key]) for camera in common.cameras},
+        "pictures": {camera.name: _picture_facts(encoded[camera.key]) for camera in common.pictures},
         "commanders": commanders,
         "subtasks": subtasks,
         **facts_of(reader, plan, recorded, table, cut),
@@ -117,7 +117,7 @@ def provenance(reader: EpisodeReader) -> dict[str, Any]:
         **about.said(manifest),
         "checkpoint": Path(manifest.policy.checkpoint).name,
         "checkpoint_sha256": manifest.policy.sha256,
-        "optics": {name: known[key].facts() for name, key in frames.cameras(reader).items() if key in known},
+        "optics": {name: known[key].facts() for name, key in frames.all_pictures(reader).items() if key in known},
     }
 
 
@@ -180,7 +180,7 @@ def _spoken(
 
 
 def _encode(reader: EpisodeReader, plan: Plan, table: Table, folder: Path) -> Mapping[str, Encoded]:
-    if not plan.common.cameras:
+    if not plan.common.pictures:
         return {}
     from adapters.exports.lerobot import pictures
 
@@ -202,7 +202,7 @@ def _picture_ages(
     """Return tick minus capture of the pictures that the videos really show [s]."""
     return {
         camera.age_column: _column([ages_s(table.ticks_ns, taken[camera.key][encoded[camera.key].shown])])
-        for camera in plan.common.cameras
+        for camera in plan.common.pictures
     }
 
 

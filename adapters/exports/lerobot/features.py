@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from adapters.exports.lerobot.av_library import PIXELS
+from adapters.exports.lerobot import depth_codes
+from adapters.exports.lerobot.av_library import DEPTH_PIXELS, PIXELS
 from adapters.exports.lerobot.plan import (
     ACTION,
     AGE,
@@ -45,10 +46,10 @@ def features(plan: Plan) -> dict[str, Any]:
     found: dict[str, Any] = {
         STATE: _numbers("float32", common.state_names),
         ACTION: _numbers("float32", common.action_names),
-        **{camera.column: _video(camera, plan) for camera in common.cameras},
+        **{camera.column: _video(camera, plan) for camera in common.pictures},
         AGE + STATE: _numbers("float32", [one.key for one in common.state]),
         AGE + ACTION: _numbers("float32", [one.key for one in common.action]),
-        **{camera.age_column: _numbers("float32", [camera.key]) for camera in common.cameras},
+        **{camera.age_column: _numbers("float32", [camera.key]) for camera in common.pictures},
         TIME: _numbers("int64", None),
         GATE: _numbers("int64", None),
         COMMANDER: _numbers("int64", None),
@@ -85,19 +86,22 @@ def _numbers(kind: str, names: list[str] | None) -> dict[str, Any]:
 
 
 def _video(camera: Camera, plan: Plan) -> dict[str, Any]:
+    is_depth = camera.step_m is not None
+    channels = 1 if is_depth else 3
     return {
         "dtype": "video",
-        "shape": [camera.height, camera.width, 3],
+        "shape": [camera.height, camera.width, channels],
         "names": ["height", "width", "channels"],
         "info": {
             "video.height": camera.height,
             "video.width": camera.width,
-            "video.codec": plan.codec,
-            "video.pix_fmt": PIXELS,
-            "video.is_depth_map": False,
+            "video.codec": "hevc" if is_depth else plan.codec,
+            "video.pix_fmt": DEPTH_PIXELS if is_depth else PIXELS,
+            "video.is_depth_map": is_depth,
             "video.fps": plan.fps,
-            "video.channels": 3,
+            "video.channels": channels,
             "has_audio": False,
-            "is_depth_map": False,
+            "is_depth_map": is_depth,
+            **(depth_codes.INFO if is_depth else {}),
         },
     }

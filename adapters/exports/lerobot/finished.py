@@ -156,6 +156,7 @@ def expect_options(had: Finished, given: Mapping[str, Any]) -> None:
         "state": tuple(one.key for one in common.state),
         "action": tuple(one.key for one in common.action),
         "camera": tuple(camera.name for camera in common.cameras),
+        "depth": common.has_depth,
     }
     for name, value in given.items():
         if name in made and value != made[name]:

@@ -70,7 +70,7 @@ class Version30(Layout):
         self._about = parquet.Appender(
             folder / "meta/episodes", limit_bytes=features.DATA_MB * _MEGABYTE, per_chunk=features.CHUNK
         )
-        self._videos = {camera.column: _concatenation(folder, camera.column, plan) for camera in plan.common.cameras}
+        self._videos = {camera.column: _concatenation(folder, camera.column, plan) for camera in plan.common.pictures}
         self._waiting: list[tuple[dict[str, Any], dict[str, Any]]] = []
         self._schema: Any = None
 

@@ -6,16 +6,19 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.exports.lerobot.av_library import PIXELS, Decoder, av
+from adapters.exports.lerobot.av_library import DEPTH_PIXELS, PIXELS, Decoder, av
+from adapters.exports.lerobot.depth_codes import codes_of
 from adapters.exports.lerobot.plan import Camera, Plan
 from adapters.exports.lerobot.stats import PixelCounts
 from adapters.exports.lerobot.video import VideoWriter, expect_frames
 from adapters.exports.row_pictures import RowPictures, feed_all
+from station import depth
+from station.contract import DEPTH_STEP_M
 from station.episode.reading.messages import Ints
 from station.episode.reading.reader import EpisodeReader
 from station.errors import EpisodeError
@@ -52,8 +55,10 @@ def encode(reader: EpisodeReader, plan: Plan, rows: Mapping[str, Ints], folder: 
     """
     films: dict[str, _Film] = {}
     with ExitStack() as unfinished:
-        for camera in plan.common.cameras:
-            film = _Film(reader.episode_id, camera, plan, rows[camera.key], folder)
+        for camera in plan.common.pictures:
+            film = (_Film if camera.step_m is None else _DepthFilm)(
+                reader.episode_id, camera, plan, rows[camera.key], folder
+            )
             unfinished.callback(film.abandon)
             films[camera.key] = film
         feed_all(reader, {key: film.rows for key, film in films.items()})
@@ -63,13 +68,16 @@ def encode(reader: EpisodeReader, plan: Plan, rows: Mapping[str, Ints], folder: 
 
 
 class _Film:
+    codec: ClassVar[Literal["hevc"] | None] = None
+
     def __init__(self, episode: str, camera: Camera, plan: Plan, rows: Ints, folder: Path) -> None:
         self._what, self._camera, self._count = f"{episode}: camera {camera.name!r}", camera, len(rows)
         self._decoder, self._reformatter = Decoder(), av.video.reformatter.VideoReformatter()
         self._file = folder / f"{camera.column}.mp4"
-        self._video = VideoWriter(self._file, camera.height, camera.width, plan.fps, plan.codec, plan.gop)
+        codec = self.codec or plan.codec
+        self._video = VideoWriter(self._file, camera.height, camera.width, plan.fps, codec, plan.gop)
         self._samples = frozenset(PixelCounts.samples(len(rows)))
-        self._pixels = PixelCounts()
+        self._pixels = PixelCounts() if self.codec is None else PixelCounts.of_depth()
         self.rows = RowPictures(self._what, rows, self._prepared, self._add)
 
     def finish(self) -> Encoded:
@@ -100,13 +108,33 @@ class _Film:
         )  # fmt: skip
 
 
+class _DepthFilm(_Film):
+    """Of depth: its codes as LeRobot has them, shape (height, width)."""
+
+    codec = "hevc"
+
+    def _add(self, row: int, picture: NDArray[np.uint16]) -> None:
+        if row in self._samples:
+            self._pixels.add(picture[:, :, None])
+        self._video.add(av.VideoFrame.from_ndarray(picture, format=DEPTH_PIXELS))
+
+    def _prepared(self, jpeg: bytes) -> NDArray[np.uint16] | None:
+        known = depth.head(jpeg)
+        if known is None:
+            return None
+        expect_size(self._what, known, self._camera)
+        steps = depth.decoded(jpeg)
+        return None if steps is None else codes_of(steps, self._camera.step_m or DEPTH_STEP_M)
+
+
 def expect_size(what: str, picture: Any, camera: Camera) -> None:
     """Refuse a picture of another size than the data set has, for a camera of an episode, `what`.
 
     Raises:
         EpisodeError: it has; tells both sizes.
     """
-    if (picture.height // 2 * 2, picture.width // 2 * 2) != (camera.height, camera.width):
+    least = 1 if camera.step_m is not None else 2  # a video has even sides
+    if (picture.height // least * least, picture.width // least * least) != (camera.height, camera.width):
         raise EpisodeError(
             f"{what}: a picture of {picture.width}x{picture.height} pixels, the data set has "
             f"{camera.width}x{camera.height}; export these episodes apart"

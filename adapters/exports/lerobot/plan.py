@@ -10,6 +10,7 @@ from typing import Literal
 import msgspec
 
 from adapters.exports.lerobot.av_library import Codec
+from station import depth
 from station.bus import keys
 from station.episode.quality.cameras import stated_hz
 from station.episode.reading import frames
@@ -49,13 +50,18 @@ _TRIED = 10  # pictures of a camera, for its size: the first may be torn
 
 
 class Camera(msgspec.Struct, frozen=True, kw_only=True):
-    """One camera: its name, its key, the size of its pictures as they are encoded [pixels], its stated rate [Hz]."""
+    """One camera: its name, its key, the size of its pictures as they are encoded [pixels], its stated rate [Hz].
+
+    Or the depth `of` a camera, and what a step of that is [m]; "" and None for pictures in colour.
+    """
 
     name: str
     key: str
     height: int
     width: int
     hz: float | None = None
+    of: str = ""
+    step_m: float | None = None
 
     @property
     def column(self) -> str:
@@ -79,6 +85,8 @@ class Common(msgspec.Struct, frozen=True, kw_only=True):
         state, action: Keys, in the order in which their numbers stand in a row.
         read: These, and the states of the policy steps that made the action.
         cameras: By name.
+        depths: Depth of these, where the format takes any.
+        has_depth: Whether it does.
         is_every_camera: Whether all cameras were meant, and these are those of the first episode.
         is_of_robot: Whether keys of `robot` are meant, so that an episode of another one does not fit ...
         is_robot_named: ... and whether it was named, so that an episode of several ones fits.
@@ -90,10 +98,17 @@ class Common(msgspec.Struct, frozen=True, kw_only=True):
     action: tuple[KeyColumns, ...]
     read: tuple[KeyColumns, ...]
     cameras: tuple[Camera, ...]
+    depths: tuple[Camera, ...] = ()
+    has_depth: bool = False
     is_every_camera: bool = False
     is_of_robot: bool = False
     is_robot_named: bool = False
     is_every_part: bool = False
+
+    @property
+    def pictures(self) -> tuple[Camera, ...]:
+        """Cameras, and their depth."""
+        return *self.cameras, *self.depths
 
     @property
     def state_names(self) -> list[str]:
@@ -127,11 +142,15 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PlanRequest(msgspec.Struct, frozen=True, kw_only=True):
-    """What was asked for: keys, empty for the defaults; cameras, None for all; robot, "" for the only one; verdicts."""
+    """What was asked for: keys, empty for the defaults; cameras, None for all; robot, "" for the only one; verdicts.
+
+    With `has_depth`, the depth of these cameras too.
+    """
 
     state: tuple[str, ...] = ()
     action: tuple[str, ...] = ()
     cameras: tuple[str, ...] | None = None
+    has_depth: bool = False
     robot: str = ""
     min_quality: MinQuality = "any"
     success: Success = "any"
@@ -165,7 +184,7 @@ def open_source(source: Source) -> EpisodeReader:
 
 
 def expect_fit(reader: EpisodeReader, plan: Plan) -> dict[str, str]:
-    """Refuse an episode that cannot be in a data set; return the key of each of its cameras by name.
+    """Refuse an episode that cannot be in a data set; return the key of each of its cameras, and depths, by name.
 
     Raises:
         EpisodeError: a key or a camera is missing, or holds something else than the data set; names it.
@@ -178,8 +197,8 @@ def expect_fit(reader: EpisodeReader, plan: Plan) -> dict[str, str]:
             f"export it apart, with --robot {robot}"
         )
     expect_same(reader, common.read)
-    found = cameras_of(reader, [camera.name for camera in common.cameras])
-    for camera in common.cameras:
+    found = cameras_of(reader, [camera.name for camera in common.pictures], has_depth=common.has_depth)
+    for camera in common.pictures:
         one = _camera(reader, camera.name, found[camera.name])
         if (one.height, one.width) != (camera.height, camera.width):
             raise EpisodeError(
@@ -190,24 +209,28 @@ def expect_fit(reader: EpisodeReader, plan: Plan) -> dict[str, str]:
 
 
 def missed(reader: EpisodeReader, plan: Plan) -> dict[str, list[str]]:
-    """Return what an episode has and the data set lacks, though all was meant: cameras; hands and neck that moved."""
+    """Return what an episode has and the data set lacks, though all was meant: cameras; hands and neck that moved.
+
+    Beside these, ``depth``: of which cameras the format has no place for it.
+    """
     common = plan.common
-    taken = {camera.name for camera in common.cameras}
+    taken = {camera.name for camera in common.pictures}
     has = {one.key for one in (*common.state, *common.action)}
     parts = moving_parts(reader, common.robot) if common.is_every_part else []
     return {
-        "cameras": sorted(frames.cameras(reader).keys() - taken) if common.is_every_camera else [],
+        "cameras": sorted(_shown(reader, common.has_depth).keys() - taken) if common.is_every_camera else [],
+        "depth": [] if common.has_depth else sorted(frames.depths(reader).keys() & taken),
         "parts": [part.name for part in parts if not {part.action, part.state} - {None} <= has],
     }
 
 
-def cameras_of(reader: EpisodeReader, names: Sequence[str]) -> dict[str, str]:
-    """Return the key of each named camera.
+def cameras_of(reader: EpisodeReader, names: Sequence[str], *, has_depth: bool = False) -> dict[str, str]:
+    """Return the key of each named camera; of its depth too, where that counts.
 
     Raises:
         EpisodeError: the episode lacks one; names it.
     """
-    found = frames.cameras(reader)
+    found = _shown(reader, has_depth)
     for name in names:
         if name not in found:
             has = f"it has {', '.join(found)}" if found else "it has none"
@@ -231,12 +254,16 @@ def _of(reader: EpisodeReader, wish: PlanRequest) -> Common:
     steps = {state_of_step(one.key, topics) for one in action if one.role == "policy"}
     paces = {key: key_columns(reader, key) for key in sorted(key for key in steps if key and key not in chosen)}
     wanted = list(frames.cameras(reader)) if wish.cameras is None else wish.cameras
+    depths = frames.depths(reader) if wish.has_depth else {}
+    chosen_depths = {depths[name] for name in wanted if name in depths}
     return Common(
         robot=robot or reader.manifest.robot.suffix,
         state=state,
         action=action,
         read=tuple({**chosen, **paces}.values()),
         cameras=tuple(_camera(reader, name, key) for name, key in cameras_of(reader, wanted).items()),
+        depths=tuple(_camera(reader, name, key) for name, key in _shown(reader, True).items() if key in chosen_depths),
+        has_depth=wish.has_depth,
         is_every_camera=wish.cameras is None,
         is_of_robot=bool(robot),
         is_robot_named=bool(wish.robot),
@@ -246,7 +273,7 @@ def _of(reader: EpisodeReader, wish: PlanRequest) -> Common:
 
 def rate(common: Common) -> tuple[int, str]:
     """Return the default rows per second, and what sets them: more would repeat pictures of the slowest camera."""
-    known = [camera for camera in common.cameras if camera.hz]
+    known = [camera for camera in common.pictures if camera.hz]
     if not known:
         return DEFAULT_FPS, "no camera that states its rate"
     slowest = min(known, key=lambda camera: camera.hz or 0.0)
@@ -268,15 +295,24 @@ def _expect_defaults(reader: EpisodeReader, wish: PlanRequest, robot: str) -> No
         raise EpisodeError(f"{reader.episode_id}: no {' and no '.join(lacking)} in it; name other keys, such as {told}")
 
 
+def _shown(reader: EpisodeReader, has_depth: bool) -> dict[str, str]:
+    return frames.all_pictures(reader) if has_depth else frames.cameras(reader)
+
+
 def _camera(reader: EpisodeReader, name: str, key: str) -> Camera:
     from adapters.exports.lerobot.av_library import Decoder
 
-    decoder = Decoder()
-    pictures = (decoder.picture(frame.jpeg) for frame in islice(frames.frames(reader, key), _TRIED))
-    picture = next((picture for picture in pictures if picture is not None), None)
+    of = next((camera for camera, topic in frames.depths(reader).items() if topic == key), "")
+    read = depth.head if of else Decoder().picture
+    sizes = (read(frame.data) for frame in islice(frames.frames(reader, key), _TRIED))
+    picture = next((picture for picture in sizes if picture is not None), None)
     if picture is None:
+        form = "PNG of 16 bits" if of else "JPEG"
         raise EpisodeError(
-            f"{reader.episode_id}: none of the first {_TRIED} pictures of camera {name!r} is a JPEG that can be read"
+            f"{reader.episode_id}: none of the first {_TRIED} pictures of camera {name!r} is a {form} that can be read"
         )
     hz = stated_hz(reader.manifest).get(key)
+    if of:
+        step_m = frames.step_m(reader, key)
+        return Camera(name=name, key=key, height=picture.height, width=picture.width, hz=hz, of=of, step_m=step_m)
     return Camera(name=name, key=key, height=picture.height // 2 * 2, width=picture.width // 2 * 2, hz=hz)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from adapters.exports.lerobot import depth_codes
 from station.protocols import Floats
 
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
@@ -81,27 +82,36 @@ class Totals:
 
 
 class PixelCounts:
-    """How often each brightness was seen in each colour, over sampled pictures; adds up over episodes."""
+    """How often each brightness was seen in each colour, over sampled pictures; adds up over episodes.
+
+    Of depth how often each code was, which has more of them than brightness, and one channel: by that it is known.
+    """
 
     def __init__(self, counts: Sequence[Sequence[int]] | None = None, pictures: int = 0) -> None:
         self._counts = np.zeros((3, _LEVELS), dtype=np.int64) if counts is None else np.array(counts, dtype=np.int64)
         self.pictures = pictures
+
+    @classmethod
+    def of_depth(cls) -> PixelCounts:
+        """Return counts of depth, none so far."""
+        return cls([[0] * depth_codes.CODES])
 
     @staticmethod
     def samples(rows: int) -> list[int]:
         """Return the rows whose pictures are sampled: all, or a hundred at even distances."""
         return sorted(set(np.linspace(0, rows - 1, min(rows, _MOST_SAMPLES)).round().astype(int).tolist()))
 
-    def add(self, rgb: NDArray[np.uint8]) -> None:
-        """Count the pixels of a picture, shape (height, width, 3)."""
+    def add(self, rgb: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+        """Count the pixels of a picture, shape (height, width, channels)."""
         step = -(-max(rgb.shape[:2]) // _SAMPLED_SIDE)
-        for colour in range(3):
-            self._counts[colour] += np.bincount(rgb[::step, ::step, colour].ravel(), minlength=_LEVELS)
+        channels, levels = self._counts.shape
+        for channel in range(channels):
+            self._counts[channel] += np.bincount(rgb[::step, ::step, channel].ravel(), minlength=levels)
         self.pictures += 1
 
     def merge(self, other: PixelCounts) -> None:
-        """Add what another one has counted."""
-        self._counts += other._counts
+        """Add what another one has counted; the first one says of what."""
+        self._counts = other._counts + (self._counts if self.pictures else 0)
         self.pictures += other.pictures
 
     def plain(self) -> dict[str, Any]:
@@ -109,8 +119,9 @@ class PixelCounts:
         return {"counts": self._counts.tolist(), "pictures": self.pictures}
 
     def stats(self) -> Stats:
-        """Return the statistics of the colours, 0 to 1; the count is of pictures."""
-        levels = np.arange(_LEVELS) / (_LEVELS - 1)
+        """Return the statistics of the colours, 0 to 1, or of depth [mm]; the count is of pictures."""
+        is_colour = self._counts.shape[1] == _LEVELS
+        levels = np.arange(_LEVELS) / (_LEVELS - 1) if is_colour else depth_codes.millimetres()
         total = self._counts.sum(axis=1)
         mean = self._counts @ levels / total
         seen = [levels[counts > 0] for counts in self._counts]
@@ -121,12 +132,12 @@ class PixelCounts:
         }  # fmt: skip
         for name, share in QUANTILES.items():
             place = [np.searchsorted(counts.cumsum(), share * counts.sum()) for counts in self._counts]
-            found[name] = levels[np.clip(place, 0, _LEVELS - 1)]
+            found[name] = levels[np.clip(place, 0, len(levels) - 1)]
         return {name: found[name].tolist() for name in ORDER}
 
 
 def as_image(stats: Mapping[str, list[float]]) -> dict[str, Any]:
-    """Return statistics of colours in the shape that LeRobot gives those of pictures: (3, 1, 1)."""
+    """Return statistics of channels in the shape that LeRobot gives those of pictures: (channels, 1, 1)."""
     return {name: values if name == "count" else [[[value]] for value in values] for name, values in stats.items()}
 
 

@@ -9,17 +9,19 @@ import threading
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from adapters.exports.lerobot.av_library import PIXELS, Codec, av
+from adapters.exports.lerobot.av_library import DEPTH_PIXELS, PIXELS, Codec, av
 from station.errors import EpisodeError
 from station.video import X264
 
-_ENCODERS: dict[Codec, tuple[str, dict[str, str]]] = {
+_ENCODERS: dict[Codec | Literal["hevc"], tuple[str, dict[str, str]]] = {
     # One thread each: episodes are converted side by side, and the bytes do not depend on the machine.
     "h264": ("libx264", X264),
     # Preset 10 and not LeRobot's 12: in 23 of 519 frames of a counter preset 12 left out what had just changed.
     "av1": ("libsvtav1", {"preset": "10", "crf": "30", "svtav1-params": "lp=1"}),
+    # Depth, whose 12 bits come back as they are; no pictures that refer to later ones, as of the others.
+    "hevc": ("libx265", {"preset": "ultrafast", "x265-params": "lossless=1:bframes=0:pools=none:log-level=error"}),
 }
 
 _TASKS = Path("/proc/self/task")
@@ -30,21 +32,22 @@ class VideoWriter:
 
     Args:
         file: To be written.
-        height, width: Even numbers of pixels.
+        height, width: Even numbers of pixels; any of depth.
         fps: Pictures per second.
-        codec: How they are encoded.
+        codec: How they are encoded; ``hevc`` for depth.
         gop: Every so many pictures one is a key frame, the first one included: to show any other, a reader decodes
             from the key frame before it.
     """
 
-    def __init__(self, file: Path, height: int, width: int, fps: int, codec: Codec, gop: int) -> None:
+    def __init__(self, file: Path, height: int, width: int, fps: int, codec: Codec | Literal["hevc"], gop: int) -> None:
         os.environ.setdefault("SVT_LOG", "1")  # errors alone: else every video is told of on standard error
         encoder, options = _ENCODERS[codec]
         self._period = Fraction(1, fps)
         self._count = 0
         self._container = _create(file)
         stream: Any = self._container.add_stream(encoder, rate=fps, options={**options, "g": str(gop)})
-        stream.height, stream.width, stream.pix_fmt = height, width, PIXELS
+        pixels = DEPTH_PIXELS if codec == "hevc" else PIXELS
+        stream.height, stream.width, stream.pix_fmt = height, width, pixels
         context = stream.codec_context
         context.thread_count = 1
         context.color_range, context.colorspace = _LIMITED_RANGE, _BT601

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from adapters.exports.lerobot.plan import Camera
+from adapters.exports.row_pixels import about_depth
 from adapters.exports.zarr.plan import ACTION, STATE, TIME, Plan, picture_name
 from adapters.exports.zarr.zarr_library import compressor
 from station.export.columns import KeyColumns, unique_names
@@ -26,7 +27,7 @@ def create_numbers(data: Any, plan: Plan, count: int) -> dict[str, Any]:
 def create_pictures(
     data: Any, plan: Plan, count: int, optics: Mapping[str, Mapping[str, Any]] = {}
 ) -> Iterator[tuple[Camera, Any]]:
-    """Create the array of each camera for some rows in a group; a picture is a chunk, so that a row reads one.
+    """Create the array of each camera, and its depth, for some rows in a group; a picture is a chunk: a row reads one.
 
     Args:
         data: The group.
@@ -34,11 +35,12 @@ def create_pictures(
         count: How many rows.
         optics: What is known of the optics of cameras, by name.
     """
-    for camera in plan.rows.common.cameras:
-        about = {"key": camera.key, "camera": camera.name, "colour": "RGB", "rate_hz": camera.hz}
-        about |= optics.get(camera.name, {})
-        shape = (count, camera.height, camera.width, 3)
-        yield camera, _create(data, picture_name(camera), shape, "uint8", 1, about)
+    for camera in plan.rows.common.pictures:
+        is_depth = camera.step_m is not None
+        what = about_depth(camera) if is_depth else {"colour": "RGB"}
+        about = {"key": camera.key, "camera": camera.name, **what, "rate_hz": camera.hz, **optics.get(camera.name, {})}
+        shape = (count, camera.height, camera.width, *(() if is_depth else (3,)))
+        yield camera, _create(data, picture_name(camera), shape, "uint16" if is_depth else "uint8", 1, about)
 
 
 def _numbers(data: Any, name: str, count: int, keys: tuple[KeyColumns, ...]) -> Any:

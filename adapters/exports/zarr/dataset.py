@@ -26,6 +26,8 @@ from station.software import software
 
 BUFFER = "replay_buffer.zarr"
 
+_NO_DEPTH = "; it knows pictures in colour and numbers, and depth only in a task of your own"
+
 Put = Callable[[str, bytes], None]
 """Adds a file of the buffer: its path in it, and what is in it."""
 
@@ -56,7 +58,7 @@ def join(shards: Sequence[Shard], left_out: Sequence[SkippedEpisode], plan: Plan
     (folder / "README.md").write_text(text, encoding="utf-8")
     return {
         "rows": sum(shard.made.rows for shard in shards),
-        "cameras": [camera.name for camera in plan.rows.common.cameras],
+        "cameras": [camera.name for camera in plan.rows.common.pictures],
         "notes": list(notes(shards, plan.rows)),
     }
 
@@ -88,7 +90,7 @@ def _optics(shards: Sequence[Shard]) -> dict[str, Any]:
 
 def _copy_pictures(shards: Sequence[Shard], plan: Plan, put: Put) -> None:
     """Give the chunk of each picture its number in the whole."""
-    names = {f"{DATA}/{picture_name(camera)}" for camera in plan.rows.common.cameras}
+    names = {f"{DATA}/{picture_name(camera)}" for camera in plan.rows.common.pictures}
     begin = 0
     for shard in shards:
         with zipfile.ZipFile(shard.folder / SHARD) as archive:
@@ -131,7 +133,7 @@ def _about(shards: Sequence[Shard], plan: Plan) -> dict[str, Any]:
 
 def _how(plan: Plan) -> list[str]:
     common = plan.rows.common
-    names = [STATE, ACTION, *(picture_name(camera) for camera in common.cameras)]
+    names = [STATE, ACTION, *(picture_name(camera) for camera in common.pictures)]
     observed = {
         STATE: {"shape": [sum(len(one.names) for one in common.state)], "type": "low_dim"},
         **{
@@ -150,7 +152,7 @@ def _how(plan: Plan) -> list[str]:
         f'ReplayBuffer.copy_from_path("{BUFFER}{suffix}", keys={json.dumps(names)})',
         "```",
         "",
-        "Shapes for its task (`shape_meta`):",
+        f"Shapes for its task (`shape_meta`){_NO_DEPTH if common.depths else ''}:",
         "",
         "```json",
         json.dumps(shapes, indent=2),

@@ -33,7 +33,7 @@ def convert(source: Source, plan: Plan, folder: Path) -> ShardResult:
         numbers[STATE][:] = joined(table.state, common.state)
         numbers[ACTION][:] = joined(table.action, common.action)
         numbers[TIME][:] = table.ticks_ns
-        if common.cameras:
+        if common.pictures:
             facts["pictures"] = _write_pictures(data, reader, plan, table)
     return ShardResult(seconds=count / plan.rows.fps, rows=count, facts=facts)
 

@@ -41,6 +41,9 @@ def described(plan: Plan) -> Iterator[str]:
         yield f"{DATA}/{name}: float32; " + "; ".join(f"{one.key}, {one}" for one in keys)
     for camera in common.cameras:
         yield f"{DATA}/{picture_name(camera)}: {camera.key}, {camera.width}x{camera.height}, pixels, uint8 RGB"
+    for camera in common.depths:
+        what = f"depth, uint16, {camera.step_m:g} m, 0 for none"
+        yield f"{DATA}/{picture_name(camera)}: {camera.key}, {camera.width}x{camera.height}, {what}"
     yield f"{DATA}/{TIME}: the instant of a row [ns since the epoch]; {plan.rows.fps} rows per second, trim " + (
         plan.rows.trim
     )

@@ -1,5 +1,7 @@
 """Compacting an episode: its JPEG pictures become H.264, once every one of them was read back and compared.
 
+Depth stays as it was recorded, byte for byte, which is compared too.
+
 The new file is made beside the old one, read back, and takes its name in one rename. What the manifest then says of it
 stands in the new file too, so that a process killed between the rename and the manifest loses nothing: the next call
 writes the manifest.
@@ -18,7 +20,7 @@ from typing import BinaryIO, Literal
 import msgspec
 import numpy as np
 
-from station.episode.compacting.video_file import Unfit, VideoFile
+from station.episode.compacting.video_file import Unfit, VideoFile, becomes_video
 from station.episode.reading.messages import Message
 from station.episode.reading.part import Part
 from station.episode.reading.reader import EpisodeReader
@@ -57,6 +59,7 @@ class CompactResult(msgspec.Struct, frozen=True, kw_only=True):
         why: It was left as it was, in a line.
         bytes_before, bytes_after: Size of the file of pictures.
         pictures: How many, each of them compared with its JPEG file.
+        kept: Keys of depth, whose pictures stay as they are.
         psnr_db, psnr_worst_db: Of the camera with the lowest mean, and of the worst picture [dB].
         seconds: How long it took [s].
     """
@@ -68,6 +71,7 @@ class CompactResult(msgspec.Struct, frozen=True, kw_only=True):
     bytes_before: int = 0
     bytes_after: int = 0
     pictures: int = 0
+    kept: list[str] = []
     psnr_db: float | None = None
     psnr_worst_db: float | None = None
     seconds: float = 0.0
@@ -95,8 +99,12 @@ def compact(
     expect_at_rest(folder, data)
     reader = EpisodeReader(signals_file(folder))
     _expect_whole(reader)
-    found = CompactResult(state="no-pictures", episode_id=reader.episode_id or folder.name, path=str(folder))
-    channels = [channel for part in reader.parts[1:] for channel in part.channels() or () if channel.is_typed]
+    every = [channel for part in reader.parts[1:] for channel in part.channels() or ()]
+    channels = [channel for channel in every if becomes_video(channel)]
+    found = CompactResult(
+        state="no-pictures", episode_id=reader.episode_id or folder.name, path=str(folder),
+        kept=sorted({channel.topic for channel in every if channel.is_typed and channel.is_depth}),
+    )  # fmt: skip
     if not channels:
         return found
     manifest, files = reader.manifest, measure(folder)
@@ -213,7 +221,7 @@ def compared(old: Part, new: Part, tell: _Progress | None = None) -> dict[str, C
     for number, (one, other, read) in enumerate(zip_longest(_stored(old), counted, opened)):
         if one is None or other is None or read is None or _all_but_picture(one) != _all_but_picture(other):
             raise EpisodeError(f"{new.path}: message {number} is not that of {old.path.name}; look after the disk")
-        if not one.channel.is_typed:
+        if not becomes_video(one.channel):
             continue
         shown, kept = (decoder.picture(jpeg) for jpeg in (pictures.picture_in(one.data), read.data))
         losses[one.topic].append(psnr_db(planes(in_planes(shown)), planes(kept)))
@@ -227,7 +235,7 @@ def compared(old: Part, new: Part, tell: _Progress | None = None) -> dict[str, C
 
 def _all_but_picture(message: Message) -> tuple[object, ...]:
     """Return everything of a stored message that compacting must not change."""
-    told = pictures.time_in(message.data) if message.channel.is_typed else message.data
+    told = pictures.time_in(message.data) if becomes_video(message.channel) else message.data
     channel = msgspec.structs.replace(message.channel, video="", file="")
     return channel, message.log_ns, message.publish_ns, message.sequence, message.stamp, told
 

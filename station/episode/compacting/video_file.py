@@ -1,5 +1,7 @@
 """The file of pictures while it is written anew, as video: the same messages in the same order, in chunks of its own.
 
+Depth stays as it is, byte for byte: a video would round what was measured.
+
 Each chunk begins with a key frame of every camera in it and has its own stamps, so that it is read without the others:
 by whoever seeks, and after damage.
 """
@@ -13,7 +15,7 @@ from typing import Any, NamedTuple
 import mcap.records
 from mcap.records import Schema
 
-from station.episode.reading.messages import Message
+from station.episode.reading.messages import Channel, Message, channel_of
 from station.episode.reading.part import Part
 from station.episode.storage import layout, pictures
 from station.episode.writing.chunks import ChunkWriter, Output
@@ -49,7 +51,10 @@ class VideoFile:
 
     def __init__(self, file: Output, old: Part, *, crf: int, gop: int) -> None:
         self._old, self._crf, self._gop = old.contents, crf, gop
-        self._schemas = [_video_type()]
+        self._video_type, self._picture_type = (
+            _schema(1, foxglove.COMPRESSED_VIDEO),
+            _schema(2, foxglove.COMPRESSED_IMAGE),
+        )
         self._channels = [self._described(record) for record in old.contents.channels.values()]
         self._sizes: dict[str, tuple[int, int]] = {}
         self._decoder = JpegDecoder()
@@ -60,6 +65,8 @@ class VideoFile:
         self._writer.start(layout.PROFILE)
         for name in _HEAD:
             self._writer.write_metadata(name, old.contents.metadata.get(name, {}))
+        used = {channel.schema_id for channel in self._channels}
+        self._schemas = [each for each in (self._video_type, self._picture_type) if each.id in used]
         for record in (*self._schemas, *self._channels):
             self._writer.define(record)
 
@@ -70,7 +77,7 @@ class VideoFile:
             Unfit: its picture cannot be decoded, or is not of the size of those before it.
         """
         identity = b""
-        if message.channel.is_typed:
+        if becomes_video(message.channel):
             if self._counts[message.channel.id] == self._gop:
                 self.end_chunk()
             identity = self._encode(message)
@@ -109,10 +116,10 @@ class VideoFile:
     def _described(self, record: mcap.records.Channel) -> mcap.records.Channel:
         if record.message_encoding != layout.PROTOBUF:
             return record
-        return mcap.records.Channel(
-            record.id, record.topic, record.message_encoding, {**record.metadata, layout.VIDEO: pictures.VIDEO_FORMAT},
-            self._schemas[0].id,
-        )  # fmt: skip
+        is_video = becomes_video(channel_of(record))
+        metadata = {**record.metadata, layout.VIDEO: pictures.VIDEO_FORMAT} if is_video else record.metadata
+        schema_id = self._video_type.id if is_video else self._picture_type.id
+        return mcap.records.Channel(record.id, record.topic, record.message_encoding, metadata, schema_id)
 
     def _encode(self, message: Message) -> bytes:
         """Encode a picture and return which it is."""
@@ -139,6 +146,11 @@ class VideoFile:
         return in_planes(picture)
 
 
-def _video_type() -> Schema:
-    made = foxglove.schema(foxglove.COMPRESSED_VIDEO)
-    return Schema(id=1, name=made.name, encoding=schema.ENCODING, data=made.data)
+def becomes_video(channel: Channel) -> bool:
+    """Whether a channel of a file of pictures holds what becomes video: pictures, and no depth."""
+    return channel.is_typed and not channel.is_depth
+
+
+def _schema(number: int, name: str) -> Schema:
+    made = foxglove.schema(name)
+    return Schema(id=number, name=made.name, encoding=schema.ENCODING, data=made.data)

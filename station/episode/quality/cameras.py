@@ -9,8 +9,9 @@ neither one that is late nor a clock that drifts is taken for a hole.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
+import msgspec
 import numpy as np
 
 from station.bus import codec
@@ -25,8 +26,20 @@ from station.protocols import Floats
 
 def stated_hz(manifest: Manifest) -> dict[str, float]:
     """Return the rate that each camera gives by the word of its server, by its key [Hz]."""
-    stated = ((facts.get("key"), facts.get("fps")) for facts in (*manifest.cameras, *manifest.servers.values()))
+    told = (one for facts in (*manifest.cameras, *manifest.servers.values()) for one in pictures.stated(facts))
+    stated = ((facts.get("key"), facts.get("fps")) for facts in told)
     return {key: hz for key, fps in stated if isinstance(key, str) and (hz := codec.number(fps)) is not None and hz > 0}
+
+
+def told_apart(cameras: Sequence[CameraQuality]) -> list[CameraQuality]:
+    """Return the cameras whose times are worth a word: depth that came with each picture has those of its camera."""
+    times = {camera.name: msgspec.structs.replace(camera, name="", key="") for camera in cameras}
+    return [
+        camera
+        for camera in cameras
+        if not camera.name.endswith(pictures.DEPTH_ENDING)
+        or times.get(camera.name.removesuffix(pictures.DEPTH_ENDING)) != times[camera.name]
+    ]
 
 
 _FOLLOWED = 0.1
@@ -40,7 +53,7 @@ class CameraMeter:
     """Takes the messages of an episode with their stamps, and tells at the end what became of each camera's pictures.
 
     Args:
-        cameras: Key of each camera by its name, as `station.episode.reading.frames.cameras` gives them.
+        cameras: Key of each camera by its name, as `station.episode.reading.frames.all_pictures` gives them.
         stated_hz: Rate that each camera was set to, by its key, where that was stated; as `stated_hz` gives them.
     """
 

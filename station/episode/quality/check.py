@@ -270,7 +270,7 @@ class Measurements:
         self.motion = motion.meters(reader)
         self.arms = [arms.ArmMeter(robot) for robot in arms.robots(topics)]
         self.plausibility = plausibility.meters(reader, list(self.steps), is_lock_step=is_lock_step(reader.manifest))
-        cameras = frames.cameras(reader)
+        cameras = frames.all_pictures(reader)
         self._camera_keys = set(cameras.values())
         self.cameras = CameraMeter(cameras, stated_hz(reader.manifest))
         self.pictures = PictureMeter(reader)

@@ -239,6 +239,21 @@ class Seen(msgspec.Struct, frozen=True):
     first_s: float | None = None
 
 
+class DepthQuality(msgspec.Struct, frozen=True, kw_only=True):
+    """What depth pictures say beside their bytes.
+
+    Attributes:
+        measured_share: Mean share of the pixels looked at in which there is a depth, 0..1; None for no picture.
+        blind: Pictures looked at in which there is none at all.
+        blind_s, blind_at_s: Longest time from one such to the last one in a row, and when it began [s].
+    """
+
+    measured_share: float | None
+    blind: Seen
+    blind_s: float
+    blind_at_s: float | None
+
+
 class PictureQuality(msgspec.Struct, frozen=True, kw_only=True):
     """What the pictures of one camera are worth; `station.episode.quality.picture_contents` says how it is measured.
 
@@ -248,7 +263,7 @@ class PictureQuality(msgspec.Struct, frozen=True, kw_only=True):
         pictures: Pictures in the file.
         sizes: Their sizes [px] in the order in which they came, the first few.
         resized: Pictures of another size than the first one.
-        torn: Pictures that are no whole JPEG file.
+        torn: Pictures that are no whole JPEG file, of depth PNG file.
         repeats: Pictures that are the one before once more, byte for byte.
         moving: Pictures that were taken while joints surely moved.
         repeats_moving: How many of those are such repeats, outside of freezes (the same picture for 0.5 s and longer).
@@ -264,6 +279,7 @@ class PictureQuality(msgspec.Struct, frozen=True, kw_only=True):
         noise, turned, cut, relative_sharpness, focus_lost_s: Of `station.episode.quality.picture_views`.
         exchanged_with, exchanged_s: The camera that it changed places with in the middle, and when [s]; "" for none.
         first_view: Mean of the first pictures looked at, 12x12 bytes of grey in base64; "" for none.
+        depth: Of depth pictures, for which all between `unreadable` and this one stays empty; None for others.
     """
 
     name: str
@@ -296,6 +312,7 @@ class PictureQuality(msgspec.Struct, frozen=True, kw_only=True):
     exchanged_with: str = ""
     exchanged_s: float = 0.0
     first_view: str = ""
+    depth: DepthQuality | None = None
 
 
 class CameraSwap(msgspec.Struct, frozen=True):

@@ -4,6 +4,9 @@ Every picture is tried by its bytes: whether it is a whole JPEG file, of the siz
 the picture before once more, byte for byte. Two pictures a second of each camera (at most 600) are decoded
 too, in grey, at an eighth to a half of their size, beside the reading of the file.
 
+Of depth a picture is a whole PNG file if every chunk has its checksum. What its values are like says nothing of its
+worth, but for this: whether anything was measured at all.
+
 A sensor has noise and never gives the same bytes twice; a simulated camera may, before a robot that stands still. So a
 picture that stays the same counts against a camera only for the time in which joints surely moved, as
 `station.episode.quality.motion` measures it.
@@ -17,6 +20,7 @@ from array import array
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from types import TracebackType
 from typing import Any, NamedTuple
 
@@ -24,10 +28,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from station import jpeg
+from station import depth, jpeg
 from station.bus import codec
 from station.episode.quality import swapped_cameras
-from station.episode.quality.finding_parts import PictureQuality, Seen
+from station.episode.quality.finding_parts import DepthQuality, PictureQuality, Seen
 from station.episode.quality.picture_views import TILES, ViewMeter, exchanged, likeness
 from station.episode.reading import frames
 from station.episode.reading.messages import Ints, Message
@@ -73,12 +77,14 @@ class PictureMeter:
         self._start_ns = reader.start_ns
         apart_ns = _apart_ns(reader.manifest.timing.duration_s)
         videos = {channel.topic for channel in reader.channels() if channel.video}
+        depths = set(frames.depths(reader).values())
         self._cameras = {
-            key: _Camera(name, key, apart_ns, is_video=key in videos) for name, key in frames.cameras(reader).items()
+            key: _Camera(name, key, apart_ns, is_video=key in videos, is_depth=key in depths)
+            for name, key in frames.all_pictures(reader).items()
         }
         self._decoder, self._decode = decoder() if self._cameras else ("", _by_pillow)
         self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="pictures") if self._cameras else None
-        self._pending: deque[tuple[_Camera, int, Future[Look | None]]] = deque()
+        self._pending: deque[tuple[_Camera, int, Future[Look | float | None]]] = deque()
 
     def __enter__(self) -> PictureMeter:
         return self
@@ -96,7 +102,10 @@ class PictureMeter:
             return
         taken_ns = frames.captured_ns(message)
         if camera.feed(message.data, taken_ns) and self._pool is not None:
-            self._pending.append((camera, taken_ns, self._pool.submit(look, self._decode, message.data)))
+            task = (
+                partial(measured_share, message.data) if camera.is_depth else partial(look, self._decode, message.data)
+            )
+            self._pending.append((camera, taken_ns, self._pool.submit(task)))
             if len(self._pending) > _MOST_PENDING:
                 self._gather()
 
@@ -207,8 +216,9 @@ class _Runs:
 class _Camera:
     """The pictures of one camera so far."""
 
-    def __init__(self, name: str, key: str, apart_ns: int, *, is_video: bool) -> None:
+    def __init__(self, name: str, key: str, apart_ns: int, *, is_video: bool, is_depth: bool) -> None:
         self.name, self._key, self._apart_ns, self._is_video = name, key, apart_ns, is_video
+        self.is_depth, self._head = is_depth, depth.head if is_depth else jpeg.head
         self.views = ViewMeter()
         self.taken = array("q")
         self._last: bytes | None = None
@@ -221,6 +231,8 @@ class _Camera:
         self._before: Look | None = None
         self._brightness, self._sharpness = array("d"), array("d")
         self._first: list[Floats] = []
+        self._shares = array("d")
+        self._blind, self._blind_since_ns, self._longest_blind = _Tally(), 0, (0, 0)
 
     def feed(self, data: bytes, taken_ns: int) -> bool:
         """Add the next picture; return whether it is to be looked at."""
@@ -229,7 +241,7 @@ class _Camera:
         self._last = data
         self._repeats += is_repeat
         self._same_bytes.feed(taken_ns, is_repeat=is_repeat)
-        known = jpeg.head(data)
+        known = self._head(data)
         if known is None:
             self._torn.add(taken_ns)
             return False
@@ -243,13 +255,30 @@ class _Camera:
         self._due_ns = taken_ns + self._apart_ns
         return True
 
-    def add_look(self, taken_ns: int, look: Look | None) -> None:
-        """Add what a picture shows, in the order of the pictures; None for one that cannot be decoded."""
+    def add_look(self, taken_ns: int, look: Look | float | None) -> None:
+        """Add what a picture shows, of depth how much, in the order of the pictures; None for what is not decoded."""
         self._looks += 1
-        before, self._before = self._before, look
         if look is None:
+            self._before = None
             self._unreadable.add(taken_ns)
+        elif isinstance(look, float):
+            self._add_depth(taken_ns, look)
+        else:
+            self._add_colour(taken_ns, look)
+
+    def _add_depth(self, taken_ns: int, share: float) -> None:
+        self._shares.append(share)
+        if share > 0.0:
+            self._blind_since_ns = 0
             return
+        self._blind.add(taken_ns)
+        self._blind_since_ns = self._blind_since_ns or taken_ns
+        lasted_ns = taken_ns - self._blind_since_ns
+        if self._blind.count == 1 or lasted_ns > self._longest_blind[0]:
+            self._longest_blind = lasted_ns, self._blind_since_ns
+
+    def _add_colour(self, taken_ns: int, look: Look) -> None:
+        before, self._before = self._before, look
         self._brightness.append(look.mean)
         self._sharpness.append(look.sharpness)
         shows_nothing = look.is_black or look.is_white or look.is_flat
@@ -289,7 +318,7 @@ class _Camera:
             frozen_s=_s(frozen_ns),
             frozen_at_s=_s(frozen_from_ns - start_ns) if frozen_ns else None,
             looked_at=self._looks,
-            decoder=decoder_name,
+            decoder="pillow" if self.is_depth else decoder_name,
             unreadable=self._unreadable.seen(start_ns),
             black=self._black.seen(start_ns),
             white=self._white.seen(start_ns),
@@ -299,6 +328,16 @@ class _Camera:
             brightness=round(float(np.mean(self._brightness)), 1) if self._brightness else None,
             sharpness=round(float(np.median(self._sharpness)), 1) if self._sharpness else None,
             first_view=swapped_cameras.first_view(np.mean(self._first, axis=0)) if self._first else "",
+            depth=self._depth(start_ns) if self.is_depth else None,
+        )
+
+    def _depth(self, start_ns: int) -> DepthQuality:
+        lasted_ns, since_ns = self._longest_blind
+        return DepthQuality(
+            measured_share=round(float(np.mean(self._shares)), 4) if self._shares else None,
+            blind=self._blind.seen(start_ns),
+            blind_s=_s(lasted_ns),
+            blind_at_s=_s(since_ns - start_ns) if self._blind.count else None,
         )
 
 
@@ -352,6 +391,12 @@ def look(decode: Callable[[bytes], Grey | None], data: bytes) -> Look | None:
         is_cut=is_cut,
         pixels=grey.tobytes(),
     )
+
+
+def measured_share(data: bytes) -> float | None:
+    """Return the share of a depth picture in which anything was measured, 0..1; None for one that cannot be decoded."""
+    steps = depth.decoded(data)
+    return None if steps is None else float(np.count_nonzero(steps)) / steps.size
 
 
 def _sharpness(grey: Grey) -> float:

@@ -14,14 +14,12 @@ from itertools import pairwise
 from typing import Any, get_args
 
 from station.bus import codec, keys
-from station.bus.contracts import contract
-from station.contract import Contract
 from station.episode.quality.finding_parts import KeyPresence, Loss, LossKind, Silence
 from station.episode.quality.findings import StreamQuality
 from station.episode.quality.pauses import End
 from station.episode.reading.messages import Message
+from station.episode.storage import pictures
 from station.episode.storage.manifest import Manifest
-from station.episode.storage.pictures import FORMAT
 
 _BLEND_S = 5.0  # how long a server goes on commanding, towards standing, after it has said that its commands end
 _NEAR_S = 2.0  # a word that comes later than that after the last write does not say why there was none
@@ -110,9 +108,12 @@ def without_pictures(manifest: Manifest, seen: Iterable[str], heard: Heartbeats)
     """
     listed = {str(facts.get("key")) for facts in manifest.cameras}
     stated = {
-        str(facts.get("key")) for name, facts in manifest.servers.items() if name in heard.alive or not heard.alive
+        str(one.get("key"))
+        for name, facts in manifest.servers.items()
+        if name in heard.alive or not heard.alive
+        for one in pictures.stated(facts)
     }
-    return sorted(key for key in (listed | stated) - set(seen) if _is_camera(contract(key)))
+    return sorted(filter(pictures.is_picture, (listed | stated) - set(seen)))
 
 
 def silences(heard: Heartbeats) -> list[Silence]:
@@ -169,10 +170,6 @@ def _between(group: Sequence[StreamQuality]) -> Iterator[float]:
     for before, stream in pairwise(group):
         until_s = max(until_s, before.last_s)
         yield stream.first_s - until_s
-
-
-def _is_camera(found: Contract | None) -> bool:
-    return found is not None and found.codec == FORMAT
 
 
 def _state(heartbeat: bytes) -> object:

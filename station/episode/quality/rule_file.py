@@ -212,6 +212,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     camera_noise: MostShare
     camera_cut: MostShare
     camera_turned: Rule
+    camera_blind: Seconds
     cameras_swapped: Rule
     no_steps: Rule
     missing_keys: Rule

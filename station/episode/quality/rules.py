@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 
 from station.bus import keys
+from station.episode.quality.cameras import told_apart
 from station.episode.quality.finding_parts import KeyChanges, KeyPresence, Loss
 from station.episode.quality.findings import Interruption, Quality, Reason, StepQuality, StreamQuality, Verdict
 from station.episode.quality.rule_file import Ends, GradedRule, Limits, Rule
 from station.episode.quality.sensed_rules import GAP_PERIODS, SENSED, Finder
 from station.episode.quality.state_rules import PLAUSIBLE
 from station.episode.quality.timing import not_judged
+from station.episode.storage import pictures
 from station.episode.storage.file_hashes import words
 
 _JUDGED_ROLES = ("command", "state", "policy")
@@ -374,7 +376,7 @@ def _camera_at_an_end(
     quality: Quality, limit: Ends, missing_s: Callable[[KeyPresence], float], what: str
 ) -> Iterator[tuple[Verdict, str]]:
     of_key = {one.key: one for one in quality.presence}
-    for camera in quality.cameras:
+    for camera in told_apart(quality.cameras):
         one, periods_s = of_key.get(camera.key), GAP_PERIODS / (camera.nominal_hz or _ANY_HZ)
         if one is not None and missing_s(one) > max(limit.usable_above_s, periods_s):
             share = missing_s(one) / _length_s(quality)
@@ -423,7 +425,7 @@ def _no_pictures(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
     for key in quality.no_pictures:
         yield (
             "reject",
-            f"camera {key.removeprefix(keys.camera_image(''))}: its server lived, and there is no picture of it",
+            f"camera {pictures.title_of(key)}: its server lived, and there is no picture of it",
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from station.bus import keys
+from station.episode.quality.cameras import told_apart
 from station.episode.quality.finding_parts import PictureQuality, Seen
 from station.episode.quality.findings import Quality, Verdict
 from station.episode.quality.rule_file import Limits
@@ -17,7 +18,7 @@ _ANY_HZ = 1e9
 
 
 def _camera_drops(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
-    for camera in quality.cameras:
+    for camera in told_apart(quality.cameras):
         if camera.drop_share > limits.camera_drops.usable_above_share:
             verdict: Verdict = "reject" if camera.drop_share > limits.camera_drops.reject_above_share else "usable"
             text = f"camera {camera.name}: {camera.missing} of {camera.expected} pictures are missing"
@@ -25,7 +26,7 @@ def _camera_drops(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, s
 
 
 def _camera_gap(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
-    for camera in quality.cameras:
+    for camera in told_apart(quality.cameras):
         gap_s = camera.longest_gap_s or 0.0
         if gap_s > max(limits.camera_gap.usable_above_s, GAP_PERIODS / (camera.nominal_hz or _ANY_HZ)):
             verdict: Verdict = "reject" if gap_s > limits.camera_gap.reject_above_s else "usable"
@@ -33,7 +34,7 @@ def _camera_gap(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str
 
 
 def _camera_slow(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
-    for camera in quality.cameras:
+    for camera in told_apart(quality.cameras):
         if camera.rate_hz is None or camera.nominal_hz is None:
             continue
         if camera.rate_hz < limits.camera_slow.below_share * camera.nominal_hz:
@@ -104,7 +105,8 @@ def _camera_torn(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, st
     for found in quality.pictures:
         told = []
         if found.torn.count:
-            told.append(f"{_of(found.torn, found.pictures)} are no whole JPEG file")
+            form = "JPEG" if found.depth is None else "PNG"
+            told.append(f"{_of(found.torn, found.pictures)} are no whole {form} file")
         if found.unreadable.count:
             told.append(f"{_of(found.unreadable, found.looked_at)} looked at cannot be decoded")
         if told:
@@ -160,6 +162,14 @@ def _camera_turned(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]
     for found in quality.pictures:
         if found.turned.count:
             yield "usable", f"{_camera(found)}: turned upside down at {found.turned.first_s or 0.0:.2f} s"
+
+
+def _camera_blind(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
+    for found in quality.pictures:
+        if found.depth is not None and found.depth.blind_s > limits.camera_blind.usable_above_s:
+            verdict: Verdict = "reject" if found.depth.blind_s > limits.camera_blind.reject_above_s else "usable"
+            text = f"sees nothing for {found.depth.blind_s:.1f} s from {found.depth.blind_at_s or 0.0:.2f} s on"
+            yield verdict, f"{_camera(found)}: {text}, no pixel has a depth"
 
 
 def _cameras_swapped(quality: Quality, _: Limits) -> Iterator[tuple[Verdict, str]]:
@@ -222,6 +232,7 @@ SENSED: dict[str, Finder] = {
         "have a lower end of one colour, and the first ones none",
     ),
     "camera-turned": _camera_turned,
+    "camera-blind": _camera_blind,
     "cameras-swapped": _cameras_swapped,
     "misaligned": _misaligned,
     "idle-ends": _idle_ends,

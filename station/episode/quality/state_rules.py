@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from station.bus import keys
+from station.episode.quality.cameras import told_apart
 from station.episode.quality.finding_parts import Plausibility, ValueFaults
 from station.episode.quality.findings import Quality, Verdict
 from station.episode.quality.rule_file import Limits, Losses, MostFactor
@@ -241,7 +242,7 @@ def _reused_states(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, 
 
 def _camera_times(quality: Quality, limits: Limits) -> Iterator[tuple[Verdict, str]]:
     limit = limits.camera_times
-    for camera in quality.cameras:
+    for camera in told_apart(quality.cameras):
         p50, p99 = camera.age_p50_s or 0.0, camera.age_p99_s or 0.0
         if camera.ahead_s > limit.ahead_above_s:
             ahead = f"up to {camera.ahead_s * 1e3:.0f} ms before they were taken"

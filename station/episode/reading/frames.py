@@ -1,4 +1,4 @@
-"""The pictures of an episode: which cameras there are, and each frame with the time at which it was taken."""
+"""The pictures of an episode: which cameras there are, which depth, and each frame with the time it was taken at."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from station.bus import keys
+from station.contract import DEPTH_STEP_M
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
 from station.episode.storage import pictures
@@ -16,11 +17,11 @@ class Frame(NamedTuple):
     """One picture.
 
     Times are nanoseconds since the Unix epoch on the episode's clock: `captured_ns` when it was taken (when it was
-    written, where the camera does not say), `log_ns` arrival at the recorder. `jpeg` is the file, byte for byte;
-    of a compacted episode one that was made of its video.
+    written, where the camera does not say), `log_ns` arrival at the recorder. `data` is the file, byte for byte;
+    of a compacted episode one that was made of its video; of depth it is the PNG file.
     """
 
-    jpeg: bytes
+    data: bytes
     captured_ns: int
     log_ns: int
     sequence: int
@@ -31,17 +32,35 @@ def cameras(reader: EpisodeReader) -> dict[str, str]:
 
     Any key whose recorded contract says JPEG is one; a key that is not named as ours are is called by its whole name.
     """
-    found = {channel.topic for channel in reader.channels() if _is_camera(channel.contract)}
-    return {topic.removeprefix(keys.camera_image("")): topic for topic in sorted(found)}
+    return {topic.removeprefix(keys.camera_image("")): topic for topic in _topics(reader, pictures.COLOUR)}
+
+
+def depths(reader: EpisodeReader) -> dict[str, str]:
+    """Return the key of each camera's depth by the camera's name, sorted; its recorded contract says so."""
+    return {pictures.camera_of(topic): topic for topic in _topics(reader, pictures.DEPTH)}
+
+
+def all_pictures(reader: EpisodeReader) -> dict[str, str]:
+    """Return the keys of cameras and of their depth, by what they are called beside each other, sorted."""
+    found = {**cameras(reader), **{pictures.title_of(topic): topic for topic in depths(reader).values()}}
+    return dict(sorted(found.items()))
+
+
+def step_m(reader: EpisodeReader, topic: str) -> float:
+    """Return what a step of a key's depth pictures is, by its recorded contract [m]."""
+    said = (channel.contract.step_m for channel in reader.channels() if channel.topic == topic and channel.contract)
+    return next(filter(None, said), DEPTH_STEP_M)
 
 
 def optics(reader: EpisodeReader) -> tuple[dict[str, Optics], dict[str, str]]:
-    """Return the stated optics of each camera by its key; and of those that state what cannot be, why."""
+    """Return the stated optics of each key of pictures; and of those that state what cannot be, why."""
     found: dict[str, Optics] = {}
     why_not: dict[str, str] = {}
-    cameras_of = set(cameras(reader).values())
-    for facts in (*reader.manifest.cameras, *reader.manifest.servers.values()):
-        if isinstance(key := facts.get("key"), str) and key in cameras_of:
+    known = set(all_pictures(reader).values())
+    told = (one for facts in (*reader.manifest.cameras, *reader.manifest.servers.values())
+            for one in pictures.stated(facts))  # fmt: skip
+    for facts in told:
+        if isinstance(key := facts.get("key"), str) and key in known:
             try:
                 if any(stated := of_facts(facts)):
                     found[key] = stated
@@ -62,5 +81,6 @@ def captured_ns(message: Message) -> int:
     return pictures.captured_ns(message.publish_ns, message.stamp)
 
 
-def _is_camera(contract: object) -> bool:
-    return getattr(contract, "codec", None) == pictures.FORMAT
+def _topics(reader: EpisodeReader, form: str) -> list[str]:
+    """Return the keys whose recorded contracts say that they hold pictures of a format, sorted."""
+    return sorted({each.topic for each in reader.channels() if each.contract and each.contract.codec == form})

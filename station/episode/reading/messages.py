@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from station.contract import Contract
 from station.episode.storage import layout
 from station.episode.storage.channels import contract_of
+from station.episode.storage.pictures import DEPTH
 
 Ints = NDArray[np.int64]
 
@@ -54,6 +55,11 @@ class Channel(msgspec.Struct, frozen=True, kw_only=True):
     def is_typed(self) -> bool:
         """Whether the bytes of the key stand inside a typed message in the file."""
         return self.encoding == layout.PROTOBUF
+
+    @property
+    def is_depth(self) -> bool:
+        """Whether it holds depth pictures, by the contract that was recorded with it."""
+        return self.contract is not None and self.contract.codec == DEPTH
 
     @property
     def is_deletion(self) -> bool:

@@ -12,7 +12,7 @@ from station.contract import Contract
 from station.episode.storage import layout
 from station.episode.storage.channels import Channel, source_of, topic_of
 from station.episode.storage.manifest import Stream
-from station.episode.storage.pictures import is_picture
+from station.episode.storage.pictures import FORMATS, is_picture
 from station.life.events import Severity
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def is_bulky(key: str, size: int) -> bool:
     if size > _LARGEST_SIGNAL:
         return True
     known = contract(key)
-    return size > _BULKY_BYTES if known is None else known.codec == "jpeg"
+    return size > _BULKY_BYTES if known is None else known.codec in FORMATS
 
 
 def larger(one: Drops, other: Drops) -> Drops:

@@ -91,7 +91,9 @@ class Manifest(msgspec.Struct, kw_only=True):
         state: ``recording`` on disk without a live recorder means that the recorder was killed.
         servers: What every server stated on ``station:config:<name>``, by server name.
         cameras: Whose pictures there are, once it is closed: ``name``, ``key``, ``pictures``, size [px] and rate [Hz];
-            more of each stands in `servers`, by its ``key``. Of an imported recording, what is known of its cameras.
+            of depth also ``step_m``, what a step of it is [m], ``range_m``, ``is_aligned`` and ``intrinsics``, where
+            stated. More of each camera stands in `servers`, by its ``key``. Of an imported recording, what is known of
+            its cameras.
         motions: First statement of each motion file on a ``command_source`` key, with that key.
         runbook: Steps and answers, who and when, as the supervisor gave them.
         streams: Bounded; of a client that invents keys, the first ones, and how many more are in the signals.

@@ -1,4 +1,4 @@
-"""Pictures in a file: each one a ``foxglove.CompressedImage`` around the exact bytes of its key.
+"""Pictures in a file: each one a ``foxglove.CompressedImage`` around the exact bytes of its key, JPEG or depth as PNG.
 
 Of a compacted file each is a ``foxglove.CompressedVideo`` around a picture of H.264. Its field ``message_id`` tells
 pictures apart that the camera told apart: two in a row have the same where their JPEG files showed the same to the last
@@ -10,7 +10,9 @@ recorder. Numbers of fields are those of `station.protobuf.foxglove`.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
+from typing import Any
 
 from station.bus import keys
 from station.bus import stamp as stamps
@@ -18,8 +20,13 @@ from station.bus.contracts import contract
 from station.episode.storage.channels import topic_of
 from station.protobuf.wire import bytes_of, varint
 
-FORMAT = "jpeg"
+COLOUR, DEPTH = "jpeg", "png"
+"""Formats of pictures, as a contract's codec and a message have them: in colour, and depth in 16 bits."""
+FORMATS = (COLOUR, DEPTH)
 VIDEO_FORMAT = "h264"
+
+DEPTH_ENDING = "_depth"
+"""Of what the depth of a camera is called beside it."""
 
 _NANOSECONDS = 1_000_000_000
 _OLDEST_NS = 10 * _NANOSECONDS  # a capture that is older than this before its write is on another clock: says nothing
@@ -34,12 +41,35 @@ _VIDEO_FRAME_ID, _VIDEO_DATA, _VIDEO_FORMAT, _IDENTITY = b"\x12", b"\x1a", b"\x2
 def is_picture(key: str) -> bool:
     """Whether the values of a key are pictures, by its contract."""
     known = contract(key)
-    return known is not None and known.codec == FORMAT
+    return known is not None and known.codec in FORMATS
+
+
+@lru_cache(maxsize=4096)
+def is_depth(key: str) -> bool:
+    """Whether the values of a key are depth pictures, by its contract."""
+    known = contract(key)
+    return known is not None and known.codec == DEPTH
 
 
 def camera_of(key: str) -> str:
-    """Return the name of the camera whose pictures a key holds; a key that is not named as ours are is its own."""
-    return topic_of(key).removeprefix(keys.camera_image(""))
+    """Return the name of the camera whose pictures, or depth, a key holds; one not named as ours are is its own."""
+    return topic_of(key).removeprefix(keys.camera_image("")).removeprefix(keys.camera_depth(""))
+
+
+def title_of(key: str) -> str:
+    """Return what pictures of a key are called beside others: ``head`` in colour, ``head_depth`` for its depth."""
+    camera = camera_of(key)
+    return f"{camera}{DEPTH_ENDING}" if topic_of(key) == keys.camera_depth(camera) else camera
+
+
+def stated(facts: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """Yield what a server, or a manifest, states of each key of pictures: a camera's, then that of its depth.
+
+    What is not said of the depth is as of the camera's pictures: rate, optics, mount.
+    """
+    yield facts
+    if isinstance(depth := facts.get("depth"), Mapping):
+        yield {**{name: value for name, value in facts.items() if name != "depth"}, **depth}
 
 
 def captured_ns(publish_ns: int, stamp: bytes | None) -> int:
@@ -65,7 +95,7 @@ def stated_age_ns(stamp: bytes | None) -> int | None:
 
 def around(key: str, size: int, publish_ns: int, stamp: bytes | None) -> tuple[bytes, bytes]:
     """Return what stands before and behind a picture of a key, of so many bytes; times as in `captured_ns`."""
-    return _before(captured_ns(publish_ns, stamp), size), _behind(camera_of(key))
+    return _before(captured_ns(publish_ns, stamp), size), _behind(camera_of(key), DEPTH if is_depth(key) else COLOUR)
 
 
 def _before(taken_ns: int, size: int) -> bytes:
@@ -75,14 +105,14 @@ def _before(taken_ns: int, size: int) -> bytes:
 
 
 @lru_cache(maxsize=256)
-def _behind(camera: str) -> bytes:
+def _behind(camera: str, form: str) -> bytes:
     name = camera.encode()
-    return b"".join((_FORMAT, varint(len(FORMAT)), FORMAT.encode(), _FRAME_ID, varint(len(name)), name))
+    return b"".join((_FORMAT, varint(len(form)), form.encode(), _FRAME_ID, varint(len(name)), name))
 
 
-def compressed_image(jpeg: bytes, taken_ns: int, camera: str) -> bytes:
-    """Return a whole message: a picture, when it was taken [ns since the epoch], and whose it is."""
-    return _before(taken_ns, len(jpeg)) + jpeg + _behind(camera)
+def compressed_image(picture: bytes, taken_ns: int, camera: str, form: str = COLOUR) -> bytes:
+    """Return a whole message: a picture of a format, when it was taken [ns since the epoch], and whose it is."""
+    return _before(taken_ns, len(picture)) + picture + _behind(camera, form)
 
 
 def picture_in(message: bytes) -> bytes:

@@ -44,17 +44,23 @@ def close_manifest(manifest: Manifest, anchor: Anchor, totals: Totals) -> None:
 
 
 def _cameras(manifest: Manifest) -> list[dict[str, Any]]:
-    """Return whose pictures there are: name, key, how many, and size [px] and rate [Hz] as their servers state them."""
+    """Return whose pictures there are: name, key, how many, and what their servers state of each."""
     counts = Counter[str]()
     for stream in manifest.streams:
         counts[stream.key] += stream.count if pictures.is_picture(stream.key) else 0
-    stated = {str(facts.get("key")): facts for facts in manifest.servers.values()}
+    stated = {str(one.get("key")): one for facts in manifest.servers.values() for one in pictures.stated(facts)}
     return [
         {"name": pictures.camera_of(key), "key": key, "pictures": count}
-        | {name: stated[key][name] for name in ("width", "height", "fps") if name in stated.get(key, {})}
+        | {name: stated[key][name] for name in _said(key) if name in stated.get(key, {})}
         for key, count in sorted(counts.items())
         if count
     ]
+
+
+def _said(key: str) -> tuple[str, ...]:
+    """Return what is named of a camera, where it is stated: size [px] and rate [Hz]; of depth also what it needs."""
+    size = ("width", "height", "fps")
+    return (*size, "step_m", "range_m", "is_aligned", "intrinsics") if pictures.is_depth(key) else size
 
 
 def note_files(manifest: Manifest, folder: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from adapters.cameras.mujoco_g1 import MujocoCamera, intrinsics
 from adapters.robots.g1.mujoco_g1 import START_Q, START_ROOT_POS
-from station import rotations
+from station import depth, rotations
 from station.bus import codec
 from station.bus import stamp as stamps
 from station.bus.sample import Sample
@@ -154,6 +154,54 @@ def test_intrinsics_say_to_the_pixel_where_a_point_is_seen(tmp_path: Path) -> No
     assert len(rows) > 20
     np.testing.assert_allclose((columns.mean(), rows.mean()), expected, atol=0.5)
     assert mount.parent == "torso_link"
+
+
+def test_depth_says_to_the_millimetre_how_far_the_floor_is_along_the_optical_axis() -> None:
+    bus = Bus()
+    camera = made(bus, settings=PictureSettings(fps=200.0, width=160, height=120, depth=True))
+    bus.write(codec.f64(standing()))
+    picture = camera.read(5.0)
+    facts = camera.facts()
+    camera.close()
+    assert picture is not None
+    steps = depth.decoded(picture.depth)
+    assert steps is not None
+    assert steps.shape == pictures.decoded(picture.jpeg).shape[:2], "a pixel of the one is that of the other"
+    assert facts["depth"]["is_aligned"]
+    farthest_m = facts["depth"]["range_m"][1]
+
+    model = mujoco.MjModel.from_xml_path(str(G1))
+    data = mujoco.MjData(model)
+    data.qpos[:] = standing()
+    mujoco.mj_forward(model, data)
+    inner, mount = of_facts(facts)
+    assert inner is not None
+    assert mount is not None
+    torso = data.body(mount.parent)
+    turn = torso.xmat.reshape(3, 3)
+    height_m = (torso.xpos + turn @ mount.position_m)[2]
+    rows, columns = np.mgrid[0:120, 0:160]
+    rays = np.stack([(columns - inner.cx) / inner.fx, (rows - inner.cy) / inner.fy, np.ones_like(rows, float)], axis=-1)
+    down = -(rotations.rotate(mount.quat_wxyz, rays.reshape(-1, 3)) @ turn.T)[:, 2].reshape(rows.shape)
+    expected_m = np.divide(height_m, down, where=down > 0.0, out=np.full(down.shape, np.inf))
+    seen_m = depth.in_metres(steps, facts["depth"]["step_m"])
+    floor = (expected_m > 0.8) & (expected_m < 3.0)
+    assert floor.sum() > 3000
+    wrong_m = np.abs(seen_m - expected_m)[floor]
+    assert np.median(wrong_m) < 0.001
+    assert np.percentile(wrong_m, 95) < 0.01, "but for the robot's own arms, where they are in view"
+    assert (steps[expected_m > 1.1 * farthest_m] == 0).all(), "the sky, and what is too far"
+
+
+def test_of_a_camera_without_depth_none_is_told() -> None:
+    bus = Bus()
+    camera = made(bus)
+    bus.write(codec.f64(standing()))
+    picture = camera.read(5.0)
+    assert picture is not None
+    assert picture.depth == b""
+    assert "depth" not in camera.facts()
+    camera.close()
 
 
 def test_intrinsics_of_a_right_angle() -> None:

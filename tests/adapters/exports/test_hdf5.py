@@ -25,7 +25,7 @@ from station.export.kind import Source
 from station.export.run import Exported, Workers, export, preview
 from tests.episode.arm_run import ArmRun
 from tests.episode.synthetic import ROBOT, EpisodeBuilder, tick
-from tests.export.pictured import HEAD, OPTICS, jpeg, number_in, shoot, walked
+from tests.export.pictured import DEPTH, HEAD, OPTICS, jpeg, number_in, shoot, walked
 from tests.faults.disks import small_disk
 
 pytestmark = pytest.mark.usefixtures("processes")
@@ -64,6 +64,47 @@ def shown(time_ns: Any) -> list[int]:
 
 def decoded(row: Any) -> Any:
     return np.array(Image.open(io.BytesIO(row.tobytes())))
+
+
+@pytest.mark.parametrize(
+    ("layout", "path", "shape"),
+    [("robomimic", "obs/head_depth", (47, 81, 1)), ("act", "observations/images_depth/head", (47, 81))],
+)
+def test_depth_stands_beside_pictures_in_the_steps_of_the_camera(
+    tmp_path: Path, layout: str, path: str, shape: tuple[int, ...]
+) -> None:
+    facts = {"servers": {"head": {"key": HEAD, **OPTICS, "depth": {"key": DEPTH, "step_m": 0.001}}}}
+    source = walked(tmp_path / "data", seconds=0.6, has_depth=True, manifest=facts)
+    done = exported([source], out := tmp_path / "out", fps=30, layout=layout)
+    with h5py.File(out / ("dataset.hdf5" if layout == "robomimic" else "episode_0.hdf5")) as file:
+        group = file["data/demo_0"] if layout == "robomimic" else file
+        found = group[path]
+        assert (found.dtype, found.shape[1:]) == (np.uint16, shape)
+        assert found[:, 0].max() == 0, "no depth stays none"
+        assert (found[:, 9, 9].ravel() - 1000).tolist() == shown(group["time_ns"])
+        assert (found.attrs["unit"], found.attrs["step"], found.attrs["no_depth"]) == ("m", 0.001, 0)
+        assert json.loads(found.attrs["intrinsics"]) == OPTICS["intrinsics"]
+        if layout == "act":
+            assert group["compress_len"].shape == (1, len(found)), "of pictures in colour alone"
+    page = (out / "README.md").read_text()
+    assert f"| `{path}` | {DEPTH}, 81x47, depth, uint16, 0.001 m, 0: none |" in page
+    if layout == "robomimic":
+        config = json.loads(page.split("```json")[1].split("```")[0])
+        assert config["observation"]["modalities"]["obs"]["depth"] == ["head_depth"]
+    assert done.facts["cameras"] == ["head", "head_depth"]
+
+
+def test_who_wants_one_camera_gets_its_depth_and_who_wants_none_gets_none(tmp_path: Path) -> None:
+    source = walked(tmp_path / "data", seconds=0.4, has_depth=True)
+    for number, (camera, found) in enumerate(((("head",), ["head", "head_depth"]), (("none",), []))):
+        assert exported([source], tmp_path / str(number), camera=camera).facts["cameras"] == found
+
+
+def test_an_episode_without_the_depth_of_the_first_one_is_not_in_it_and_the_reason_says_so(tmp_path: Path) -> None:
+    sources = [walked(tmp_path / "data", number, seconds=0.4, has_depth=number == 1) for number in (1, 2)]
+    done = exported(sources, tmp_path / "out")
+    (failed,) = done.failed
+    assert "no camera 'head_depth' in it" in failed.reason
 
 
 def test_robomimic_finds_demos_masks_and_attributes_where_its_loader_looks(tmp_path: Path) -> None:

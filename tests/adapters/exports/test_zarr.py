@@ -22,7 +22,7 @@ from station.export.kind import Source
 from station.export.run import Exported, Workers, export, preview
 from tests.adapters.exports.test_hdf5 import lerobot_rows, picture, shown, source_of
 from tests.episode.synthetic import ROBOT, EpisodeBuilder, tick
-from tests.export.pictured import HEAD, OPTICS, number_in, shoot, walked
+from tests.export.pictured import DEPTH, HEAD, OPTICS, number_in, shoot, walked
 from tests.faults.disks import small_disk
 
 pytestmark = pytest.mark.usefixtures("processes")
@@ -62,6 +62,21 @@ def test_rows_of_all_episodes_stand_behind_each_other_and_are_those_of_a_lerobot
     assert data["time_ns"][:].tolist() == rows["time_ns"].tolist()
     assert (data["head"].dtype, data["head"].shape[1:]) == (np.uint8, (96, 160, 3))
     assert [number_in(one) for one in data["head"][:]] == shown(rows["time_ns"])
+
+
+def test_depth_is_an_array_of_its_own_in_the_steps_of_the_camera(tmp_path: Path) -> None:
+    sources = [walked(tmp_path / "data", number, seconds=0.4, has_depth=True) for number in (1, 2)]
+    exported(sources, out := tmp_path / "out", fps=30)
+    data = opened(out)["data"]
+    found = data["head_depth"]
+    assert (found.dtype, found.shape[1:], found.chunks) == (np.uint16, (47, 81), (1, 47, 81))
+    assert (found[:, 9, 9] - 1000).tolist() == shown(data["time_ns"][:])
+    assert {name: found.attrs[name] for name in ("key", "unit", "step", "no_depth")} == {
+        "key": DEPTH, "unit": "m", "step": 0.001, "no_depth": 0,
+    }  # fmt: skip
+    page = (out / "README.md").read_text()
+    assert '"head_depth"]' in page
+    assert f"| `data/head_depth` | {DEPTH}, 81x47, depth, uint16, 0.001 m, 0 for none |" in page
 
 
 def test_the_buffer_says_what_its_numbers_and_episodes_are(tmp_path: Path) -> None:

@@ -15,10 +15,12 @@ import av
 import numpy as np
 import pytest
 from av.video.frame import PictureType
+from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 from PIL import Image
 
+from station import depth
 from station.bus.tap import Write
 from station.episode.compacting.compact import compact, compared
 from station.episode.quality.check import check, write_measured
@@ -34,6 +36,7 @@ from station.episode.writing.repair import repair
 from station.errors import EpisodeError, StationError
 from tests.enrich.read_back import decoded
 from tests.episode.compacting.two_files import in_two_files
+from tests.episode.depth_scenes import DEPTH, steps
 from tests.episode.filming import HEAD, WRIST, Scene, film
 from tests.episode.scenes import Shot, file_of, filmed, noise, noisy, scene
 from tests.killed_at import killed_at
@@ -142,7 +145,7 @@ def test_colours_and_brightness_stay_however_a_camera_samples_them(tmp_path: Pat
     picture.save(stream, "JPEG", quality=95, **({} if kind == "grey" else {"subsampling": kind}))
     folder = record(tmp_path, [stream.getvalue()] * 12)
     assert compact(folder, tmp_path, crf=16).state == "compacted"
-    (shown, *_) = [frame.jpeg for frame in frames(open_episode(folder), HEAD)]
+    (shown, *_) = [frame.data for frame in frames(open_episode(folder), HEAD)]
     assert psnr(stream.getvalue(), shown) > 36.0
     assert np.abs((rgb(shown) - rgb(stream.getvalue())).mean(axis=(0, 1))).max() < 1.0
 
@@ -314,7 +317,7 @@ def test_a_compacted_file_that_was_damaged_loses_one_chunk_and_keeps_the_stamps_
     taken = [frame.captured_ns for frame in frames(open_episode(folder), HEAD)]
     compact(folder, tmp_path, gop=GOP)
     cameras = folder / "cameras.mcap"
-    shown = [frame.jpeg for frame in frames(open_episode(folder), HEAD)]
+    shown = [frame.data for frame in frames(open_episode(folder), HEAD)]
     data = bytearray(cameras.read_bytes())
     place = walk(cameras).chunks[1]
     data[place.offset + place.length // 2] ^= 1
@@ -323,7 +326,7 @@ def test_a_compacted_file_that_was_damaged_loses_one_chunk_and_keeps_the_stamps_
     kept = [*range(GOP), *range(2 * GOP, 40)]
     found = list(frames(open_episode(folder), HEAD))
     assert [frame.captured_ns for frame in found] == [taken[number] for number in kept]
-    assert [frame.jpeg for frame in found] == [shown[number] for number in kept]
+    assert [frame.data for frame in found] == [shown[number] for number in kept]
     assert compact(folder, tmp_path).state == "current"
 
 
@@ -331,10 +334,10 @@ def test_a_compacted_file_that_was_cut_off_keeps_its_whole_chunks_and_is_known_a
     folder = record(tmp_path, [jpeg(number) for number in range(40)])
     compact(folder, tmp_path, gop=GOP)
     cameras = folder / "cameras.mcap"
-    shown = [frame.jpeg for frame in frames(open_episode(folder), HEAD)]
+    shown = [frame.data for frame in frames(open_episode(folder), HEAD)]
     cameras.write_bytes(cameras.read_bytes()[: walk(cameras).chunks[2].offset + 30])
     repair(folder)
-    assert [frame.jpeg for frame in frames(open_episode(folder), HEAD)] == shown[: 2 * GOP]
+    assert [frame.data for frame in frames(open_episode(folder), HEAD)] == shown[: 2 * GOP]
     assert compact(folder, tmp_path).state == "current"
     manifest = load_manifest(folder)
     manifest.compacted = None  # of somebody who wrote it anew
@@ -355,7 +358,7 @@ def test_a_check_of_the_video_says_of_repeats_what_one_of_the_jpeg_files_said(
     (before,) = check(open_episode(folder)).pictures
     assert compact(folder, tmp_path, crf=30).state == "compacted"
     reader = open_episode(folder)
-    pixels = [rgb(frame.jpeg).tobytes() for frame in frames(reader, HEAD)]
+    pixels = [rgb(frame.data).tobytes() for frame in frames(reader, HEAD)]
     assert sum(one == other for one, other in pairwise(pixels)) > 20
     (after,) = check(reader).pictures
     assert (before.repeats, after.repeats) == (repeats, repeats)
@@ -381,6 +384,37 @@ def test_a_verdict_on_other_files_stands_no_more_than_before(episode: Episode, f
     compact(episode.folder, episode.data)
     assert stands(open_episode(episode.folder)) is None
     assert note_of(episode.folder).verdict == ""
+
+
+def test_depth_stays_as_it_was_byte_for_byte_and_says_so(tmp_path: Path) -> None:
+    shots, folder = Scene(), tmp_path / "walk" / "2026-11-21-g1-walk-0001"
+    batches: list[list[Write]] = []
+    for number in range(3 * GOP):
+        picture = shots.picture(data=jpeg(number))
+        batches.append([picture, picture._replace(key=DEPTH, value=depth.encoded(steps(number)))])
+    film(folder, batches, shots.anchor)
+    before = [message for message in messages(folder) if message.topic == DEPTH]
+    done = compact(folder, tmp_path, gop=GOP)
+    assert (done.state, done.kept, done.pictures) == ("compacted", [DEPTH], 3 * GOP)
+    assert set(note_of(folder).cameras) == {HEAD}
+    after = [message for message in messages(folder) if message.topic == DEPTH]
+    assert [message[1:5] for message in after] == [message[1:5] for message in before]
+    assert [message.stamp for message in after] == [message.stamp for message in before]
+    assert {message.channel.video for message in after} == {""}
+    with (folder / "cameras.mcap").open("rb") as file:
+        kinds = {channel.topic: kind.name for kind, channel, _ in make_reader(file).iter_messages() if kind is not None}
+    assert kinds == {HEAD: "foxglove.CompressedVideo", DEPTH: "foxglove.CompressedImage"}
+    assert compact(folder, tmp_path).state == "current"
+    assert check(open_episode(folder)).pictures[1].torn.count == 0
+
+
+def test_an_episode_with_depth_alone_is_left_as_it_is(tmp_path: Path) -> None:
+    shots, folder = Scene(), tmp_path / "walk" / "2026-11-21-g1-walk-0001"
+    film(folder, [[shots.picture(key=DEPTH, data=depth.encoded(steps(n)))] for n in range(5)], shots.anchor)
+    before = (folder / "cameras.mcap").read_bytes()
+    done = compact(folder, tmp_path)
+    assert (done.state, done.kept) == ("no-pictures", [DEPTH])
+    assert (folder / "cameras.mcap").read_bytes() == before
 
 
 def test_without_pyav_a_compacted_episode_is_counted_and_whoever_looks_is_told_what_to_install(

@@ -152,7 +152,7 @@ def test_pictures_of_older_episodes_which_are_among_the_signals_are_read_all_the
     for number in range(10):
         builder.write({HEAD: jpeg(number)}, at_s=0.1 + number / 30, writer="camera")
     reader = open_episode(builder.finish())
-    assert [frame.jpeg for frame in frames(reader, HEAD)] == [jpeg(number) for number in range(10)]
+    assert [frame.data for frame in frames(reader, HEAD)] == [jpeg(number) for number in range(10)]
     assert [camera.frames for camera in check(reader).cameras] == [10]
     assert {stream.file for stream in show(reader).streams} == {"signals.mcap"}
 
