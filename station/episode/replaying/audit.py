@@ -23,8 +23,9 @@ from typing import Any
 
 import msgspec
 
-from station import assets, registry
+from station import assets
 from station.bus import codec, keys
+from station.command_formats import command_format
 from station.contract import Contract
 from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
@@ -40,7 +41,7 @@ from station.episode.replaying.recorded_policy import (
 )
 from station.episode.replaying.target_audit import TargetReplay
 from station.errors import EpisodeError
-from station.protocols import CommandFormat, Floats, Floats32, Policy, RobotState
+from station.protocols import Floats, Floats32, Policy, RobotState
 
 _COMPARED = (
     keys.policy_obs, keys.policy_action, keys.command_used, keys.command_gate, keys.policy_timing, keys.target,
@@ -342,8 +343,8 @@ class _Run:
         self._knows_past |= driving != self._driving and driving == self._heard
         if driving not in self.drove:
             self.drove.append(driving)
-            command_format: CommandFormat = registry.find("command", self.load(driving).spec.command)
-            self._command_size = len(command_format.default)
+            followed = command_format(self.load(driving).spec.command, self.robot)
+            self._command_size = len(followed.default)
         self._driving, self.policy = driving, self.load(driving)
         return listening
 
