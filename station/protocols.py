@@ -167,6 +167,7 @@ class PolicySpec:
         observation_size, action_size: Lengths of its input and output.
         command_lower, command_upper: Range of each element of the command that it was trained on, shape (m,); what is
             beyond is clamped and told. Only of a format for any robot (`ForAnyRobot`); None for the format's own.
+        needs_root_velocity: Whether it uses `RobotState.root_lin_vel`, which not every robot measures.
     """
 
     name: str
@@ -183,6 +184,7 @@ class PolicySpec:
     action_size: int
     command_lower: Floats | None = None
     command_upper: Floats | None = None
+    needs_root_velocity: bool = False
 
 
 class Policy(Protocol):

@@ -52,6 +52,7 @@ class VelocityFollower:
     OBSERVATION: ClassVar[int]
     RANGE: ClassVar[tuple[tuple[float, float], ...]]
     """Velocities that it was trained on: vx, vy [m/s], yaw rate [rad/s]."""
+    NEEDS_ROOT_VELOCITY: ClassVar[bool] = False
 
     def __init__(self, checkpoint: Path) -> None:
         path = Path(checkpoint)
@@ -61,6 +62,7 @@ class VelocityFollower:
             name=self.NAME, checkpoint=path, sha256=sha256(path), runtime=runtime, rate_hz=50.0, command=FORMAT.name,
             joint_names=self.JOINTS, default_q=self.DEFAULT_Q, kp=kp, kd=kd,
             observation_size=self.OBSERVATION, action_size=len(self.JOINTS), command_lower=lower, command_upper=upper,
+            needs_root_velocity=self.NEEDS_ROOT_VELOCITY,
         )  # fmt: skip
         self.reset()
 

@@ -126,6 +126,8 @@ class Rig(msgspec.Struct, frozen=True):
         """Return what is published at the start of a tick, by key: the state, what stock programs read, the truth."""
         name = self.command_format.robot
         values = {keys.robot_state(name): codec.f64(np.concatenate([state.q, state.dq, state.quat_wxyz, state.gyro]))}
+        if self.policy.spec.needs_root_velocity and state.root_lin_vel is not None:
+            values[keys.root_velocity(name)] = codec.f64(state.root_lin_vel)
         if self.kind.values is not None:
             driving = self.policy.policy if isinstance(self.policy, PolicySwitch) else self.policy
             values |= self.kind.values(state, driving, name)
