@@ -19,6 +19,7 @@ import msgspec
 from station import assets, registry
 from station.bus import codec, contracts, keys
 from station.bus.watch import Watch
+from station.command_formats import command_format, expect_robot
 from station.errors import ConfigError, Refused
 from station.life.estop import StopWatch
 from station.life.loop import real_time
@@ -45,6 +46,7 @@ class MotionConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     Attributes:
         motion: The motion file, a path or ``collection:path``.
         format: Registered name of the command format.
+        robot: Which robot it commands, by the end of its keys; only for a format that is for any (``velocity``).
         fps: Frames per second, in place of what the file says.
         holes: What is done with bad frames between good ones.
         rate_hz: Commands per second [Hz]; with ``pace: state`` the time that one robot state stands for.
@@ -64,6 +66,7 @@ class MotionConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     motion: str
     format: Annotated[str, registry.named("command")] = "twist2"
+    robot: str = ""
     fps: float | None = None
     holes: Literal["refuse", "bridge"] = "refuse"
     rate_hz: float = 50.0
@@ -83,6 +86,7 @@ class MotionConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     def __post_init__(self) -> None:
         registry.expect("command", self.format)
+        expect_robot(self.format, self.robot)
         if not 10.0 <= self.rate_hz <= 500.0:
             raise ValueError(f"rate_hz is {self.rate_hz:g}; expected 10 to 500 Hz (TWIST and TWIST2 expect 50)")
         for name in ("enter_s", "leave_s", "seek_s", "ease_s"):
@@ -105,7 +109,7 @@ def _expect_motion(config: MotionConfig) -> None:
 
 def main(config: MotionConfig, life: Life) -> int:
     """Load the motion, play it, leave in the default pose; return the exit code."""
-    command: CommandFormat = registry.find("command", config.format)
+    command = command_format(config.format, config.robot)
     if staying := [part.name for part in parts_of(command) if part.holds_position]:
         raise ConfigError(
             f"format {config.format!r}: {', '.join(staying)} rests where it is, and has no pose to begin a motion from"

@@ -32,6 +32,7 @@ class RobotState:
         quat_wxyz: Orientation of the root in the world, shape (4,).
         gyro: Angular velocity in the root frame, shape (3,) [rad/s].
         root_pos: Position of the root in the world, shape (3,) [m]; None where nothing measures it.
+        root_lin_vel: Velocity of the root, in the root frame, shape (3,) [m/s]; None where nothing measures it.
     """
 
     mono_ns: int
@@ -40,6 +41,7 @@ class RobotState:
     quat_wxyz: Floats
     gyro: Floats
     root_pos: Floats | None = None
+    root_lin_vel: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +165,9 @@ class PolicySpec:
         default_q: Joint positions at action zero, shape (n,) [rad].
         kp, kd: Gains, shape (n,).
         observation_size, action_size: Lengths of its input and output.
+        command_lower, command_upper: Range of each element of the command that it was trained on, shape (m,); what is
+            beyond is clamped and told. Only of a format for any robot (`ForAnyRobot`); None for the format's own.
+        needs_root_velocity: Whether it uses `RobotState.root_lin_vel`, which not every robot measures.
     """
 
     name: str
@@ -177,6 +182,9 @@ class PolicySpec:
     kd: Floats
     observation_size: int
     action_size: int
+    command_lower: Floats | None = None
+    command_upper: Floats | None = None
+    needs_root_velocity: bool = False
 
 
 class Policy(Protocol):
@@ -353,4 +361,13 @@ class CommandFormat(Protocol):
 
     def encode(self, reference: Reference, joint_names: tuple[str, ...]) -> Floats:
         """Return the vector that asks for a reference whose joints are named, shape (m,)."""
+        ...
+
+
+@runtime_checkable
+class ForAnyRobot(Protocol):
+    """A command format that any robot may take (velocities): registered without a robot, so with no key of its own."""
+
+    def for_robot(self, robot: str, lower: Floats | None = None, upper: Floats | None = None) -> CommandFormat:
+        """Return it as one robot takes it, by the suffix of its keys, within a range, shape (m,); None for its own."""
         ...

@@ -18,7 +18,7 @@ from station.control.control import ControlStep, Resettable, StepRecord
 from station.control.gate import GateConfig
 from station.control.parted_path import samples_of
 from station.control.rig import Rig, RigConfig, build
-from station.control.tracking import TrackingError
+from station.control.tracking import TrackingError, VelocityFound, VelocityTracking
 from station.motion.playback import Frame, Playback
 from station.protocols import CommandFormat, Motion, Policy, Robot
 
@@ -32,6 +32,7 @@ class Rehearsal(msgspec.Struct, frozen=True, kw_only=True):
         fell_at_s: Motion time of the fall [s], or None.
         mean_joint_error_rad: As in `station.control.tracking`; None when it fell before the motion played.
         mean_root_height_error_m: Likewise [m].
+        velocity: Likewise; None where no velocity of the base is commanded.
         seconds: Simulated time, blends included [s].
         speed_x_realtime: Simulated time over wall time, loading left out.
     """
@@ -41,6 +42,7 @@ class Rehearsal(msgspec.Struct, frozen=True, kw_only=True):
     fell_at_s: float | None
     mean_joint_error_rad: float | None
     mean_root_height_error_m: float | None
+    velocity: VelocityFound | None
     seconds: float
     speed_x_realtime: float
 
@@ -78,6 +80,7 @@ def rehearse(
     control = ControlStep(robot, policy, command_format, gate=gate)
     playback = Playback(motion, command_format, lead_s=lead_s)
     error = TrackingError(names_of(command_format.elements), robot.joint_names)
+    velocity = VelocityTracking(names_of(command_format.elements), period_s)
     started_s = time.perf_counter()
     tick, fell_at_s = 0, None
     while not playback.is_done and fell_at_s is None:
@@ -87,6 +90,8 @@ def rehearse(
         if frame.phase == "playing" and record.decision.state == "tracking":
             root = record.state.root_pos
             error.add(record.state.q, record.decision.vector, None if root is None else float(root[2]))
+            if root is not None:
+                velocity.add(tick, tick * period_s, record.decision.vector, root, record.state.quat_wxyz)
         if record.fall is not None:
             fell_at_s = frame.time_s
         if on_step is not None:
@@ -97,6 +102,7 @@ def rehearse(
         fell_at_s=fell_at_s,
         mean_joint_error_rad=error.mean_joint_error_rad,
         mean_root_height_error_m=error.mean_root_height_error_m,
+        velocity=velocity.found(),
         seconds=tick * period_s,
         speed_x_realtime=tick * period_s / (time.perf_counter() - started_s),
     )

@@ -28,6 +28,8 @@ class RobotKind(msgspec.Struct, frozen=True, kw_only=True):
             positions of its joints.
         checkpoint: That policy's file for this robot; "" for the policy's own default.
         is_default: Whether it is taken where no robot is named; one of all is.
+        robot_name: Suffix of its keys where its policy follows commands that are for any robot; "" for a robot that
+            follows none of those. Commands for one robot have its name.
     """
 
     name: str
@@ -40,6 +42,7 @@ class RobotKind(msgspec.Struct, frozen=True, kw_only=True):
     policy: str
     checkpoint: str = ""
     is_default: bool = False
+    robot_name: str = ""
 
     def typed(self, options: Mapping[str, Any]) -> Any:
         """Return settings as its type has them.

@@ -11,6 +11,7 @@ from adapters.drivers.hands import HandsDriver, HandsOptions
 from adapters.drivers.jog import JogDriver
 from adapters.drivers.joints import JointsDriver, JointsOptions
 from adapters.drivers.neck import SCALE
+from adapters.drivers.velocity import VelocityDriver, VelocityOptions
 from adapters.drivers.walk import WalkDriver
 from station.operator.driver import Driver, DriverKind
 
@@ -119,4 +120,16 @@ JOINTS = DriverKind(
     summary="joints follow those of a leader arm",
     options=JointsOptions,
     make=lambda options, operator: JointsDriver(options),
+)
+VELOCITY = DriverKind(
+    name="velocity",
+    summary="sticks, keys or a twist say how fast a robot on legs goes and turns",
+    options=VelocityOptions,
+    make=lambda options, operator: VelocityDriver(options),
+    moves={
+        "keyboard": "w s forwards and back, a d turn, j l sideways",
+        "gamepad": "left stick forwards and sideways, right stick turns",
+        "pico": "left stick forwards and sideways, right stick turns",
+        "spacemouse": "pushed forwards, back and sideways, twisted to turn",
+    },
 )

@@ -28,10 +28,7 @@ class Sticks:
 
     def wish(self, controls: Mapping[str, float], dt_s: float) -> VelocityCommand:
         """Return what controls ask for after a period [s]; one that is missing rests."""
-        return self.deflected(
-            summed(controls, _FORWARD), summed(controls, _LEFT), summed(controls, _TURN_LEFT),
-            summed(controls, _UP), dt_s,
-        )  # fmt: skip
+        return self.deflected(*deflections(controls), dt_s)
 
     def deflected(self, forward: float, left: float, turn_left: float, up: float, dt_s: float) -> VelocityCommand:
         """Return what deflections from -1 to 1 ask for after a period [s]."""
@@ -44,6 +41,12 @@ class Sticks:
     def rest(self) -> VelocityCommand:
         """Return the wish to stand, as high as before."""
         return VelocityCommand(height=self.height)
+
+
+def deflections(controls: Mapping[str, float]) -> tuple[float, float, float, float]:
+    """Return how far controls are deflected forward, to the left, to turn left, and up."""
+    forward, left, turn_left, up = (summed(controls, signs) for signs in (_FORWARD, _LEFT, _TURN_LEFT, _UP))
+    return forward, left, turn_left, up
 
 
 def summed(controls: Mapping[str, float], signs: Mapping[str, float]) -> float:

@@ -13,7 +13,7 @@ import os
 import re
 from pathlib import Path
 
-from adapters.motions import builtin
+from adapters.motions import builtin, velocities
 from adapters.motions.bad_frames import Holes, mend
 from adapters.motions.clip import Clip
 from adapters.motions.raw import RawMotion
@@ -31,7 +31,8 @@ def load(reference: str | os.PathLike[str], *, holes: Holes = "refuse", fps: flo
     """Read a motion, trim or bridge its bad frames, make it a clip, and change it as its reference says.
 
     Args:
-        reference: A path, ``collection:path`` below ``$STATION_ASSETS``, or ``builtin:NAME``; changes may follow.
+        reference: A path, ``collection:path`` below ``$STATION_ASSETS``, ``builtin:NAME`` or ``velocity:NAME``; changes
+            may follow.
         holes: What is done with bad frames between good ones: ``refuse`` or ``bridge``.
         fps: Frames per second, in place of what the file says (a ``.csv`` says nothing: 30).
 
@@ -42,7 +43,8 @@ def load(reference: str | os.PathLike[str], *, holes: Holes = "refuse", fps: flo
     """
     text = os.fspath(reference)
     found = _CHANGES.search(text)
-    motion: Motion = _clip(text[: found.start()] if found else text, holes, fps)
+    plain = text[: found.start()] if found else text
+    motion = velocities.script(plain) if velocities.is_named(plain) else _read(plain, holes, fps)
     for change in found[0][1:].split("#") if found else ():
         motion = _changed(motion, change)
     return motion
@@ -57,12 +59,21 @@ def expect(reference: str | os.PathLike[str]) -> None:
     plain = _CHANGES.sub("", os.fspath(reference))
     if builtin.is_named(plain):
         builtin.expect(plain)
+    elif velocities.is_named(plain):
+        velocities.path_of(plain)
     else:
         _reader_of(assets.resolve(plain))
 
 
-def _clip(plain: str, holes: Holes, fps: float | None) -> Clip:
-    raw = builtin.make(plain) if builtin.is_named(plain) else _read(plain, fps)
+def _read(plain: str, holes: Holes, fps: float | None) -> Motion:
+    if builtin.is_named(plain):
+        return _clip(plain, builtin.make(plain), holes)
+    path = assets.resolve(plain)
+    found: RawMotion | Motion = registry.find("motion", _reader_of(path))(path, fps=fps)
+    return _clip(plain, found, holes) if isinstance(found, RawMotion) else found
+
+
+def _clip(plain: str, raw: RawMotion, holes: Holes) -> Clip:
     good, report = mend(raw, holes=holes)
     for line in report.lines():
         log.warning("%s: %s", raw.path.name, line)
@@ -92,16 +103,14 @@ def _changed(motion: Motion, change: str) -> Motion:
             f"{motion.name}#{change}: {what} is {text!r}; expected a number, for example {example}"
         ) from None
     if what == "retarget":
+        if not motion.joint_names:
+            raise UsageError(
+                f"{motion.name}#{change}: it says velocities and no joints, which is all that a person shows"
+            )
         from adapters.retarget.played import imitated
 
         return imitated(motion, value)
     return retimed(motion, value)
-
-
-def _read(plain: str, fps: float | None) -> RawMotion:
-    path = assets.resolve(plain)
-    raw: RawMotion = registry.find("motion", _reader_of(path))(path, fps=fps)
-    return raw
 
 
 def _reader_of(path: Path) -> str:

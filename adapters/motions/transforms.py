@@ -31,7 +31,7 @@ class Mirrored:
     def __init__(self, motion: Motion) -> None:
         self._motion = motion
         names = motion.joint_names
-        self._columns = np.array([names.index(_other_side(name)) for name in names])
+        self._columns = np.array([names.index(_other_side(name)) for name in names], dtype=np.intp)
         self._signs = np.array([-1.0 if name.endswith(("_roll", "_yaw")) else 1.0 for name in names])
 
     @property

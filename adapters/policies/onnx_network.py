@@ -37,6 +37,11 @@ class OnnxNetwork:
         """What runs it, with version."""
         return f"onnxruntime {onnxruntime.__version__} CPU, 1 thread"
 
+    @property
+    def metadata(self) -> dict[str, str]:
+        """What whoever exported it wrote into the file."""
+        return dict(self._session.get_modelmeta().custom_metadata_map)
+
     def __call__(self, row: Floats32) -> Floats32:
         """Return the output, shape (outputs,), of one input, shape (inputs,)."""
         (batch,) = self._session.run([self._output], {self._input: row[None, :]})

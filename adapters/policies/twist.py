@@ -8,17 +8,15 @@ joints are held at zero. Wire facts: YanjieZe/TWIST, `server_low_level_g1_sim.py
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from adapters.policies.history import FrameHistory
+from adapters.policies.torchscript_network import TorchScriptNetwork
 from adapters.policies.twist2 import ACTION_CLIP, ACTION_SCALE, ANKLES, GYRO_SCALE, VELOCITY_SCALE, gains
 from adapters.robots.g1.joints import G1_23, G1_25, G1_29
 from station.assets import sha256
-from station.errors import BadFile, StationError
 from station.protocols import Floats, Floats32, JointTargets, PolicySpec, RobotState
 from station.rotations import roll_pitch_yaw
 
@@ -55,12 +53,10 @@ class TwistPolicy:
 
     def __init__(self, checkpoint: Path) -> None:
         path = Path(checkpoint)
-        self._torch = _import_torch(path)
-        self._module = _load(self._torch, path)
+        self._network = TorchScriptNetwork(path, inputs=OBSERVATION, outputs=ACTIONS)
         kp, kd = gains(*_WRIST_GAINS)
-        runtime = f"torch {self._torch.__version__} CPU, 1 thread"
         self._spec = PolicySpec(
-            name="twist", checkpoint=path, sha256=sha256(path), runtime=runtime,
+            name="twist", checkpoint=path, sha256=sha256(path), runtime=self._network.runtime,
             rate_hz=50.0, command="twist", joint_names=G1_29, default_q=_spread(DEFAULT_Q), kp=kp, kd=kd,
             observation_size=OBSERVATION, action_size=ACTIONS,
         )  # fmt: skip
@@ -109,7 +105,7 @@ class TwistPolicy:
 
     def act(self, observation: Floats32) -> Floats32:
         """Return the raw output of the network, shape (23,), before clipping."""
-        self._action = _run(self._torch, self._module, observation)
+        self._action = self._network(observation)
         self._restored = None
         return self._action
 
@@ -132,46 +128,3 @@ def _spread(q_23: Floats) -> Floats:
     q = np.zeros(len(G1_29))
     q[_JOINTS] = q_23
     return q
-
-
-def _import_torch(path: Path) -> Any:
-    try:
-        import torch  # an optional dependency of half a gigabyte
-    except ImportError as error:
-        raise StationError(
-            f"{path}: a TorchScript policy needs torch, which is not installed; pip install 'teleop-station[torch]'"
-        ) from error
-    return torch
-
-
-def _load(torch: Any, path: Path) -> Any:
-    if not path.is_file():
-        raise BadFile(f"{path}: no such file; expected a TorchScript checkpoint")
-    torch.set_num_threads(1)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # TorchScript is what upstream ships
-            module = torch.jit.load(str(path), map_location="cpu").eval()
-    except (RuntimeError, ValueError) as error:
-        raise BadFile(f"{path}: not a TorchScript checkpoint: {str(error).strip().splitlines()[0][:160]}") from error
-    try:
-        for _ in range(3):  # the profiling executor optimises during its first runs
-            came = tuple(_forward(torch, module, np.zeros(OBSERVATION, dtype=np.float32)).shape)
-    except (RuntimeError, AttributeError) as error:
-        raise BadFile(
-            f"{path}: expected an input of (1, {OBSERVATION}), the network refuses it: "
-            f"{str(error).strip().splitlines()[-1][:160]}"
-        ) from error
-    if came != (1, ACTIONS):
-        raise BadFile(f"{path}: expected an output of (1, {ACTIONS}), the network gives {came}")
-    return module
-
-
-def _forward(torch: Any, module: Any, row: Floats32) -> Any:
-    with torch.inference_mode():
-        return module(torch.from_numpy(row[None, :]))
-
-
-def _run(torch: Any, module: Any, row: Floats32) -> Floats32:
-    result: Floats32 = _forward(torch, module, row).numpy().reshape(ACTIONS).copy()
-    return result

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache, lru_cache
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
@@ -18,6 +18,9 @@ from station.bus.robot_streams import command_stream
 from station.contract import DEPTH_STEP_M, POSE, Codec, Contract, Element, Role, elements
 from station.description import RobotDescription, RobotFamily, stated
 from station.errors import StationError
+
+if TYPE_CHECKING:  # it loads NumPy, as the formats do
+    from station.protocols import CommandFormat
 
 _Made = TypeVar("_Made")
 
@@ -140,12 +143,18 @@ def _commands() -> tuple[tuple[str, Contract], ...]:
 
     Where several are for one robot, the first one names its `keys.command_used`.
     """
-    made = _sound(
-        "command",
-        "its key has no contract",
-        lambda found: (found.robot, command_stream(found)),
-    )
+    return tuple((found.robot, command_stream(found)) for found in _formats() if found.key)
+
+
+@cache
+def _formats() -> tuple[CommandFormat, ...]:
+    made = _sound("command", "its key has no contract", _command)
     return tuple(found for _, found in made)
+
+
+def _command(found: CommandFormat) -> CommandFormat:
+    command_stream(found)
+    return found
 
 
 def _expanded(found: RobotFamily) -> RobotFamily:
@@ -200,8 +209,18 @@ def _of_families(key: str) -> Contract | None:
     if (listed := _of_listed().get(key)) is not None or keys.is_stamp(key):
         return listed
     parts = key.split("_")
-    ends = ("_".join(parts[start:]) for start in range(1, min(len(parts), _MOST_PARTS)))
-    return next((found for end in ends if (found := _of_another(end).get(key)) is not None), None)
+    ends = ["_".join(parts[start:]) for start in range(1, min(len(parts), _MOST_PARTS))]
+    known = (found for end in ends if (found := _of_another(end).get(key)) is not None)
+    return next(known, None) or next(_of_any_robot(key, ends), None)
+
+
+def _of_any_robot(key: str, robots: Iterable[str]) -> Iterator[Contract]:
+    """Yield what a key holds that is one robot's command of a format for any."""
+    from station.protocols import ForAnyRobot
+
+    general = [found for found in _formats() if isinstance(found, ForAnyRobot)]
+    for robot in robots if general else ():
+        yield from (command_stream(bound) for found in general if (bound := found.for_robot(robot)).key == key)
 
 
 def _of_everyone(key: str) -> Contract | None:

@@ -43,6 +43,11 @@ def target(robot: str) -> str:
     return f"target_{robot}"
 
 
+def root_velocity(robot: str) -> str:
+    """Velocity of the base in its own frame, for a policy that needs it."""
+    return f"root_velocity_{robot}"
+
+
 def sim_qpos(robot: str) -> str:
     """MuJoCo's ground truth."""
     return f"sim_qpos_{robot}"

@@ -30,6 +30,7 @@ SESSION_TIMES = (
 """The rest of them: from a heartbeat to the sending of a command; between two heartbeats; and how much motion the
 controller still owes, NaN where it does not tell."""
 
+_ROOT_VELOCITY = elements((("root_vel_x", "root_vel_y", "root_vel_z"), "m/s"))
 _TIMING = elements((("tick", "command_seq"), ""), (TIMING_STAGES, "ns"))
 
 
@@ -98,6 +99,7 @@ def driven_by_policy(command: tuple[Element, ...] = (), rate_hz: float = 50.0) -
              "one machine's monotonic clock; 0 where unknown, as for a foreign writer"),
         make(keys.target(ROBOT), "policy", "f64", (*POSITIONS, *gains), "as really sent, after the robot's own limits"),
         make(keys.sim_qpos(ROBOT), "state", "f64", qpos, "ground truth; world frame"),
+        make(keys.root_velocity(ROBOT), "state", "f64", _ROOT_VELOCITY, "root frame; where a policy needs it"),
         make(keys.command_gate(ROBOT), "policy", "json", note="state, reason and age of the command at the gate"),
         make(keys.command_used(ROBOT), "policy", "f64", command, "the command after the gate"),
         make(keys.command_source(ROBOT), "command", "json", note="file, sha256, frame and phase of the command"),

@@ -60,6 +60,8 @@ def print_in_short(quality: Quality) -> None:
     for steps in quality.steps:
         if text := _error(steps):
             console.print(f"  {text}", soft_wrap=True)
+        if steps.velocity is not None:
+            console.print(f"  {steps.velocity.in_short}", soft_wrap=True)
         if not quality.lock_step and (late := steps.stages.get(_WHOLE_WAY)) is not None:
             p50, p99 = _unit(late.p50_s, 1e3, "ms"), _unit(late.p99_s, 1e3, "ms")
             console.print(f"  command to joints {p50} (p50), {p99} (p99)", soft_wrap=True)
@@ -172,6 +174,8 @@ def _print_steps(console: Console, steps: StepQuality, *, lock_step: bool) -> No
     console.print(text, soft_wrap=True)
     if text := _error(steps):
         console.print(f"  {text}", soft_wrap=True)
+    for line in steps.velocity.lines() if steps.velocity is not None else ():
+        console.print(f"  {line}", soft_wrap=True)
     if lock_step:
         console.print("  [dim]lock-step: commands wait for states, so latencies say nothing of the control[/]")
         return

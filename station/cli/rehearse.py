@@ -201,6 +201,9 @@ def _print(results: Sequence[Rehearsal]) -> None:
         for result in results
     ]
     print_table(columns, rows)
+    for result in results:
+        for line in result.velocity.lines() if result.velocity is not None else ():
+            click.echo(f"{result.motion}: {line}")
 
 
 def _number(value: float | None, unit: str) -> str:

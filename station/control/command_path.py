@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeVar
 from station.control.arming import Arming, why_not_arm
 from station.control.command_arbiter import spoken
 from station.control.command_validator import CommandValidator, Samples
-from station.control.gate import Bounds, Decision, Gate, GateConfig, QuietTime, State
+from station.control.gate import MOVING, Bounds, Decision, Gate, GateConfig, QuietTime, State
 from station.life.events import Severity
 from station.protocols import CommandFormat
 
@@ -69,7 +69,8 @@ class CommandPath:
         self._refusing: str | None = None
         self._rival = ""  # why another writer's command was refused in this step
         self._heard_s = (-math.inf, math.inf)  # offline everything is known
-        self._slewing = RateLimiting(command_format)
+        self._slewing = Limiting("command-slewed", command_format)
+        self._clamping = Limiting("command-clamped", command_format)
         self._step_events: list[StepEvent] = [] if step_events is None else step_events
 
     @property
@@ -111,6 +112,9 @@ class CommandPath:
         for change in decision.transitions:
             severity: Severity = "warning" if change.after in _ALARMING else "info"
             self.add_event("gate", severity, **{"from": change.before, "to": change.after, "reason": change.reason})
+        clamped = validator.clamped if decision.state in MOVING else ()
+        for name, detail in self._clamping.on_tick(clamped, now_s):
+            self.add_event(name, "warning", **detail, allowed=self._allowed(clamped))
         for name, detail in self._slewing.on_tick(decision.limited, now_s):
             self.add_event(name, "warning", **detail)
         return decision
@@ -155,7 +159,7 @@ class CommandPath:
             "state": decision.state,
             "reason": decision.reason,
             "age_s": decision.age_s if math.isfinite(decision.age_s) else None,
-            "clamped": self.validator.clamped,
+            "clamped": len(self.validator.clamped),
             "refused": self.validator.refused.total(),
             "arming": self.arming.state,
             "limited": len(decision.limited),
@@ -181,6 +185,11 @@ class CommandPath:
         step_events = tuple(self._step_events)
         self._step_events.clear()
         return step_events
+
+    def _allowed(self, elements: tuple[int, ...]) -> dict[str, list[float]]:
+        """Return the ranges of some elements, by name."""
+        command = self.command_format
+        return {command.elements[at].name: [float(command.lower[at]), float(command.upper[at])] for at in elements}
 
     def _quiet(self, now_s: float) -> QuietTime:
         since_s, until_s = self._heard_s
@@ -251,28 +260,29 @@ class Control(Protocol[StateT, RecordT_co]):
         ...
 
 
-class RateLimiting:
-    """Follows which elements a gate limits.
+class Limiting:
+    """Follows which elements of a command are limited, and tells when that begins and when it has ended.
 
     Args:
+        event: Name of its events.
         command_format: Names the elements.
     """
 
-    def __init__(self, command_format: CommandFormat) -> None:
-        self._command_format = command_format
+    def __init__(self, event: str, command_format: CommandFormat) -> None:
+        self._event, self._command_format = event, command_format
         self._ticks = 0
         self._elements: set[int] = set()
         self._last_s = 0.0
 
     def on_tick(self, limited: tuple[int, ...], now_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Record a tick; yield name and detail of an event when slewing begins and when it has ended."""
+        """Record a tick; yield name and detail of an event when limiting begins and when it has ended."""
         if limited:
             if not self._ticks:
-                yield "command-slewed", {"elements": self._names(limited)}
+                yield self._event, {"elements": self._names(limited)}
             self._ticks, self._last_s = self._ticks + 1, now_s
             self._elements.update(limited)
         elif self._ticks and not 0.0 <= now_s - self._last_s < _CALM_S:
-            yield "command-slewed", {"ended": True, "ticks": self._ticks, "elements": self._names(self._elements)}
+            yield self._event, {"ended": True, "ticks": self._ticks, "elements": self._names(self._elements)}
             self._ticks, self._elements = 0, set()
 
     def _names(self, indices: tuple[int, ...] | set[int]) -> list[str]:

@@ -36,11 +36,11 @@ class Checked:
 
     Attributes:
         vector: Its numbers within their ranges, shape (m,).
-        clamped: How many of them had to be moved to the end of their range.
+        clamped: Indices of those that had to be moved to the end of their range.
     """
 
     vector: Floats
-    clamped: int
+    clamped: tuple[int, ...]
 
 
 def check_command(data: bytes, command_format: CommandFormat) -> Checked | Refusal:
@@ -63,7 +63,7 @@ def check_command(data: bytes, command_format: CommandFormat) -> Checked | Refus
     if beyond.any():
         return Refusal("out-of-range", _describe(vector, int(np.argmax(beyond)), command_format))
     clamped = np.clip(vector, command_format.lower, command_format.upper)
-    return Checked(clamped, int((clamped != vector).sum()))
+    return Checked(clamped, tuple(np.flatnonzero(clamped != vector).tolist()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +106,7 @@ class CommandValidator:
         vector: The newest good command, shape (m,), or None.
         refusal: Why the newest sample was refused, or None when it was good.
         refused: Refused samples by kind.
-        clamped: Elements that were clamped in the newest good command.
+        clamped: Indices of the elements that were clamped in the newest good command.
         clamped_samples: Samples with a clamped element since the start.
     """
 
@@ -117,7 +117,7 @@ class CommandValidator:
     vector: Floats | None = None
     refusal: Refusal | None = None
     refused: Counter[str] = field(default_factory=Counter)
-    clamped: int = 0
+    clamped: tuple[int, ...] = ()
     clamped_samples: int = 0
     _asked_s: float | None = None  # when the age of `good` was last asked for
     _least_s: float = 0.0  # how old it must be by the time that has passed here

@@ -295,6 +295,8 @@ def _check_fit(robot: Robot, policy: Policy, command_format: CommandFormat) -> N
     spec = policy.spec
     if spec.command != command_format.name:
         raise ConfigError(f"policy {spec.name!r} follows {spec.command!r} commands, not {command_format.name!r}")
+    if spec.needs_root_velocity and robot.read().root_lin_vel is None:
+        raise ConfigError(f"policy {spec.name!r} needs the velocity of the base, which this robot does not measure")
     if spec.joint_names != robot.joint_names:
         odd = sorted(set(spec.joint_names) ^ set(robot.joint_names))
         raise ConfigError(

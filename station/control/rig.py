@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +14,12 @@ import numpy as np
 from station import assets, registry
 from station.bus import codec, keys
 from station.clock import SYSTEM, Clock
+from station.command_formats import command_format
 from station.control.control import ControlStep
 from station.control.gate import GateConfig
 from station.control.policy_switch import BLEND_S, BlendS, PolicySwitch
-from station.errors import ConfigError, did_you_mean
-from station.protocols import CommandFormat, HasGroundTruth, Policy, Robot, RobotState
+from station.errors import AssetMissing, BadFile, ConfigError, did_you_mean
+from station.protocols import CommandFormat, HasGroundTruth, Policy, PolicySpec, Robot, RobotState
 from station.robot_kind import RobotKind
 
 
@@ -123,6 +126,8 @@ class Rig(msgspec.Struct, frozen=True):
         """Return what is published at the start of a tick, by key: the state, what stock programs read, the truth."""
         name = self.command_format.robot
         values = {keys.robot_state(name): codec.f64(np.concatenate([state.q, state.dq, state.quat_wxyz, state.gyro]))}
+        if self.policy.spec.needs_root_velocity and state.root_lin_vel is not None:
+            values[keys.root_velocity(name)] = codec.f64(state.root_lin_vel)
         if self.kind.values is not None:
             driving = self.policy.policy if isinstance(self.policy, PolicySwitch) else self.policy
             values |= self.kind.values(state, driving, name)
@@ -197,8 +202,20 @@ def build(config: RigConfig, *, may_be_real: bool = False) -> Rig:
     _expect_rate(rate_hz)
     if len(policies) > 1:
         policy = PolicySwitch(policies, period_s=1.0 / rate_hz, blend_s=config.blend_s)
-    command_format = registry.find("command", policy.spec.command)
-    return Rig(kind, kind.make(options, 1.0 / rate_hz), policy, command_format, 1.0 / rate_hz)
+    followed = _command_format(kind, [each.spec for each in policies.values()])
+    return Rig(kind, kind.make(options, 1.0 / rate_hz), policy, followed, 1.0 / rate_hz)
+
+
+def _command_format(kind: RobotKind, specs: Sequence[PolicySpec]) -> CommandFormat:
+    """Return the format of a robot's commands, within the range that all of its policies were trained on."""
+    ranges = [
+        None if not given else functools.reduce(narrower, given)
+        for narrower, given in (
+            (np.maximum, [spec.command_lower for spec in specs if spec.command_lower is not None]),
+            (np.minimum, [spec.command_upper for spec in specs if spec.command_upper is not None]),
+        )
+    ]
+    return command_format(specs[0].command, kind.robot_name, *ranges)
 
 
 def _expect_rate(rate_hz: float) -> None:
@@ -208,9 +225,14 @@ def _expect_rate(rate_hz: float) -> None:
 
 def _checkpoint(config: RigConfig, choice: PolicyChoice) -> Path:
     reference = checkpoint_of(choice.policy, choice.checkpoint, config.kind)
+    origin = str(getattr(registry.find("policy", choice.policy), "ORIGIN", ""))
+    hint = f"; it is not part of the station: take it from {origin}" if origin else ""
     if not reference:
-        raise ConfigError(f"policy {choice.policy!r} has no default checkpoint; name its file with `checkpoint`")
-    return assets.resolve(reference)
+        raise ConfigError(f"policy {choice.policy!r} has no default checkpoint; name its file with `checkpoint`{hint}")
+    try:
+        return assets.resolve(reference)
+    except (AssetMissing, BadFile) as error:
+        raise type(error)(f"{error}{hint}") from None
 
 
 def _policy(config: RigConfig, choice: PolicyChoice) -> Policy:

@@ -26,7 +26,7 @@ from station.life.policy_request import PolicyAnswer, PolicyRequest
 from station.life.request import OVERTAKEN, Asked, DoneRequests, parse
 from station.life.server import Life
 from station.parts import PartedCommand
-from station.protocols import PolicySpec
+from station.protocols import ForAnyRobot, PolicySpec
 from station.software import software
 
 _RESET_AFTER_S = 1.0  # so that a fall can be seen, and stands in the episode
@@ -263,6 +263,11 @@ def facts(config: PolicyServerConfig, name: str, rig: Rig) -> dict[str, Any]:
         ),
         "description": to_plain(rig.kind.describe(rig.command_format)),
         "robot_facts": robot_facts,
+        **(
+            {"command_range": {"lower": rig.command_format.lower.tolist(), "upper": rig.command_format.upper.tolist()}}
+            if isinstance(rig.command_format, ForAnyRobot)
+            else {}
+        ),
         "policy": policies[driving] | ({"called": driving} if driving else {}),
         **({"policies": policies} if driving else {}),
         "rates": {"control_hz": 1.0 / rig.period_s, "pace": config.pace, **physics},

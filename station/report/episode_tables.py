@@ -49,6 +49,9 @@ def motion(quality: Quality) -> Html | None:
             rows.append(("mean joint error", f"{steps.mean_joint_error_rad:.3f} rad, worst {worst}"))
         if steps.mean_root_height_error_m is not None:
             rows.append(("mean height error", f"{steps.mean_root_height_error_m * 1e3:.0f} mm"))
+        if steps.velocity is not None:
+            rows.append(("velocity", steps.velocity.in_short))
+            rows += [(f"velocity from {each.at_s:.1f} s", each.in_short) for each in steps.velocity.stretches]
     for found in quality.alignment:
         if found.lag_s is not None:
             rows.append(

@@ -27,7 +27,8 @@ def find(named: Sequence[str] = ()) -> tuple[Clips, list[str]]:
     with quietly():
         for reference in named or dict.fromkeys([*inventory.motions(), *UPSTREAM, *HELD_BACK]):
             try:
-                durations_s[reference] = load(reference).duration_s
+                if (motion := load(reference)).joint_names or named:  # of the suite's own: what can be tracked
+                    durations_s[reference] = motion.duration_s
             except AssetMissing:
                 if named:
                     raise

@@ -6,7 +6,7 @@ import os
 import platform
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import msgspec
 
@@ -26,10 +26,6 @@ from station.life import stop_file
 from station.life.server import Health, read_health
 from station.life.stop_file import LatchedStop, StopFile
 from station.supervision.supervisor import log_folder
-
-if TYPE_CHECKING:
-    from station.protocols import CommandFormat
-
 
 _LOOK_S = 1.0
 _SETTINGS = ("notify-keyspace-events", "maxmemory-policy", "proto-max-bulk-len")
@@ -67,10 +63,11 @@ class _Stated(msgspec.Struct):
         """
         if self.policy is None:
             return [self.command or _StatedCommand("")]
-        from station.parts import parts_of  # it loads NumPy, as the format has
+        from station.command_formats import command_format  # it loads NumPy, as the format has
+        from station.parts import parts_of
 
-        command_format: CommandFormat = registry.find("command", self.policy.command)
-        return [_StatedCommand(part.key, list(part.auxiliary)) for part in parts_of(command_format)]
+        followed = command_format(self.policy.command, self.robot)
+        return [_StatedCommand(part.key, list(part.auxiliary)) for part in parts_of(followed)]
 
 
 class _Gate(msgspec.Struct):
@@ -188,7 +185,9 @@ def _troubles(health: Health, key: str) -> Iterator[Finding]:
 def _commands_without_a_robot(bus: Bus) -> Iterator[Finding]:
     """Yield which writers command when no low-level server of ours tells which commands it wants."""
     for name in registry.names("command"):
-        key = registry.find("command", name).key  # "" of one that is made of parts, which are registered too
+        key = registry.find(
+            "command", name
+        ).key  # "" of one that is made of parts, which are registered too, or for any
         if key and bus.get(key) is not None:
             with bus.watch([key]) as watch:
                 yield _command(watch, key, _sources(watch, key))

@@ -129,8 +129,8 @@ def test_rehearse(walked: tuple[Home, str]) -> None:
     (motion,) = json.loads(done.stdout)["motions"]
     assert motion["motion"] == "builtin:wave"
     assert set(motion) == {
-        "motion", "fell", "fell_at_s", "mean_joint_error_rad", "mean_root_height_error_m", "seconds",
-        "speed_x_realtime",
+        "motion", "fell", "fell_at_s", "mean_joint_error_rad", "mean_root_height_error_m", "velocity",
+        "seconds", "speed_x_realtime",
     }  # fmt: skip
     assert done.returncode == (1 if motion["fell"] else 0)
     assert "1/1 builtin:wave" in done.stderr, "progress goes to stderr"

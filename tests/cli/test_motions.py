@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adapters.motions import builtin
+from adapters.motions import builtin, velocities
 from adapters.robots.g1.joints import G1_29
 from tests.cli.running import Home
 
@@ -35,7 +35,9 @@ def folder(tmp_path: Path) -> Path:
 
 def test_built_in_motions_are_listed_with_their_lengths(home: Home) -> None:
     found = {row["motion"]: row for row in home.without("STATION_ASSETS").json("motions")}
-    assert set(found) == {f"builtin:{name}" for name in builtin.names()}
+    scripts = {f"velocity:{name}" for name in velocities.names()}
+    assert set(found) == {f"builtin:{name}" for name in builtin.names()} | scripts
+    assert found["velocity:figure-eight"]["seconds"] == pytest.approx(4.0 + 4.0 * 3.1416 * 2.0, abs=0.01)
     assert found["builtin:tour"]["seconds"] > 50.0
     assert "station motions --formats" in home.without("STATION_ASSETS").run("motions").stdout
 
@@ -62,6 +64,6 @@ def test_of_what_cannot_be_played_there_is_no_row(home: Home) -> None:
 
 def test_what_each_format_holds_is_told(home: Home) -> None:
     said = home.json("motions", "--formats")
-    assert set(said) == {".csv", ".npz", ".pkl"}
+    assert set(said) == {".csv", ".npz", ".pkl", ".velocity"}
     assert "root_quat_wxyz" in said[".npz"]
     assert "root_quat_wxyz" in home.run("motions", "--formats").stdout

@@ -27,7 +27,7 @@ def test_the_default_is_a_good_command() -> None:
     checked = check_command(_text(), FORMAT)
     assert isinstance(checked, Checked)
     np.testing.assert_array_equal(checked.vector, FORMAT.default)
-    assert checked.clamped == 0
+    assert checked.clamped == ()
 
 
 def test_integers_are_numbers_as_stock_writers_send_them() -> None:
@@ -38,7 +38,7 @@ def test_an_element_a_little_outside_its_range_is_clamped_and_counted() -> None:
     beyond = FORMAT.upper[9] + FORMAT.margin[9] / 2
     checked = check_command(_text(_9=beyond, _2=FORMAT.lower[2] - FORMAT.margin[2] / 2), FORMAT)
     assert isinstance(checked, Checked)
-    assert checked.clamped == 2
+    assert checked.clamped == (2, 9)
     assert checked.vector[9] == FORMAT.upper[9]
     assert checked.vector[2] == FORMAT.lower[2]
 

@@ -80,6 +80,11 @@ def _pedal_lab(folder: Path) -> None:
 def _holosoma_walk(folder: Path) -> None:
     """The package of the page, and the checkpoint that its reader has downloaded."""
     install("your-policy.md", "holosoma-walk", folder)
+    _holosoma(folder)
+
+
+def _holosoma(folder: Path) -> None:
+    """The checkpoint that the page's reader has downloaded."""
     shutil.copy(assets.resolve("zoo:policies/holosoma_fastsac_g1_29dof.onnx"), folder / "fastsac_g1_29dof.onnx")
 
 
@@ -153,6 +158,18 @@ PAGES = {
     "docs/your-policy.md": Page({
         "pip": _INSTALLS, "unzip": Typed(elsewhere="of a download"),
     }, _holosoma_walk),
+    "docs/velocity.md": Page({
+        "pip": _INSTALLS, "unzip": Typed(elsewhere="of a download"),
+        "station up g1-velocity-gamepad": Typed(
+            instead="station up g1-velocity-gamepad --record --task walk --set robot.checkpoint=fastsac_g1_29dof.onnx"
+            f" {_DRIVEN_FOR} gamepad.fake=builtin:gamepad/example.json"
+        ),
+        "station up g1-velocity-keyboard": Typed(
+            instead="station up g1-velocity-keyboard --record --task walk --set robot.checkpoint=fastsac_g1_29dof.onnx"
+            f" {_DRIVEN_FOR} keyboard.fake=builtin:keyboard/example.json"
+        ),
+        "station serve motion": Typed(elsewhere="tests/servers/test_motion.py"),
+    }, _holosoma),
     "docs/your-robot.md": Page({
         "pip install": _INSTALLS,
         "station bus start": Typed(until="Ctrl-C stops it"),

@@ -43,4 +43,5 @@ MUJOCO = RobotKind(
     values=wire.stock_values,
     policy="tracker",
     is_default=True,
+    robot_name="g1_29",
 )

@@ -18,7 +18,7 @@ from adapters.robots.g1.joints import G1_29, select
 from station.assets import sha256
 from station.errors import ConfigError
 from station.protocols import FALL_TILT_RAD, Fall, Floats, JointTargets, RobotState
-from station.rotations import tilt
+from station.rotations import rotate_inverse, tilt
 from station.window import Window
 
 log = logging.getLogger(__name__)
@@ -104,6 +104,7 @@ class MujocoG1:
             quat_wxyz=root[3:].copy(),
             gyro=qvel[self._at.root_v[3:]],  # MuJoCo keeps the angular velocity of a free joint in the body's own frame
             root_pos=root[:3].copy(),
+            root_lin_vel=rotate_inverse(root[3:], qvel[self._at.root_v[:3]]),
         )
 
     def write(self, targets: JointTargets) -> JointTargets:

