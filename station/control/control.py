@@ -19,7 +19,7 @@ from station.control.command_path import CommandPath, StepEvent
 from station.control.command_validator import Samples
 from station.control.gate import Decision, Gate, GateConfig
 from station.control.parted_path import PartedPath
-from station.control.policy_switch import PolicySwitch
+from station.control.policy_switch import PolicySwitch, needs_root_velocity
 from station.errors import ConfigError
 from station.parts import PartedCommand
 from station.protocols import CommandFormat, Fall, Floats, Floats32, JointTargets, Policy, Robot, RobotState
@@ -295,8 +295,11 @@ def _check_fit(robot: Robot, policy: Policy, command_format: CommandFormat) -> N
     spec = policy.spec
     if spec.command != command_format.name:
         raise ConfigError(f"policy {spec.name!r} follows {spec.command!r} commands, not {command_format.name!r}")
-    if spec.needs_root_velocity and robot.read().root_lin_vel is None:
-        raise ConfigError(f"policy {spec.name!r} needs the velocity of the base, which this robot does not measure")
+    if needs_root_velocity(policy) and robot.read().root_lin_vel is None:
+        raise ConfigError(
+            f"policy {spec.name!r}, or one that may take over from it, needs the velocity of the base, which this "
+            "robot does not measure"
+        )
     if spec.joint_names != robot.joint_names:
         odd = sorted(set(spec.joint_names) ^ set(robot.joint_names))
         raise ConfigError(

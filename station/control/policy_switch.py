@@ -196,6 +196,12 @@ class PolicySwitch:
         self.refusal, self.next = reason, ""
 
 
+def needs_root_velocity(policy: Policy) -> bool:
+    """Whether a policy, or one of those that hand over to each other, uses the velocity of the base."""
+    specs = policy.specs.values() if isinstance(policy, PolicySwitch) else (policy.spec,)
+    return any(spec.needs_root_velocity for spec in specs)
+
+
 def _check_alike(first: str, expected: PolicySpec, name: str, came: PolicySpec) -> None:
     """Check that a policy can take over from the first: what moves the robot stays one command, at one rate."""
     if came.command != expected.command:

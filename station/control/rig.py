@@ -17,7 +17,7 @@ from station.clock import SYSTEM, Clock
 from station.command_formats import command_format
 from station.control.control import ControlStep
 from station.control.gate import GateConfig
-from station.control.policy_switch import BLEND_S, BlendS, PolicySwitch
+from station.control.policy_switch import BLEND_S, BlendS, PolicySwitch, needs_root_velocity
 from station.errors import AssetMissing, BadFile, ConfigError, did_you_mean
 from station.protocols import CommandFormat, HasGroundTruth, Policy, PolicySpec, Robot, RobotState
 from station.robot_kind import RobotKind
@@ -126,7 +126,7 @@ class Rig(msgspec.Struct, frozen=True):
         """Return what is published at the start of a tick, by key: the state, what stock programs read, the truth."""
         name = self.command_format.robot
         values = {keys.robot_state(name): codec.f64(np.concatenate([state.q, state.dq, state.quat_wxyz, state.gyro]))}
-        if self.policy.spec.needs_root_velocity and state.root_lin_vel is not None:
+        if state.root_lin_vel is not None and needs_root_velocity(self.policy):
             values[keys.root_velocity(name)] = codec.f64(state.root_lin_vel)
         if self.kind.values is not None:
             driving = self.policy.policy if isinstance(self.policy, PolicySwitch) else self.policy

@@ -69,8 +69,13 @@ def test_a_range_that_cannot_be_is_no_setting_of_a_gate(walker: str, span: objec
 
 
 def test_the_velocity_of_the_base_is_published_where_the_policy_needs_it(walker: str, joystick: str) -> None:
-    for policy, checkpoint, is_needed in (("holosoma", walker, False), ("playground-g1", joystick, True)):
-        rig = rig_of(policy, checkpoint)
+    other = PolicyChoice(policy="playground-g1", checkpoint=joystick)
+    for policy, checkpoint, others, is_needed in (
+        ("holosoma", walker, {}, False),
+        ("playground-g1", joystick, {}, True),
+        ("holosoma", walker, {"joystick": other}, True),
+    ):
+        rig = rig_of(policy, checkpoint, **others)
         ControlStep(rig.robot, rig.policy, rig.command_format)
         rig.robot.push(np.array([0.5, 0.2, 0.0]))  # type: ignore[attr-defined]
         values = rig.state_values(rig.robot.read())

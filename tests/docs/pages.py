@@ -168,7 +168,7 @@ PAGES = {
             instead="station up g1-velocity-keyboard --record --task walk --set robot.checkpoint=fastsac_g1_29dof.onnx"
             f" {_DRIVEN_FOR} keyboard.fake=builtin:keyboard/example.json"
         ),
-        "station serve motion": Typed(elsewhere="tests/servers/test_motion.py"),
+        "station serve motion": Typed(elsewhere="tests/main_job/test_velocity.py, in a runbook"),
     }, _holosoma),
     "docs/your-robot.md": Page({
         "pip install": _INSTALLS,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from tests.main_job.station_runs import Terminal
@@ -19,7 +21,7 @@ pytestmark = [pytest.mark.assets, pytest.mark.timeout(300)]
 
 
 @pytest.fixture(scope="module")
-def walked(processes: None, assets: object, tmp_path_factory: pytest.TempPathFactory) -> Walked:
+def walked(processes: None, assets: Path, tmp_path_factory: pytest.TempPathFactory) -> Walked:
     folder = tmp_path_factory.mktemp("walk")
     script = folder / "patrol.velocity"
     script.write_text(SCRIPT)
@@ -75,3 +77,49 @@ def test_what_cannot_be_is_told_in_a_line_before_anything_starts(
     assert done.returncode == 2, done.stdout + done.stderr
     (line,) = done.stderr.strip().splitlines()
     assert words in line
+
+
+def test_a_policy_that_needs_the_velocity_of_the_base_takes_over_on_the_walk_and_is_audited(
+    tmp_path: Path, processes: None, assets: Path
+) -> None:
+    terminal, sets = Terminal(tmp_path), []
+    for setting in (
+        *LOCK_STEP, f"robot.checkpoint={HOLOSOMA}", "robot.policies.joystick.policy=playground-g1",
+        "robot.policies.joystick.checkpoint=zoo:policies/playground_g1_policy.onnx", "motion.motion=velocity:forward",
+        "motion.loop=true",
+    ):  # fmt: skip
+        sets += ["--set", setting]
+    station = terminal.start("up", RUNBOOK, "--yes", "--record", "--task", "hand-over", *sets)
+    try:
+        for line in station.stdout or ():
+            if "to=tracking" in line:
+                break
+        done = terminal.run("policy", "switch", "joystick")
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert terminal.run("down").returncode == 0
+    finally:
+        station.communicate(timeout=60.0)
+    episode = str(terminal.episode("hand-over"))
+    audit = terminal.json("audit", episode)
+    assert [each["policy"] for each in audit["took_over"]] == ["playground-g1"]
+    assert audit["observations"]["compared"] == audit["steps"] > 0
+    assert (audit["different"], audit["observations"]["different"], audit["commands"]["different"]) == (0, 0, 0)
+    velocities = {stream["key"]: stream["count"] for stream in terminal.json("check", episode)["streams"]}
+    assert velocities["root_velocity_g1_29"] == velocities["robot_state_g1_29"], (
+        "from the beginning, not from the switch"
+    )
+
+
+def test_a_gamepad_drives_it_by_velocities(tmp_path: Path, processes: None, assets: Path) -> None:
+    terminal = Terminal(tmp_path)
+    sets = [f"robot.checkpoint={HOLOSOMA}", "gamepad.fake=builtin:gamepad/example.json"]
+    pad = [word for setting in sets for word in ("--set", setting)]
+    done = terminal.run(
+        "up", "runbooks/g1-velocity-gamepad.yaml", "--yes", "--record", "--task", "pad", "--for", "6s", *pad
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    check = terminal.json("check", str(terminal.episode("pad")))
+    assert check["events"]["operator-engaged"] == 1, done.stderr
+    assert check["falls"] == 0
+    keys = {stream["key"] for stream in check["streams"]}
+    assert {"action_velocity_g1_29", "operator_controls_gamepad"} <= keys

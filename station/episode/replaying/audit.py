@@ -361,6 +361,7 @@ class _Run:
         """Have the policy that is to take over observe and act too, as it did beside the one that drove."""
         begins = name != self._next
         is_heard = bool(name) and (self._next == "" if begins else self._heard == name)
+        is_heard = is_heard and known is not None and _suits(known[0], self.load(name))
         given = known if is_heard else None
         self._next, self._heard = name, name if given is not None else ""
         if given is not None:
@@ -375,12 +376,9 @@ class _Run:
         used = step.values.get(keys.command_used(self.robot))
         if state is None or used is None or len(used) != 8 * self._command_size:
             return None
-        if self.policy.spec.needs_root_velocity:
-            velocity = step.values.get(keys.root_velocity(self.robot), b"")
-            if len(velocity) != 8 * 3:
-                return None
+        if len(velocity := step.values.get(keys.root_velocity(self.robot), b"")) == 8 * 3:
             state = replace(state, root_lin_vel=codec.parse_f64(velocity))
-        return state, codec.parse_f64(used)
+        return (state, codec.parse_f64(used)) if _suits(state, self.policy) else None
 
     def _derive(self, number: int, step: Step, given: tuple[RobotState, Floats] | None, observation: Floats32) -> None:
         """Compare the observation with one made from state and command; the recorded one is the history in any case."""
@@ -432,6 +430,11 @@ class _Run:
             self.actions.add(number, action, derived)
         else:
             self.past_unknown += 1
+
+
+def _suits(state: RobotState, policy: Policy) -> bool:
+    """Whether a state has all that a policy needs of it."""
+    return state.root_lin_vel is not None or not policy.spec.needs_root_velocity
 
 
 def _follows(before: Step, after: Step) -> bool:

@@ -111,7 +111,9 @@ def test_a_robot_that_does_not_measure_its_velocity_is_refused_in_one_line(g1: P
             return replace(super().read(), root_lin_vel=np.zeros(3))
 
     ControlStep(Measuring(), g1, command_format("velocity", "g1_29"))
-    with pytest.raises(ConfigError, match="'playground-g1' needs the velocity of the base, which this robot does not"):
+    with pytest.raises(
+        ConfigError, match=r"'playground-g1'.* needs the velocity of the base, which this robot does not"
+    ):
         ControlStep(IdealRobot(), g1, command_format("velocity", "g1_29"))
 
 
