@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.console import Console, RenderableType
 
-from adapters.cameras.mujoco_g1 import MujocoCamera
+from adapters.cameras.mujoco_robot import MujocoCamera
 from adapters.commands import twist, twist2
 from adapters.commands.arm import arm_command
 from adapters.motions.clip import Clip
@@ -560,7 +560,7 @@ def _told() -> list[Parser]:
         Parser("drawn", _drawn, (dumped(CONFIG), EVENT.encode(), dumped(SOURCE), dumped(GATE)),
                ("station.view.phases", "station.view.live")),
         Parser("a fake's time", _script_time, (dumped(CONFIG),), (_OPERATOR + "script_time",)),
-        Parser("what a camera draws", _pictured, (codec.f64(np.ones(36)),), ("adapters.cameras.mujoco_g1",)),
+        Parser("what a camera draws", _pictured, (codec.f64(np.ones(36)),), ("adapters.cameras.mujoco_robot",)),
         Parser("calibrated from", _calibrated, (dumped(CONFIG),), ("station.cli.calibrate_operator",)),
         Parser("log line", lambda data: logs._object("g1", data.decode(errors="replace")), (dumped(GATE), b"I a: b"),
                ("station.cli.logs",)),

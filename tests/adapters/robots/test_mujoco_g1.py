@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from adapters.policies.twist2 import DEFAULT_Q, gains
-from adapters.robots.g1 import mjcf
 from adapters.robots.g1.joints import G1_29, select
 from adapters.robots.g1.mujoco_g1 import START_Q, MujocoG1
+from adapters.robots.legged import mjcf, unitree
 from station import assets
 from station.errors import BadFile, ConfigError, StationError
 from station.protocols import Fall, Floats, JointTargets, Robot, SimulatedRobot
@@ -43,7 +43,7 @@ def robot() -> MujocoG1:
 def _explicit(path: Path) -> mujoco.MjModel:
     """The model as upstream scripts use it: torque motors, driven from outside."""
     spec = mujoco.MjSpec.from_file(str(path))
-    mjcf.prepare(spec)
+    mjcf.prepare(spec, unitree.G1)
     for actuator in spec.actuators:
         actuator.gainprm[0] = 1.0
         actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
@@ -72,7 +72,7 @@ class _StockLoop:
         self.data.qacc_warmstart[:] = robot._data.qacc_warmstart
 
     def write(self, targets: JointTargets) -> None:
-        limit = np.array(mjcf.TORQUE_CLIP_NM)
+        limit = np.array(unitree.G1.torques_nm)
         for _ in range(self.steps):
             torque = targets.kp * (targets.q - self.data.qpos[self.q_at]) - targets.kd * self.data.qvel[self.v_at]
             self.clipped += int((np.abs(torque) > limit).sum())
@@ -244,7 +244,7 @@ def test_a_physics_step_that_does_not_fit_the_control_period_is_refused(physics_
 
 
 def test_a_model_of_another_robot_is_refused_in_one_line(tmp_path: Path) -> None:
-    with pytest.raises(BadFile, match="expected the 29 joints of a G1") as caught:
+    with pytest.raises(BadFile, match="expected the 29 joints of a Unitree G1") as caught:
         MujocoG1(tiny(tmp_path))
     assert "\n" not in str(caught.value)
 
@@ -260,7 +260,7 @@ def test_a_viewer_without_a_display_is_refused_and_the_process_lives(monkeypatch
 def test_the_motion_is_the_same_to_the_last_bit_without_what_is_only_seen(model: str) -> None:
     """A robot staggers and falls under random torques."""
     path, ends = assets.resolve(model), []
-    drawn, unseen = (mjcf.load(path, is_drawn=is_drawn) for is_drawn in (True, False))
+    drawn, unseen = (mjcf.load(unitree.G1, path, is_drawn=is_drawn) for is_drawn in (True, False))
     for each in (drawn, unseen):
         data, random = mujoco.MjData(each), np.random.default_rng(5)
         for _ in range(400):

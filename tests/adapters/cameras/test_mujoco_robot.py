@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from adapters.cameras.mujoco_g1 import MujocoCamera, intrinsics
+from adapters.cameras.mujoco_robot import MujocoCamera, intrinsics
 from adapters.robots.g1.mujoco_g1 import START_Q, START_ROOT_POS
 from station import rotations
 from station.bus import codec
