@@ -48,7 +48,13 @@ def _make(robot: LeggedRobot, options: MujocoOptions, control_dt_s: float) -> Ro
     )  # fmt: skip
 
 
-def _kind(robot: LeggedRobot) -> RobotKind:
+def kind_of(robot: LeggedRobot, stand: str = "") -> RobotKind:
+    """Return what a robot registers.
+
+    Args:
+        robot: Its table.
+        stand: The file by which `direct` has it stand; "" for the built-in one of that name.
+    """
     return RobotKind(
         name=f"{robot.name.replace('_', '-')}-mujoco",
         about=f"{robot.title}, {len(robot.joints)} joints, simulated in MuJoCo",
@@ -57,8 +63,8 @@ def _kind(robot: LeggedRobot) -> RobotKind:
         make=partial(_make, robot),
         describe=partial(description.of_server, robot),
         policy="direct",
-        checkpoint=f"builtin:{robot.name}.stand.yaml",
+        checkpoint=stand or f"builtin:{robot.name}.stand.yaml",
     )
 
 
-GO2, GO1, H1, H1_2, G1_12, G1_23 = map(_kind, ROBOTS.values())
+GO2, GO1, H1, H1_2, G1_12, G1_23 = map(kind_of, ROBOTS.values())

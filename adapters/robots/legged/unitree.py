@@ -60,7 +60,7 @@ GO2 = LeggedRobot(
     root="base",
     feet=("_calf",),
     start_q=(*_GO2_FRONT, *_GO2_FRONT, *_GO2_REAR, *_GO2_REAR),
-    start_height_m=0.33,
+    start_height_m=0.335,
     stand_kp=_alike(4, (60.0, 60.0, 60.0)),
     stand_kd=_alike(4, (3.0, 3.0, 3.0)),
     least_height_m=0.1,
@@ -83,7 +83,7 @@ GO1 = LeggedRobot(
     root="trunk",
     feet=("_calf",),
     start_q=_alike(2, (0.1, 0.9, -1.8, -0.1, 0.9, -1.8)),
-    start_height_m=0.29,
+    start_height_m=0.296,
     stand_kp=_alike(4, (60.0, 60.0, 60.0)),
     stand_kd=_alike(4, (2.0, 2.0, 2.0)),
     least_height_m=0.1,
@@ -143,9 +143,9 @@ H1 = LeggedRobot(
     root="pelvis",
     feet=("ankle_link",),
     start_q=(*_alike(2, (0.0, 0.0, -0.1, 0.3, -0.2)), 0.0, *_alike(2, (0.0, 0.0, 0.0, 0.0))),
-    start_height_m=1.04,
-    stand_kp=(*_alike(2, (400.0, 400.0, 400.0, 600.0, 600.0)), 300.0, *_alike(2, (100.0, 100.0, 50.0, 50.0))),
-    stand_kd=(*_alike(2, (10.0, 10.0, 10.0, 15.0, 10.0)), 6.0, *_alike(2, (2.0, 2.0, 2.0, 2.0))),
+    start_height_m=1.036,
+    stand_kp=(*_alike(2, (800.0, 800.0, 800.0, 1200.0, 1500.0)), 300.0, *_alike(2, (100.0, 100.0, 50.0, 50.0))),
+    stand_kd=(*_alike(2, (14.0, 14.0, 14.0, 21.0, 10.0)), 6.0, *_alike(2, (2.0, 2.0, 2.0, 2.0))),
     least_height_m=0.5,
 )
 
@@ -183,20 +183,20 @@ H1_2 = LeggedRobot(
     root="pelvis",
     feet=("ankle_pitch_link", "ankle_roll_link"),
     start_q=(*_alike(2, (0.0, -0.16, 0.0, 0.36, -0.2, 0.0)), 0.0, *(0.0,) * 14),
-    start_height_m=1.03,
+    start_height_m=1.017,
     stand_kp=(
-        *_alike(2, (400.0, 600.0, 600.0, 800.0, 800.0, 400.0)), 300.0,
+        *_alike(2, (600.0, 900.0, 900.0, 1200.0, 2000.0, 1000.0)), 300.0,
         *_alike(2, (120.0, 120.0, 120.0, 80.0, 80.0, 80.0, 80.0)),
     ),
     stand_kd=(
-        *_alike(2, (10.0, 15.0, 15.0, 20.0, 10.0, 5.0)), 6.0,
+        *_alike(2, (12.0, 18.0, 18.0, 24.0, 10.0, 5.0)), 6.0,
         *_alike(2, (2.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0)),
     ),
     least_height_m=0.5,
 )  # fmt: skip
 
 _G1_LEG = (-0.1, 0.0, 0.0, 0.3, -0.2, 0.0)
-_G1_LEG_KP, _G1_LEG_KD = (200.0, 200.0, 200.0, 300.0, 300.0, 150.0), (5.0, 5.0, 5.0, 6.0, 4.0, 3.0)
+_G1_LEG_KP, _G1_LEG_KD = (200.0, 200.0, 200.0, 300.0, 750.0, 375.0), (5.0, 5.0, 5.0, 6.0, 4.0, 3.0)
 _G1_FEET = ("ankle_roll_link",)
 _G1_12_JOINTS = g1.select(g1.LEGS)
 
