@@ -454,7 +454,7 @@ def _script_time(data: bytes) -> None:
 
 def _pictured(data: bytes) -> None:
     camera = MujocoCamera.__new__(MujocoCamera)
-    camera._key, camera.drops = keys.sim_qpos(ROBOT), Drops()
+    camera._key, camera._numbers, camera.drops = keys.sim_qpos(ROBOT), 36, Drops()
     qpos = camera._parsed(Sample(camera._key, data, None, 1))
     assert qpos is None or np.isfinite(qpos).all()
 

@@ -18,9 +18,14 @@ BEYOND_RAD = 0.2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseCommand(JointCommand):
-    """Positions of the joints on ``action_joints_<robot>``; without a command it goes back to how it stands."""
+    """Positions of the joints on ``action_joints_<robot>``; without a command it goes back to how it stands.
+
+    Attributes:
+        follows_motions: As in `adapters.robots.legged.table.LeggedRobot`.
+    """
 
     holds_position: bool = False
+    follows_motions: bool = False
 
     @classmethod
     def of(cls, robot: LeggedRobot) -> Self:
@@ -34,17 +39,15 @@ class PoseCommand(JointCommand):
         )  # fmt: skip
         stand = np.array(robot.start_q)
         stand.flags.writeable = False
-        return replace(command, default=stand)
+        return replace(command, default=stand, follows_motions=robot.follows_motions)
 
     def encode(self, reference: Reference, joint_names: tuple[str, ...]) -> Floats:
-        """Return this robot's joints of a reference, shape (n,) [rad]; of one that lacks some, how the robot stands.
+        """Return this robot's joints of a reference of its body, shape (n,) [rad]; of another's, how it stands.
 
-        A motion of another body is none of this one, not even where some of its joints have the same names.
+        Raises:
+            ConfigError: a reference of its body lacks a joint.
         """
-        wanted = [element.name.removesuffix("_pos") for element in self.elements]
-        if not set(wanted) <= set(joint_names):
-            return self.default.copy()
-        return np.array([reference.q[joint_names.index(name)] for name in wanted])
+        return JointCommand.encode(self, reference, joint_names) if self.follows_motions else self.default.copy()
 
 
-GO2, GO1, H1, H1_2, G1_12, G1_23 = map(PoseCommand.of, ROBOTS.values())
+GO2, GO1, H1, H1_10, H1_2, H1_2_12, G1_12, G1_23 = map(PoseCommand.of, ROBOTS.values())

@@ -67,4 +67,4 @@ def kind_of(robot: LeggedRobot, stand: str = "") -> RobotKind:
     )
 
 
-GO2, GO1, H1, H1_2, G1_12, G1_23 = map(kind_of, ROBOTS.values())
+GO2, GO1, H1, H1_10, H1_2, H1_2_12, G1_12, G1_23 = map(kind_of, ROBOTS.values())

@@ -16,7 +16,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, TreeBuilder, XMLParser, fromstring, indent, tostring
 
 from adapters.robots.legged.table import LeggedRobot
-from adapters.robots.legged.unitree import G1_12, G1_23, GO1, GO2, H1, H1_2, ROBOTS
+from adapters.robots.legged.unitree import G1_12, G1_23, GO1, GO2, H1, H1_2, H1_2_12, H1_10, ROBOTS
 
 HERE = Path(__file__).parent
 SOURCE = HERE.parent / "g1" / "g1.xml"
@@ -33,7 +33,7 @@ class Link:
     """A body: where it is in its parent's frame, what it weighs, the joint at its origin, and its shapes.
 
     Attributes:
-        joint: Name in the robot's table; "" for a body that is fixed to its parent, or floats.
+        joint: Name in the robot's table; "" for one that floats. Where the table has none, it is fixed to its parent.
         position: Of its origin [m].
         turned: Quaternion wxyz of its frame.
         com: Centre of its mass [m].
@@ -387,16 +387,19 @@ class _Extra:
     head: tuple[str, Vector]
 
 
-_LINKS: dict[str, tuple[LeggedRobot, tuple[Link, ...], _Extra]] = {
-    "go2": (GO2, (_GO2_TRUNK, *_corners(_GO2_LEG, ("FL", "FR", "RL", "RR"))),
-            _Extra({"": 0.0}, ("base", (-0.02557, 0, 0.04232)), ("base", (0.345, 0, 0.02)))),
-    "go1": (GO1, (_GO1_TRUNK, *_corners(_GO1_LEG, ("FR", "FL", "RR", "RL"))),
-            _Extra({"_calf": 1.0, "": 0.3}, ("trunk", (-0.01592, -0.06659, -0.00617)), ("trunk", (0.305, 0, 0.01)))),
-    "h1": (H1, tuple(_both_sides(_H1_LINKS)),
-           _Extra({"": 0.1}, ("torso_link", (-0.04452, -0.01891, 0.27756)), ("torso_link", (0.11, 0, 0.65)))),
-    "h1_2": (H1_2, tuple(_both_sides(_H1_2_LINKS)),
-             _Extra({"": 0.1}, ("torso_link", (-0.04452, -0.01891, 0.27756)), ("torso_link", (0.11, 0, 0.65)))),
-}  # fmt: skip
+_H1_EXTRA = _Extra({"": 0.1}, ("torso_link", (-0.04452, -0.01891, 0.27756)), ("torso_link", (0.11, 0, 0.65)))
+_LINKS: dict[str, tuple[tuple[Link, ...], _Extra]] = {
+    GO2.name: (
+        (_GO2_TRUNK, *_corners(_GO2_LEG, ("FL", "FR", "RL", "RR"))),
+        _Extra({"": 0.0}, ("base", (-0.02557, 0, 0.04232)), ("base", (0.345, 0, 0.02))),
+    ),
+    GO1.name: (
+        (_GO1_TRUNK, *_corners(_GO1_LEG, ("FR", "FL", "RR", "RL"))),
+        _Extra({"_calf": 1.0, "": 0.3}, ("trunk", (-0.01592, -0.06659, -0.00617)), ("trunk", (0.305, 0, 0.01))),
+    ),
+    **dict.fromkeys((H1.name, H1_10.name), (tuple(_both_sides(_H1_LINKS)), _H1_EXTRA)),
+    **dict.fromkeys((H1_2.name, H1_2_12.name), (tuple(_both_sides(_H1_2_LINKS)), _H1_EXTRA)),
+}
 
 
 def build(name: str, source: str) -> str:
@@ -414,7 +417,7 @@ def build(name: str, source: str) -> str:
         "from: change that, not this file. "
     )
     if name in _LINKS:
-        _replace_body(root, *_LINKS[name])
+        _replace_body(root, robot, *_LINKS[name])
     else:
         _LESS[name](root)
     _replace_motors(root, robot)
@@ -480,8 +483,8 @@ def _replace_body(root: Element, robot: LeggedRobot, links: tuple[Link, ...], ex
             body.set("childclass", "look")
             SubElement(body, "freejoint", name="root")
             body.extend(kept.values())
-        if link.joint:
-            row = rows[link.joint]
+        row = rows.get(link.joint)
+        if row is not None:
             friction_nm = next(value for end, value in extra.friction_nm.items() if row.name.endswith(end))
             SubElement(body, "joint", name=row.mjcf_name, axis=_UNIT[row.axis], range=_text((row.lower, row.upper)),
                        armature=_text([row.armature]), frictionloss=_text([friction_nm]),

@@ -56,6 +56,8 @@ class LeggedRobot:
         least_height_m: A root below it has fallen [m]; 0 where only its lean and what touches the ground say so.
         clip_nm: Greatest torque of each servo [N m]; () for the efforts of the joints.
         fills_armature: Whether a joint without rotor inertia in the model is given the table's.
+        follows_motions: Whether a motion with joints of these names is one of its body. H1-2 and G1 share names, and no
+            proportions.
     """
 
     name: str
@@ -74,6 +76,7 @@ class LeggedRobot:
     least_height_m: float = 0.0
     clip_nm: tuple[float, ...] = ()
     fills_armature: bool = True
+    follows_motions: bool = False
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -8,9 +8,14 @@ with. Gains of the stand are ours, for a simulation.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import TypeVar
+
 from adapters.robots.g1 import joints as g1
 from adapters.robots.g1 import twist_keys
 from adapters.robots.legged.table import Axis, Joint, LeggedRobot, mirrored
+
+_Number = TypeVar("_Number")
 
 
 def _alike(count: int, legs: tuple[float, ...]) -> tuple[float, ...]:
@@ -195,6 +200,32 @@ H1_2 = LeggedRobot(
     least_height_m=0.5,
 )  # fmt: skip
 
+
+def _legs_of(robot: LeggedRobot, suffix: str) -> LeggedRobot:
+    """Return a robot whose torso and arms are fixed at zero, as in the models of 10 and 12 joints of unitree_rl_gym."""
+    places = [place for place, name in enumerate(robot.joint_names) if any(name in robot.groups[leg] for leg in _LEGS)]
+
+    def of_legs(column: tuple[_Number, ...]) -> tuple[_Number, ...]:
+        return tuple(column[place] for place in places)
+
+    return replace(
+        robot,
+        name=f"{robot.name}_{suffix}",
+        model=f"{robot.model}_{suffix}",
+        title=f"{robot.title} with {suffix} joints",
+        mjcf=f"builtin:{robot.name}_{suffix}.xml",
+        joints=of_legs(robot.joints),
+        motors=of_legs(robot.motors),
+        groups={leg: robot.groups[leg] for leg in _LEGS},
+        start_q=of_legs(robot.start_q),
+        stand_kp=of_legs(robot.stand_kp),
+        stand_kd=of_legs(robot.stand_kd),
+    )
+
+
+_LEGS = ("left leg", "right leg")
+H1_10, H1_2_12 = _legs_of(H1, "10"), _legs_of(H1_2, "12")
+
 _G1_LEG = (-0.1, 0.0, 0.0, 0.3, -0.2, 0.0)
 _G1_LEG_KP, _G1_LEG_KD = (200.0, 200.0, 200.0, 300.0, 750.0, 375.0), (5.0, 5.0, 5.0, 6.0, 4.0, 3.0)
 _G1_FEET = ("ankle_roll_link",)
@@ -215,6 +246,7 @@ G1_12 = LeggedRobot(
     stand_kp=_alike(2, _G1_LEG_KP),
     stand_kd=_alike(2, _G1_LEG_KD),
     least_height_m=0.4,
+    follows_motions=True,
 )
 
 # Unitree's own robot with 23 joints: one in the waist, five in each arm. The 23 of TWIST are others (`g1.G1_23`).
@@ -241,6 +273,7 @@ G1_23 = LeggedRobot(
     stand_kp=(*_alike(2, _G1_LEG_KP), 200.0, *_alike(2, (60.0, 60.0, 40.0, 40.0, 20.0))),
     stand_kd=(*_alike(2, _G1_LEG_KD), 5.0, *_alike(2, (2.0, 2.0, 2.0, 2.0, 1.0))),
     least_height_m=0.4,
+    follows_motions=True,
 )
 
 # Clip of the stock TWIST2 simulation [N m], by the end of the joint's name; the model's own `actuatorfrcrange` clips
@@ -272,5 +305,5 @@ G1 = LeggedRobot(
     fills_armature=False,  # the stock model has none at the wrists, and the station's G1 moves as there
 )
 
-ROBOTS = {robot.name: robot for robot in (GO2, GO1, H1, H1_2, G1_12, G1_23)}
+ROBOTS = {robot.name: robot for robot in (GO2, GO1, H1, H1_10, H1_2, H1_2_12, G1_12, G1_23)}
 """All that are served by `adapters.robots.legged.kind`, by the suffix of their keys."""

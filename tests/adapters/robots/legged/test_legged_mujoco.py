@@ -91,7 +91,7 @@ def test_without_a_network_and_without_a_commander_it_stands_for_ten_seconds(
 @each
 def test_it_withstands_the_pushes_that_the_docs_promise(processes: None, robot: LeggedRobot) -> None:
     simulation = simulated(robot)
-    push_m_s = {"go2": 0.8, "go1": 0.5, "h1": 0.3, "h1_2": 0.3, "g1_12": 0.2, "g1_23": 0.2}[robot.name]
+    push_m_s = {"go2": 0.8, "go1": 0.5, "g1_12": 0.2, "g1_23": 0.2}.get(robot.name, 0.3)
     for direction in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0)):
         simulation.reset()
         for step in range(150):
@@ -176,7 +176,16 @@ def test_a_model_of_another_robot_is_refused_in_a_line() -> None:
 
 
 @pytest.mark.assets
-@pytest.mark.parametrize(("name", "model"), [("go2", "go2"), ("go1", "go1_playground"), ("g1_12", "g1_12dof")])
+@pytest.mark.parametrize(
+    ("name", "model"),
+    [
+        ("go2", "go2"),
+        ("go1", "go1_playground"),
+        ("h1_10", "h1_10dof"),
+        ("h1_2_12", "h1_2_12dof"),
+        ("g1_12", "g1_12dof"),
+    ],
+)
 def test_upstreams_model_of_it_stands_as_well(name: str, model: str) -> None:
     robot = ROBOTS[name]
     simulation = LeggedMujoco(robot, assets.resolve(f"zoo:models/{model}.xml"))

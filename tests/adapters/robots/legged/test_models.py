@@ -21,9 +21,12 @@ from tests.adapters.robots.test_g1_model import SHAPES, describe_geoms, tensor
 
 each = pytest.mark.parametrize("robot", ROBOTS.values(), ids=lambda robot: robot.name)
 
-ORIGINALS = {"go2": "go2", "go1": "go1_playground", "h1": "h1_10dof", "h1_2": "h1_2_12dof", "g1_12": "g1_12dof"}
+ORIGINALS = {
+    "go2": "go2", "go1": "go1_playground", "h1": "h1_10dof", "h1_10": "h1_10dof", "h1_2": "h1_2_12dof",
+    "h1_2_12": "h1_2_12dof", "g1_12": "g1_12dof",
+}  # fmt: skip
 """Upstream's models without meshes, by robot."""
-LUMPED = {"h1": {"pelvis", "left_ankle_link", "right_ankle_link"}}
+LUMPED = {name: {"pelvis", "left_ankle_link", "right_ankle_link"} for name in ("h1", "h1_10")}
 """Links that weigh something else there: they hold what has no joint there; another revision's feet."""
 
 
@@ -70,7 +73,8 @@ def test_its_joints_and_servos_are_those_of_the_table_in_its_order(robot: Legged
 
 @each
 def test_its_masses_add_up(robot: LeggedRobot) -> None:
-    whole = {"go2": 15.017, "go1": 12.743, "h1": 51.437, "h1_2": 67.267, "g1_12": 32.107, "g1_23": 32.107}
+    whole = {"go2": 15.017, "go1": 12.743, "h1": 51.437, "h1_10": 51.437, "h1_2": 67.267,
+             "h1_2_12": 67.267, "g1_12": 32.107, "g1_23": 32.107}  # fmt: skip
     assert own(robot).body_subtreemass[0] == pytest.approx(whole[robot.name], abs=1e-3)
 
 
@@ -120,7 +124,7 @@ def test_links_weigh_and_stand_what_and_where_upstreams_do(name: str, assets: Pa
 
 
 @pytest.mark.assets
-@pytest.mark.parametrize(("name", "original"), [("h1", "h1_10dof"), ("g1_23", "g1_12dof")])
+@pytest.mark.parametrize(("name", "original"), [("h1", "h1_10dof"), ("h1_10", "h1_10dof"), ("g1_23", "g1_12dof")])
 def test_trunk_and_arms_together_weigh_what_upstream_puts_into_one_pelvis(
     name: str, original: str, assets: Path
 ) -> None:
