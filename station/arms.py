@@ -154,7 +154,7 @@ class JointCommand:
         wanted = [element.name.removesuffix("_pos") for element in self.elements]
         for name in wanted:
             if name not in joint_names:
-                raise ConfigError(f"the motion has no joint {name!r}; the arm needs {', '.join(wanted)}")
+                raise ConfigError(f"the motion has no joint {name!r}; the command needs {', '.join(wanted)}")
         return np.array([reference.q[joint_names.index(name)] for name in wanted])
 
     def facts(self) -> dict[str, Any]:

@@ -58,14 +58,14 @@ class MujocoOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """Options of the source `mujoco`.
 
     Attributes:
-        camera: Name of the camera in the model: ``head``, ``left_wrist``, ``right_wrist`` of the built-in one.
-        model: MJCF file with a G1, a path or ``collection:path``.
+        camera: Name of the camera in the model: ``head``, of a G1 ``left_wrist`` and ``right_wrist``, too.
+        model: MJCF file with the robot, a path or ``collection:path``; "" for the robot's own.
         robot: Suffix of the robot's keys.
         detail: ``fine`` draws shadows and smooth edges, which takes a graphics card.
     """
 
     camera: str = "head"
-    model: str = "builtin:g1.xml"
+    model: str = ""
     robot: str = twist_keys.TWIST2_ROBOT
     detail: Literal["plain", "fine"] = "plain"
 
@@ -113,10 +113,14 @@ def _realsenses() -> Sequence[str]:
 
 
 def _mujoco(options: MujocoOptions, settings: PictureSettings, newest: Newest) -> Camera:
-    from adapters.cameras.mujoco_g1 import MujocoCamera
+    from adapters.cameras.mujoco_robot import MujocoCamera
+    from adapters.robots.legged.unitree import G1, ROBOTS
 
-    key = keys.sim_qpos(options.robot)
-    return MujocoCamera(options.model, options.camera, key, settings, newest, is_fine=options.detail == "fine")
+    robot = ROBOTS.get(options.robot, G1)  # a G1's keys have several names
+    return MujocoCamera(
+        options.model or robot.mjcf, options.camera, keys.sim_qpos(options.robot), settings, newest,
+        is_fine=options.detail == "fine", robot=robot,
+    )  # fmt: skip
 
 
 def _zmq(options: ZmqOptions, settings: PictureSettings, _newest: Newest) -> Camera:

@@ -1,4 +1,4 @@
-"""What is built in: a model of the G1, a policy that tracks, motions that need no file, scripts of fake devices."""
+"""What is built in: models of robots, how they stand, a policy that tracks, motions of no file, scripts of fakes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ def _motions() -> Sequence[str]:
 
 
 def _files() -> dict[str, Path]:
-    found = [*(_ADAPTERS / "robots").glob("*/*.xml"), *(_ADAPTERS / "policies/tracker").glob("*.onnx")]
+    robots = _ADAPTERS / "robots"
+    found = [*robots.glob("*/*.xml"), *robots.glob("*/*.stand.yaml"), *(_ADAPTERS / "policies/tracker").glob("*.onnx")]
     scripts = (_ADAPTERS / "devices/fakes").glob("*/*.json")
     return {path.name: path for path in sorted(found)} | {
         f"{path.parent.name}/{path.name}": path for path in sorted(scripts)

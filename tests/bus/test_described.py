@@ -9,6 +9,7 @@ import pytest
 
 from adapters.robots.g1 import twist_keys
 from adapters.robots.kassow.names import KR810_ROBOT
+from adapters.robots.legged import unitree
 from station.bus import contracts, keys
 from station.bus.contracts import Contracts
 from station.contract import Contract, Element
@@ -103,7 +104,7 @@ def test_who_invents_robots_fills_no_memory() -> None:
 
 
 def test_robots_that_state_nothing_are_known_by_their_families() -> None:
-    assert contracts.robots() == (twist_keys.TWIST2_ROBOT, twist_keys.TWIST_ROBOT, KR810_ROBOT)
+    assert contracts.robots() == (twist_keys.TWIST2_ROBOT, twist_keys.TWIST_ROBOT, KR810_ROBOT, *unitree.ROBOTS)
     known = Contracts()
     described = known.robot(twist_keys.TWIST2_ROBOT)
     assert described is not None

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from adapters.robots.legged import unitree
 from station.bus import codec, keys
 from station.bus.client import Bus
 from tests import strider
@@ -65,7 +66,8 @@ def test_what_does_not_fit_is_said(strolling: Home) -> None:
 
 
 def test_without_a_bus_it_shows_what_is_known_and_with_one_that_is_named_it_needs_it(home: Home) -> None:
-    assert [robot["name"] for robot in home.json("describe")] == ["unitree_g1_with_hands", "g1", "kassow_kr810"]
+    known = [robot["name"] for robot in home.json("describe")]
+    assert known == ["unitree_g1_with_hands", "g1", "kassow_kr810", *unitree.ROBOTS]
     assert "torque" in home.run("describe", "kassow_kr810").stdout
     assert "Connection refused" in one_line(home.run("describe", "--bus", "redis://localhost:1"))
     home.environment["STATION_BUS"] = "redis://localhost:1"

@@ -114,6 +114,10 @@ PAGES = {
     "docs/files-and-versions.md": Page(has_upstream_data=False),
     "docs/gallery.md": Page(has_upstream_data=False),
     "docs/motions.md": Page(prepare=_motions),
+    "docs/robots.md": Page({
+        "station bus start": Typed(until="Ctrl-C stops it"),
+        "station serve robot": Typed(until="active on"),
+    }, has_upstream_data=False),
     "docs/operators.md": Page({
         "pip install": _INSTALLS,
         "station up g1-sim-pico --record": Typed(elsewhere="the next one, by a fake"),

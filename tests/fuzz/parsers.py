@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.console import Console, RenderableType
 
-from adapters.cameras.mujoco_g1 import MujocoCamera
+from adapters.cameras.mujoco_robot import MujocoCamera
 from adapters.commands import twist, twist2
 from adapters.commands.arm import arm_command
 from adapters.motions.clip import Clip
@@ -455,7 +455,7 @@ def _script_time(data: bytes) -> None:
 
 def _pictured(data: bytes) -> None:
     camera = MujocoCamera.__new__(MujocoCamera)
-    camera._key, camera.drops = keys.sim_qpos(ROBOT), Drops()
+    camera._key, camera._numbers, camera.drops = keys.sim_qpos(ROBOT), 36, Drops()
     qpos = camera._parsed(Sample(camera._key, data, None, 1))
     assert qpos is None or np.isfinite(qpos).all()
 
@@ -562,7 +562,7 @@ def _told() -> list[Parser]:
         Parser("drawn", _drawn, (dumped(CONFIG), EVENT.encode(), dumped(SOURCE), dumped(GATE)),
                ("station.view.phases", "station.view.live")),
         Parser("a fake's time", _script_time, (dumped(CONFIG),), (_OPERATOR + "script_time",)),
-        Parser("what a camera draws", _pictured, (codec.f64(np.ones(36)),), ("adapters.cameras.mujoco_g1",)),
+        Parser("what a camera draws", _pictured, (codec.f64(np.ones(36)),), ("adapters.cameras.mujoco_robot",)),
         Parser("calibrated from", _calibrated, (dumped(CONFIG),), ("station.cli.calibrate_operator",)),
         Parser("log line", lambda data: logs._object("g1", data.decode(errors="replace")), (dumped(GATE), b"I a: b"),
                ("station.cli.logs",)),

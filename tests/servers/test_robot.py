@@ -85,7 +85,7 @@ def test_a_wrong_setting_of_a_robot_names_it_and_those_it_has() -> None:
     with pytest.raises(ConfigError, match=re.escape("robot g1-mujoco: unknown key 'modl' (did you mean 'model'?)")):
         robot_kind("g1-mujoco").typed({"modl": "x"})
     with pytest.raises(UnknownName):
-        robot_kind("h1-mujoco")
+        robot_kind("h1-mojoco")
 
 
 @pytest.mark.usefixtures("processes")

@@ -5,15 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from adapters.robots.g1 import twist_keys
-from adapters.robots.g1.joints import G1_23, JOINTS, LEGS, WAIST, hand
+from adapters.robots.g1.joints import G1_23, hand
+from adapters.robots.legged.description import described
+from adapters.robots.legged.unitree import G1
 from station.bus.robot_streams import GYRO, POSITIONS, command_stream, driven_by_policy
 from station.contract import Codec, Contract, Element, Role, elements, positions
-from station.description import ROBOT, Joint, RobotDescription, RobotFamily
+from station.description import ROBOT, RobotDescription, RobotFamily
 
 if TYPE_CHECKING:  # it loads NumPy
     from station.protocols import CommandFormat
 
-_ARMS = tuple(joint.name for joint in JOINTS if joint.name not in LEGS + WAIST)
 _SIDES = ("left", "right")
 _ROLL_PITCH = ("root_roll", "root_pitch")
 _NECK = elements((("neck_yaw", "neck_pitch"), "rad"))
@@ -32,21 +33,8 @@ def of_server(command_format: CommandFormat) -> RobotDescription:
 
 
 def _described(robot: str, driven: tuple[Contract, ...]) -> RobotDescription:
-    return RobotDescription(
-        name=robot,
-        model="unitree_g1",
-        short="g1",
-        joints=tuple(
-            Joint(joint.name, joint.lower, joint.upper, joint.velocity_rad_s, joint.effort_nm) for joint in JOINTS
-        ),
-        groups={
-            "left leg": LEGS[:6], "right leg": LEGS[6:], "waist": WAIST, "left arm": _ARMS[:7], "right arm": _ARMS[7:],
-        },
-        parts=_PARTS.get(robot, {}),
-        drawn_as="builtin:g1.xml",
-        has_base=True,
-        streams=(*_STOCK.get(robot, ()), *driven),
-    )  # fmt: skip
+    streams = (*_STOCK.get(robot, ()), *driven)
+    return described(G1, robot, streams, short="g1", parts=_PARTS.get(robot, {}))
 
 
 def _hand(side: str) -> tuple[Element, ...]:

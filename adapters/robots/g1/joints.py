@@ -7,8 +7,9 @@ the joints TWIST and TWIST2 have, and in which order, is checked against their m
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
+
+from adapters.robots.legged.table import Joint
 
 if TYPE_CHECKING:  # NumPy is loaded where arrays are made: names are asked for where that would take too long
     from station.protocols import Floats
@@ -18,34 +19,6 @@ _MOTOR_5020 = 0.003609725
 _MOTOR_7520_14 = 0.01017752
 _MOTOR_7520_22 = 0.025101925
 _MOTOR_4010 = 0.00425
-
-
-@dataclass(frozen=True, slots=True)
-class Joint:
-    """One joint.
-
-    Attributes:
-        name: Name on the wire.
-        axis: Axis in the frame of its own link.
-        lower, upper: Range [rad].
-        effort_nm: Greatest torque [N m].
-        velocity_rad_s: Greatest speed [rad/s].
-        armature: Rotor inertia seen at the joint [kg m^2].
-    """
-
-    name: str
-    axis: Literal["x", "y", "z"]
-    lower: float
-    upper: float
-    effort_nm: float
-    velocity_rad_s: float
-    armature: float
-
-    @property
-    def mjcf_name(self) -> str:
-        """Name in Unitree's MJCF and URDF files."""
-        return f"{self.name}_joint"
-
 
 JOINTS: tuple[Joint, ...] = (
     Joint("left_hip_pitch", "y", -2.5307, 2.8798, 88.0, 32.0, _MOTOR_7520_14),

@@ -45,7 +45,7 @@ def test_no_two_files_of_a_collection_have_one_name() -> None:
 
 def test_what_is_built_in_is_there() -> None:
     assert all(path.is_file() for path in builtin.COLLECTION.built_in.values())
-    assert {Path(name).suffix for name in builtin.COLLECTION.built_in} <= {".xml", ".onnx", ".json"}
+    assert {Path(name).suffix for name in builtin.COLLECTION.built_in} <= {".xml", ".onnx", ".json", ".yaml"}
 
 
 def test_every_motion_that_is_listed_can_be_loaded() -> None:

@@ -10,9 +10,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from adapters.robots.g1 import dex3, mjcf
+from adapters.robots.g1 import dex3
 from adapters.robots.g1.joints import G1_29, select
 from adapters.robots.g1.mujoco_g1 import START_Q, MujocoG1
+from adapters.robots.legged import mjcf, unitree
 from adapters.robots.picture import Camera
 from station import rotations
 from station.errors import StationError
@@ -119,9 +120,9 @@ def test_there_is_a_servo_for_every_motor_in_the_order_of_the_motors(path: Path)
 @both
 def test_made_ready_for_the_station_a_servo_gives_what_motor_and_stock_simulation_allow(path: Path) -> None:
     spec = mujoco.MjSpec.from_file(str(path))
-    mjcf.prepare(spec)
+    mjcf.prepare(spec, unitree.G1)
     model = spec.compile()
-    for joint, clip in zip(select(G1_29), mjcf.TORQUE_CLIP_NM, strict=True):
+    for joint, clip in zip(select(G1_29), unitree.G1.torques_nm, strict=True):
         servo = model.actuator(joint.mjcf_name)
         limit = min(joint.effort_nm, clip)
         np.testing.assert_array_equal(servo.forcerange, [-limit, limit])
@@ -217,7 +218,7 @@ def looks(data: mujoco.MjData, camera: str) -> Floats:
 
 @pytest.mark.parametrize("name", ["track", "head", "left_wrist", "right_wrist"])
 def test_every_camera_gives_a_picture(name: str) -> None:
-    model = mjcf.load(G1, is_drawn=True)
+    model = mjcf.load(unitree.G1, G1, is_drawn=True)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     try:

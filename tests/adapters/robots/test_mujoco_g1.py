@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from copy import copy
-from functools import cache
 from pathlib import Path
 
 import mujoco
@@ -11,14 +9,15 @@ import numpy as np
 import pytest
 
 from adapters.policies.twist2 import DEFAULT_Q, gains
-from adapters.robots.g1 import mjcf
-from adapters.robots.g1.joints import G1_29, select
+from adapters.robots.g1.joints import G1_29
 from adapters.robots.g1.mujoco_g1 import START_Q, MujocoG1
+from adapters.robots.legged import mjcf, unitree
 from station import assets
 from station.errors import BadFile, ConfigError, StationError
 from station.protocols import Fall, Floats, JointTargets, Robot, SimulatedRobot
 from station.rotations import from_rotation_vector, multiply, rotation_vector
 from tests.adapters.robots.g1_models import G1
+from tests.adapters.robots.stock_loop import StockLoop
 from tests.view.robots import tiny
 
 _KP, _KD = gains(4.0, 0.2)
@@ -39,57 +38,11 @@ def robot() -> MujocoG1:
     return MujocoG1(G1)
 
 
-@cache
-def _explicit(path: Path) -> mujoco.MjModel:
-    """The model as upstream scripts use it: torque motors, driven from outside."""
-    spec = mujoco.MjSpec.from_file(str(path))
-    mjcf.prepare(spec)
-    for actuator in spec.actuators:
-        actuator.gainprm[0] = 1.0
-        actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
-        actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
-    return spec.compile()
-
-
-class _StockLoop:
-    """The PD law as the stock scripts run it, one torque per physics step."""
-
-    def __init__(self, path: Path, robot: MujocoG1, physics_dt_s: float) -> None:
-        self.model = copy(_explicit(path))
-        self.model.opt.timestep = physics_dt_s
-        self.data = mujoco.MjData(self.model)
-        joints = [self.model.joint(joint.mjcf_name) for joint in select(G1_29)]
-        self.q_at, self.v_at = [j.qposadr[0] for j in joints], [j.dofadr[0] for j in joints]
-        motor_of = {int(self.model.actuator_trnid[u, 0]): u for u in range(self.model.nu)}
-        self.motors = [motor_of[j.id] for j in joints]
-        self.steps = round(0.02 / physics_dt_s)
-        self.clipped = 0
-        self.follow(robot)
-
-    def follow(self, robot: MujocoG1) -> None:
-        """Take up the other's state, the solver's starting guess included."""
-        self.data.qpos[:], self.data.qvel[:] = robot._data.qpos, robot._data.qvel
-        self.data.qacc_warmstart[:] = robot._data.qacc_warmstart
-
-    def write(self, targets: JointTargets) -> None:
-        limit = np.array(mjcf.TORQUE_CLIP_NM)
-        for _ in range(self.steps):
-            torque = targets.kp * (targets.q - self.data.qpos[self.q_at]) - targets.kd * self.data.qvel[self.v_at]
-            self.clipped += int((np.abs(torque) > limit).sum())
-            self.data.ctrl[self.motors] = np.clip(torque, -limit, limit)
-            mujoco.mj_step(self.model, self.data)
-
-    def assert_equals(self, robot: MujocoG1) -> None:
-        state = robot.read()
-        np.testing.assert_allclose(state.q, self.data.qpos[self.q_at], rtol=0, atol=1e-9)
-        np.testing.assert_allclose(state.dq, self.data.qvel[self.v_at], rtol=0, atol=1e-9)
-
-
 @with_models_of_others
 @pytest.mark.parametrize("physics_dt_s", [0.001, 0.002])
 def test_the_engine_servo_equals_the_stock_loop_over_ten_periods(model: str, physics_dt_s: float) -> None:
     robot = MujocoG1(assets.resolve(model), physics_dt_s=physics_dt_s)
-    stock = _StockLoop(assets.resolve(model), robot, physics_dt_s)
+    stock = StockLoop(unitree.G1, assets.resolve(model), robot, physics_dt_s)
     random = np.random.default_rng(3)
     for _ in range(10):
         targets = JointTargets(np.array(START_Q) + random.normal(size=29) * 0.1, _KP, _KD)
@@ -102,7 +55,7 @@ def test_the_engine_servo_equals_the_stock_loop_over_ten_periods(model: str, phy
 @pytest.mark.parametrize("physics_dt_s", [0.001, 0.002])
 def test_the_engine_servo_clips_and_changes_gains_as_the_stock_loop(model: str, physics_dt_s: float) -> None:
     robot = MujocoG1(assets.resolve(model), physics_dt_s=physics_dt_s)
-    stock = _StockLoop(assets.resolve(model), robot, physics_dt_s)
+    stock = StockLoop(unitree.G1, assets.resolve(model), robot, physics_dt_s)
     random = np.random.default_rng(4)
     for period in range(10):
         # Hard kicks make contacts in which rounding grows without bound: each period starts from one state.
@@ -244,7 +197,7 @@ def test_a_physics_step_that_does_not_fit_the_control_period_is_refused(physics_
 
 
 def test_a_model_of_another_robot_is_refused_in_one_line(tmp_path: Path) -> None:
-    with pytest.raises(BadFile, match="expected the 29 joints of a G1") as caught:
+    with pytest.raises(BadFile, match="expected the 29 joints of a Unitree G1") as caught:
         MujocoG1(tiny(tmp_path))
     assert "\n" not in str(caught.value)
 
@@ -260,7 +213,7 @@ def test_a_viewer_without_a_display_is_refused_and_the_process_lives(monkeypatch
 def test_the_motion_is_the_same_to_the_last_bit_without_what_is_only_seen(model: str) -> None:
     """A robot staggers and falls under random torques."""
     path, ends = assets.resolve(model), []
-    drawn, unseen = (mjcf.load(path, is_drawn=is_drawn) for is_drawn in (True, False))
+    drawn, unseen = (mjcf.load(unitree.G1, path, is_drawn=is_drawn) for is_drawn in (True, False))
     for each in (drawn, unseen):
         data, random = mujoco.MjData(each), np.random.default_rng(5)
         for _ in range(400):

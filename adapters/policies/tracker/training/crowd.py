@@ -11,10 +11,11 @@ import mujoco
 import numpy as np
 
 from adapters.policies.tracker.training import recipe
-from adapters.robots.g1 import mjcf
-from adapters.robots.g1.addresses import Addresses
 from adapters.robots.g1.joints import G1_29
 from adapters.robots.g1.mujoco_g1 import START_Q, START_ROOT_POS
+from adapters.robots.legged import mjcf
+from adapters.robots.legged.addresses import Addresses
+from adapters.robots.legged.unitree import G1
 from station.protocols import Floats
 
 CONTROL_DT_S = 0.02
@@ -123,7 +124,7 @@ class Crowd:
 
 def _addresses(model: mujoco.MjModel) -> Addresses:
     """Return where a G1's parts stand in a model, in which nothing else may come first."""
-    found = Addresses(model)
+    found = Addresses(G1, model)
     if found.q.tolist() != list(range(7, 36)) or found.root_q[0] != 0:  # `Crowd.read` takes rows whole
         raise ValueError("expected the root first, then the 29 joints in Unitree's motor order")
     return found
@@ -133,7 +134,7 @@ def _varied(
     path: Path, kp: Floats, kd: Floats, config: recipe.Crowd, rng: np.random.Generator, *, is_nominal: bool
 ) -> mujoco.MjModel:
     """Return a body: that of the file, or one that differs from it as real ones do."""
-    model = mjcf.load(path, is_drawn=False)
+    model = mjcf.load(G1, path, is_drawn=False)
     model.opt.timestep = config.physics_dt_s
     gains = np.ones(len(G1_29)) if is_nominal else 1 + rng.uniform(-1, 1, len(G1_29)) * config.gain_spread
     u = _addresses(model).u

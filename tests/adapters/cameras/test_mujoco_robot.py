@@ -1,4 +1,4 @@
-"""What a simulated G1's cameras see: of which state, when, and exactly where in the picture."""
+"""What a simulated robot's cameras see: of which state, when, and exactly where in the picture."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from adapters.cameras.mujoco_g1 import MujocoCamera, intrinsics
+from adapters.cameras.kinds import MUJOCO, MujocoOptions
+from adapters.cameras.mujoco_robot import MujocoCamera, intrinsics
 from adapters.robots.g1.mujoco_g1 import START_Q, START_ROOT_POS
+from adapters.robots.legged.unitree import GO2
 from station import depth, rotations
 from station.bus import codec
 from station.bus import stamp as stamps
@@ -208,3 +210,20 @@ def test_intrinsics_of_a_right_angle() -> None:
     inner = intrinsics(90.0, 640, 480)
     assert inner.fx == pytest.approx(240.0)
     assert (inner.cx, inner.cy) == (319.5, 239.5)
+
+
+def test_a_robot_that_is_named_looks_from_its_own_model() -> None:
+    bus = Bus()
+    options = MujocoOptions(robot="go2")
+    try:
+        camera = MUJOCO.open(options, SMALL, bus.newest)
+    except CameraError as error:
+        pytest.skip(str(error))
+    assert camera.facts()["model"].endswith("go2.xml")
+    assert camera.facts()["follows"] == "sim_qpos_go2"
+    bus.write(codec.f64(np.ones(36)))
+    assert camera.read(1.0) is None
+    assert camera.why_silent() == "sim_qpos_go2: 36 numbers, expected 19 finite ones"
+    bus.write(codec.f64(np.concatenate([[0, 0, GO2.start_height_m, 1, 0, 0, 0], GO2.start_q])))
+    assert camera.read(1.0) is not None
+    camera.close()

@@ -1,4 +1,4 @@
-"""What the cameras of a simulated G1 see: drawn in this process, from the state that the simulation publishes.
+"""What the cameras of a simulated robot on legs see: drawn in this process, from the state that it publishes.
 
 The model is the simulation's, or any other with the same joints: another scene, or meshes, in pictures only. A picture
 is of the newest state, and taken when that state was written; where no new state has come there is no new picture.
@@ -14,9 +14,9 @@ import numpy as np
 
 from adapters.cameras.encode import Encoder
 from adapters.cameras.pace import Pace
-from adapters.robots.g1 import mjcf
-from adapters.robots.g1.addresses import Addresses
-from adapters.robots.g1.joints import G1_29
+from adapters.robots.legged import mjcf, unitree
+from adapters.robots.legged.addresses import Addresses
+from adapters.robots.legged.table import LeggedRobot
 from adapters.robots.picture import Camera as Eye
 from station import assets, depth
 from station.bus import codec
@@ -30,19 +30,19 @@ from station.protocols import Floats
 _SIZE, _FPS = (640, 480), 30.0
 _MOST_PX = 4096
 _FARTHEST_M = 10.0  # of depth, as stereo cameras have it; what is farther is 0
-_NUMBERS = 7 + len(G1_29)
 
 
 class MujocoCamera:
     """Draws what a camera of the model sees; implements `station.camera.source.Camera`.
 
     Args:
-        model: MJCF file with the joints of a G1 and the camera.
+        model: MJCF file with the joints of the robot and the camera.
         camera: Name of the camera in the model.
         key: Key of the robot's true state.
         wishes: 640x480 at 30 Hz unless they say otherwise.
         newest: Gives the newest value of the key.
         is_fine: Whether to draw shadows and smooth edges, for a machine with a graphics card.
+        robot: The robot.
 
     Raises:
         CameraError: the model has no such camera, or this machine cannot draw.
@@ -50,8 +50,9 @@ class MujocoCamera:
     """
 
     def __init__(
-        self, model: str, camera: str, key: str, settings: PictureSettings, newest: Newest, *, is_fine: bool = False
-    ) -> None:
+        self, model: str, camera: str, key: str, settings: PictureSettings, newest: Newest, *, is_fine: bool = False,
+        robot: LeggedRobot = unitree.G1,
+    ) -> None:  # fmt: skip
         self.drops = Drops()
         self._path, self._name, self._key, self._newest = assets.resolve(model), camera, key, newest
         self._width, self._height = settings.width or _SIZE[0], settings.height or _SIZE[1]
@@ -60,13 +61,14 @@ class MujocoCamera:
         self._has_depth = settings.depth
         self._detail: Literal["fine", "plain"] = "fine" if is_fine else "plain"
         self._shown: Sample | None = None
+        self._numbers = 7 + len(robot.joints)
         self._why_not = ""
         if max(self._width, self._height) > _MOST_PX:
             raise CameraError(f"camera {camera}: {self._width}x{self._height}; expected {_MOST_PX} px at most")
-        self._model = mjcf.load(self._path, is_drawn=True)
+        self._model = mjcf.load(robot, self._path, is_drawn=True)
         if not is_fine:  # in software shadows take four fifths of the time, smooth edges half of the rest
             self._model.vis.quality.shadowsize = self._model.vis.quality.offsamples = 0
-        self._at, self._data = Addresses(self._model), mujoco.MjData(self._model)
+        self._at, self._data = Addresses(robot, self._model), mujoco.MjData(self._model)
         self._id = mujoco.mj_name2id(self._model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
         if self._id < 0:
             known = ", ".join(self._model.camera(index).name for index in range(self._model.ncam)) or "none"
@@ -151,8 +153,8 @@ class MujocoCamera:
         except codec.BadValue as error:
             self._refuse(str(error))
             return None
-        if len(qpos) != _NUMBERS or not np.isfinite(qpos).all():
-            self._refuse(f"{len(qpos)} numbers, expected {_NUMBERS} finite ones")
+        if len(qpos) != self._numbers or not np.isfinite(qpos).all():
+            self._refuse(f"{len(qpos)} numbers, expected {self._numbers} finite ones")
             return None
         self._why_not = ""
         return qpos
@@ -162,7 +164,7 @@ class MujocoCamera:
         self.drops.torn += 1
 
     def _pose(self, qpos: Floats) -> mujoco.MjData:
-        """Put the model where a state says, shape (36,), as far as one sees it."""
+        """Put the model where a state says, shape (7 + n,), as far as one sees it."""
         data, at = self._data, self._at
         data.qpos[at.root_q], data.qpos[at.q] = qpos[:7], qpos[7:]
         mujoco.mj_kinematics(self._model, data)
