@@ -33,6 +33,29 @@ shape of its feet and by the time step (0.51 in the bare loop).
 CHECKPOINTS = {"holosoma": HOLOSOMA, "playground-g1": "zoo:policies/playground_g1_policy.onnx"}
 
 
+OTHER_ROBOTS: dict[str, tuple[str, str, dict[Velocity, Velocity]]] = {
+    "go2": ("pilla-go2", "pilla_go2_policy.jit", {
+        (0.0, 0.0, 0.0): (0.00, 0.01, -0.01), (0.5, 0.0, 0.0): (0.50, 0.01, -0.02),
+        (0.0, 0.4, 0.0): (0.01, 0.38, 0.02), (0.0, 0.0, 0.5): (0.03, 0.00, 0.49),
+        (-0.5, 0.0, 0.0): (-0.46, 0.00, 0.01),
+    }),
+    "go1": ("playground-go1", "playground_go1_policy.onnx", {(0.0, 0.0, 0.0): (0.00, 0.00, 0.00)}),
+    "g1_12": ("rlgym-g1", "rlgym_g1_motion.pt", {
+        (0.0, 0.0, 0.0): (0.01, -0.01, -0.01), (0.5, 0.0, 0.0): (0.48, 0.00, -0.01),
+        (0.0, 0.0, 0.8): (0.02, -0.02, 0.75),
+    }),
+    "h1_10": ("rlgym-h1", "rlgym_h1_motion.pt", {
+        (0.0, 0.0, 0.0): (-0.08, 0.02, -0.02), (0.5, 0.0, 0.0): (0.43, 0.03, -0.01),
+        (0.0, 0.0, 0.8): (-0.07, 0.06, 0.71),
+    }),
+    "h1_2_12": ("rlgym-h1-2", "rlgym_h1_2_motion.pt", {
+        (0.0, 0.0, 0.0): (0.02, 0.02, 0.04), (0.5, 0.0, 0.0): (0.49, 0.00, 0.03),
+        (0.0, 0.0, 0.8): (0.01, 0.00, 0.72),
+    }),
+}  # fmt: skip
+"""By robot: policy, its file, and what was measured in a bare loop, where the script asks for the same velocities."""
+
+
 def slippery(folder: Path) -> str:
     """Return a setting of the robot: our model on the floor that the second policy was trained and measured on.
 
@@ -62,3 +85,21 @@ def test_in_a_minute_nobody_falls_and_velocities_are_those_of_a_bare_loop(
     proof.figure(
         f"a minute of velocities by {policy}: farthest from a bare loop", worst, limit=f"{FIGURES_WITHIN} m/s or rad/s"
     )
+
+
+@pytest.mark.assets
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("robot", OTHER_ROBOTS)
+def test_every_robot_walks_a_minute_by_its_policy_as_fast_as_in_a_bare_loop(
+    robot: str, tmp_path: Path, processes: None, assets: Path, proof: Figures
+) -> None:
+    policy, file, figures = OTHER_ROBOTS[robot]
+    walked = walk(tmp_path / "s", "velocity:each-axis", policy=policy, checkpoint=f"zoo:policies/{file}", robot=robot)
+    expect_sound(walked)
+    assert walked.steps["steps"] >= 60 * 50
+    assert {reason["rule"] for reason in walked.check["reasons"]} <= OF_A_LATE_BUS, walked.check["reasons"]
+    expect_figures(walked, figures)
+    found = walked.measured()
+    worst = max(abs(a - b) for asked, came in figures.items() for a, b in zip(found[asked], came, strict=True))
+    what = f"a minute of velocities, {robot} by {policy}: farthest from a bare loop"
+    proof.figure(what, worst, limit=f"{FIGURES_WITHIN} m/s or rad/s")

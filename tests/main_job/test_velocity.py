@@ -110,16 +110,23 @@ def test_a_policy_that_needs_the_velocity_of_the_base_takes_over_on_the_walk_and
     )
 
 
-def test_a_gamepad_drives_it_by_velocities(tmp_path: Path, processes: None, assets: Path) -> None:
+@pytest.mark.parametrize(
+    ("runbook", "checkpoint", "robot"),
+    [
+        ("g1-velocity-gamepad", HOLOSOMA, "g1_29"),
+        ("go1-sim-gamepad", "zoo:policies/playground_go1_policy.onnx", "go1"),
+    ],
+)
+def test_a_gamepad_drives_it_by_velocities(
+    runbook: str, checkpoint: str, robot: str, tmp_path: Path, processes: None, assets: Path
+) -> None:
     terminal = Terminal(tmp_path)
-    sets = [f"robot.checkpoint={HOLOSOMA}", "gamepad.fake=builtin:gamepad/example.json"]
+    sets = [f"robot.checkpoint={checkpoint}", "gamepad.fake=builtin:gamepad/example.json"]
     pad = [word for setting in sets for word in ("--set", setting)]
-    done = terminal.run(
-        "up", "runbooks/g1-velocity-gamepad.yaml", "--yes", "--record", "--task", "pad", "--for", "6s", *pad
-    )
+    done = terminal.run("up", runbook, "--yes", "--record", "--task", "pad", "--for", "6s", *pad)
     assert done.returncode == 0, done.stdout + done.stderr
     check = terminal.json("check", str(terminal.episode("pad")))
     assert check["events"]["operator-engaged"] == 1, done.stderr
     assert check["falls"] == 0
     keys = {stream["key"] for stream in check["streams"]}
-    assert {"action_velocity_g1_29", "operator_controls_gamepad"} <= keys
+    assert {f"action_velocity_{robot}", "operator_controls_gamepad"} <= keys

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tests.main_job.station_runs import Terminal
+from tests.main_job.station_runs import ROOT, Terminal
 
 RUNBOOK = "runbooks/g1-velocity-script.yaml"
 FIGURES_WITHIN = 0.05  # [m/s], [rad/s]
@@ -37,12 +37,18 @@ class Walked(NamedTuple):
         return {tuple(each["commanded"]): tuple(each["measured"]) for each in self.steps["velocity"]["stretches"]}
 
 
-def walk(folder: Path, script: str, *settings: str, policy: str = "holosoma", checkpoint: str = HOLOSOMA) -> Walked:
-    """Let a script walk the robot of the runbook, recorded."""
-    terminal = Terminal(folder)
+def walk(
+    folder: Path, script: str, *settings: str, policy: str = "holosoma", checkpoint: str = HOLOSOMA, robot: str = ""
+) -> Walked:
+    """Let a script walk the robot of the runbook, or another one by its name, recorded."""
+    terminal, runbook = Terminal(folder), RUNBOOK
+    if robot:
+        text = (ROOT / RUNBOOK).read_text(encoding="utf-8").replace("g1_29", robot)
+        runbook = str(folder / "script.yaml")
+        Path(runbook).write_text(text.replace("g1-mujoco", f"{robot.replace('_', '-')}-mujoco"), encoding="utf-8")
     named = (f"robot.policy={policy}", f"robot.checkpoint={checkpoint}", f"motion.motion={script}", *settings)
     sets = [word for setting in named for word in ("--set", setting)]
-    done = terminal.run("up", RUNBOOK, "--yes", "--record", "--task", "walk", *sets)
+    done = terminal.run("up", runbook, "--yes", "--record", "--task", "walk", *sets)
     output = done.stdout + done.stderr
     assert done.returncode == 0, output
     episode = str(terminal.episode("walk"))

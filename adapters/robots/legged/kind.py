@@ -62,6 +62,7 @@ def kind_of(robot: LeggedRobot, stand: str = "") -> RobotKind:
         options=MujocoOptions,
         make=partial(_make, robot),
         describe=partial(description.of_server, robot),
+        robot_name=robot.name,
         policy="direct",
         checkpoint=stand or f"builtin:{robot.name}.stand.yaml",
     )
