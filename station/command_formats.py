@@ -25,7 +25,7 @@ def command_format(name: str, robot: str, lower: Floats | None = None, upper: Fl
     if not isinstance(found, ForAnyRobot):
         return found
     if not robot:
-        raise ConfigError(f"commands {name!r} are for any robot, and none is named")
+        raise ConfigError(f"commands {name!r} are for any robot, and none is named: see `robot_name` of a robot's kind")
     return found.for_robot(robot, lower, upper)
 
 

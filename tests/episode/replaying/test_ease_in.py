@@ -64,3 +64,19 @@ def test_commands_that_begin_together_are_led_in_together(tmp_path: Path, bus_se
     written = [write.key for _ in range(3) for write in tap.read(0.2) if not keys.is_stamp(write.key)]
     tap.close()
     assert written.count(keys.action_joints(ROBOT)) == written.count(twist_keys.action_body()) == 10
+
+
+def test_a_velocity_that_an_episode_begins_with_is_led_in_from_standing(tmp_path: Path, bus_server: BusAddress) -> None:
+    key = "action_velocity_go2"
+    builder = EpisodeBuilder(tmp_path, task="walk")
+    for tick in range(5):
+        builder.write({key: codec.json_vector([0.6, 0.0, -0.3])}, at_s=0.1 + 0.02 * tick, writer="motion")
+    reader = open_episode(builder.finish({"servers": {"robot": {"robot": "go2"}}}))
+    tap = open_tap(bus_server)
+    with Bus(bus_server, name="replay", timeout_s=5.0) as bus:
+        assert ease_in(bus, reader, 0.2) == pytest.approx(0.2)
+    way = [codec.parse_json_vector(write.value or b"") for _ in range(3) for write in tap.read(0.2) if write.key == key]
+    tap.close()
+    assert len(way) == 10
+    np.testing.assert_array_equal(way[0], np.zeros(3))
+    np.testing.assert_allclose(way[-1], [0.54, 0.0, -0.27])
