@@ -71,8 +71,8 @@ class VelocityDriver:
 
     def inspect(self, sample: OperatorSample) -> DriverInput:
         """A twist will do, or any controls."""
-        if sample.twist is not None and np.isfinite(sample.twist).all():
-            return DriverInput(sample.twist)
+        if (twist := _twist(sample)) is not None:
+            return DriverInput(twist)
         return DriverInput(sample.controls) if sample.controls else DriverInput(None, "the device sends no controls")
 
     def jump(self, before: Any, now: Any) -> str:
@@ -110,9 +110,13 @@ class VelocityDriver:
         return {"driver": self.name, **msgspec.to_builtins(self._options)}
 
 
+def _twist(sample: OperatorSample) -> Floats | None:
+    return sample.twist if sample.twist is not None and np.isfinite(sample.twist).all() else None
+
+
 def _deflected(sample: OperatorSample) -> Floats:
     """Return deflections from -1 to 1: forward, to the left, turning left."""
-    if sample.twist is not None:
-        return np.clip(sample.twist[[0, 1, 5]], -1.0, 1.0)
+    if (twist := _twist(sample)) is not None:
+        return np.clip(twist[[0, 1, 5]], -1.0, 1.0)
     forward, left, turn, _ = deflections(sample.controls)
     return np.array([live(forward), live(left), live(turn)])

@@ -41,6 +41,17 @@ def test_its_episode_is_good_and_tells_how_velocities_were_followed(walked: Walk
     assert "commanded +0.50  +0.00  +0.00, measured +0.4" in printed
 
 
+def test_its_report_tells_it_too_and_a_rehearsal_gives_the_same_figures(walked: Walked, tmp_path: Path) -> None:
+    page = tmp_path / "report.html"
+    assert walked.terminal.run("report", walked.episode, "--out", str(page)).returncode == 0
+    assert "commanded +0.50  +0.00  +0.00, measured +0.4" in page.read_text(encoding="utf-8")
+    (rehearsed,) = walked.terminal.json("rehearse", walked.script, "--policy", "holosoma", "--checkpoint", HOLOSOMA)[
+        "motions"
+    ]
+    for ours, theirs in zip(walked.steps["velocity"]["stretches"], rehearsed["velocity"]["stretches"], strict=True):
+        assert ours["measured"] == pytest.approx(theirs["measured"], abs=1e-9), "a lock-step station is a rehearsal"
+
+
 def test_more_than_the_policy_was_trained_on_is_clamped_and_told(walked: Walked) -> None:
     assert walked.check["events"]["command-clamped"] == 2, "when it began, and when it had ended"
     assert (0.0, 0.0, 1.0) in walked.measured(), "1.4 rad/s was asked for"

@@ -42,6 +42,7 @@ def test_its_episode_is_good_and_was_recorded_step_by_step(trotted: Terminal) ->
     assert (robot["robot"], robot["missing_steps"]) == ("quad", 0)
     assert robot["steps"] > 100
     assert robot["mean_joint_error_rad"] is None, "no joint is commanded"
+    assert 0.0 < max(robot["velocity"]["error"]) < 0.5, "a velocity is, and its place is known"
     walked = trotted.run("check", episode(trotted))
     assert "nan" not in walked.stdout
     assert walked.stderr == ""

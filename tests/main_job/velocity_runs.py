@@ -21,6 +21,7 @@ class Walked(NamedTuple):
     """What a run left behind."""
 
     terminal: Terminal
+    script: str
     episode: str
     output: str
     check: dict[str, Any]
@@ -52,7 +53,7 @@ def walk(
     output = done.stdout + done.stderr
     assert done.returncode == 0, output
     episode = str(terminal.episode("walk"))
-    return Walked(terminal, episode, output, terminal.json("check", episode), terminal.json("audit", episode))
+    return Walked(terminal, script, episode, output, terminal.json("check", episode), terminal.json("audit", episode))
 
 
 def expect_figures(walked: Walked, figures: dict[Velocity, Velocity]) -> None:

@@ -52,6 +52,7 @@ def twisted(*twist: float) -> OperatorSample:
         (controls(key_w=1.0, key_d=1.0), [0.6, 0.0, -1.0]),
         (controls(key_s=1.0, key_j=1.0), [-0.6, 0.4, 0.0]),
         (twisted(0.5, -1.0, 0.9, 0.9, 0.9, 0.25), [0.3, -0.4, 0.25]),
+        (OperatorSample(controls={"key_w": 1.0}, twist=np.full(6, np.nan)), [0.6, 0.0, 0.0]),
         (twisted(9.0, 0.0, 0.0, 0.0, 0.0, -9.0), [0.6, 0.0, -1.0]),
     ],
 )
