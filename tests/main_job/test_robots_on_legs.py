@@ -67,14 +67,15 @@ def test_nothing_of_it_differs_when_it_is_computed_again(stood: tuple[Terminal, 
 
 
 def test_it_is_drawn_as_itself(stood: tuple[Terminal, str], tmp_path: Path) -> None:
-    terminal, _ = stood
-    pictures = [tmp_path / "sheet.png", tmp_path / "plot.png", tmp_path / "episode.rrd"]
-    words = [str(picture) for picture in pictures]
-    for arguments in (("--contact-sheet", words[0], "--plot", words[1]), ("--save", words[2])):
-        done = terminal.run("view", episode(terminal), *arguments)
+    terminal, name = stood
+    asked = {"--save": tmp_path / "episode.rrd"}
+    if name != OTHER:  # drawing takes its time without a graphics card
+        asked |= {"--contact-sheet": tmp_path / "sheet.png", "--plot": tmp_path / "plot.png"}
+    for option, file in asked.items():
+        done = terminal.run("view", episode(terminal), option, str(file))
         assert done.returncode == 0, done.stdout + done.stderr
         assert "not drawn" not in done.stdout + done.stderr
-    assert all(picture.stat().st_size > 50_000 for picture in pictures)
+        assert file.stat().st_size > 50_000
 
 
 def test_its_columns_have_names(stood: tuple[Terminal, str], tmp_path: Path) -> None:

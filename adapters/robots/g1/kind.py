@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import msgspec
-
 from adapters.robots.g1 import description, wire
+from adapters.robots.legged import kind as legged
+from adapters.robots.legged.unitree import G1
 from station import assets
 from station.protocols import Robot
 from station.robot_kind import RobotKind
 
 
-class MujocoOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Settings of the simulation.
+class MujocoOptions(legged.MujocoOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings of the simulation; the rest is as of any robot on legs.
 
     Attributes:
         model: MJCF of the robot, a path or ``collection:path``.
         physics_dt_s: Physics step [s].
-        viewer: Whether it opens a window.
     """
 
-    model: str = "builtin:g1.xml"
+    model: str = G1.mjcf
     physics_dt_s: float = 0.001
-    viewer: bool = False
 
 
 def _make(options: MujocoOptions, control_dt_s: float) -> Robot:
@@ -29,7 +27,7 @@ def _make(options: MujocoOptions, control_dt_s: float) -> Robot:
 
     return MujocoG1(
         assets.resolve(options.model), physics_dt_s=options.physics_dt_s, control_dt_s=control_dt_s,
-        viewer=options.viewer,
+        latency_steps=options.latency_steps, armature=options.armature, viewer=options.viewer,
     )  # fmt: skip
 
 

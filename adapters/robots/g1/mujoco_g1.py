@@ -17,14 +17,17 @@ class MujocoG1(LeggedMujoco):
     Args:
         model: MJCF file.
         physics_dt_s: Physics step [s]; the stock simulations use 0.001, training 0.002.
-        control_dt_s: Control period [s].
-        viewer: Whether to open MuJoCo's window.
+        control_dt_s, latency_steps, armature, viewer: As of any robot on legs.
     """
 
     def __init__(
-        self, model: Path, *, physics_dt_s: float = 0.001, control_dt_s: float = 0.02, viewer: bool = False
-    ) -> None:
-        super().__init__(G1, model, physics_dt_s=physics_dt_s, control_dt_s=control_dt_s, viewer=viewer)
+        self, model: Path, *, physics_dt_s: float = 0.001, control_dt_s: float = 0.02, latency_steps: int = 0,
+        armature: float = 0.0, viewer: bool = False,
+    ) -> None:  # fmt: skip
+        super().__init__(
+            G1, model, physics_dt_s=physics_dt_s, control_dt_s=control_dt_s, latency_steps=latency_steps,
+            armature=armature, viewer=viewer,
+        )  # fmt: skip
 
     def facts(self) -> dict[str, Any]:
         """Return what a manifest says of this robot."""

@@ -38,7 +38,7 @@ class LeggedMujoco:
         model: MJCF file with the joints of the table and a free joint.
         physics_dt_s: Physics step [s]; the stock simulations use 0.001, training 0.002.
         control_dt_s: Control period [s]; a whole number of physics steps.
-        latency_steps: Control periods from `write` to the motors; before the first targets arrive they hold the start.
+        latency_steps: Control periods from `write` to the motors, which hold the joints where they are until then.
         armature: Rotor inertia of every joint in place of the model's [kg m^2]; 0 for the model's.
         viewer: Whether to open MuJoCo's window; needs a display.
 
@@ -134,7 +134,11 @@ class LeggedMujoco:
         return targets
 
     def damp(self) -> None:
-        """Stand still: no time passes in the simulation, so that a robot that is disarmed need not be caught."""
+        """Stand still: no time passes in the simulation, so that a robot that is disarmed need not be caught.
+
+        What was on its way to the motors is lost: it would move a robot that is armed again, however much later.
+        """
+        self._on_the_way.clear()
 
     def push(self, velocity_step: Floats) -> None:
         """Add to the linear velocity of the root in the world, shape (3,) [m/s]; joints keep their speeds, so the
@@ -183,7 +187,7 @@ class LeggedMujoco:
         """Return what the motors get in this period when these targets are sent."""
         self._on_the_way.append(sent)
         if len(self._on_the_way) <= self._latency_steps:
-            return JointTargets(self._start_q, sent.kp, sent.kd)
+            return JointTargets(self._data.qpos[self._at.q], sent.kp, sent.kd)
         return self._on_the_way.popleft()
 
     def _set_gains(self, kp: Floats, kd: Floats) -> None:

@@ -131,6 +131,20 @@ def test_with_a_latency_of_a_step_it_moves_as_one_that_is_told_a_step_later() ->
     np.testing.assert_array_equal(late.qpos, prompt.qpos, err_msg="a reset forgets what was on the way")
 
 
+def test_what_was_on_its_way_when_it_was_disarmed_moves_nothing_when_it_is_armed_again() -> None:
+    late, prompt = simulated(GO2, latency_steps=1), simulated(GO2)
+    for robot in (late, prompt):
+        robot.write(stand(GO2))
+    late.write(stand(GO2, np.array(GO2.start_q) + 0.3))
+    prompt.write(stand(GO2))
+    np.testing.assert_array_equal(late.qpos, prompt.qpos)
+    late.damp()
+    now = late.read().q
+    late.write(stand(GO2))
+    prompt.write(stand(GO2, now))
+    np.testing.assert_array_equal(late.qpos, prompt.qpos, err_msg="it is held where it is until targets arrive")
+
+
 @pytest.mark.parametrize(("rows", "expected"), [("", [0.01] * 12), ('armature="0.03"', [0.03] * 12)])
 def test_rotor_inertia_that_a_model_lacks_is_the_tables(tmp_path: Path, rows: str, expected: list[float]) -> None:
     text = assets.resolve(GO2.mjcf).read_text().replace('armature="0.1"', rows)

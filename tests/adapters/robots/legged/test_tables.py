@@ -76,7 +76,7 @@ def test_the_number_of_joints_is_that_of_the_robot() -> None:
                        "right_wrist_yaw"}  # fmt: skip
 
 
-def test_a_quadrupeds_thighs_reach_farther_ahead_behind() -> None:
+def test_the_rear_thighs_of_a_go2_turn_otherwise_than_its_front_ones() -> None:
     by_name = {joint.name: joint for joint in unitree.GO2.joints}
     assert (by_name["FL_thigh"].lower, by_name["FL_thigh"].upper) == (-1.5708, 3.4907)
     assert (by_name["RL_thigh"].lower, by_name["RL_thigh"].upper) == (-0.5236, 4.5379)
