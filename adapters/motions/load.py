@@ -75,6 +75,7 @@ def _clip(plain: str, holes: Holes, fps: float | None) -> Clip:
         "holes": holes,
         "joints_filled_with_zero": list(raw.filled),
         **report.facts(),
+        **({"provenance": dict(raw.provenance)} if raw.provenance else {}),
         **(builtin.facts(plain) if raw.format == builtin.FORMAT else {}),
     }
     return Clip(good, facts=facts)
