@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import random
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,13 @@ import pytest
 
 from adapters.captures import plug_in_gait
 from adapters.captures.load import load
+from adapters.retarget.human import INDEX, SIDES
 from station.errors import BadFile
 from tests.adapters.captures.people import moving, place_error_m, turn_error_rad
-from tests.adapters.captures.written import markers_of, write_c3d
+from tests.adapters.captures.written import markers_of, turns_of, write_c3d
 from tests.examples import examples
 
-pytest.importorskip("c3d")
+needs_library = pytest.mark.skipif(importlib.util.find_spec("c3d") is None, reason="the extra c3d is not installed")
 
 NEAR_M, NEAR_RAD = 0.008, 0.02
 """How near joints come that are known only by markers beside them."""
@@ -30,6 +32,7 @@ MADE: dict[str, dict[str, Any]] = {
 }
 
 
+@needs_library
 @pytest.mark.parametrize("name", MADE)
 @pytest.mark.parametrize("clip", ["walk-forward", "squat"])
 def test_the_person_comes_back(tmp_path: Path, name: str, clip: str) -> None:
@@ -41,6 +44,7 @@ def test_the_person_comes_back(tmp_path: Path, name: str, clip: str) -> None:
     assert found.fps == pytest.approx(90.0)
 
 
+@needs_library
 def test_a_marker_that_is_hidden_for_a_moment_is_bridged_and_told(tmp_path: Path) -> None:
     """In a straight line: joints are a little off for that long."""
     person = moving("walk-forward")
@@ -50,6 +54,7 @@ def test_a_marker_that_is_hidden_for_a_moment_is_bridged_and_told(tmp_path: Path
     assert "hidden markers bridged, at the longest: STRN 0.22 s, LKNE 0.22 s" in found.notes
 
 
+@needs_library
 def test_fingers_head_and_one_of_the_trunk_may_be_absent(tmp_path: Path) -> None:
     """The chest leans as the breast bone does, then: a tenth of a radian."""
     person = moving("walk-forward")
@@ -62,6 +67,7 @@ def test_fingers_head_and_one_of_the_trunk_may_be_absent(tmp_path: Path) -> None
     assert max(off.values()) < NEAR_RAD
 
 
+@needs_library
 def test_a_capture_begins_where_all_markers_are_known(tmp_path: Path) -> None:
     path = write_c3d(tmp_path / "a.c3d", moving("wave"), hidden={"LASI": slice(0, 45), "RTOE": slice(200, 270)})
     found = load(path)
@@ -69,6 +75,7 @@ def test_a_capture_begins_where_all_markers_are_known(tmp_path: Path) -> None:
     assert "begins 0.50 s later, where all markers are known" in found.notes
 
 
+@needs_library
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
@@ -89,6 +96,20 @@ def test_what_is_missing_is_told_in_one_line(tmp_path: Path, changes: dict[str, 
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("clip", ["walk-forward", "wave", "squat"])
+def test_markers_beside_joints_tell_where_the_joints_are(clip: str) -> None:
+    """However far a limb is bent, to whichever side a hinge's marker is."""
+    person = moving(clip, 1.0, 2.0)
+    places, turns = plug_in_gait.joints(markers_of(person))
+    for side in SIDES:
+        for joint in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist"):
+            off_m = np.linalg.norm(places[f"{side}_{joint}"] - person.positions[:, INDEX[f"{side}_{joint}"]], axis=1)
+            assert off_m.max() < NEAR_M, f"{side}_{joint}"
+        for part, joint in (("foot", "ankle"), ("hand", "wrist")):
+            known = turns_of(person)[:, INDEX[f"{side}_{joint}"]]
+            np.testing.assert_allclose(turns[f"{side}_{part}"], known, atol=NEAR_RAD)
+
+
 def test_a_sacrum_stands_for_the_back_of_the_pelvis() -> None:
     markers = markers_of(moving("wave"))
     sacrum = 0.5 * (markers["LPSI"] + markers["RPSI"])
@@ -97,6 +118,7 @@ def test_a_sacrum_stands_for_the_back_of_the_pelvis() -> None:
     np.testing.assert_allclose(turns["pelvis"], same["pelvis"])
 
 
+@needs_library
 def test_a_damaged_file_raises_one_line_and_ends_nothing(tmp_path: Path) -> None:
     """Whatever bytes are wrong: each file is read, or refused in a line."""
     whole = write_c3d(tmp_path / "a.c3d", moving("wave", 0.5)).read_bytes()
