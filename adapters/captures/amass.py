@@ -40,8 +40,9 @@ HEIGHTS_M = {"male": 1.76, "female": 1.63, "neutral": 1.70}
 """Adults, about [m]."""
 
 _READ = ("poses", "root_orient", "pose_body", "trans", *RATES)
-_LEGS_APART_DEG = {"knee": 6.0, "ankle": -2.0}
-"""In the model's zero pose thighs point outwards and shanks a little inwards, about; ours point straight down."""
+_ZERO_POSE_DEG = {"knee": (5.0, 0.0, 0.0), "ankle": (-2.0, 6.0, 0.0), "elbow": (-3.0, 0.0, 6.0)}
+"""How the bones above these left joints are turned about x, y and z in the model's zero pose, about: thighs outwards,
+shanks inwards and back, upper arms down and back. Those of ours are straight."""
 
 
 def load(path: Path, *, height_m: float | None = None) -> Joints:
@@ -94,8 +95,12 @@ def rest(height_m: float) -> Floats:
     for index, name in enumerate(SMPL_24[1:JOINTS], start=1):
         parent = SMPL_24_PARENTS[index]
         side, _, joint = name.partition("_")
-        apart = np.radians(_LEGS_APART_DEG.get(joint, 0.0)) * (1.0 if side == "left" else -1.0)
-        placed[index] = placed[parent] + about("x", np.array(apart)) @ (ours[index] - ours[parent])
+        bone = ours[index] - ours[parent]
+        if joint in _ZERO_POSE_DEG:
+            mirrored = (1.0, 1.0, 1.0) if side == "left" else (-1.0, 1.0, -1.0)
+            for axis, angle in zip("xyz", np.radians(_ZERO_POSE_DEG[joint]) * mirrored, strict=True):
+                bone = about(axis, angle) @ bone
+        placed[index] = placed[parent] + bone
     return np.asarray(placed @ Y_TO_Z_UP)
 
 

@@ -48,8 +48,7 @@ def load(path: Path, *, height_m: float | None = None) -> Joints:
     """
     del height_m
     labels, points, rate_hz, unit = _read(path, raw.read_bytes(path))
-    wanted = [index for index, label in enumerate(labels) if label in plug_in_gait.LABELS]
-    markers = {labels[index]: points[:, index] for index in wanted}
+    markers = _of_one_person(path, labels, points)
     plug_in_gait.expect(path, markers)
     filled, first, notes = _filled(path, markers, rate_hz)
     places, turns = plug_in_gait.joints(filled)
@@ -65,7 +64,7 @@ def _read(path: Path, data: bytes) -> tuple[list[str], Floats, float, str]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of parameters that are not read here
             reader = library.Reader(io.BytesIO(data))
-            labels = [label.strip().rpartition(":")[2].upper() for label in reader.point_labels]
+            labels = [label.strip() for label in reader.point_labels]
             unit = reader.get("POINT:UNITS")
             frames = itertools.islice(reader.read_frames(copy=True, analog_transform=False), MOST_FRAMES)
             table = np.array([points[:, :4] for _, points, _ in frames], dtype=np.float64)
@@ -79,6 +78,20 @@ def _read(path: Path, data: bytes) -> tuple[list[str], Floats, float, str]:
     unseen = (residual < 0.0) | ~np.isfinite(points).all(axis=-1) | (points == 0.0).all(axis=-1)
     points[unseen] = np.nan
     return labels[: points.shape[1]], points, rate_hz, "" if unit is None else unit.string_value.strip().lower()
+
+
+def _of_one_person(path: Path, labels: list[str], points: Floats) -> dict[str, Floats]:
+    """Return the markers that are read, by their labels without the subject's name."""
+    markers: dict[str, Floats] = {}
+    named: dict[str, str] = {}
+    for index, label in enumerate(labels):
+        name = label.rpartition(":")[2].upper()
+        if name not in plug_in_gait.LABELS:
+            continue
+        if (other := named.setdefault(name, label)) != label or name in markers:
+            raise BadFile(f"{path}: marker {name} is there twice, as {other} and {label}; expected those of one person")
+        markers[name] = points[:, index]
+    return markers
 
 
 def _filled(path: Path, markers: dict[str, Floats], rate_hz: float) -> tuple[dict[str, Floats], int, tuple[str, ...]]:

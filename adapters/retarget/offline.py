@@ -15,6 +15,7 @@ from adapters.captures.load import load
 from adapters.motions import npz_file, raw
 from adapters.motions.bad_frames import mend
 from adapters.retarget.pipeline import BodyRetarget
+from adapters.retarget.scaling import LOWEST_M
 from adapters.retarget.skeleton_file import Skeletons
 from adapters.retarget.smoothing import BodySmoother, Smoothness
 from adapters.robots.g1 import joints as g1
@@ -22,7 +23,7 @@ from adapters.robots.g1 import kinematics
 from adapters.robots.g1.joints import G1_29
 from station import assets, rotations
 from station.errors import BadFile
-from station.protocols import Floats
+from station.protocols import FALL_TILT_RAD, Floats
 from station.retargeting import Retargeted, RetargetTask
 
 CLEAN = Smoothness(rest_hz=20.0, per_mps=40.0, per_rad_s=20.0)
@@ -32,6 +33,7 @@ STEPS_HZ = 90.0
 """The layers run at least so often, as live: limits on speeds are per step."""
 
 _AT_LIMIT_RAD = 1e-3
+_AT_LOWEST_M = 0.02
 _AT_SPEED = 0.999
 _FORMAT = 1  # of the provenance; rises with what would be made of the same file
 
@@ -128,6 +130,8 @@ def _run(captured: Captured, fps: float) -> _Run:
         qpos[index] = np.concatenate([reference.root_pos, reference.root_quat_wxyz, reference.q])
         carries[index] = retargeting.hold.carries
     notes = []
+    if low := int((qpos[:, 2] < LOWEST_M + _AT_LOWEST_M).sum()):
+        notes.append(f"the pelvis is asked no lower than {LOWEST_M:g} m, where it is for {low * step_s:.1f} s")
     if retargeting.anchor.jumps:
         notes.append(f"the capture leaps {retargeting.anchor.jumps} times; the robot stays where it is then")
     if rescues := sum(rescue.rescues for rescue in retargeting.ik.rescues):
@@ -172,7 +176,14 @@ def _provenance_of(path: Path) -> dict[str, Any]:
 
 
 def _why_not(task: RetargetTask, frames: Floats) -> str:
-    """Return why the station would not play frames of shape (n, 36); "" where it would."""
+    """Return why the station would not play frames of shape (n, 36), or would take the robot for fallen; else ""."""
+    tilt = rotations.tilt(frames[:, 3:7])
+    if (tilt > FALL_TILT_RAD).any():
+        worst = int(tilt.argmax())
+        return (
+            f"{task.source}: the pelvis leans by {math.degrees(tilt[worst]):.0f}° at {worst / task.fps:.2f} s; a robot "
+            f"that leans by more than {math.degrees(FALL_TILT_RAD):.0f}° counts as fallen; cut the capture"
+        )
     try:
         mend(raw.build(task.target, format="npz", fps=task.fps, root_pos=frames[:, :3],
                        root_quat_wxyz=frames[:, 3:7], q=frames[:, 7:]))  # fmt: skip

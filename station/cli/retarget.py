@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -50,6 +51,9 @@ def command(
     A motion that is there already, made of the same file in the same way, is kept: a run that was interrupted goes on.
     Exit code 1 when a file could not be made a motion; all others are.
     """
+    for name, value in (("fps", fps), ("height", height_m)):
+        if value is not None and math.isnan(value):  # which is in every range
+            raise UsageError(f"--{name}: expected a number, got nan")
     if robot not in (known := registry.names("retargeter")):
         raise UnknownName("robot to retarget to", robot, known)
     tasks = [
@@ -148,8 +152,10 @@ def _print(made: Sequence[Retargeted]) -> None:
     if rows:
         print_table(columns, rows)
     for each in fresh:
-        for note in (*each.notes, *([f"not played: {each.why_not}"] if each.why_not else [])):
+        for note in each.notes:
             click.echo(printable(f"{each.source}: {note}"))
+        if each.why_not:
+            click.echo(printable(f"not played: {each.why_not}"))
     if kept := len(made) - len(fresh):
         click.echo(f"{kept} there already, made of the same files in the same way")
     written = [each.target for each in fresh if each.target]

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from adapters.captures import amass
 from adapters.captures.load import load
+from station.bus.joints import SMPL_24
 from station.errors import BadFile
 from tests.adapters.captures.people import moving, place_error_m, turn_error_rad
 from tests.adapters.captures.written import Y_UP, amass_members, turns_of, vectors, write_amass
@@ -22,6 +24,20 @@ def test_the_person_comes_back(tmp_path: Path) -> None:
     assert max(place_error_m(found.person, person).values()) < 1e-6
     assert max(turn_error_rad(found.person, person).values()) < 1e-6
     assert found.fps == pytest.approx(90.0)
+
+
+def test_the_zero_pose_is_a_t_pose_with_legs_a_little_apart() -> None:
+    """x left, y up, z forward: hips below the pelvis, arms out, the left side to the left, and both sides alike."""
+    at = dict(zip(SMPL_24, amass.rest(1.7), strict=False))
+    assert at["left_knee"][0] > at["left_hip"][0] + 0.02
+    assert at["left_ankle"][2] < at["left_knee"][2] - 0.03
+    assert at["left_elbow"][0] > at["left_shoulder"][0] + 0.2
+    assert at["left_foot"][2] > at["left_ankle"][2] + 0.1
+    assert at["head"][1] > 0.4
+    assert 0.0 > at["left_hip"][1] > at["left_knee"][1] > at["left_ankle"][1]
+    for name, place in at.items():
+        if name.startswith("left_"):
+            np.testing.assert_allclose(at[name.replace("left", "right")], place * (-1.0, 1.0, 1.0), atol=1e-12)
 
 
 def test_the_newer_members_say_the_same(tmp_path: Path) -> None:

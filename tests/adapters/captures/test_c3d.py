@@ -15,7 +15,7 @@ from adapters.captures.load import load
 from adapters.retarget.human import INDEX, SIDES
 from station.errors import BadFile
 from tests.adapters.captures.people import moving, place_error_m, turn_error_rad
-from tests.adapters.captures.written import markers_of, turns_of, write_c3d
+from tests.adapters.captures.written import c3d_bytes, markers_of, turns_of, write_c3d
 from tests.examples import examples
 
 needs_library = pytest.mark.skipif(importlib.util.find_spec("c3d") is None, reason="the extra c3d is not installed")
@@ -73,6 +73,17 @@ def test_a_capture_begins_where_all_markers_are_known(tmp_path: Path) -> None:
     found = load(path)
     assert len(found.person) == 155
     assert "begins 0.50 s later, where all markers are known" in found.notes
+
+
+@needs_library
+def test_two_people_in_one_file_are_told(tmp_path: Path) -> None:
+    markers = markers_of(moving("wave", 0.5))
+    labels = [f"{who}:{label}" for who in ("Ada", "Bob") for label in markers]
+    points = np.concatenate([np.stack(list(markers.values()), axis=1)] * 2, axis=1)
+    path = tmp_path / "two.c3d"
+    path.write_bytes(c3d_bytes(labels, points, np.zeros(points.shape[:2]), 90.0, "m"))
+    with pytest.raises(BadFile, match="marker C7 is there twice, as Ada:C7 and Bob:C7; expected those of one person"):
+        load(path)
 
 
 @needs_library

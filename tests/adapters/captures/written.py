@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from adapters.captures import amass
+from adapters.captures.geometry import turn_between
 from adapters.retarget.human import HANGING, INDEX, SIDES, of_height, standing
 from adapters.retarget.skeleton_file import Skeletons
 from adapters.robots.g1.kinematics import about, matrix
@@ -119,12 +120,10 @@ def amass_members(person: Skeletons) -> dict[str, Any]:
     zero = amass.rest(person.height_m)
     rest = standing(of_height(person.height_m)).positions[:22] @ Y_UP.T
     turns = turns_of(person)[:, :22] @ Y_UP.T  # from the axes of the zero pose to our world
-    for side in SIDES:  # the bones of the legs are not where ours are in the zero pose
-        for joint, end in (("hip", "knee"), ("knee", "ankle")):
+    for side in SIDES:  # these bones are not where ours are in the zero pose
+        for joint, end in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow")):
             begin, finish = INDEX[f"{side}_{joint}"], INDEX[f"{side}_{end}"]
-            bone, ours = zero[finish] - zero[begin], rest[finish] - rest[begin]
-            angle = np.arctan2(bone[0], -bone[1]) - np.arctan2(ours[0], -ours[1])
-            turns[:, begin] = turns[:, begin] @ about("z", np.array(-angle))
+            turns[:, begin] = turns[:, begin] @ turn_between(zero[finish] - zero[begin], rest[finish] - rest[begin])
     poses = np.zeros((len(person), 52, 3))
     for joint in range(22):
         parent = SMPL_24_PARENTS[joint]
