@@ -19,7 +19,7 @@ from tests.adapters.captures.written import Y_UP, amass_members, turns_of, vecto
 
 
 def test_the_person_comes_back(tmp_path: Path) -> None:
-    person = moving("walk-forward")
+    person = moving("walk-forward", 1.0)
     found = load(write_amass(tmp_path / "a.npz", person), height_m=1.72)
     assert max(place_error_m(found.person, person).values()) < 1e-6
     assert max(turn_error_rad(found.person, person).values()) < 1e-6
@@ -52,7 +52,7 @@ def test_the_newer_members_say_the_same(tmp_path: Path) -> None:
 
 
 def test_a_world_with_y_up_is_turned(tmp_path: Path) -> None:
-    person = moving("walk-forward")
+    person = moving("walk-forward", 1.0)
     members = amass_members(person)
     root = vectors(Y_UP @ turns_of(person)[:, 0] @ Y_UP.T)
     poses = np.concatenate([root, members["poses"][:, 3:]], axis=1)

@@ -29,7 +29,7 @@ MADE: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("name", MADE)
 def test_the_person_comes_back(tmp_path: Path, name: str) -> None:
-    person = moving("walk-forward")
+    person = moving("walk-forward", 1.0)
     found = load(written.write_bvh(tmp_path / "a.bvh", person, **MADE[name]))
     assert max(place_error_m(found.person, person).values()) < 1e-4
     assert max(turn_error_rad(found.person, person).values()) < 1e-4
@@ -39,7 +39,7 @@ def test_the_person_comes_back(tmp_path: Path, name: str) -> None:
 
 def test_what_sits_on_bones_is_fitted_where_the_zero_pose_is_no_person(tmp_path: Path) -> None:
     """As in LAFAN1. The mean posture counts as upright: an elbow's axis differs by what wrists twist."""
-    person = moving("walk-forward")
+    person = moving("walk-forward", 1.0)
     found = load(written.write_bvh(tmp_path / "a.bvh", person, zero="none"))
     assert max(place_error_m(found.person, person).values()) < 1e-4
     assert max(turn_error_rad(found.person, person).values()) < 0.15
@@ -47,7 +47,7 @@ def test_what_sits_on_bones_is_fitted_where_the_zero_pose_is_no_person(tmp_path:
 
 
 def test_a_person_begins_at_the_origin_looks_along_x_and_stands_on_the_floor(tmp_path: Path) -> None:
-    person = moving("walk-arc")
+    person = moving("walk-arc", 0.5)
     found = load(written.write_bvh(tmp_path / "a.bvh", person)).person
     np.testing.assert_allclose(found.positions[0, 0, :2], 0.0, atol=1e-9)
     forward = found.quats_wxyz[0, 0]
@@ -56,7 +56,7 @@ def test_a_person_begins_at_the_origin_looks_along_x_and_stands_on_the_floor(tmp
 
 
 def test_guesses_are_told_and_what_the_user_says_goes_before(tmp_path: Path) -> None:
-    path = written.write_bvh(tmp_path / "a.bvh", moving("wave"))
+    path = written.write_bvh(tmp_path / "a.bvh", moving("wave", 0.5))
     guessed = load(path)
     assert guessed.unit == "cm"
     assert any(note.startswith("lengths taken for cm: the person is 1.72 m tall") for note in guessed.notes)
@@ -69,7 +69,7 @@ def test_guesses_are_told_and_what_the_user_says_goes_before(tmp_path: Path) -> 
 
 
 def test_a_skeleton_that_no_unit_makes_a_person_is_refused(tmp_path: Path) -> None:
-    path = written.write_bvh(tmp_path / "a.bvh", moving("wave"), unit_m=0.3)
+    path = written.write_bvh(tmp_path / "a.bvh", moving("wave", 0.5), unit_m=0.3)
     with pytest.raises(
         BadFile, match=r"the skeleton is 5\.73\d tall; no unit of m, cm, mm, inch, cmu makes 1\.2 to 2\.2"
     ):
@@ -83,14 +83,14 @@ def test_a_mirrored_person_is_refused(tmp_path: Path) -> None:
         ours: theirs.translate(str.maketrans("LR", "RL")).replace("reft", "left")
         for ours, theirs in written.SMPL.items()
     }
-    path = written.write_bvh(tmp_path / "a.bvh", moving("walk-forward"), names=swapped)
+    path = written.write_bvh(tmp_path / "a.bvh", moving("walk-forward", 1.0), names=swapped)
     with pytest.raises(BadFile, match="toes point backward by what left and right say"):
         load(path)
 
 
 def test_a_joint_that_has_no_known_name_is_told_with_the_names_that_came(tmp_path: Path) -> None:
     names = written.MIXAMO | {"left_elbow": "LeftTentacle"}
-    path = written.write_bvh(tmp_path / "a.bvh", moving("wave"), names=names)
+    path = written.write_bvh(tmp_path / "a.bvh", moving("wave", 0.5), names=names)
     with pytest.raises(BadFile, match=r"no joint is the left elbow of a person; expected .*; came Hips, .*") as caught:
         load(path)
     assert "\n" not in str(caught.value)
