@@ -151,9 +151,14 @@ def _print(made: Sequence[Retargeted]) -> None:
     ]  # fmt: skip
     if rows:
         print_table(columns, rows)
+    said: dict[str, list[str]] = {}
     for each in fresh:
         for note in each.notes:
-            click.echo(printable(f"{each.source}: {note}"))
+            said.setdefault(note, []).append(each.source)
+    for note, sources in said.items():
+        of = sources[0] if len(sources) == 1 else f"{len(sources)} captures"
+        click.echo(printable(f"{of}: {note}"))
+    for each in fresh:
         if each.why_not:
             click.echo(printable(f"not played: {each.why_not}"))
     if kept := len(made) - len(fresh):
