@@ -14,9 +14,6 @@ of ours is posed, as tall as the user says. Other members are not read. In place
 
 from __future__ import annotations
 
-import io
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +21,7 @@ import numpy as np
 
 from adapters.captures.geometry import Y_TO_Z_UP
 from adapters.captures.joints import MOST_FRAMES, Joints
-from adapters.motions import raw
+from adapters.motions import npz_archive, raw
 from adapters.retarget.human import INDEX, SIDES, of_height, standing
 from adapters.robots.g1.kinematics import about, matrix
 from station import rotations
@@ -60,8 +57,8 @@ def load(path: Path, *, height_m: float | None = None) -> Joints:
     rate = next((members[name] for name in RATES if name in members), np.zeros(0))
     if rate.size != 1 or rate.dtype.kind not in "fiu":
         raise BadFile(f"{path}: no rate; expected one number of frames per second as {' or '.join(RATES)}")
-    gender = members.get("gender", "neutral")
-    tall_m = height_m or HEIGHTS_M.get(str(gender), HEIGHTS_M["neutral"])
+    gender = _gender(members.get("gender"))
+    tall_m = height_m or HEIGHTS_M[gender]
     if len(poses) != len(places) or len(poses) > MOST_FRAMES:
         raise BadFile(f"{path}: {len(poses)} poses and {len(places)} places; expected equal numbers, to {MOST_FRAMES}")
     at, turns = _posed(rest(tall_m), poses, places)
@@ -150,33 +147,13 @@ def _numbers(path: Path, members: dict[str, Any], name: str, width: int | None) 
 
 
 def _members(path: Path, data: bytes) -> dict[str, Any]:
-    """Return what is needed of an archive; of others, that they are there."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            unpacked = sum(entry.file_size for entry in archive.infolist())
-        if unpacked > raw.MAX_BYTES:
-            raise BadFile(f"{path}: {unpacked / 1e6:.0f} MB unpacked, at most {raw.MAX_BYTES / 1e6:.0f} MB are read")
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            found: dict[str, Any] = {name: archive[name] if name in _READ else None for name in archive.files}
-            if "gender" in found:
-                found["gender"] = _gender(archive)
-            return found
-    except (
-        zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, KeyError, NotImplementedError, MemoryError,
-        RecursionError, OverflowError, TypeError,
-    ) as error:  # fmt: skip
-        reason = " ".join(str(error).split())[:100]
-        raise BadFile(
-            f"{path}: not a readable AMASS file ({reason}); expected poses, trans, mocap_framerate"
-        ) from error
+    """Return what is needed of an archive; of other members, that they are there."""
+    found, names = npz_archive.read(path, data, (*_READ, "gender"), what="AMASS file", ignored=("gender",))
+    return {name: None for name in names} | found
 
 
-def _gender(archive: Any) -> str:
+def _gender(member: Any) -> str:
     """Return a gender that is known, else ``neutral``; files keep it as text, bytes, or an object, not read here."""
-    try:
-        value = archive["gender"]
-    except ValueError:
-        return "neutral"
-    text = value.reshape(-1)[0] if value.size == 1 else ""
-    name = text.decode("ascii", "replace") if isinstance(text, bytes) else str(text)
+    value = member.reshape(-1)[0] if member is not None and member.size == 1 else ""
+    name = value.decode("ascii", "replace") if isinstance(value, bytes) else str(value)
     return name if name in HEIGHTS_M else "neutral"

@@ -14,19 +14,15 @@ these are ignored, so a writer may add what it likes.
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 import os
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from adapters.motions import raw
+from adapters.motions import npz_archive, raw
 from station.errors import BadFile
 from station.protocols import Floats
 
@@ -102,22 +98,8 @@ def _provenance(member: np.ndarray[Any, Any]) -> dict[str, Any]:
 
 
 def _members(path: Path, data: bytes) -> dict[str, np.ndarray[Any, Any]]:
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            unpacked = sum(entry.file_size for entry in archive.infolist())
-        if unpacked > raw.MAX_BYTES:
-            raise BadFile(f"{path}: {unpacked / 1e6:.0f} MB unpacked, at most {raw.MAX_BYTES / 1e6:.0f} MB are read")
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            missing = [name for name in _MEMBERS if name not in archive.files]
-            if missing:
-                raise BadFile(f"{path}: has no member {missing[0]!r}; expected {', '.join(_MEMBERS)}")
-            found = {name: archive[name] for name in _MEMBERS}
-            with contextlib.suppress(KeyError, ValueError):  # absent, or somebody else's, of objects
-                found["provenance"] = archive["provenance"]
-            return found
-    except (
-        zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, KeyError, NotImplementedError, MemoryError,
-        RecursionError, OverflowError, TypeError,
-    ) as error:  # fmt: skip
-        reason = " ".join(str(error).split())[:100]
-        raise BadFile(f"{path}: not a readable .npz motion ({reason}); fetch or export it again") from error
+    found, _ = npz_archive.read(path, data, (*_MEMBERS, "provenance"), what=".npz motion", ignored=("provenance",))
+    missing = [name for name in _MEMBERS if name not in found]
+    if missing:
+        raise BadFile(f"{path}: has no member {missing[0]!r}; expected {', '.join(_MEMBERS)}")
+    return found
