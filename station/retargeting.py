@@ -7,11 +7,14 @@ their files (``station.captures``).
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Literal, Protocol
 
 import msgspec
 
 from station import registry
+
+Unit = Literal["m", "cm", "mm", "inch", "cmu"]
+"""Of a capture's lengths; ``cmu`` is that of CMU's files."""
 
 
 class RetargetTask(msgspec.Struct, frozen=True, kw_only=True):
@@ -31,7 +34,7 @@ class RetargetTask(msgspec.Struct, frozen=True, kw_only=True):
     target: Path
     robot: str
     fps: float
-    units: Any = None
+    units: Unit | None = None
     height_m: float | None = None
     force: bool = False
 

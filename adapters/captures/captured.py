@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 import msgspec
 import numpy as np
@@ -25,8 +25,8 @@ from station import rotations
 from station.bus.joints import SMPL_24
 from station.errors import BadFile
 from station.protocols import Floats
+from station.retargeting import Unit
 
-Unit = Literal["m", "cm", "mm", "inch", "cmu"]
 UNITS_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "cmu": 0.0254 / 0.45}
 """Length of each unit [m]; CMU's files have a unit of 1/0.45 inch."""
 
@@ -67,10 +67,12 @@ def placed(joints: Joints, *, units: Unit | None = None, height_m: float | None 
         height_m: How tall the person is [m]: the file is scaled so.
 
     Raises:
-        BadFile: left and right are exchanged, or no unit makes a person of it.
+        BadFile: no person, left and right are exchanged, or no unit makes a person of it.
     """
     places, turns, up = _upright(joints)
     lengths = _lengths(places)
+    if lengths.leg <= 0.0:
+        raise BadFile(f"{joints.path}: all joints are at one place; expected a person")
     scale, unit, notes = _scale(joints, lengths.height, units, height_m)
     places = {name: place * scale for name, place in places.items()}
     lengths = _lengths(places)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from adapters.captures.captured import Captured, Unit, placed
+from adapters.captures.captured import Captured, placed
 from adapters.captures.joints import Joints
 from station import registry
 from station.errors import BadFile
+from station.retargeting import Unit
 
 
 def load(path: Path, *, units: Unit | None = None, height_m: float | None = None) -> Captured:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import get_args
 
 import click
 import msgspec
@@ -14,7 +15,7 @@ from station.cli import candidates
 from station.cli.options import NamedPath, jobs_option, json_option
 from station.errors import BadFile, StationError, UnknownName, UsageError
 from station.printable import printable
-from station.retargeting import Retargeted, RetargetTask, retarget
+from station.retargeting import Retargeted, RetargetTask, Unit, retarget
 
 _TOLD = 20  # files that came to nothing and are told; the rest are counted
 _JOINTS = 3  # of a file that are named, those longest at a limit
@@ -28,7 +29,7 @@ _JOINTS = 3  # of a file that are named, those longest at a limit
               help="Folder of the motion files; made where it is missing.")  # fmt: skip
 @click.option("--height", "height_m", metavar="M", type=click.FloatRange(1.2, 2.2), default=None,
               help="How tall the person is [m]; every file is scaled so.  [default: what the file says]")  # fmt: skip
-@click.option("--units", type=click.Choice(["m", "cm", "mm", "inch", "cmu"]), default=None,
+@click.option("--units", type=click.Choice(get_args(Unit)), default=None,
               help="Of the files' lengths.  [default: what the file says, else a guess by how tall the person is]",
               )  # fmt: skip
 @click.option("--fps", type=click.FloatRange(10, 200), default=50.0, show_default=True,
@@ -37,7 +38,7 @@ _JOINTS = 3  # of a file that are named, those longest at a limit
 @jobs_option
 @json_option
 def command(
-    files: Sequence[str], robot: str, out: Path, height_m: float | None, units: str | None, fps: float, force: bool,
+    files: Sequence[str], robot: str, out: Path, height_m: float | None, units: Unit | None, fps: float, force: bool,
     jobs: int, as_json: bool,
 ) -> None:  # fmt: skip
     """Make motions of a robot of FILES: motion capture of people, as BVH, AMASS (.npz) or C3D; of a folder, all that it

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,14 @@ def test_a_skeleton_that_no_unit_makes_a_person_is_refused(tmp_path: Path) -> No
     ):
         load(path)
     assert load(path, height_m=1.72).unit == "scaled to 1.72 m"
+
+
+def test_joints_at_one_place_are_no_person(tmp_path: Path) -> None:
+    path = written.write_bvh(tmp_path / "a.bvh", moving("wave", 0.5))
+    path.write_text(re.sub(r"OFFSET .*", "OFFSET 0 0 0", path.read_text()))
+    for height_m in (None, 1.7):
+        with pytest.raises(BadFile, match="all joints are at one place; expected a person"):
+            load(path, height_m=height_m)
 
 
 def test_a_mirrored_person_is_refused(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import random
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from adapters.captures import plug_in_gait
 from adapters.captures.load import load
 from adapters.retarget.human import INDEX, SIDES
-from station.errors import BadFile
+from station.errors import BadFile, StationError
 from tests.adapters.captures.people import moving, place_error_m, turn_error_rad
 from tests.adapters.captures.written import c3d_bytes, markers_of, turns_of, write_c3d
 from tests.examples import examples
@@ -72,6 +73,15 @@ def test_a_capture_begins_where_all_markers_are_known(tmp_path: Path) -> None:
     found = load(path)
     assert len(found.person) == 155
     assert "begins 0.50 s later, where all markers are known" in found.notes
+
+
+def test_without_the_library_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_c3d(tmp_path / "a.c3d", moving("wave", 0.2))
+    monkeypatch.setitem(sys.modules, "c3d", None)
+    with pytest.raises(
+        StationError, match=r"a C3D file needs c3d; install the extra: pip install 'teleop-station\[c3d\]'"
+    ):
+        load(path)
 
 
 @needs_library
