@@ -86,6 +86,7 @@ def _clip(plain: str, raw: RawMotion, holes: Holes) -> Clip:
         "holes": holes,
         "joints_filled_with_zero": list(raw.filled),
         **report.facts(),
+        **({"provenance": dict(raw.provenance)} if raw.provenance else {}),
         **(builtin.facts(plain) if raw.format == builtin.FORMAT else {}),
     }
     return Clip(good, facts=facts)

@@ -8,25 +8,26 @@
 | ``joint_pos`` | (n, k) float64 | joint positions [rad] |
 | ``joint_names`` | (k,) text | names of the columns, as in `adapters.robots.g1.joints.G1_29`; wrists may be absent |
 
-Members beyond these are ignored, so a writer may add what it likes.
+``provenance`` () text may stand beside them: what the motion was made of, a JSON object, for manifests. Members beyond
+these are ignored, so a writer may add what it likes.
 """
 
 from __future__ import annotations
 
-import io
-import zipfile
-import zlib
-from collections.abc import Sequence
+import json
+import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from adapters.motions import raw
+from adapters.motions import npz_archive, raw
 from station.errors import BadFile
 from station.protocols import Floats
 
 _MEMBERS = ("fps", "root_pos", "root_quat_wxyz", "joint_pos", "joint_names")
+_LONGEST_PROVENANCE = 1 << 14  # characters
 
 
 def load(path: Path, *, fps: float | None = None) -> raw.RawMotion:
@@ -53,13 +54,15 @@ def load(path: Path, *, fps: float | None = None) -> raw.RawMotion:
         root_quat_wxyz=members["root_quat_wxyz"],
         q=members["joint_pos"],
         joint_names=tuple(names.tolist()),
+        provenance=_provenance(members["provenance"]) if "provenance" in members else None,
     )
 
 
 def save(
-    path: Path, *, fps: float, root_pos: Floats, root_quat_wxyz: Floats, joint_pos: Floats, joint_names: Sequence[str]
-) -> None:
-    """Write a motion; shapes and units as in the table above.
+    path: Path, *, fps: float, root_pos: Floats, root_quat_wxyz: Floats, joint_pos: Floats, joint_names: Sequence[str],
+    provenance: Mapping[str, Any] | None = None,
+) -> None:  # fmt: skip
+    """Write a motion, whole or not at all; shapes and units as in the table above.
 
     Raises:
         BadFile: what would be written could not be read back.
@@ -68,31 +71,35 @@ def save(
         path, format="npz", fps=fps, root_pos=root_pos, root_quat_wxyz=root_quat_wxyz, q=joint_pos,
         joint_names=tuple(joint_names),
     )  # fmt: skip
-    with path.open("wb") as stream:  # a stream, because numpy would add a suffix to a path without one
-        np.savez_compressed(
-            stream,
-            fps=np.float64(fps),
-            root_pos=root_pos,
-            root_quat_wxyz=root_quat_wxyz,
-            joint_pos=joint_pos,
-            joint_names=np.array(joint_names, dtype=np.str_),
-        )
+    members: dict[str, Any] = {
+        "fps": np.float64(fps), "root_pos": root_pos, "root_quat_wxyz": root_quat_wxyz, "joint_pos": joint_pos,
+        "joint_names": np.array(joint_names, dtype=np.str_),
+    }  # fmt: skip
+    if provenance:
+        members["provenance"] = np.array(json.dumps(dict(provenance)))
+    temporary = path.with_name(f".{path.name}.new")
+    try:
+        with temporary.open("wb") as stream:  # a stream, because numpy would add a suffix to a path without one
+            np.savez_compressed(stream, **members)
+        os.replace(temporary, path)
+    except BaseException:  # an interrupt too
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def _provenance(member: np.ndarray[Any, Any]) -> dict[str, Any]:
+    """Return what a file says of where it is from; nothing where somebody else's member has that name."""
+    text = str(member.reshape(-1)[0]) if member.dtype.kind == "U" and member.size == 1 else ""
+    try:
+        told = json.loads(text[:_LONGEST_PROVENANCE])
+    except (ValueError, RecursionError):
+        return {}
+    return told if isinstance(told, dict) else {}
 
 
 def _members(path: Path, data: bytes) -> dict[str, np.ndarray[Any, Any]]:
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            unpacked = sum(entry.file_size for entry in archive.infolist())
-        if unpacked > raw.MAX_BYTES:
-            raise BadFile(f"{path}: {unpacked / 1e6:.0f} MB unpacked, at most {raw.MAX_BYTES / 1e6:.0f} MB are read")
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            missing = [name for name in _MEMBERS if name not in archive.files]
-            if missing:
-                raise BadFile(f"{path}: has no member {missing[0]!r}; expected {', '.join(_MEMBERS)}")
-            return {name: archive[name] for name in _MEMBERS}
-    except (
-        zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, KeyError, NotImplementedError, MemoryError,
-        RecursionError, OverflowError, TypeError,
-    ) as error:  # fmt: skip
-        reason = " ".join(str(error).split())[:100]
-        raise BadFile(f"{path}: not a readable .npz motion ({reason}); fetch or export it again") from error
+    found, _ = npz_archive.read(path, data, (*_MEMBERS, "provenance"), what=".npz motion", ignored=("provenance",))
+    missing = [name for name in _MEMBERS if name not in found]
+    if missing:
+        raise BadFile(f"{path}: has no member {missing[0]!r}; expected {', '.join(_MEMBERS)}")
+    return found

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ class RawMotion:
         root_quat_wxyz: Orientation of the pelvis in that world, shape (n, 4).
         q: Joint positions in the order of `adapters.robots.g1.joints.G1_29`, shape (n, 29) [rad].
         filled: Joints that the file does not have; they are zero.
+        provenance: What the file says of where it is from.
     """
 
     path: Path
@@ -41,6 +43,7 @@ class RawMotion:
     root_quat_wxyz: Floats
     q: Floats
     filled: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.q)
@@ -75,6 +78,7 @@ def build(
     root_quat_wxyz: Any,
     q: Any,
     joint_names: tuple[str, ...] | None = None,
+    provenance: Mapping[str, Any] | None = None,
 ) -> RawMotion:
     """Check the shapes of what a reader found and put the joints into G1 order; absent wrists become zero.
 
@@ -86,6 +90,7 @@ def build(
         root_quat_wxyz: Numbers, shape (n, 4).
         q: Numbers, shape (n, k) [rad].
         joint_names: Names of the k columns; None means the 29 joints of TWIST2 or the 23 of TWIST, told by k.
+        provenance: What the file says of where it is from.
 
     Raises:
         BadFile: a shape, a type, a rate or a joint name is wrong.
@@ -103,7 +108,7 @@ def build(
     ordered = np.zeros((len(columns), len(G1_29)))
     ordered[:, [G1_29.index(name) for name in names]] = columns
     filled = tuple(name for name in G1_29 if name not in names)
-    return RawMotion(path, format, checked_fps(path, fps), position, orientation, ordered, filled)
+    return RawMotion(path, format, checked_fps(path, fps), position, orientation, ordered, filled, provenance or {})
 
 
 def checked_fps(path: Path, fps: Any) -> float:

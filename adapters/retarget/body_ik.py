@@ -77,13 +77,14 @@ class BodyIK:
         self._weights = weights or Weights()
         self._configuration = self._mink.Configuration(model, START)
         self._tasks = tasks_for(model, self._weights)
-        self._speeds = np.concatenate(
+        self.speeds = np.concatenate(
             [
                 np.full(3, self._limits.root_mps),
                 np.full(3, self._limits.root_rad_s),
                 np.minimum(g1.velocity(G1_29), self._limits.joint_rad_s),
             ]
         )
+        """Greatest speeds of the root along the world's and about its own axes, and of the joints, shape (35,)."""
         self._arms = ARMS
         self.rescues = (ArmRescue(), ArmRescue())
         """Of the left arm and of the right one."""
@@ -125,7 +126,7 @@ class BodyIK:
 
     def _lead_arms(self, aim: LinkTargets, time_s: float) -> Floats:
         """Lead back an arm that is caught; return the greatest speeds of this frame, shape (35,)."""
-        speeds, q = self._speeds, self._configuration.q[7:]
+        speeds, q = self.speeds, self._configuration.q[7:]
         for side, rescue in enumerate(self.rescues):
             joints, before = self._arms[side], rescue.way
             away_rad = float(np.abs(q[joints] - STANDING_Q[joints]).max())

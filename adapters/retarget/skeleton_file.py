@@ -12,16 +12,13 @@ Members beyond these are ignored.
 
 from __future__ import annotations
 
-import io
-import zipfile
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from adapters.motions import raw
+from adapters.motions import npz_archive, raw
 from station.bus.joints import SMPL_24
 from station.errors import BadFile
 from station.operator.sample import Body
@@ -104,22 +101,11 @@ def save(path: Path, skeletons: Skeletons) -> None:
 
 
 def _members(path: Path, data: bytes) -> dict[str, np.ndarray[Any, Any]]:
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            unpacked = sum(entry.file_size for entry in archive.infolist())
-        if unpacked > raw.MAX_BYTES:
-            raise BadFile(f"{path}: {unpacked / 1e6:.0f} MB unpacked, at most {raw.MAX_BYTES / 1e6:.0f} MB are read")
-        with np.load(io.BytesIO(data), allow_pickle=False) as found:
-            missing = [name for name in _SHAPES if name not in found.files]
-            if missing:
-                raise BadFile(f"{path}: has no member {missing[0]!r}; expected {', '.join(_SHAPES)}")
-            return {name: found[name] for name in (*_SHAPES, "height_m") if name in found.files}
-    except (
-        zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, KeyError, NotImplementedError, MemoryError,
-        RecursionError, OverflowError, TypeError,
-    ) as error:  # fmt: skip
-        reason = " ".join(str(error).split())[:100]
-        raise BadFile(f"{path}: not a readable skeleton file ({reason}); record or export it again") from error
+    found, _ = npz_archive.read(path, data, (*_SHAPES, "height_m"), what="skeleton file")
+    missing = [name for name in _SHAPES if name not in found]
+    if missing:
+        raise BadFile(f"{path}: has no member {missing[0]!r}; expected {', '.join(_SHAPES)}")
+    return found
 
 
 def _checked(path: Path, name: str, array: np.ndarray[Any, Any]) -> Floats:

@@ -30,6 +30,7 @@ VERBS = {
     "init": "Make a folder to work in: a runbook, rules, a place for episodes.",
     "runbooks": "List the runbooks that ship, show one, or copy one to change it.",
     "motions": "List the motions that can be played, or look whether a file of yours can.",
+    "retarget": "Make motions of a robot of people's motion capture: BVH, AMASS, C3D.",
     "serve": "Run one server in this terminal.",
     "down": "End the station that runs, in order, as Ctrl-C in its terminal does.",
     "logs": "Print what the servers said; --follow goes on.",

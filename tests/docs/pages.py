@@ -12,6 +12,8 @@ import numpy as np
 
 from adapters.robots.g1.joints import G1_29
 from station import assets
+from tests.adapters.captures.people import moving
+from tests.adapters.captures.written import write_amass, write_bvh
 from tests.docs.reader import Typed
 from tests.foreign.recorded import document, record
 from tests.main_job.page_package import install
@@ -47,6 +49,14 @@ def _motions(folder: Path) -> None:
     (folder / "clips").mkdir()
     rows = np.hstack([root_pos, np.roll(root_quat, -1, axis=1), joint_pos])
     np.savetxt(folder / "clips" / "stand.csv", rows, delimiter=",")
+
+
+def _captures(folder: Path) -> None:
+    """Three seconds of a walk, as BVH and as AMASS."""
+    person = moving("walk-forward", 3.0, 0.0)
+    write_bvh(folder / "walk.bvh", person)
+    (folder / "amass").mkdir()
+    write_amass(folder / "amass" / "walk_poses.npz", person)
 
 
 def _recordings(folder: Path) -> None:
@@ -118,6 +128,7 @@ PAGES = {
         "station bus start": Typed(until="Ctrl-C stops it"),
         "station serve robot": Typed(until="active on"),
     }, has_upstream_data=False),
+    "docs/captures.md": Page({"pip install": _INSTALLS}, _captures),
     "docs/operators.md": Page({
         "pip install": _INSTALLS,
         "station up g1-sim-pico --record": Typed(elsewhere="the next one, by a fake"),

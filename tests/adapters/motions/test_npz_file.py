@@ -94,3 +94,26 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused_before_it_does(tmp_path
             member.write(bytes(1 << 20))
     with pytest.raises(BadFile, match="unpacked"):
         npz_file.load(path)
+
+
+def test_a_file_says_what_it_was_made_of(tmp_path: Path) -> None:
+    assert npz_file.load(save(tmp_path / "plain.npz")).provenance == {}
+    said = {"source": "walk.bvh", "fps": 50.0}
+    assert npz_file.load(save(tmp_path / "made.npz", provenance=said)).provenance == said
+
+
+@pytest.mark.parametrize(
+    "foreign", [np.array("no JSON"), np.array("[1]"), np.array("[" * 10_000), np.zeros(3), np.array([{}], dtype=object)]
+)
+def test_a_member_of_that_name_that_somebody_else_wrote_is_ignored(tmp_path: Path, foreign: Any) -> None:
+    path = save(tmp_path / "a.npz")
+    with np.load(path) as members:
+        np.savez(path, **members, provenance=foreign)
+    assert npz_file.load(path).provenance == {}
+
+
+def test_what_cannot_be_written_leaves_nothing_behind(tmp_path: Path) -> None:
+    (tmp_path / "walk.npz").mkdir()
+    with pytest.raises(OSError, match=r"walk\.npz"):
+        save(tmp_path / "walk.npz")
+    assert [path.name for path in tmp_path.iterdir()] == ["walk.npz"]
