@@ -176,13 +176,6 @@ def audit(
     )  # fmt: skip
     run.on_file(reader)
     run.place(reader.start_ns)
-    if run.odd_size and run.odd_size != run.policy.spec.observation_size and not run.actions.compared:
-        spec = run.policy.spec
-        raise EpisodeError(
-            f"episode {reader.episode_id}: its observations have {run.odd_size} numbers, those of policy {spec.name!r} "
-            f"{spec.observation_size}; recorded by another version, or without what the policy remembers (the state of "
-            "an LSTM), it cannot be audited"
-        )
     audited = [_audited(suspects[name], load(name)) for name in run.drove or list(suspects)[:1]]
     return _result(reader.episode_id, run, gate, audited, time.perf_counter() - began)
 
@@ -282,7 +275,6 @@ class _Run:
     first_ns: int = 0
     last_ns: int = 0
     count: int = 0
-    odd_size: int = 0  # numbers of the first observation that the policy does not make
     _times: array[int] = field(default_factory=lambda: array("q"))  # of every step [ns]
     _before: Step | None = None
     _driving: str = ""
@@ -328,7 +320,11 @@ class _Run:
         if not has_seen or done is None or len(done) % 4:
             self.incomplete += 1
             self._before = None
-            self.odd_size = self.odd_size or len(seen or b"") // 4
+            if seen and len(seen) != size:
+                self.not_derived = self.not_derived or (
+                    f"observations have {len(seen) // 4} numbers, policy {self.policy.spec.name!r} makes {size // 4}: "
+                    "another version's, or recorded without what it remembers (the state of an LSTM)"
+                )
             return
         action = codec.parse_f32(done)
         if seen is not None:
