@@ -31,7 +31,7 @@ from station.api.live import Record, Station
 from station.bus import codec, contracts, keys, stamp
 from station.bus.address import BusAddress
 from station.bus.sample import Sample
-from station.bus.tap import not_mirrored
+from station.bus.tap import Write, not_mirrored
 from station.camera.source import Drops
 from station.cli import logs
 from station.clock import SYSTEM
@@ -43,6 +43,7 @@ from station.enrich.siblings import siblings
 from station.episode.reading import vectors
 from station.episode.reading.messages import Channel, Message
 from station.episode.reading.steps import robot_state, timing_row
+from station.episode.recorder import controller
 from station.episode.storage import pictures
 from station.episode.storage.channels import encoding_of, source_of
 from station.episode.storage.manifest import Manifest, Timing, dump_manifest
@@ -254,6 +255,7 @@ def _stamped(data: bytes) -> None:
     json.dumps({"writer": mark.writer, "pid": mark.pid, "boot": mark.is_from_this_boot, "source": source_of(data)})
     np.array([mark.seq, mark.mono_ns, mark.wall_ns, mark.capture_ns or 0], dtype=np.int64)
     pictures.around("camera_image_a", 9, NOW_NS, data)
+    assert controller._written_ns(Write(keys.RECORD, b"{}", data, NOW_NS)) <= NOW_NS
 
 
 def _progress(key: str, data: bytes) -> None:
@@ -503,7 +505,8 @@ def _by_itself() -> list[Parser]:
         Parser("depth", depth.decoded, (depth.encoded(np.eye(8, dtype=np.uint16)),), ("station.depth",)),
         Parser("stamp", _stamped, (STAMP, b"1 2 3 a.b.c.d"), (
             _BODY + "stamp", _BODY + "client", _BODY + "watch", "station.view.status", _EPISODE + "storage.channels",
-            _EPISODE + "storage.pictures", _EPISODE + "recorder.tap_reader", _EPISODE + "recorder.resume")),
+            _EPISODE + "storage.pictures", _EPISODE + "recorder.tap_reader", _EPISODE + "recorder.resume",
+            _EPISODE + "recorder.controller")),
     ]  # fmt: skip
 
 

@@ -41,6 +41,7 @@ READS_FILES = {
     "adapters.exports.lerobot.dataset": "its own statistics of a shard",
     "adapters.exports.lerobot.finished": "a data set of its own",
     "adapters.foreign.twist2_file": "a recording of another recorder",
+    "adapters.motions.npz_file": "a motion of its own",
     "adapters.policies.holosoma": "metadata of a checkpoint",
 }
 """Modules whose JSON is no value of the bus: anybody may write to the bus, not anybody to these."""
