@@ -16,7 +16,7 @@ demo: $(VENV)/.installed   ## run the main job once and print the report
 
 PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist loadscope --no-loadscope-reorder# the order of tests/tiers.py: those that wait come first
 
-test: $(VENV)/.installed-test $(VENV)/.installed-kord   ## the test suite, without proofs
+test: $(VENV)/.installed-test $(VENV)/.installed-kord $(VENV)/.collected   ## the test suite, without proofs
 	@$(PYTEST) -m "not proof" --changed-builds
 
 quick: $(VENV)/.installed-test   ## only the tests that start no process
@@ -72,6 +72,11 @@ $(VENV)/.installed: $(VENV)/bin/python pyproject.toml
 $(VENV)/.installed-test: $(VENV)/.installed pyproject.toml
 	@echo "Installing what the tests need; this takes a few minutes …"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile torch==2.13.0 --editable '.[test,torch,train]'
+	@touch $@
+
+# Imports all tests once, so that what Python compiles of them is there: else each process of a first run compiles it.
+$(VENV)/.collected: $(VENV)/.installed-test
+	@$(BIN)/python -m pytest --collect-only -q >$(VENV)/collected.log || { cat $(VENV)/collected.log; exit 1; }
 	@touch $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed pyproject.toml

@@ -67,7 +67,8 @@ class Progress:
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """Fail a run that leaves files in the checkout; which test did, only a run of fewer tests tells."""
-        self._left = sorted(leftovers.files_in_checkout() - self._files) if not self._is_worker else []
+        ran = not self._is_worker and not session.config.option.collectonly  # beside which others may write
+        self._left = sorted(leftovers.files_in_checkout() - self._files) if ran else []
         if self._left and session.exitstatus == 0:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
