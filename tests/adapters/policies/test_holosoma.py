@@ -12,6 +12,7 @@ from adapters.policies.holosoma import HolosomaPolicy
 from adapters.robots.g1.joints import G1_29
 from station.errors import BadFile
 from station.protocols import Floats
+from tests.adapters.policies.restored import expect_goes_on
 
 from .velocity_inputs import gravity, inputs, onnx_file
 
@@ -84,18 +85,11 @@ def test_targets_are_a_quarter_radian_per_unit_about_the_default_pose(policy: Ho
 @pytest.mark.parametrize("pause", [0, 1])
 def test_a_restored_policy_goes_on_bit_for_bit(policy: HolosomaPolicy, is_run: bool, pause: int) -> None:
     other = HolosomaPolicy(policy.spec.checkpoint)
-    *before, last, after = inputs(73, 29, seed=1)
-    for number, (state, command) in enumerate(before):
-        observation = policy.observe(state, STILL if pause and number > 60 else command)
-        action = policy.act(observation)
-    other.restore(observation)
-    if is_run:
-        np.testing.assert_array_equal(other.act(observation), action)
-    for state, command in (last, after):
-        expected = policy.observe(state, command)
-        np.testing.assert_array_equal(other.observe(state, command), expected)
-        other.act(expected)
-        policy.act(expected)
+    steps = inputs(73, 29, seed=1)
+    stands = [
+        (state, STILL if pause and 60 < number < 71 else command) for number, (state, command) in enumerate(steps)
+    ]
+    expect_goes_on(policy, other, stands, is_run=is_run)
 
 
 def test_reset_forgets_everything(policy: HolosomaPolicy) -> None:

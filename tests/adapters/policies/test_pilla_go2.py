@@ -9,6 +9,7 @@ import pytest
 
 from adapters.policies.pilla_go2 import PillaGo2Policy
 from station.errors import BadFile
+from tests.adapters.policies.restored import expect_goes_on
 
 from .velocity_inputs import gravity, inputs
 
@@ -65,19 +66,7 @@ def test_what_is_applied_is_the_output_of_the_step_before_in_the_order_of_the_mo
 @pytest.mark.parametrize("is_run", [True, False])
 def test_a_restored_policy_goes_on_bit_for_bit(policy: PillaGo2Policy, is_run: bool) -> None:
     other = PillaGo2Policy(policy.spec.checkpoint)
-    *before, last = inputs(9, 12, seed=2)
-    for state, command in before:
-        observation = policy.observe(state, command)
-        action = policy.act(observation)
-    other.restore(observation)
-    if is_run:
-        np.testing.assert_array_equal(other.act(observation), action)
-        np.testing.assert_array_equal(other.targets(action, command).q, policy.targets(action, command).q)
-    expected = policy.observe(*last)
-    np.testing.assert_array_equal(other.observe(*last), expected)
-    action = policy.act(expected)
-    np.testing.assert_array_equal(other.act(expected), action)
-    np.testing.assert_array_equal(other.targets(action, last[1]).q, policy.targets(action, last[1]).q)
+    expect_goes_on(policy, other, inputs(10, 12, seed=2), is_run=is_run)
 
 
 def test_its_range_is_not_the_same_both_ways(policy: PillaGo2Policy) -> None:

@@ -13,6 +13,7 @@ from adapters.robots.g1.joints import G1_29
 from station.command_formats import command_format
 from station.control.control import ControlStep
 from station.errors import BadFile, ConfigError
+from tests.adapters.policies.restored import expect_goes_on
 from tests.control.ideal_robot import IdealRobot
 
 from .velocity_inputs import gravity, inputs, onnx_file
@@ -83,17 +84,7 @@ def test_targets_are_half_a_radian_per_unit_about_the_default_pose(
 @pytest.mark.parametrize("steps", [1, 2, 34, 67, 100, 131])
 def test_a_restored_policy_goes_on_bit_for_bit(g1: PlaygroundG1Policy, steps: int, is_run: bool) -> None:
     other = PlaygroundG1Policy(g1.spec.checkpoint)
-    *before, last, after = inputs(steps + 2, 29, seed=steps)
-    for state, command in before:
-        observation = g1.observe(state, command)
-        action = g1.act(observation)
-    other.restore(observation)
-    if is_run:
-        np.testing.assert_array_equal(other.act(observation), action)
-    for state, command in (last, after):
-        expected = g1.observe(state, command)
-        np.testing.assert_array_equal(other.observe(state, command), expected)
-        np.testing.assert_array_equal(other.act(expected), g1.act(expected))
+    expect_goes_on(g1, other, inputs(steps + 2, 29, seed=steps), is_run=is_run)
 
 
 def test_reset_forgets_everything(g1: PlaygroundG1Policy) -> None:

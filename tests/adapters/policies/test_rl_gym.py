@@ -12,6 +12,7 @@ import pytest
 from adapters.policies.rl_gym import RlGymG1Policy, RlGymH1Policy, RlGymH12Policy, RlGymPolicy
 from adapters.policies.torchscript_network import LstmNetwork
 from station.errors import BadFile, StationError
+from tests.adapters.policies.restored import expect_goes_on
 
 from .velocity_inputs import gravity, inputs
 
@@ -92,19 +93,9 @@ def test_targets_are_a_quarter_radian_per_unit_about_the_default_pose(policy: Rl
 def test_its_memory_is_restored_from_a_recorded_observation(policy: RlGymPolicy, is_run: bool) -> None:
     count = JOINTS[type(policy)]
     other = type(policy)(policy.spec.checkpoint)
-    *before, last, after = inputs(58, count, seed=3)
-    for state, command in before:
-        observation = policy.observe(state, command)
-        action = policy.act(observation)
     for state, command in inputs(5, count, seed=9):  # another past
         other.act(other.observe(state, command))
-    other.restore(observation)
-    if is_run:
-        np.testing.assert_array_equal(other.act(observation), action)
-    for state, command in (last, after):
-        expected = policy.observe(state, command)
-        np.testing.assert_array_equal(other.observe(state, command), expected)
-        np.testing.assert_array_equal(other.act(expected), policy.act(expected))
+    expect_goes_on(policy, other, inputs(58, count, seed=3), is_run=is_run)
 
 
 def test_the_same_observation_gives_the_same_output_whatever_was_asked_between(policy: RlGymPolicy) -> None:

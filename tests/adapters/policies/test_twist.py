@@ -15,6 +15,7 @@ from adapters.robots.g1.joints import G1_23, G1_25, G1_29
 from station.errors import BadFile, StationError
 from station.protocols import Floats, RobotState
 from station.rotations import normalized, roll_pitch_yaw
+from tests.adapters.policies.restored import expect_goes_on
 
 pytestmark = [pytest.mark.torch, pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")]
 
@@ -79,14 +80,7 @@ def test_wrist_rolls_bypass_the_network_and_the_other_wrist_joints_stay_at_zero(
 @pytest.mark.parametrize("is_run", [True, False])
 def test_a_restored_policy_goes_on_bit_for_bit(policy: TwistPolicy, is_run: bool) -> None:
     other = TwistPolicy(policy.spec.checkpoint)
-    *before, last = _inputs(13)
-    for state, command in before:
-        observation = policy.observe(state, command)
-        action = policy.act(observation)
-    other.restore(observation)
-    if is_run:
-        np.testing.assert_array_equal(other.act(observation), action)
-    np.testing.assert_array_equal(other.observe(*last), policy.observe(*last))
+    expect_goes_on(policy, other, _inputs(14), is_run=is_run)
 
 
 def test_reset_forgets_everything(policy: TwistPolicy) -> None:
