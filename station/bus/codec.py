@@ -85,16 +85,12 @@ def parse_json_vector(data: bytes, length: int | None = None) -> NDArray[np.floa
 
 def f64(values: Sequence[float] | NDArray[Any]) -> bytes:
     """Encode a vector as little-endian float64."""
-    import numpy as np
-
-    return np.ascontiguousarray(values, dtype="<f8").tobytes()
+    return _raw(values, "<f8")
 
 
 def f32(values: Sequence[float] | NDArray[Any]) -> bytes:
     """Encode a vector as little-endian float32."""
-    import numpy as np
-
-    return np.ascontiguousarray(values, dtype="<f4").tobytes()
+    return _raw(values, "<f4")
 
 
 def parse_f64(data: bytes) -> NDArray[np.float64]:
@@ -214,13 +210,17 @@ def _numpy() -> Any:
     return np
 
 
-def _parse_raw(data: bytes, layout: str, kind: str) -> NDArray[Any]:
-    import numpy as np
+def _raw(values: Sequence[float] | NDArray[Any], layout: str) -> bytes:
+    data: bytes = _numpy().ascontiguousarray(values, layout).tobytes()
+    return data
 
-    size = np.dtype(layout).itemsize
+
+def _parse_raw(data: bytes, layout: str, kind: str) -> NDArray[Any]:
+    size = int(layout[-1])
     if len(data) % size:
         raise BadValue(f"{len(data)} bytes, expected a multiple of {size}")
-    return np.frombuffer(data, dtype=layout).astype(kind)
+    vector: NDArray[Any] = _numpy().frombuffer(data, layout).astype(kind)
+    return vector
 
 
 def _why_not_a_vector(data: bytes) -> BadValue:
