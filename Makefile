@@ -76,6 +76,7 @@ $(VENV)/.installed-test: $(VENV)/.installed pyproject.toml
 
 # Imports all tests once, so that what Python compiles of them is there: else each process of a first run compiles it.
 $(VENV)/.collected: $(VENV)/.installed-test
+	@echo "Importing all tests once; this takes half a minute …"
 	@$(BIN)/python -m pytest --collect-only -q >$(VENV)/collected.log || { cat $(VENV)/collected.log; exit 1; }
 	@touch $@
 

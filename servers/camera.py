@@ -29,7 +29,7 @@ from station.optics import Intrinsics, Mount, Optics
 
 _NAME = re.compile(r"[a-z0-9_]+")
 _JPEG_BYTES_PER_PIXEL = 0.2  # USB cameras gave 40 to 90 kB for 640x480 at quality 90; what is simulated needs half
-_DEPTH_BYTES_PER_PIXEL = 0.8  # of a sensor's noise; what is simulated has none and needs a twentieth
+_DEPTH_BYTES_PER_PIXEL = 1.0  # a sensor's noise gave 250 to 310 kB for 640x480; what is simulated needs a fiftieth
 
 
 class CameraConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
