@@ -34,6 +34,12 @@ class UsageError(StationError):
     exit_code = 2
 
 
+class Interrupted(StationError):
+    """Ctrl-C, with what there is to say of it; the exit code is a shell's."""
+
+    exit_code = 130
+
+
 class ConfigError(UsageError):
     """A configuration value, key or file does not fit its type."""
 

@@ -14,7 +14,7 @@ from station import registry
 from station.cli import candidates
 from station.cli.fields import options_of
 from station.cli.options import Decorator, NamedPath, Verbs, data_option, jobs_option, json_option, task_option
-from station.errors import StationError, UnknownName, UsageError
+from station.errors import Interrupted, StationError, UnknownName, UsageError
 from station.printable import printable
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ def _export(
     except KeyboardInterrupt:
         safe = sum(outcome.made is not None for outcome in seen)
         again = "; the same command goes on from there" if safe else ""
-        raise _Interrupted(f"interrupted; {safe} of {len(chosen)} episodes are converted and kept{again}") from None
+        raise Interrupted(f"interrupted; {safe} of {len(chosen)} episodes are converted and kept{again}") from None
     except StationError:
         lost = [SkippedEpisode(source=outcome.source, reason=outcome.reason) for outcome in seen if outcome.is_lost]
         _print_skipped("failed", lost if len(lost) > 1 else [])  # of one alone the error tells
@@ -185,12 +185,6 @@ def _export(
     else:
         click.echo(_result(kind, done))
     raise SystemExit(1 if done.failed else 0)
-
-
-class _Interrupted(StationError):
-    """Ctrl-C, with what there is to say of it; the exit code is a shell's."""
-
-    exit_code = 130
 
 
 def _print_skipped(what: str, lost: Sequence[SkippedEpisode]) -> None:

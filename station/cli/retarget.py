@@ -13,7 +13,7 @@ import msgspec
 from station import registry
 from station.cli import candidates
 from station.cli.options import NamedPath, jobs_option, json_option
-from station.errors import BadFile, StationError, UnknownName, UsageError
+from station.errors import BadFile, Interrupted, UnknownName, UsageError
 from station.printable import printable
 from station.retargeting import Retargeted, RetargetTask, Unit, retarget
 
@@ -123,17 +123,11 @@ def _all(
 
             attempts = map_episodes(retarget, tasks, jobs=jobs, on_done=on_done)
     except KeyboardInterrupt:
-        raise _Interrupted(
+        raise Interrupted(
             f"interrupted; {done} of {len(tasks)} motions are made and kept; the same command goes on from there"
         ) from None
     made = [attempt.result for attempt in attempts if attempt.result is not None]
     return made, [(attempt.item, attempt.error) for attempt in attempts if attempt.result is None]
-
-
-class _Interrupted(StationError):
-    """Ctrl-C, with what there is to say of it; the exit code is a shell's."""
-
-    exit_code = 130
 
 
 def _print(made: Sequence[Retargeted]) -> None:
