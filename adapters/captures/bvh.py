@@ -135,7 +135,7 @@ def _chain(bvh: Bvh, index: int) -> list[int]:
 
 
 def _stands(joints: _Found, rest: Floats) -> Floats | None:
-    """Return what is up in the pose of zero rotations, shape (3,), if that is a person who stands."""
+    """Return the up direction of the pose of zero rotations, shape (3,); None if nobody stands in it."""
     at = {name: rest[index] for name, index in joints.places.items()}
     ankles = 0.5 * (at["left_ankle"] + at["right_ankle"])
     up = geometry.axis_up(at["head"][None], ankles[None])

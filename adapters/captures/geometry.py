@@ -1,4 +1,4 @@
-"""Orientations told by where joints are, for what a file does not say: shape (n, 3, 3), columns forward, left, up."""
+"""Orientations of body parts from joint positions, where a file has none: (n, 3, 3), columns forward, left, up."""
 
 from __future__ import annotations
 

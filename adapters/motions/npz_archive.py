@@ -1,4 +1,4 @@
-"""Members of a numpy ``.npz`` archive that somebody else may have written: bounded, and without unpickling."""
+"""Reads members of a numpy ``.npz`` archive from anywhere: of bounded size, and without unpickling."""
 
 from __future__ import annotations
 

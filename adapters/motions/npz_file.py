@@ -88,7 +88,7 @@ def save(
 
 
 def _provenance(member: np.ndarray[Any, Any]) -> dict[str, Any]:
-    """Return what a file says of where it is from; nothing where somebody else's member has that name."""
+    """Return the provenance that a file states; empty if its member of that name is another program's."""
     text = str(member.reshape(-1)[0]) if member.dtype.kind == "U" and member.size == 1 else ""
     try:
         told = json.loads(text[:_LONGEST_PROVENANCE])
