@@ -6,16 +6,31 @@ import ctypes
 import errno
 import os
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 
 
-def write_atomic(path: Path, data: bytes, *, sync: bool = True, mode: int = 0o644) -> None:
+def write_atomic(
+    path: Path,
+    data: bytes,
+    *,
+    sync: bool = True,
+    mode: int = 0o644,
+    put: Callable[[str, Path], None] = os.replace,
+) -> None:
     """Replace a file: temporary file beside it, fsync, rename, fsync of the folder.
 
     Without `sync` the file survives the death of the process, not that of the machine. By default it is read by anyone
     who may enter the folder, as an episode is.
+
+    Args:
+        path: The file.
+        data: All that it holds.
+        sync: Whether to wait for the disk.
+        mode: Its permissions.
+        put: Renames the temporary file, or raises what is to be raised here.
 
     Raises:
         OSError: the disk refused it; the old file is then untouched.
@@ -29,7 +44,7 @@ def write_atomic(path: Path, data: bytes, *, sync: bool = True, mode: int = 0o64
                 os.fsync(descriptor)
         finally:
             os.close(descriptor)
-        os.replace(temporary, path)
+        put(temporary, path)
     except BaseException:  # an interrupt too
         Path(temporary).unlink(missing_ok=True)
         raise

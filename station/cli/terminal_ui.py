@@ -100,8 +100,10 @@ class TerminalUI:
 
     def pop_restart(self) -> bool:
         """Whether that key was pressed since the last call."""
-        taken, self._is_taken = self._is_taken, False
-        return taken
+        if not self._is_taken:
+            return False
+        self._is_taken = False  # nowhere else: a key of this moment is not lost
+        return True
 
     def __enter__(self) -> TerminalUI:
         root = logging.getLogger()
@@ -212,7 +214,8 @@ class TerminalUI:
 
     def _take(self, key: str) -> bool:
         """Start servers again if that is offered and the key asks for it; return whether the key was used."""
-        self._is_taken |= (takes := bool(self._offered) and key in _AGAIN)
+        if takes := bool(self._offered) and key in _AGAIN:
+            self._is_taken = True
         return takes
 
     def _stop_directly(self) -> None:

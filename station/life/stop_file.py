@@ -43,6 +43,10 @@ class NotKept(StationError):
     """The file of the stop cannot be written."""
 
 
+class _Overtaken(Exception):
+    """Another process has written the file."""
+
+
 class LatchedStop(msgspec.Struct, frozen=True, kw_only=True):
     """A stop that nobody has released.
 
@@ -140,12 +144,38 @@ class StopFile:
     def _write(self, word: _Word) -> None:
         try:
             self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            with self._locked():
-                with contextlib.suppress(NotKept):  # a broken file is replaced
-                    word = _newer(self._load(), word)
-                write_atomic(self.path, codec.json_object(word), mode=0o600)
+            while not self._replace(self._known(), word):
+                pass  # another process has written meanwhile
         except OSError as error:
             raise NotKept(f"{self.path}: {_reason(error)}; make it writable, or remove it") from None
+
+    def _replace(self, known: _Word | None, word: _Word) -> bool:
+        """Write a word over what is known, unless that is newer; return whether it still stood there.
+
+        The lock is not held while the disk takes its time: who has waited in vain for it writes all the same, and
+        might be overwritten by an older word.
+        """
+        if (newest := _newer(known, word)) == known:
+            return True
+
+        def put(temporary: str, path: Path) -> None:
+            with self._locked():
+                if self._known() != known:
+                    raise _Overtaken
+                os.replace(temporary, path)
+
+        try:
+            write_atomic(self.path, codec.json_object(newest), mode=0o600, put=put)
+        except _Overtaken:
+            return False
+        return True
+
+    def _known(self) -> _Word | None:
+        """Return what the file holds; None where that is nothing, or nothing that can be read: it is replaced."""
+        try:
+            return self._load()
+        except NotKept:
+            return None
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:

@@ -6,6 +6,7 @@ or be none of ours, which keeps no file.
 
 from __future__ import annotations
 
+import contextlib
 from types import TracebackType
 
 from station.bus import keys
@@ -48,17 +49,14 @@ class StopMemory:
     def latched(self) -> LatchedStop | None:
         """Return the stop that nobody has released, by the file or by the bus; or None.
 
-        The bus is asked as well as listened to: of a stop of this moment no word may have come yet.
+        The bus is asked: of a stop or a release of this moment no word may have come yet. What was heard counts where
+        the bus does not answer, or has forgotten it.
         """
         self._keep()
-        address = self._bus.address
-        heard = self._keeper.file.read() or on_bus(address, {keys.ESTOP: self._watch.latest(keys.ESTOP)}.get)
-        if heard is not None:
-            return heard
-        try:
-            return on_bus(address, self._bus.read(estop.KEYS).get)
-        except BusError:
-            return None
+        found = {keys.ESTOP: self._watch.latest(keys.ESTOP)}
+        with contextlib.suppress(BusError):
+            found |= self._bus.read(estop.KEYS)
+        return self._keeper.file.read() or on_bus(self._bus.address, found.get)
 
     @property
     def has_forgetful_bus(self) -> bool:

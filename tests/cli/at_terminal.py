@@ -59,14 +59,19 @@ class AtTerminal:
 
     def wait_for(self, text: str, after: int = 0) -> int:
         """Wait until the screen has shown a text, behind a place; return the place behind it."""
-        wait_until(lambda: text in self.screen[after:] or self.process.poll() is not None)
-        assert text in self.screen[after:], f"no {text!r} (exit code {self.process.poll()}) in:\n{self.screen[after:]}"
+        self.wait_for_any(text, after=after)
         return self.screen.index(text, after) + len(text)
 
     def wait_for_any(self, *texts: str, after: int = 0) -> None:
         """Wait until the screen has shown one of some texts, behind a place."""
-        wait_until(lambda: any(text in self.screen[after:] for text in texts) or self.process.poll() is not None)
-        assert any(text in self.screen[after:] for text in texts), f"none of {texts} in:\n{self.screen[after:]}"
+
+        def is_shown() -> bool:
+            return any(text in self.screen[after:] for text in texts)
+
+        try:
+            wait_until(lambda: is_shown() or self.process.poll() is not None)
+        finally:
+            assert is_shown(), f"none of {texts} (exit code {self.process.poll()}) in:\n{self.screen[after:]}"
 
     def type(self, keys: bytes) -> None:
         os.write(self._ours, keys)

@@ -81,7 +81,7 @@ def test_a_station_says_a_stop_again_that_its_bus_has_forgotten_and_a_released_o
         soon(lambda: bus.call("EXISTS", keys.ESTOP) == 0)
 
 
-def test_a_stop_of_which_no_word_has_come_yet_is_found_where_it_is_asked_for(
+def test_a_stop_and_a_release_of_which_no_word_has_come_yet_count_where_they_are_asked_for(
     bus_server: BusAddress, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with Bus(bus_server, name="supervisor", timeout_s=5.0) as bus, StopMemory(bus, "supervisor") as memory:
@@ -91,5 +91,10 @@ def test_a_stop_of_which_no_word_has_come_yet_is_found_where_it_is_asked_for(
         latched = memory.latched()
         assert latched is not None
         assert latched.reason == "smoke"
+        stop = bus.read([keys.ESTOP])[keys.ESTOP]
+        monkeypatch.setattr(memory._watch, "latest", {keys.ESTOP: stop}.get)
         bus.publish({keys.ESTOP: b'{"stop": false}'})
-        assert memory.latched() is None
+        memory._keeper.file.release("anna")
+        assert memory.latched() is None, "of the release no word has come yet"
+        bus.call("DEL", keys.ESTOP)
+        assert memory.latched() is not None, "a bus that has forgotten it releases nothing"

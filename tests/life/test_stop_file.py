@@ -145,6 +145,26 @@ def test_a_file_that_is_locked_by_a_frozen_process_holds_up_nobody() -> None:
     assert file.read() is None
 
 
+def test_a_release_is_not_lost_to_a_stop_that_a_slow_disk_writes_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk takes longer than anybody waits for the lock: a latch of before must not undo a release of after."""
+    sync, is_slow, is_syncing = os.fsync, threading.Event(), threading.Event()
+
+    def slow_sync(descriptor: int) -> None:
+        if threading.current_thread() is latching and not is_slow.is_set():
+            is_syncing.set()
+            is_slow.wait(30.0)
+        sync(descriptor)
+
+    latching = threading.Thread(target=StopFile(BUS).latch, args=("anna", 1))
+    monkeypatch.setattr(os, "fsync", slow_sync)
+    latching.start()
+    assert is_syncing.wait(30.0)
+    StopFile(BUS).release("anna", 2)
+    is_slow.set()
+    latching.join()
+    assert StopFile(BUS).read() is None
+
+
 def test_the_bus_tells_of_a_stop_that_no_file_has(bus_server: BusAddress) -> None:
     with Bus(bus_server, name="t", timeout_s=5.0) as bus:
         assert stop_file.latched(bus) is None
