@@ -56,13 +56,18 @@ def library(module: str, package: str, who: str, *, extra: str = "video") -> Any
     """Return a module of an extra.
 
     Raises:
-        CameraError: it is not installed.
+        CameraError: it is not installed, or a library of the system that it needs is not.
     """
     try:
         return importlib.import_module(module)
-    except ImportError:
+    except ModuleNotFoundError:
         raise CameraError(
             f"{who} needs {package}, which is not installed; pip install 'teleop-station[{extra}]'"
+        ) from None
+    except ImportError as error:
+        raise CameraError(
+            f"{who} needs {package}, which is installed and cannot be loaded ({error}); install that library with the "
+            "system's packages"
         ) from None
 
 

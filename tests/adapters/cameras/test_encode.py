@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from adapters.cameras.encode import Encoder
+from adapters.cameras.encode import Encoder, library
+from station.camera.source import CameraError
 from tests.adapters.cameras import pictures
 
 
@@ -33,3 +36,21 @@ def test_colours_are_those_of_the_camera() -> None:
 def test_a_higher_quality_makes_a_larger_file() -> None:
     noise = np.random.default_rng(0).integers(0, 255, (120, 160, 3), dtype=np.uint8)
     assert len(Encoder(95).rgb(noise)) > 1.5 * len(Encoder(50).rgb(noise))
+
+
+@pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        (None, r"which is not installed; pip install 'teleop-station\[realsense\]'"),
+        ("raise ImportError('libx.so.0: cannot open shared object file')",
+         r"which is installed and cannot be loaded \(libx.so.0: cannot open .*\); install that library with the"),
+    ],
+)  # fmt: skip
+def test_a_library_that_is_missing_and_one_that_misses_something_are_told_apart(
+    found: str | None, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if found is not None:
+        (tmp_path / "camera_sdk.py").write_text(found)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(CameraError, match=f"^the source realsense needs camera-sdk, {said}"):
+        library("camera_sdk", "camera-sdk", "the source realsense", extra="realsense")

@@ -17,7 +17,9 @@ from station.optics import Intrinsics, of_facts
 from tests.adapters.cameras import pictures
 from tests.waiting import wait_until
 
-sdk: Any = pytest.importorskip("pyrealsense2", reason="its wheels are for Linux on x86-64")
+sdk: Any = pytest.importorskip(
+    "pyrealsense2", reason="its wheels are for Linux on x86-64 and need libusb-1.0", exc_type=ImportError
+)
 
 SIZE, FRAMES, PERIOD_S = (64, 48), 12, 1 / 60
 SETTINGS = PictureSettings(quality=95)
