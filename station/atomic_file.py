@@ -18,7 +18,7 @@ def write_atomic(
     *,
     sync: bool = True,
     mode: int = 0o644,
-    put: Callable[[str, Path], None] = os.replace,
+    put: Callable[[str, Path], None] | None = None,
 ) -> None:
     """Replace a file: temporary file beside it, fsync, rename, fsync of the folder.
 
@@ -30,7 +30,7 @@ def write_atomic(
         data: All that it holds.
         sync: Whether to wait for the disk.
         mode: Its permissions.
-        put: Renames the temporary file, or raises what is to be raised here.
+        put: Renames the temporary file, or raises what is to be raised here; by default `os.replace`.
 
     Raises:
         OSError: the disk refused it; the old file is then untouched.
@@ -44,7 +44,7 @@ def write_atomic(
                 os.fsync(descriptor)
         finally:
             os.close(descriptor)
-        put(temporary, path)
+        (put or os.replace)(temporary, path)
     except BaseException:  # an interrupt too
         Path(temporary).unlink(missing_ok=True)
         raise

@@ -7,6 +7,7 @@ import tracemalloc
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -104,6 +105,29 @@ def test_a_manifest_as_large_as_they_come_is_read() -> None:
     manifest = Manifest(episode_id="x", motions=[{"file": f"{i}.pkl", "sha256": "0" * 64} for i in range(200)])
     manifest.servers = {f"server {i}": {"config": {f"key {k}": k / 7 for k in range(100)}} for i in range(200)}
     assert parse_manifest(dump_manifest(manifest), "manifest.yaml") == manifest
+
+
+_WORDS = st.sampled_from([
+    "a", "1", "-1", "01", "0x1f", "1_000", "1:30", ".5", "1e3", "1.5e+3", ".inf", "-.INF", ".nan", "~", "null", "Null",
+    "true", "False", "yes", "off", "=", "<<", "2026-11-25", "''", "'1'", '"a b"', "!!str", "!!int", "&", "&a", "*a",
+    "?", "-", ":", ",", "[", "]", "{", "}", "|", ">", "#", "---", "...",
+])  # fmt: skip
+_GAPS = st.sampled_from([" ", "\n", "\n  ", "\n- ", ": ", ", "])
+_DOCUMENTS = st.lists(st.tuples(_WORDS, _GAPS).map("".join), max_size=12).map("".join)
+
+
+@settings(max_examples=examples(300), deadline=None)
+@given(_DOCUMENTS)
+def test_it_is_what_the_library_reads(text: str) -> None:
+    """Whatever is built on the way: equal by value, type and order, or refused by both."""
+    try:
+        expected = yaml.safe_load(text)
+    except (yaml.YAMLError, *safe_yaml._ODD):
+        with pytest.raises(safe_yaml.BadYaml):
+            safe_yaml.load(text)
+        return
+    with contextlib.suppress(safe_yaml.BadYaml):  # of tags of its own, and of aliases in themselves
+        assert repr(safe_yaml.load(text)) == repr(expected)
 
 
 @settings(max_examples=examples(300), deadline=None)
