@@ -29,7 +29,7 @@ from station.life.stop_file import StopFile
 from station.life.writer_conflict import OwnKey
 from station.motion.playback import AtEnd, Frame, Playback
 from station.motion.playback_requests import Requests
-from station.parts import by_key, parts_of
+from station.parts import by_key, parts_of, rests_on_joints
 from station.protocols import CommandFormat, Motion
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def _expect_motion(config: MotionConfig) -> None:
 def main(config: MotionConfig, life: Life) -> int:
     """Load the motion, play it, leave in the default pose; return the exit code."""
     command = command_format(config.format, config.robot)
-    if staying := [part.name for part in parts_of(command) if part.holds_position]:
+    if staying := [part.name for part in parts_of(command) if rests_on_joints(part)]:
         raise ConfigError(
             f"format {config.format!r}: {', '.join(staying)} rests where it is, and has no pose to begin a motion from"
         )

@@ -28,7 +28,7 @@ from station.life.loop import real_time
 from station.life.pace import WallPace
 from station.life.server import Life, ServerKind
 from station.life.writer_conflict import OwnKey
-from station.operator.buttons import ButtonMap, Buttons, Pressed
+from station.operator.buttons import DRIVING, ButtonMap, Buttons, Pressed
 from station.operator.device_subscriber import DeviceSubscriber
 from station.operator.driver import Driver, DriverKind
 from station.operator.driving import CommandWriter, Driving, DrivingStep, ExitBlend, buttons_to_drive
@@ -50,6 +50,7 @@ class TeleopConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         controls_from: Name of another device server whose controls count, for a device without buttons.
         kind: What kind of device has the controls (pico, gamepad, …), for the names of its buttons; "" where the device
             server is called so.
+        only_drives: Whether its buttons only drive and stop: of several that share a pad one has the episodes and arms.
         buttons: File that changes what the buttons mean; `station devices buttons` shows it.
         rate_hz: Commands per second [Hz]; 0 for as many as the driver's robot expects.
         patience_s: How long the device may be away before commands end and the robot returns to standing [s].
@@ -63,6 +64,7 @@ class TeleopConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     operator: str = ""
     controls_from: str = ""
     kind: str = ""
+    only_drives: bool = False
     buttons: Path | None = None
     rate_hz: float = 0.0
     patience_s: float = 5.0
@@ -108,6 +110,7 @@ def main(config: TeleopConfig, life: Life) -> int:
     """Drive until the operator leaves or we are asked to stop; return the exit code."""
     kind: DriverKind = registry.find("driver", config.driver)
     bound = buttons_to_drive(config.button_kind, config.buttons)
+    bound = bound.only(DRIVING) if config.only_drives else bound
     driver = kind.make(config.typed_options(), config.operator)
     config = msgspec.structs.replace(config, rate_hz=config.rate_hz or kind.rate_hz)
     life.configured(_facts(life, config, driver, bound))

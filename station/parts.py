@@ -21,6 +21,11 @@ def parts_of(command_format: CommandFormat) -> tuple[CommandFormat, ...]:
     return command_format.parts if isinstance(command_format, PartedCommand) else (command_format,)
 
 
+def rests_on_joints(command_format: CommandFormat) -> bool:
+    """Whether a robot, or a part, without a command stays where its joints are, and not where its command last was."""
+    return command_format.holds_position and not command_format.velocities
+
+
 class PartedCommand:
     """One vector for the policy, one key and one gate for each part (`station.protocols.CommandFormat`).
 

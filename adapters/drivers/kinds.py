@@ -123,7 +123,7 @@ JOINTS = DriverKind(
 )
 VELOCITY = DriverKind(
     name="velocity",
-    summary="sticks, keys or a twist say how fast a robot on legs goes and turns",
+    summary="sticks, keys or a twist say how fast a robot on legs goes, turns, and how high it stands",
     options=VelocityOptions,
     make=lambda options, operator: VelocityDriver(options),
     moves={

@@ -1,4 +1,4 @@
-"""The driver `velocity`: sticks, keys or a twist say how fast a robot on legs goes and turns, whichever robot."""
+"""The driver `velocity`: sticks, keys or a twist say how fast a robot on legs goes, turns, and how high it stands."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from adapters.commands.velocity import FORMAT
-from adapters.drivers.sticks import deflections, live
+from adapters.commands.velocity import FORMAT, FORMATS
+from adapters.drivers.sticks import HEIGHT_RATE, deflections, live
 from station.blends import VELOCITY_FADE_S
+from station.errors import did_you_mean
 from station.operator.deadman import Snapshot
 from station.operator.driver import DriverInput
 from station.operator.sample import OperatorSample
@@ -29,9 +30,12 @@ class VelocityOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         robot: Which robot it commands, by the end of its keys: ``go2``.
         forward_mps, left_mps, turn_rad_s: Speeds at full deflection [m/s, m/s, rad/s]; its robot clamps what its policy
             was not trained on.
+        format: The command format: ``velocity``, or one with a height, which the right stick raises and lowers, a pedal
+            as such a stick, or a twist up and down; it stays where it was left.
     """
 
     robot: str
+    format: str = FORMAT.name
     forward_mps: float = 0.7
     left_mps: float = 0.4
     turn_rad_s: float = 0.8
@@ -39,6 +43,10 @@ class VelocityOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     def __post_init__(self) -> None:
         if not self.robot:
             raise ValueError("robot is empty; expected the end of the keys of the robot that takes the velocities")
+        if self.format not in FORMATS:
+            raise ValueError(
+                f"format is {self.format!r}{did_you_mean(self.format, [*FORMATS])}; expected {', '.join(FORMATS)}"
+            )
         for name in ("forward_mps", "left_mps", "turn_rad_s"):
             if not 0.0 <= getattr(self, name) <= 3.0:
                 raise ValueError(f"{name} is {getattr(self, name):g}; expected 0 to 3")
@@ -53,10 +61,11 @@ class VelocityDriver:
 
     def __init__(self, options: VelocityOptions) -> None:
         self._options = options
-        self.command_format: CommandFormat = FORMAT.for_robot(options.robot)
+        self.command_format: CommandFormat = FORMATS[options.format].for_robot(options.robot)
         self._fastest = np.array([options.forward_mps, options.left_mps, options.turn_rad_s])
         self._velocity: Floats = np.zeros(3)
         self._span = self._fastest  # how far it may be from zero
+        self._posture: Floats = self.command_format.default[3:].copy()
         self._held: Snapshot[Any, Any] | None = None
 
     @property
@@ -89,7 +98,9 @@ class VelocityDriver:
         if snapshot is not None and snapshot is self._held:
             takes_s = RISES_S
             if sample is not None:
-                wanted = self._fastest * _deflected(sample)
+                *velocity, up = _deflected(sample)
+                wanted = self._fastest * velocity
+                self._raise(HEIGHT_RATE * up * dt_s)
         elif snapshot is not None:  # newly engaged: the command before it
             wanted = self._velocity
         self._held = snapshot
@@ -98,12 +109,18 @@ class VelocityDriver:
         self._velocity = np.where(
             np.abs(missing) <= change + _ROUNDING, wanted, self._velocity + np.sign(missing) * change
         )
-        return self._velocity.copy()
+        return np.concatenate([self._velocity, self._posture])
 
     def resume_from(self, command: Floats) -> None:
-        """Start from a command that another writer gave, shape (3,)."""
-        self._velocity = np.clip(command, self.command_format.lower, self.command_format.upper)
+        """Start from a command that another writer gave, shape (m,)."""
+        command = np.clip(command, self.command_format.lower, self.command_format.upper)
+        self._velocity, self._posture = command[:3], command[3:].copy()
         self._span = np.maximum(self._fastest, np.abs(self._velocity))
+
+    def _raise(self, by_m: float) -> None:
+        """Change the height, the first number behind the velocities, within its range."""
+        lower, upper = self.command_format.lower[3:4], self.command_format.upper[3:4]
+        self._posture[:1] = np.clip(self._posture[:1] + by_m, lower, upper)
 
     def facts(self) -> dict[str, Any]:
         """Name and options."""
@@ -115,8 +132,7 @@ def _twist(sample: OperatorSample) -> Floats | None:
 
 
 def _deflected(sample: OperatorSample) -> Floats:
-    """Return deflections from -1 to 1: forward, to the left, turning left."""
+    """Return deflections from -1 to 1: forward, to the left, turning left, up."""
     if (twist := _twist(sample)) is not None:
-        return np.clip(twist[[0, 1, 5]], -1.0, 1.0)
-    forward, left, turn, _ = deflections(sample.controls)
-    return np.array([live(forward), live(left), live(turn)])
+        return np.clip(twist[[0, 1, 5, 2]], -1.0, 1.0)
+    return np.array([live(each) for each in deflections(sample.controls)])

@@ -5,6 +5,7 @@ velocities:                            # in the heading frame of the base
   - {seconds: 4}                       # stands
   - {seconds: 8, vx: 0.5}              # forward [m/s]; vy is to the left
   - {seconds: 8, vx: 0.4, wz: -0.4}    # and turns right [rad/s]
+  - {seconds: 4, height: 0.5}          # stands lower [m], where the command has a height
 ```
 """
 
@@ -26,6 +27,7 @@ from station.protocols import Motion, Reference
 PREFIX = "velocity:"
 _FOLDER = Path(__file__).parent / "scripts"
 _RATE_HZ = 50.0
+_HIGHEST_M = 2.0  # higher no robot stands
 _FASTEST = 10.0  # [m/s], [rad/s]: beyond it a number is a mistake
 
 
@@ -36,12 +38,14 @@ class Segment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         seconds: For how long [s].
         vx, vy: Forward, to the left [m/s].
         wz: Turning left [rad/s].
+        height: Of the base above the ground, of commands that have one [m]; 0 for that of standing.
     """
 
     seconds: float
     vx: float = 0.0
     vy: float = 0.0
     wz: float = 0.0
+    height: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0.1 <= self.seconds <= 36_000.0:
@@ -49,6 +53,10 @@ class Segment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         for name in ("vx", "vy", "wz"):
             if not abs(value := getattr(self, name)) <= _FASTEST:
                 raise ValueError(f"{name} is {value:g}; expected a velocity of at most {_FASTEST:g} m/s or rad/s")
+        if not 0.0 <= self.height <= _HIGHEST_M:
+            raise ValueError(
+                f"height is {self.height:g}; expected a height of the base up to {_HIGHEST_M:g} m, or 0 for standing"
+            )
 
 
 class VelocityScript(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -80,7 +88,7 @@ class Velocities:
         """Return what is asked for at a time [s]: the velocity of the segment that begins or goes on then."""
         segment = self._segments[min(bisect_right(self._ends_s, time_s), len(self._segments) - 1)]
         return Reference(
-            root_pos=np.zeros(3), root_quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]), q=np.zeros(0),
+            root_pos=np.array([0.0, 0.0, segment.height]), root_quat_wxyz=np.array([1.0, 0.0, 0.0, 0.0]), q=np.zeros(0),
             root_lin_vel=np.array([segment.vx, segment.vy, 0.0]), root_ang_vel=np.array([0.0, 0.0, segment.wz]),
         )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""What policies that follow a velocity share: a network that sees its own last output, and targets about a pose."""
+"""What policies that follow velocities share: a network that sees its own last output, and targets about a pose."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from adapters.commands.velocity import FORMAT
+from adapters.commands.velocity import FORMAT, VelocityCommand
 from adapters.policies.onnx_network import OnnxNetwork
 from station.assets import sha256
 from station.protocols import Floats, Floats32, JointTargets, PolicySpec, RobotState
@@ -51,7 +51,10 @@ class VelocityFollower:
     """Radians per unit of output."""
     OBSERVATION: ClassVar[int]
     RANGE: ClassVar[tuple[tuple[float, float], ...]]
-    """Velocities that it was trained on: vx, vy [m/s], yaw rate [rad/s]."""
+    """What it was trained on, of each element of its command: vx, vy [m/s], yaw rate [rad/s], …"""
+    COMMAND: ClassVar[VelocityCommand] = FORMAT
+    ACTIONS: ClassVar[int] = 0
+    """Numbers of its output; 0 for one per joint."""
     NEEDS_ROOT_VELOCITY: ClassVar[bool] = False
 
     def __init__(self, checkpoint: Path) -> None:
@@ -59,10 +62,10 @@ class VelocityFollower:
         self._network, runtime, (kp, kd) = self._load(path)
         lower, upper = np.array(self.RANGE).T
         self._spec = PolicySpec(
-            name=self.NAME, checkpoint=path, sha256=sha256(path), runtime=runtime, rate_hz=50.0, command=FORMAT.name,
-            joint_names=self.JOINTS, default_q=self.DEFAULT_Q, kp=kp, kd=kd,
-            observation_size=self.OBSERVATION, action_size=len(self.JOINTS), command_lower=lower, command_upper=upper,
-            needs_root_velocity=self.NEEDS_ROOT_VELOCITY,
+            name=self.NAME, checkpoint=path, sha256=sha256(path), runtime=runtime, rate_hz=50.0,
+            command=self.COMMAND.name, joint_names=self.JOINTS, default_q=self.DEFAULT_Q, kp=kp, kd=kd,
+            observation_size=self.OBSERVATION, action_size=self.ACTIONS or len(self.JOINTS),
+            command_lower=lower, command_upper=upper, needs_root_velocity=self.NEEDS_ROOT_VELOCITY,
         )  # fmt: skip
         self.reset()
 
@@ -92,7 +95,7 @@ class VelocityFollower:
 
     def _load(self, path: Path) -> Loaded:
         """Return the network, what runs it, and the gains."""
-        network = OnnxNetwork(path, inputs=self.OBSERVATION, outputs=len(self.JOINTS))
+        network = OnnxNetwork(path, inputs=self.OBSERVATION, outputs=self.ACTIONS or len(self.JOINTS))
         return Loaded(network, network.runtime, self.GAINS)
 
     def _previous(self) -> Floats32:

@@ -28,7 +28,7 @@ _COMMANDS = (keys.action(_ANY), keys.command_source(_ANY))
 _STATES = (
     keys.state(_ANY), keys.robot_state(_ANY), keys.policy_obs(_ANY), keys.policy_action(_ANY),
     keys.policy_timing(_ANY), keys.target(_ANY), keys.sim_qpos(_ANY), keys.root_velocity(_ANY),
-    keys.command_gate(_ANY), keys.command_used(_ANY),
+    keys.command_gate(_ANY), keys.command_used(_ANY), keys.command_timing(_ANY),
 )  # fmt: skip
 _OPERATOR = (
     keys.operator_status(_ANY), keys.operator_controls(_ANY), keys.operator_head(_ANY), keys.operator_left(_ANY),

@@ -63,6 +63,11 @@ def command_used(robot: str) -> str:
     return f"command_used_{robot}"
 
 
+def command_timing(part: str) -> str:
+    """Which command of a part that is commanded apart a step used, and the instant for which its gate decided."""
+    return f"command_timing_{part}"
+
+
 def command_source(robot: str) -> str:
     """Where the command came from: file, hash, frame."""
     return f"command_source_{robot}"

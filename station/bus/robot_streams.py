@@ -73,8 +73,24 @@ def part_streams(command_format: CommandFormat, rate_hz: float = 50.0) -> tuple[
             command_format.elements,
             "this part's command after its gate",
         ),
+        make(
+            keys.command_timing(command_format.robot),
+            "policy",
+            "json-vector",
+            elements((("tick", "command_seq"), ""), (TIMING_STAGES[:2], "ns"), (("decided",), "s")),
+            "which command of this part the step used; one machine's monotonic clock; 0 where unknown",
+        ),
         make(keys.command_source(command_format.robot), "command", "json", note="where this part's command comes from"),
     )
+
+
+def command_streams(command_format: CommandFormat) -> tuple[Contract, ...]:
+    """Return what the keys of a robot's command hold: of one, or of each of its parts that are commanded apart."""
+    from station.parts import PartedCommand  # with NumPy, which whoever has a format has loaded
+
+    if isinstance(command_format, PartedCommand):
+        return tuple(stream for part in command_format.parts for stream in part_streams(part))
+    return (command_stream(command_format),)
 
 
 def driven_by_policy(command: tuple[Element, ...] = (), rate_hz: float = 50.0) -> tuple[Contract, ...]:

@@ -76,6 +76,10 @@ def story(found: Audit) -> str:
             f"  observations  {_observations(found)}",
             f"  after gate    {_proven(found.commands, found.commands_not_proven)}"
             + (f"; its state differs in {found.gates_different}" if found.gates_different else ""),
+            *(
+                f"    {name:<11} {_compared(one, 'steps', '', 'nothing to compare')}"
+                for name, one in found.parts.items()
+            ),
             f"  targets       {_proven(found.targets, found.targets_not_proven)}",
             f"  recorded on   {found.recorded_runtime or 'unknown'}\n  audited on    {found.runtime}",
             f"  {found.segments} segment{'s' * (found.segments != 1)}, {found.incomplete} incomplete steps; "

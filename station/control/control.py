@@ -21,7 +21,7 @@ from station.control.gate import Decision, Gate, GateConfig
 from station.control.parted_path import PartedPath
 from station.control.policy_switch import PolicySwitch, needs_root_velocity
 from station.errors import ConfigError
-from station.parts import PartedCommand
+from station.parts import PartedCommand, rests_on_joints
 from station.protocols import CommandFormat, Fall, Floats, Floats32, JointTargets, Policy, Robot, RobotState
 
 _UPRIGHT_AGAIN_S = 1.0  # a fallen robot bounces; a fall is over when it has stood this long
@@ -309,12 +309,15 @@ def _check_fit(robot: Robot, policy: Policy, command_format: CommandFormat) -> N
 
 
 def _resting(robot: Robot, paths: Sequence[CommandPath]) -> Iterator[tuple[Gate, list[int]]]:
-    """Yield, of what stays without a command, its gate and the joints that its elements are."""
+    """Yield, of what stays without a command, its gate and the joints that its elements are.
+
+    Velocities and a height are no joints: their gate keeps what was asked for last.
+    """
     places = {f"{name}_pos": index for index, name in enumerate(robot.joint_names)}
     for path in paths:
         command = path.command_format
         names = names_of(command.elements)
-        if command.holds_position:
+        if rests_on_joints(command):
             odd = [name for name in names if name not in places]
             if odd:
                 raise ConfigError(

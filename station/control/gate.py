@@ -133,6 +133,7 @@ class Decision:
         transitions: Changes since the last tick, in order.
         limited: Indices of the elements that are not where the command wants them: its way is beyond rate or range.
         parts: Of a robot whose parts are commanded apart, the decision of each; `vector` is all of theirs.
+        at_s: The instant that it is for, where the parts of a robot are told of it [s].
     """
 
     state: State
@@ -142,6 +143,7 @@ class Decision:
     transitions: tuple[Transition, ...]
     limited: tuple[int, ...] = ()
     parts: tuple[Decision, ...] = ()
+    at_s: float = 0.0
 
 
 class Gate:

@@ -22,7 +22,6 @@ from station.control.command_path import CommandPath, Control, Record, StepEvent
 from station.control.command_receiver import CommandReceiver, CommandWatch
 from station.control.command_validator import CommandSample, Samples
 from station.control.control import StepRecord
-from station.control.gate import Decision
 from station.control.phase_lock import PhaseLock
 from station.errors import BusError, Refused
 from station.life import estop
@@ -339,7 +338,7 @@ def result_values(
     if switch is not None:
         gate["switch"] = msgspec.structs.asdict(switch)
     return {
-        **_values_of_parts(decision, commanded),
+        **_values_of_parts(record, commanded),
         keys.policy_obs(suffix): codec.f32(record.observation),
         keys.policy_action(suffix): codec.f32(record.action),
         keys.target(suffix): codec.f64(np.concatenate([sent.q, sent.kp, sent.kd])),
@@ -349,10 +348,14 @@ def result_values(
     }
 
 
-def _values_of_parts(decision: Decision, commanded: CommandPath) -> dict[str, bytes]:
-    """Return gate and used command of each part of a robot whose parts are commanded apart, by key; else nothing."""
+def _values_of_parts(record: StepRecord, commanded: CommandPath) -> dict[str, bytes]:
+    """Return what a step tells of each part of a robot whose parts are commanded apart, by key; else nothing."""
     values: dict[str, bytes] = {}
-    for path, part in zip(commanded.paths, decision.parts, strict=False):
+    for path, part in zip(commanded.paths, record.decision.parts, strict=False):
+        good = path.validator.good
+        command = (good.seq, good.written_ns, good.arrived_ns) if good is not None else (0, 0, 0)
+        row = (record.tick, *command, record.decision.at_s)
+        values[keys.command_timing(path.command_format.robot)] = codec.json_vector(row)
         values[keys.command_gate(path.command_format.robot)] = codec.json_object(path.status(part))
         values[keys.command_used(path.command_format.robot)] = codec.f64(part.vector)
     return values

@@ -79,6 +79,7 @@ class PartedPath(CommandPath):
             transitions=(),
             limited=tuple(start + index for start, part in zip(starts, parts, strict=False) for index in part.limited),
             parts=parts,
+            at_s=now_s,
         )
 
     def status(self, decision: Decision) -> dict[str, Any]:

@@ -50,6 +50,9 @@ ACTIONS: dict[str, str] = {
 }
 """What an operator may ask for beside moving."""
 
+DRIVING = ("engage", "start_pause", "exit", "estop", "mode")
+"""Those of them that are about the robot, or the part of it, that one drives, and the stop."""
+
 
 @dataclass(frozen=True, slots=True)
 class Gesture:
@@ -68,6 +71,10 @@ class ButtonMap:
 
     device: str
     gestures: Mapping[str, tuple[Gesture, ...]]
+
+    def only(self, actions: Sequence[str]) -> ButtonMap:
+        """Return the map of some of its actions."""
+        return ButtonMap(self.device, {name: made for name, made in self.gestures.items() if name in actions})
 
     def table(self) -> list[tuple[str, str, str]]:
         """Return what `station devices buttons` shows: action, gestures (- for none), meaning."""

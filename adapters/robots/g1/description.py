@@ -8,7 +8,7 @@ from adapters.robots.g1 import twist_keys
 from adapters.robots.g1.joints import G1_23, hand
 from adapters.robots.legged.description import described
 from adapters.robots.legged.unitree import G1
-from station.bus.robot_streams import GYRO, POSITIONS, command_stream, driven_by_policy
+from station.bus.robot_streams import GYRO, POSITIONS, command_streams, driven_by_policy
 from station.contract import Codec, Contract, Element, Role, elements, positions
 from station.description import ROBOT, RobotDescription, RobotFamily
 
@@ -28,7 +28,7 @@ def describe(robot: str) -> RobotDescription | None:
 def of_server(command_format: CommandFormat) -> RobotDescription:
     """Return the description of a G1 whose policy takes a command."""
     return _described(
-        command_format.robot, (command_stream(command_format), *driven_by_policy(command_format.elements))
+        command_format.robot, (*command_streams(command_format), *driven_by_policy(command_format.elements))
     )
 
 

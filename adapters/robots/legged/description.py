@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from adapters.robots.legged.table import LeggedRobot
 from adapters.robots.legged.unitree import ROBOTS
 from station.bus import keys
-from station.bus.robot_streams import POSITIONS, command_stream, driven_by_policy
+from station.bus.robot_streams import POSITIONS, command_streams, driven_by_policy
 from station.contract import Contract
 from station.description import ROBOT, Joint, RobotDescription, RobotFamily
 
@@ -50,7 +50,7 @@ def described(
 def of_server(robot: LeggedRobot, command_format: CommandFormat) -> RobotDescription:
     """Return the description of a robot whose policy takes a command."""
     driven = driven_by_policy(command_format.elements)
-    return described(robot, command_format.robot, (command_stream(command_format), *driven))
+    return described(robot, command_format.robot, (*command_streams(command_format), *driven))
 
 
 def _known(name: str) -> RobotDescription | None:

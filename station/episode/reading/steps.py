@@ -32,6 +32,7 @@ RESULTS: tuple[Family, ...] = (
     keys.target,
 )
 _OF_STEPS: tuple[Family, ...] = (keys.policy_timing, keys.policy_obs, keys.policy_action)
+_OF_PARTS: tuple[Family, ...] = (keys.command_timing, keys.command_gate, keys.command_used)
 STATES: tuple[Family, ...] = (keys.robot_state, keys.root_velocity, keys.sim_qpos, keys.state_joints)
 
 
@@ -115,10 +116,17 @@ class StepJoiner:
         robot: Suffix of the robot's keys.
         results: Families of the keys that make a step; one of them suffices.
         context: Further keys of which each step shall carry the newest value before it.
+        parts: Names of the robot's parts that are commanded apart, whose keys belong to its steps.
     """
 
-    def __init__(self, robot: str, results: Iterable[Family] = RESULTS, context: Iterable[str] = ()) -> None:
-        self._results = {family(robot) for family in results}
+    def __init__(
+        self,
+        robot: str,
+        results: Iterable[Family] = RESULTS,
+        context: Iterable[str] = (),
+        parts: Iterable[str] = (),
+    ) -> None:
+        self._results = {family(robot) for family in results} | {family(part) for part in parts for family in _OF_PARTS}
         self._states = {family(robot) for family in STATES}
         self._context = set(context)
         self._newest: dict[str, bytes] = {}

@@ -31,7 +31,7 @@ from station.episode.reading import steps
 from station.episode.reading.reader import EpisodeReader
 from station.episode.reading.steps import Step
 from station.episode.replaying.comparison import Comparison
-from station.episode.replaying.gate_audit import GateReplay, GateTold, gate_told, replay
+from station.episode.replaying.gate_audit import GatesReplay, GateTold, gate_told, replay
 from station.episode.replaying.recorded_policy import (
     StatedPolicy,
     is_simulated,
@@ -84,7 +84,8 @@ class Audit(AuditedPolicy, kw_only=True):
         commands: The same for what the gate let through, derived from the recorded commands.
         gates_different, first_gate_different_s: Steps in which the gate was in another state than derived, and when the
             first was [s].
-        command_key: Key of the commands that went through the gate again; "" where none did.
+        parts: Of a robot whose parts are commanded apart the same for each, by its name; else empty.
+        command_key: Key of the commands that went through the gate again, of parts all of them; "" where none did.
         commands_not_proven: How many steps the gate could not be followed through, by why.
         targets: The same for what was sent to the joints, positions and gains, derived from the recorded actions.
         targets_not_proven: How many steps their targets could not be derived in, wholly or in part, by why.
@@ -108,6 +109,7 @@ class Audit(AuditedPolicy, kw_only=True):
     has_observations: bool = True
     past_unknown: int = 0
     commands: Comparison
+    parts: dict[str, Comparison] = {}
     gates_different: int
     first_gate_different_s: float | None
     command_key: str
@@ -165,11 +167,11 @@ def audit(
     began = time.perf_counter()
     facts = stated_facts(reader, suspect.robot)
     followed = suspect.command or (load(next(iter(suspects))).spec.command if policy is not None else "")
-    gate = replay(suspect.robot, facts, followed, reader.anchor)
+    state = reader.contract(keys.robot_state(suspect.robot))
+    gate = replay(suspect.robot, facts, followed, reader.anchor, state)
     targets = TargetReplay(
         suspect.robot, may_limit=not is_simulated(facts), blend_steps=_blend_steps(facts), has_several=len(suspects) > 1
     )
-    state = reader.contract(keys.robot_state(suspect.robot))
     run = _Run(
         load, tuple(suspects), suspect.robot, state, targets, None if isinstance(gate, str) else gate,
         has_observations=keys.policy_obs(suspect.robot) in reader.topics(),
@@ -181,11 +183,12 @@ def audit(
 
 
 def _result(
-    episode_id: str, run: _Run, gate: GateReplay | str, audited: Sequence[AuditedPolicy], seconds: float
+    episode_id: str, run: _Run, gate: GatesReplay | str, audited: Sequence[AuditedPolicy], seconds: float
 ) -> Audit:
     """Return what was found; `gate` says in words why it was not followed."""
     actions, targets, recorded_s = run.actions, run.targets, (run.last_ns - run.first_ns) * 1e-9
     first, *others = audited
+    states = Comparison() if isinstance(gate, str) else Comparison.of_all([g.states for g in gate.gates.values()])
     return Audit(
         episode_id=episode_id,
         robot=run.robot,
@@ -200,11 +203,12 @@ def _result(
         not_derived=run.not_derived,
         has_observations=run.has_observations,
         past_unknown=run.past_unknown,
-        commands=Comparison() if isinstance(gate, str) else gate.commands,
-        gates_different=0 if isinstance(gate, str) else gate.states.different,
-        first_gate_different_s=None if isinstance(gate, str) else gate.states.first_different_s,
-        command_key="" if isinstance(gate, str) else gate.of.command_format.key,
-        commands_not_proven={gate: run.count} if isinstance(gate, str) else dict(gate.not_proven),
+        commands=Comparison() if isinstance(gate, str) else Comparison.of_all(gate.commands),
+        parts={} if isinstance(gate, str) else {name: one.commands for name, one in gate.gates.items() if name},
+        gates_different=states.different,
+        first_gate_different_s=states.first_different_s,
+        command_key="" if isinstance(gate, str) else ", ".join(gate.command_keys),
+        commands_not_proven={gate: run.count} if isinstance(gate, str) else gate.not_proven,
         targets=targets.targets,
         targets_not_proven=dict(targets.not_proven),
         segments=run.segments,
@@ -263,7 +267,7 @@ class _Run:
     robot: str
     state: Contract | None
     targets: TargetReplay
-    gate: GateReplay | None
+    gate: GatesReplay | None
     has_observations: bool
     past_unknown: int = 0
     actions: Comparison = field(default_factory=Comparison)
@@ -284,13 +288,11 @@ class _Run:
 
     def on_file(self, reader: EpisodeReader) -> None:
         """Compare all steps of a file."""
-        joiner, key = steps.StepJoiner(self.robot, _COMPARED), self.gate.of.command_format.key if self.gate else ""
-        topics = {*joiner.topics, *((key, keys.EVENT) if self.gate else ())}
-        for message in reader.messages(topics):
-            if self.gate is not None and message.topic == key:
-                self.gate.on_command(message)
-            elif self.gate is not None and message.topic == keys.EVENT:
-                self.gate.on_event(message)
+        joiner = steps.StepJoiner(self.robot, _COMPARED, parts=self.gate.parts if self.gate else ())
+        heard = {*self.gate.command_keys, keys.EVENT} if self.gate is not None else set[str]()
+        for message in reader.messages(joiner.topics | heard):
+            if self.gate is not None and message.topic in heard:
+                self.gate.on_message(message)
             elif (step := joiner.feed(message)) is not None:
                 self.on_step(step)
         for step in joiner.finish():
@@ -298,7 +300,7 @@ class _Run:
 
     def place(self, start_ns: int) -> None:
         """Say when the first difference of each kind was, by the start of the episode [ns since the epoch]."""
-        followed = (self.gate.commands, self.gate.states) if self.gate is not None else ()
+        followed = self.gate.followed if self.gate is not None else ()
         for found in (self.actions, self.observations, self.targets.targets, *followed):
             found.place(self._times, start_ns)
 
@@ -308,7 +310,7 @@ class _Run:
         self._times.append(step.at_ns)
         told = gate_told(step, self.robot)
         if self.gate is not None:
-            self.gate.on_step(number, step, told)
+            self.gate.on_step(number, step)
         self.first_ns = self.first_ns or step.at_ns
         self.last_ns = step.at_ns
         if self._before is None or not _follows(self._before, step):

@@ -51,6 +51,19 @@ class Comparison(msgspec.Struct, kw_only=True):
             self.first_different = step if self.first_different is None else self.first_different
         return recorded == computed
 
+    @classmethod
+    def of_all(cls, comparisons: Sequence[Comparison]) -> Comparison:
+        """Return several as one; what differs first is the earliest of them."""
+        first = [one.first_different for one in comparisons if one.first_different is not None]
+        first_s = [one.first_different_s for one in comparisons if one.first_different_s is not None]
+        return cls(
+            compared=sum(one.compared for one in comparisons),
+            different=sum(one.different for one in comparisons),
+            max_abs_difference=max((one.max_abs_difference for one in comparisons), default=0.0),
+            first_different=min(first, default=None),
+            first_different_s=min(first_s, default=None),
+        )
+
     def place(self, times_ns: Sequence[int], start_ns: int) -> None:
         """Say when the first difference was, by the time of every step [ns]."""
         if self.first_different is not None:

@@ -19,15 +19,15 @@ import numpy as np
 
 from station.bus import codec, keys
 from station.command_formats import command_format
-from station.contract import TIMING_STAGES
+from station.contract import TIMING_STAGES, Contract, names_of
 from station.control.command_validator import Checked, check_command
 from station.control.gate import LATCHED, Bounds, Gate, GateConfig
 from station.episode.reading.messages import Message
-from station.episode.reading.steps import Step, timing_row
+from station.episode.reading.steps import Step, robot_state, timing_row
 from station.episode.replaying.comparison import Comparison
 from station.episode.storage.anchor import Anchor
 from station.errors import ConfigError, UnknownName
-from station.parts import PartedCommand
+from station.parts import PartedCommand, part_name, parts_of, rests_on_joints
 from station.protocols import CommandFormat, Floats
 
 _RESETS = ("operator-reset", "robot-reset")
@@ -44,6 +44,7 @@ _NO_COMMAND = "its command is not in the file"
 _SEVERAL = "several writers used one number, and none of them wrote then"
 _NO_NUMBER = "its command is of a writer that does not number what it writes"
 _NO_INSTANT = "its instant is not in the file"
+_NO_REST = "where it rested is not in the file"
 _INCOMPLETE = "it lacks a timing, a state of the gate or a command that fits"
 
 
@@ -101,10 +102,6 @@ def setting(facts: Mapping[str, Any], command: str) -> GateSetting | str:
         return str(error)
     except (KeyError, TypeError, ValueError, AttributeError, ZeroDivisionError, msgspec.ValidationError):
         return "the manifest does not say how the gate was set"
-    if isinstance(followed, PartedCommand):
-        return "its parts are commanded apart"
-    if followed.holds_position:
-        return "without a command it rests where it is, which is not in the file"
     return GateSetting(followed, config, period_s)
 
 
@@ -113,9 +110,11 @@ class GateReplay:
     """Follows the steps of an episode with a gate of our own.
 
     Attributes:
-        robot: Suffix of its keys.
+        robot: Suffix of the keys of the gate: the robot's, or that of a part that is commanded apart.
         of: How the gate was set.
         anchor: Clock of the file; None where it says none.
+        is_part: Whether it is that of a part, whose steps say the instant too (`keys.command_timing`).
+        rest: Where the joints of what rests on them are in a step; None for what does not.
         commands: What the gate let through, derived and recorded.
         states: What state it was in, likewise.
         not_proven: How many steps were not compared, by why.
@@ -124,6 +123,8 @@ class GateReplay:
     robot: str
     of: GateSetting
     anchor: Anchor | None
+    is_part: bool = False
+    rest: Rest | None = None
     commands: Comparison = field(default_factory=Comparison)
     states: Comparison = field(default_factory=Comparison)
     not_proven: Counter[str] = field(default_factory=Counter)
@@ -131,6 +132,7 @@ class GateReplay:
     _resets: set[str] = field(default_factory=set)  # sources of servers that told of one since the last step
     _gate: Gate | None = None  # None: what it was in is not known
     _before: Step | None = None
+    _was_reset: bool = False  # in the step before
     _state_before: str = ""
     _tracking_since_s: float | None = None
     _source: str | None = None  # of the command of the step before
@@ -150,7 +152,7 @@ class GateReplay:
 
     def on_step(self, number: int, step: Step, told: GateTold) -> None:
         """Compare one step with its recorded gate status."""
-        row = timing_row(step.values.get(keys.policy_timing(self.robot)))
+        row, now_s = self._row(step, told)
         data, state = step.values.get(keys.command_used(self.robot)), told.state
         follows_on = self._before is not None and (step.source, step.number) == (
             self._before.source,
@@ -158,22 +160,35 @@ class GateReplay:
         )
         was_reset = step.source in self._resets
         self._resets.clear()
-        self._before = step
+        before = self._before if follows_on and not (was_reset or self._was_reset) else None
+        self._before, self._was_reset = step, was_reset
         if row is None or not state or data is None or len(data) != 8 * len(self._default):
             self._lose(_INCOMPLETE)
             return
-        used, now_s = codec.parse_f64(data), self._now_s(row, told)
+        used = codec.parse_f64(data)
         if not follows_on:
             self._gate, self._tracking_since_s = None, None
         was_latched, self._state_before = self._state_before in LATCHED, state
         self._tracking_since_s = None if state != "tracking" else self._tracking_since_s or now_s
         is_at_rest = self._gate is None and (state == "waiting" or row[_TICK] == 1)
         if was_reset or (was_latched and state not in LATCHED) or is_at_rest:
-            self._gate = self._fresh()  # it waits, and asks the robot to stand
+            self._gate = self._fresh()  # it waits, and asks the robot to stand, or rests
+            if is_at_rest and not was_reset and row[_TICK] > 1 and self._keeps_command:
+                self._gate.rest(used)  # as high as it was asked to be before the file began
+                self.not_proven[_IN_THE_MIDDLE] += 1
+                return
         if self._gate is None:
             self._resume(used, now_s, told, row)
             self.not_proven[_IN_THE_MIDDLE] += 1
             return
+        if self.rest is not None:
+            where = self.rest(step, before, is_first=row[_TICK] == 1)
+            self._gate.rest(used if where is None else where)
+            if where is None and state in ("waiting", *LATCHED):
+                self.not_proven[_NO_REST] += 1
+                if state in LATCHED:
+                    self._gate.stop("as recorded")
+                return
         self._derive(number, self._gate, row, told, used, now_s)
 
     @property
@@ -183,7 +198,15 @@ class GateReplay:
     def _fresh(self) -> Gate:
         command_format, config = self.of.command_format, self.of.config
         bounds = Bounds.of(command_format, config.rate_factor)
-        return Gate(command_format.default, config, bounds, velocities=command_format.velocities)
+        return Gate(
+            command_format.default, config, bounds, holds_position=command_format.holds_position,
+            velocities=command_format.velocities,
+        )  # fmt: skip
+
+    @property
+    def _keeps_command(self) -> bool:
+        """Whether what is let through without a command is the last one, its velocities ended."""
+        return self.of.command_format.holds_position and self.rest is None
 
     def _resume(self, used: Floats, now_s: float | None, told: GateTold, row: list[int]) -> None:
         """Go on from what the gate let through in a step, where nothing else of its past counts."""
@@ -219,7 +242,7 @@ class GateReplay:
                 gate.change_hands("another commands")
             self._source = message.channel.source
         if now_s is None:
-            if state not in ("waiting", *LATCHED):
+            if self.rest is not None or state not in ("waiting", *LATCHED):
                 self._lose(_NO_INSTANT)
                 return
             now_s = row[_READ] * 1e-9  # nothing moves by then, so it does not matter
@@ -236,6 +259,19 @@ class GateReplay:
     def _lose(self, why: str) -> None:
         self.not_proven[why] += 1
         self._gate = None
+
+    def _row(self, step: Step, told: GateTold) -> tuple[list[int] | None, float | None]:
+        """Return timing of a step, and the instant that its gate was given [s]; None for what is not in the file."""
+        if not self.is_part:
+            row = timing_row(step.values.get(keys.policy_timing(self.robot)))
+            return row, None if row is None else self._now_s(row, told)
+        try:
+            *row, now_s = codec.parse_struct(
+                step.values.get(keys.command_timing(self.robot), b""), tuple[int, int, int, int, float]
+            )
+        except codec.BadValue:
+            return None, None
+        return row, now_s
 
     def _now_s(self, row: list[int], told: GateTold) -> float | None:
         """Return the instant that the gate was given [s]; None where that is not known to the last bit.
@@ -270,14 +306,140 @@ class GateReplay:
         return found[-1], vector
 
 
-def replay(robot: str, facts: Mapping[str, Any], command: str, anchor: Anchor | None) -> GateReplay | str:
-    """Return what replays the gate of a robot; in words why it cannot be."""
+@dataclass(frozen=True)
+class Rest:
+    """Where joints rest that no command moves: where they were asked to be in the step before; where they are, if none.
+
+    Attributes:
+        robot: Suffix of the robot's keys.
+        state: What `keys.robot_state` holds.
+        joints: Places of the joints among the robot's.
+    """
+
+    robot: str
+    state: Contract
+    joints: list[int]
+
+    def __call__(self, step: Step, before: Step | None, *, is_first: bool) -> Floats | None:
+        """Return the positions in a step, shape (n,) [rad]; None where they are not in the file.
+
+        Args:
+            step: The step.
+            before: The one before it, None where that is not in the file or the robot was put elsewhere in it.
+            is_first: Whether there was none.
+        """
+        state = robot_state(self.state, step.values.get(keys.robot_state(self.robot), b""))
+        if state is None or (before is None and not is_first):
+            return None
+        if before is None or self._was_limp(before, count := len(state.q)):
+            return state.q[self.joints]
+        return self._sent(before)[:count][self.joints]
+
+    def _sent(self, step: Step) -> Floats:
+        return codec.parse_f64(step.values.get(keys.target(self.robot), b""))
+
+    def _was_limp(self, step: Step, count: int) -> bool:
+        """Whether no positions were asked for: disarmed, stopped, or damped for a fault."""
+        told, sent = gate_told(step, self.robot), self._sent(step)
+        is_damped = len(sent) != 3 * count or not sent[count : 2 * count].any()
+        return told.state in LATCHED or told.arming == "disarmed" or (is_damped and told.arming != "arming")
+
+
+class GatesReplay:
+    """The gates of a robot: one, or one for each part that is commanded apart.
+
+    Args:
+        robot: Suffix of its keys.
+        gates: By the name of what each is of; "" for that of all of the robot.
+
+    Attributes:
+        wholes: Where there are parts: what the policy got, and what the gates of the parts let through.
+    """
+
+    def __init__(self, robot: str, gates: Mapping[str, GateReplay]) -> None:
+        self.gates, self.wholes, self._robot = gates, Comparison(), robot
+
+    @property
+    def parts(self) -> list[str]:
+        """Suffixes of the parts' keys; none where there is but one gate."""
+        return [gate.robot for gate in self.gates.values() if gate.robot != self._robot]
+
+    @property
+    def command_keys(self) -> list[str]:
+        """Of the commands."""
+        return [gate.of.command_format.key for gate in self.gates.values()]
+
+    @property
+    def followed(self) -> list[Comparison]:
+        """All that is compared."""
+        return [*self.commands, *(gate.states for gate in self.gates.values())]
+
+    @property
+    def commands(self) -> list[Comparison]:
+        """What was let through."""
+        return [*([self.wholes] if self.parts else []), *(gate.commands for gate in self.gates.values())]
+
+    @property
+    def not_proven(self) -> dict[str, int]:
+        """How many steps were not compared, by why."""
+        return {
+            f"{name}: {why}" if name else why: count
+            for name, gate in self.gates.items()
+            for why, count in gate.not_proven.items()
+        }
+
+    def on_message(self, message: Message) -> None:
+        """Remember a command, or what a server told."""
+        for gate in self.gates.values():
+            if message.topic == gate.of.command_format.key:
+                gate.on_command(message)
+            elif message.topic == keys.EVENT:
+                gate.on_event(message)
+
+    def on_step(self, number: int, step: Step) -> None:
+        """Compare one step."""
+        for gate in self.gates.values():
+            gate.on_step(number, step, gate_told(step, gate.robot))
+        used = [step.values.get(keys.command_used(part), b"") for part in self.parts]
+        if used and (whole := step.values.get(keys.command_used(self._robot))) is not None:
+            self.wholes.add(number, codec.parse_f64(whole), codec.parse_f64(b"".join(used)))
+
+
+def replay(
+    robot: str, facts: Mapping[str, Any], command: str, anchor: Anchor | None, state: Contract | None
+) -> GatesReplay | str:
+    """Return what replays the gate of a robot, or those of its parts; in words why it cannot be.
+
+    Args:
+        robot: Suffix of its keys.
+        facts: Of its server.
+        command: Registered name of the commands that its policy follows.
+        anchor: Clock of the file; None where it says none.
+        state: What its `keys.robot_state` holds.
+    """
     found = setting(facts, command)
     if isinstance(found, str):
         return found
-    try:
-        made = GateReplay(robot, found, anchor)
-        made._fresh()
-    except ConfigError as error:
-        return f"the gate cannot be set as it was: {error}"
-    return made
+    whole, made = found.command_format, dict[str, GateReplay]()
+    for part in parts_of(whole):
+        name = part_name(whole, part) if isinstance(whole, PartedCommand) else ""
+        rest = _rest(robot, part, state)
+        if isinstance(rest, str):
+            return rest
+        made[name] = GateReplay(part.robot, found._replace(command_format=part), anchor, bool(name), rest)
+        try:
+            made[name]._fresh()
+        except ConfigError as error:
+            return f"the gate cannot be set as it was: {error}"
+    return GatesReplay(robot, made)
+
+
+def _rest(robot: str, of: CommandFormat, state: Contract | None) -> Rest | str | None:
+    """Return where the joints of a command rest, None where it has none that do; in words why that is not known."""
+    if not rests_on_joints(of):
+        return None
+    joints = [name for name in (state.names if state is not None else ()) if name.endswith("_pos")]
+    names = names_of(of.elements)
+    if state is None or not set(names) <= set(joints):
+        return "without a command it rests where it is, which is not in the file"
+    return Rest(robot, state, [joints.index(name) for name in names])

@@ -91,7 +91,7 @@ def _of_arm(arm: ArmAudit) -> Iterator[AuditDifference]:
 
 
 def _of_gate(policy: Audit, robot: str) -> Iterator[AuditDifference]:
-    yield _compared(keys.command_used(robot), [policy.command_key], policy.commands)
+    yield _compared(keys.command_used(robot), policy.command_key.split(", "), policy.commands)
     yield _state(robot, policy.command_key, policy.gates_different, policy.first_gate_different_s)
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from adapters.commands.velocity import FORMAT
+from adapters.commands.velocity import FORMAT, WITH_HEIGHT, WITH_POSTURE
 from station import registry
 from station.bus import codec, contracts
 from station.command_formats import command_format, command_formats, expect_robot
@@ -42,7 +42,8 @@ def test_a_robot_gives_the_format_its_name_and_its_key_and_no_other_robot_has_it
     assert (FORMAT.robot, FORMAT.key) == ("", "")
     assert (GO2.robot, GO2.key) == ("go2", "action_velocity_go2")
     keys = [each.key for each in command_formats(["go2", "h1", "go2"])]
-    assert [key for key in keys if "velocity" in key] == ["action_velocity_go2", "action_velocity_h1"]
+    assert [key for key in keys if "velocity_" in key] == ["action_velocity_go2", "action_velocity_h1"]
+    assert "action_velocity-height_h1" in keys
 
 
 @pytest.mark.parametrize("key", ["action_velocity_go2", "action_velocity_left_dog_of_two"])
@@ -127,3 +128,55 @@ def test_what_needs_a_robot_says_so_in_one_line() -> None:
 def test_a_range_that_has_no_place_for_standing_is_refused(lower: list[float], upper: list[float]) -> None:
     with pytest.raises(ConfigError, match="zero between"):
         FORMAT.for_robot("go2", np.array(lower), np.array(upper))
+
+
+HOMIE = WITH_HEIGHT.for_robot("g1", np.array([-0.8, -0.5, -0.8, 0.24]), np.array([1.2, 0.5, 0.8, 0.74]))
+
+
+@pytest.mark.parametrize(("of", "count"), [(WITH_HEIGHT, 4), (WITH_POSTURE, 7)])
+def test_a_sibling_has_further_elements_under_a_key_of_its_own(of: ForAnyRobot, count: int) -> None:
+    bound = of.for_robot("g1")
+    assert registry.find("command", bound.name) is of
+    assert bound.key == f"action_{bound.name}_g1"
+    described = contracts.contract(bound.key)
+    assert described is not None
+    assert [element.title for element in described.elements][:4] == [
+        "vx [m/s]", "vy [m/s]", "wz [rad/s]", "root_height [m]",
+    ]  # fmt: skip
+    assert (len(described.elements), bound.velocities, bound.default[3]) == (count, (0, 1, 2), 0.74)
+
+
+def test_a_height_is_clamped_and_told_and_one_that_no_g1_can_is_refused() -> None:
+    commanded = path(HOMIE)
+    made = drive(commanded, 0.0, 0.0, 0.0, 0.2, ticks=100)
+    assert made[-1][3] == 0.24
+    (told,) = [each.detail for each in commanded.taken() if each.name == "command-clamped"]
+    assert told == {"elements": ["root_height"], "allowed": {"root_height": [0.24, 0.74]}}
+    drive(commanded, 0.0, 0.0, 0.0, 1.5, ticks=3, start=100)
+    assert commanded.validator.refusal is not None
+    assert commanded.validator.refusal.text == "root_height is 1.5, allowed -0.06 to 1.04"
+
+
+def test_where_commands_end_the_walk_ends_within_300_ms_and_the_height_stays_however_long_it_is_silent() -> None:
+    commanded = path(HOMIE)
+    assert drive(commanded, 0.5, 0.0, 0.2, 0.4, ticks=100)[-1].tolist() == [0.5, 0.0, 0.2, 0.4]
+    last = CommandSample(codec.json_vector([0.5, 0.0, 0.2, 0.4]), 99 * DT, seq=100)
+    silent = np.array([commanded.decide(last, (99 + tick) * DT).vector for tick in range(300)])
+    assert not silent[15:, :3].any(), "0.3 s after the last one"
+    assert (silent[:, 3] == 0.4).all()
+    assert commanded.state == "waiting"
+    assert drive(commanded, 0.0, 0.0, 0.0, 0.6, ticks=1, start=399)[0][3] == pytest.approx(0.41), (
+        "from there, at its rate"
+    )
+
+
+def test_a_motion_gives_the_height_of_its_root_and_one_without_stands() -> None:
+    root = np.array([1.0, 0.0, 0.0, 0.0])
+    for height, expected in ((0.5, 0.5), (0.0, 0.74)):
+        asked = Reference(np.array([0.0, 0.0, height]), root, np.array([0.3, 0, 0]), np.zeros(3), np.zeros(0))
+        np.testing.assert_allclose(HOMIE.encode(asked, ()), [0.3, 0.0, 0.0, expected])
+
+
+def test_a_range_without_the_height_of_standing_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"'velocity-height': .* expected 4 numbers each, 0, 0, 0, 0.74 between them"):
+        WITH_HEIGHT.for_robot("g1", np.array([-1, -1, -1, 0.2]), np.array([1, 1, 1, 0.6]))

@@ -22,7 +22,7 @@ SPEEDS = {"forward_mps": 0.6, "left_mps": 0.4, "turn_rad_s": 1.0}
 class Wheel:
     """Somebody who drives."""
 
-    def __init__(self, **options: float) -> None:
+    def __init__(self, **options: float | str) -> None:
         self.driver = VelocityDriver(VelocityOptions(robot="go2", **(SPEEDS | options)))
         self.snapshot: Snapshot[object, object] | None = None
 
@@ -101,7 +101,8 @@ def test_it_is_registered_and_commands_the_robot_that_is_named() -> None:
     driver = kind.make(VelocityOptions(robot="h1"), "")
     assert driver.command_format.key == "action_velocity_h1"
     assert driver.facts() == {
-        "driver": "velocity", "robot": "h1", "forward_mps": 0.7, "left_mps": 0.4, "turn_rad_s": 0.8,
+        "driver": "velocity", "robot": "h1", "format": "velocity", "forward_mps": 0.7, "left_mps": 0.4,
+        "turn_rad_s": 0.8,
     }  # fmt: skip
 
 
@@ -116,3 +117,33 @@ def test_it_is_registered_and_commands_the_robot_that_is_named() -> None:
 def test_options_that_cannot_be_are_refused(options: Mapping[str, object], words: str) -> None:
     with pytest.raises(msgspec.ValidationError, match=words):
         msgspec.convert(options, VelocityOptions)
+
+
+@pytest.mark.parametrize(
+    ("down", "up"),
+    [
+        (controls(right_stick_y=-1.0), controls(right_stick_y=1.0)),
+        (controls(key_k=1.0), controls(key_i=1.0)),
+        (twisted(0, 0, -1.0, 0, 0, 0), twisted(0, 0, 1.0, 0, 0, 0)),
+    ],
+)
+def test_where_the_format_has_a_height_it_is_raised_and_lowered_and_stays_where_it_was_left(
+    down: OperatorSample, up: OperatorSample
+) -> None:
+    wheel = Wheel(format="velocity-height")
+    assert wheel.engage(down).tolist() == [0.0, 0.0, 0.0, 0.74]
+    assert wheel.hold(down, 1.0)[-1][3] == pytest.approx(0.54), "0.2 m/s"
+    wheel.snapshot = None
+    assert wheel.hold(None, 1.0)[-1][3] == pytest.approx(0.54)
+    wheel.engage(up)
+    assert wheel.hold(up, 5.0)[-1][3] == 0.80
+    wheel.driver.resume_from(np.array([0.2, 0.0, 0.0, 0.3]))
+    wheel.snapshot = None
+    assert wheel.hold(None, 1.0)[-1].tolist() == [0.0, 0.0, 0.0, 0.3]
+
+
+def test_a_torso_is_left_upright_and_a_format_of_no_velocities_is_refused() -> None:
+    wheel = Wheel(format="velocity-posture")
+    assert wheel.engage(controls(right_stick_y=-1.0))[4:].tolist() == [0.0, 0.0, 0.0]
+    with pytest.raises(ValueError, match=r"format is 'velocity-heigt' \(did you mean 'velocity-height'\?\); expected"):
+        VelocityOptions(robot="g1", format="velocity-heigt")

@@ -45,7 +45,7 @@ def test_the_manifest_gets_file_hash_and_segments(script: Path) -> None:
     facts = load(script).facts()
     assert facts["file"] == str(script)
     assert len(facts["sha256"]) == 64
-    assert facts["segments"][1] == {"seconds": 1.5, "vx": 0.0, "vy": -0.2, "wz": 0.8}
+    assert facts["segments"][1] == {"seconds": 1.5, "vx": 0.0, "vy": -0.2, "wz": 0.8, "height": 0.0}
 
 
 def test_played_it_blends_in_steps_between_segments_and_ends_at_zero(script: Path) -> None:
@@ -98,6 +98,7 @@ def test_an_unknown_script_is_named_with_those_that_there_are(resolve: object) -
         ("velocities: [{vx: 1}]", "seconds"),
         ("velocities: [{seconds: 1, vx: 50}]", "vx is 50; expected a velocity of at most 10"),
         ("velocities: [{seconds: 1, vx: .nan}]", "vx is nan"),
+        ("velocities: [{seconds: 1, height: 74}]", "height is 74; expected a height of the base up to 2 m"),
         ("velocities: [{seconds: 0}]", "seconds is 0; expected 0.1 to 36000 s"),
         ("velocities: [{seconds: 1, speed: 2}]", "speed"),
         ("hello", "patrol.velocity"),

@@ -38,12 +38,14 @@ def gravity(quat_wxyz: Floats) -> Floats:
     return matrix.T @ np.array([0.0, 0.0, -1.0])
 
 
-def onnx_file(path: Path, inputs: int, outputs: int, metadata: Mapping[str, str] | None = None) -> Path:
+def onnx_file(
+    path: Path, inputs: int, outputs: int, metadata: Mapping[str, str] | None = None, *, scale: float = 0.1
+) -> Path:
     """Write a linear network of those sizes, with metadata."""
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
-    weights = np.random.default_rng(inputs).normal(size=(inputs, outputs)).astype(np.float32) * 0.1
+    weights = np.random.default_rng(inputs).normal(size=(inputs, outputs)).astype(np.float32) * np.float32(scale)
     graph = helper.make_graph(
         [helper.make_node("MatMul", ["obs", "weights"], ["action"])], "policy",
         [helper.make_tensor_value_info("obs", TensorProto.FLOAT, [1, inputs])],
