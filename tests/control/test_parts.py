@@ -27,6 +27,7 @@ from station.errors import ConfigError
 from station.parts import PartedCommand
 from station.protocols import Floats, Floats32, JointTargets, PolicySpec, RobotState, StockKeys
 from tests.control.ideal_robot import IdealRobot
+from tests.control.parted_walk import HOLOSOMA, walked
 
 DT = 0.02
 LEGS, ARMS, HANDS = ("hip", "knee"), ("shoulder", "elbow"), ("grip",)
@@ -294,3 +295,13 @@ def test_the_whole_has_the_numbers_of_its_parts_in_their_order() -> None:
     ]  # fmt: skip
     assert (FORMAT.velocities, len(FORMAT.default), FORMAT.upper.tolist()) == ((0, 1), 5, [0.5, 1.0, 2.0, 2.0, 2.0])
     assert [part.tolist() for part in FORMAT.split(np.arange(5.0))] == [[0.0, 1.0], [2.0, 3.0], [4.0]]
+
+
+# -- On a simulated G1 ---------------------------------------------------------------------------------------------
+@pytest.mark.assets
+def test_a_g1_walks_on_while_pedals_and_arms_come_and_go_each_as_its_own_gate_alone_would_have_it(assets: Path) -> None:
+    """Ten minutes of it, and more arm: `test_proof_parts.py`."""
+    ways = [place for _, place in walked("holosoma", HOLOSOMA, 0.5, 20.0)]
+    assert ways[-1] is not None
+    assert ways[0] is not None
+    assert np.linalg.norm(ways[-1][:2] - ways[0][:2]) > 0.3

@@ -94,8 +94,9 @@ def _holosoma_walk(folder: Path) -> None:
 
 
 def _holosoma(folder: Path) -> None:
-    """The checkpoint that the page's reader has downloaded."""
+    """The checkpoints that the page's reader has downloaded."""
     shutil.copy(assets.resolve("zoo:policies/holosoma_fastsac_g1_29dof.onnx"), folder / "fastsac_g1_29dof.onnx")
+    shutil.copy(assets.resolve("zoo:policies/rlgym_g1_motion.pt"), folder / "motion.pt")
 
 
 PAGES = {
@@ -184,6 +185,7 @@ PAGES = {
             f" {_DRIVEN_FOR} keyboard.fake=builtin:keyboard/example.json"
         ),
         "station serve motion": Typed(elsewhere="tests/main_job/test_velocity.py, in a runbook"),
+        "station up g1-homie-sim --record": Typed(elsewhere="needs a file that cannot be had here"),
     }, _holosoma),
     "docs/your-robot.md": Page({
         "pip install": _INSTALLS,

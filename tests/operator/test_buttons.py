@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from station import registry
 from station.errors import BadFile, ConfigError
-from station.operator.buttons import ACTIONS, BOUNCE_FRAMES, HOLD_S, Buttons, Pressed, button_map, load
+from station.operator.buttons import ACTIONS, BOUNCE_FRAMES, DRIVING, HOLD_S, Buttons, Pressed, button_map, load
 
 TICK_S = 0.01
 UP: dict[str, float] = {}
@@ -219,3 +219,10 @@ def test_a_file_that_is_not_there_or_says_nothing_of_the_kind_is_one_line(tmp_pa
     (tmp_path / "list.yaml").write_text("- exit\n")
     with pytest.raises(ConfigError, match=r"list\.yaml: expected a mapping"):
         load("pico", tmp_path / "list.yaml")
+
+
+def test_of_those_that_share_a_pad_some_only_drive_and_stop() -> None:
+    shared = button_map("gamepad").only(DRIVING)
+    assert set(shared.gestures) == set(button_map("gamepad").gestures) & set(DRIVING)
+    assert {"engage", "estop"} <= set(shared.gestures)
+    assert not {"record", "mark", "discard", "arm", "disarm"} & set(shared.gestures)

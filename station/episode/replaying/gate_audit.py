@@ -331,7 +331,8 @@ class Rest:
         state = robot_state(self.state, step.values.get(keys.robot_state(self.robot), b""))
         if state is None or (before is None and not is_first):
             return None
-        if before is None or self._was_limp(before, count := len(state.q)):
+        count = len(state.q)
+        if before is None or self._was_limp(before, count):
             return state.q[self.joints]
         return self._sent(before)[:count][self.joints]
 

@@ -1,0 +1,49 @@
+"""Pedals walk a G1 while two leaders move its arms, each by a server of its own, recorded and audited part by part."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.main_job.station_runs import Terminal
+
+PARTS = ("legs", "left_arm", "right_arm")
+FAKES = (
+    "gamepad.fake=builtin:gamepad/example.json",
+    "left_leader.fake=builtin:gello/g1.json",
+    "right_leader.fake=builtin:gello/g1-right.json",
+)
+RLGYM = (
+    "robot.policy_options.legs=rlgym-g1", "robot.checkpoint=zoo:policies/rlgym_g1_motion.pt",
+    "legs.options.format=velocity",
+)  # fmt: skip
+
+pytestmark = [pytest.mark.assets, pytest.mark.torch, pytest.mark.timeout(300)]
+
+
+def test_it_walks_with_moving_arms_and_every_part_of_its_episode_is_audited(
+    tmp_path: Path, processes: None, assets: Path
+) -> None:
+    terminal = Terminal(tmp_path)
+    sets = [word for setting in (*FAKES, *RLGYM) for word in ("--set", setting)]
+    done = terminal.run("up", "g1-homie-sim", "--yes", "--record", "--task", "carry", "--for", "6s", *sets)
+    assert done.returncode == 0, done.stdout + done.stderr
+    episode = str(terminal.episode("carry"))
+    check, audit = terminal.json("check", episode), terminal.json("audit", episode)
+    assert (check["falls"], check["events"]["operator-engaged"]) == (0, 3), done.stdout
+    assert set(audit["parts"]) == set(PARTS)
+    for name, part in audit["parts"].items():
+        assert (part["compared"] > 100, part["different"]) == (True, 0), name
+    assert (audit["different"], audit["commands"]["different"], audit["targets"]["different"]) == (0, 0, 0)
+    keys = {stream["key"]: stream["count"] for stream in check["streams"]}
+    for name in PARTS:
+        assert keys[f"command_timing_g1_29_{name}"] == keys[f"command_used_g1_29_{name}"] == audit["steps"]
+
+
+def test_whoever_lacks_the_file_is_told_where_it_comes_from(tmp_path: Path, processes: None) -> None:
+    done = Terminal(tmp_path).run("up", "g1-homie-sim", "--yes")
+    assert done.returncode == 2
+    (line,) = done.stderr.strip().splitlines()
+    assert "it is not part of the station: take it from" in line
+    assert "InternRobotics/OpenHomie on GitHub (CC BY-NC-SA 4.0, no commercial use)" in line
