@@ -6,6 +6,7 @@ import json
 import os
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, get_args
 
 import click
@@ -48,6 +49,11 @@ _TOLD = 8  # cases of a group that failed and are told
 )
 @click.option("--against", default="", metavar="POLICY", help="--suite: another policy, run beside it and compared.")
 @click.option("--against-checkpoint", default="", help="File of that policy.  [default: the family's]")
+@click.option("--hand-over", default="", metavar="POLICY", shell_complete=candidates.registered("policy"),
+              help="--suite: what takes turns with a policy of velocities.  [default: itself]")  # fmt: skip
+@click.option("--hand-over-checkpoint", default="", help="File of that policy.  [default: the family's]")
+@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), default=None, metavar="FILE",
+              help="--suite: draw velocities and paths to a PNG.")  # fmt: skip
 @click.option("--markdown", "as_markdown", is_flag=True, help="--suite: print the table for a model card.")
 @json_option
 def command(
@@ -58,8 +64,9 @@ def command(
     """Run MOTIONS (files, or patterns such as 'twist2:motions/*.pkl' or 'builtin:*') in a closed loop and print how
     each went. Exit code 1 when the robot fell in any of them.
 
-    With --suite: standing, every clip, pushes, random arm motion, delayed commands, lost and restored commands. Exit
-    code 1 when the policy did not keep a limit; station/suite/promise.py has them all.
+    With --suite: standing, every clip, pushes, random arm motion, delayed commands, lost and restored commands; of a
+    policy that follows velocities each axis both ways, curves, and hand-overs in place of clips and arms. Exit code 1
+    when the policy did not keep a limit; station/suite/promise.py has them all.
     """
     from station.assets import inventory
     from station.control.rig import RigConfig, robot_kind
@@ -69,7 +76,7 @@ def command(
     _refuse_what_does_not_go_together(motions, suite, {"against": against, **of_suite})
     kind = robot_kind(robot)
     policy = policy or kind.policy
-    for name in filter(None, (policy, against)):
+    for name in filter(None, (policy, against, of_suite["hand_over"])):
         if name not in (known := registry.names("policy")):
             raise UnknownName("policy", name, known)  # before any motion is read
     named = [reference for motion in motions for reference in inventory.motions_named(motion)]
@@ -84,7 +91,7 @@ def command(
 
 
 def _refuse_what_does_not_go_together(motions: Sequence[str], suite: bool, of_suite: dict[str, Any]) -> None:
-    given = [name.removeprefix("as_") for name, value in of_suite.items() if value]
+    given = [name.removeprefix("as_").replace("_", "-") for name, value in of_suite.items() if value]
     if not suite and given:
         raise UsageError(f"--{given[0]} goes with --suite")
     if not suite and not motions:
@@ -110,20 +117,34 @@ def _motions(config: RigConfig, named: Sequence[str], *, holes: str, jobs: int, 
 
 def _suite(
     rigs: Sequence[RigConfig], named: Sequence[str], *, quick: bool, only: Sequence[Group], jobs: int, as_json: bool,
-    as_markdown: bool,
+    as_markdown: bool, hand_over: str, hand_over_checkpoint: str, plot: Path | None,
 ) -> NoReturn:  # fmt: skip
     from station.suite import promise, run, table
 
-    planned = run.plan(rigs, extent=promise.QUICK if quick else promise.FULL, named=named, only=only, jobs=jobs)
+    planned = run.plan(
+        rigs, extent=promise.QUICK if quick else promise.FULL, named=named, only=only, jobs=jobs,
+        hand_over=(hand_over, hand_over_checkpoint),
+    )  # fmt: skip
+    if plot is not None and not planned.walks:
+        raise UsageError("--plot draws velocities that were followed; no case of this suite has any")
     if planned.missing:
         click.echo(f"left out, not on this machine: {', '.join(planned.missing)}", err=True)
     click.echo(f"{planned.runs} runs in {planned.processes} processes", err=True)
     with _Progress(planned.runs) as progress:
         done = run.run(planned, progress.on_result)
+    if plot is not None:
+        from station.view.velocity_plot import Walk, save_walks
+
+        walks = [
+            Walk(f"{policy.label}: {case.case}", case.trace.times_s, case.trace.commanded, case.trace.measured,
+                 case.trace.path)
+            for policy in done.policies for case in policy.cases if case.trace is not None
+        ]  # fmt: skip
+        click.echo(f"saved {save_walks(walks, plot)}", err=True)
     if as_json:
         click.echo(msgspec.json.encode(done))
     elif as_markdown:
-        click.echo(table.markdown(done.policies))
+        click.echo(table.markdown(done.policies, table.CASE_TITLES if done.is_of_velocities else table.TITLES))
     else:
         _print_suite(done)
     raise SystemExit(0 if done.is_kept else 1)
@@ -164,11 +185,12 @@ def _print_suite(done: Evaluation) -> None:
 
     from station.suite import table
 
-    columns = [Column(escape(title), "left" if title in table.LEFT else "right") for title in table.TITLES]
+    titles = table.CASE_TITLES if done.is_of_velocities else table.TITLES
+    columns = [Column(escape(title), "left" if title in table.LEFT else "right") for title in titles]
     colours = {"kept": "green", "failed": "red"}
-    verdict = table.TITLES.index("verdict")
+    verdict = titles.index("verdict")
     rows = []
-    for row in table.rows(done.policies):
+    for row in table.case_rows(done.policies) if done.is_of_velocities else table.rows(done.policies):
         cells = [escape(cell) for cell in row]
         colour = colours.get(row[verdict].split()[-1])
         cells[verdict] = f"[{colour}]{cells[verdict]}[/]" if colour else cells[verdict]
@@ -182,9 +204,10 @@ def _print_suite(done: Evaluation) -> None:
     summaries = [summary for policy in done.policies for summary in policy.groups]
     simulated_s = sum(summary.simulated_s for summary in summaries)
     runs = sum(summary.runs for summary in summaries)
-    seeds = " ".join(map(str, done.extent.arm_seeds))
-    click.echo(f"{runs} runs, {simulated_s:.0f} s simulated in {done.wall_s:.0f} s by {done.processes} processes; "
-               f"seeds of the arms {seeds}")  # fmt: skip
+    seeds = "" if done.is_of_velocities else f"; seeds of the arms {' '.join(map(str, done.extent.arm_seeds))}"
+    click.echo(
+        f"{runs} runs, {simulated_s:.0f} s simulated in {done.wall_s:.0f} s by {done.processes} processes{seeds}"
+    )
 
 
 def _print(results: Sequence[Rehearsal]) -> None:

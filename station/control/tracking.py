@@ -160,14 +160,35 @@ class VelocityTracking:
 
     def found(self) -> VelocityFound | None:
         """Return what was found; None where no velocity was asked for, or for less than a second on end."""
-        rows = np.frombuffer(self._rows, dtype=np.float64).reshape(-1, 7)
-        window = max(1, round(WINDOW_S / self._period_s))
+        rows, window = self._all, self._window
         errors = [_smooth(run[:, 4:] - run[:, 1:4], window) for run in _runs(rows) if len(run) >= window]
         if not errors:
             return None
         vx, vy, wz = np.abs(np.concatenate(errors)).mean(axis=0).tolist()
         longest = sorted(self._stretches(rows), key=lambda each: -each.seconds)[:MOST_STRETCHES]
         return VelocityFound((vx, vy, wz), tuple(sorted(longest, key=lambda each: each.at_s)))
+
+    def curves(self) -> Floats:
+        """Return what a plot shows: time [s], then vx, vy [m/s], wz [rad/s] as commanded, and as means over a second.
+
+        Shape (n, 7); a row that is no number stands between what does not follow on.
+        """
+        window, gap = self._window, np.full((1, 7), math.nan)
+        found = []
+        for run in _runs(self._all):
+            if len(run) >= window:
+                begin = (window - 1) // 2  # the tick in the middle of the first window
+                plain = run[begin : begin + len(run) - window + 1, :4]
+                found += [np.hstack([plain, _smooth(run[:, 4:], window)]), gap]
+        return np.concatenate(found[:-1]) if found else np.empty((0, 7))
+
+    @property
+    def _all(self) -> Floats:
+        return np.frombuffer(self._rows, dtype=np.float64).reshape(-1, 7)
+
+    @property
+    def _window(self) -> int:
+        return max(1, round(WINDOW_S / self._period_s))
 
     def _stretches(self, rows: Floats) -> Iterator[VelocityStretch]:
         settles, shortest = round(SETTLES_S / self._period_s), round(SHORTEST_S / self._period_s)

@@ -67,7 +67,7 @@ def section(
     if plot is not None:
         body += [
             tag("h3", "How it was followed"),
-            picture(plot, "png", "joints as commanded and as measured", class_="plot"),
+            picture(plot, "png", "commanded and measured", class_="plot"),
         ]
     body += [_strip(name, pictures) for name, pictures in strips.items() if any(pictures)]
     body += _tables(quality), _events(story), _provenance(episode)

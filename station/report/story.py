@@ -12,6 +12,7 @@ import numpy as np
 from station.bus import codec, keys
 from station.contract import Contract
 from station.episode.quality import interruptions
+from station.episode.quality.check import velocity_curves
 from station.episode.reading import steps
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
@@ -68,6 +69,7 @@ class Story:
         events: The first events, and `events_in_all` how many there are.
         tracks: How well it was tracked; None where nothing tells.
         contracts: What each key holds, as it was recorded.
+        velocities: How velocities were followed, `station.episode.quality.check.velocity_curves`, shape (n, 7).
     """
 
     robot: str = ""
@@ -79,6 +81,7 @@ class Story:
     events_in_all: int = 0
     tracks: Tracks | None = None
     contracts: dict[str, Contract] = field(default_factory=dict)
+    velocities: Floats = field(default_factory=lambda: np.empty((0, 7)))
 
 
 def read(reader: EpisodeReader) -> Story:
@@ -97,6 +100,7 @@ def read(reader: EpisodeReader) -> Story:
     for message in reader.messages(publisher.topics):
         publisher.feed(message)
     publisher.finish()
+    story.velocities = velocity_curves(reader, story.robot)
     return story
 
 

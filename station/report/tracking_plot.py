@@ -10,6 +10,7 @@ import numpy as np
 
 from station.report.story import Story, Tracks
 from station.view import plot_style as style
+from station.view import velocity_plot
 from station.view.picture_file import page
 from station.view.run import Run
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_WIDTH_IN, _HEIGHT_IN = 15.0, 5.6
+_WIDTH_IN, _HEIGHT_IN, _VELOCITIES_IN = 15.0, 5.6, 4.2
 _SMALLER = {"font.size": 9.5, "xtick.labelsize": 8.5, "ytick.labelsize": 8.5}  # than the page it is shown in
 _SHOWN = 3  # joints as curves
 _BARS = 16  # joints as bars
@@ -33,11 +34,15 @@ def draw(story: Story, errors: Mapping[str, float]) -> bytes | None:
         story: What happened in it.
         errors: Mean error of each joint that was compared [rad].
     """
-    if story.tracks is None:
-        return None
-    with page(_WIDTH_IN, _HEIGHT_IN, _SMALLER) as figure:
-        _draw(figure, story, story.tracks, errors)
-        return _png(figure)
+    if story.tracks is not None:
+        with page(_WIDTH_IN, _HEIGHT_IN, _SMALLER) as figure:
+            _draw(figure, story, story.tracks, errors)
+            return _png(figure)
+    if len(story.velocities):
+        with page(_WIDTH_IN, _VELOCITIES_IN, _SMALLER) as figure:
+            _draw_velocities(figure, story)
+            return _png(figure)
+    return None
 
 
 def _draw(figure: Figure, story: Story, tracks: Tracks, errors: Mapping[str, float]) -> None:
@@ -45,8 +50,7 @@ def _draw(figure: Figure, story: Story, tracks: Tracks, errors: Mapping[str, flo
         1 + _SHOWN, 2, width_ratios=(3.6, 1), height_ratios=(1.35, *[1] * _SHOWN), left=0.035, right=0.99, top=0.945,
         bottom=0.055, hspace=0.52, wspace=0.2,
     )  # fmt: skip
-    run = Run(episode_id="", robot=story.robot, gate=story.gate, phases=story.phases)
-    limits = (min(story.first_s, 0.0), max(story.last_s, story.first_s + 0.1))
+    run, limits = _run_and_limits(story)
     order = sorted(range(len(tracks.joints)), key=lambda column: -errors.get(tracks.joints[column], -1.0))
     error = figure.add_subplot(grid[0, 0])
     _draw_error(error, run, tracks)
@@ -58,6 +62,22 @@ def _draw(figure: Figure, story: Story, tracks: Tracks, errors: Mapping[str, flo
         style.time_axis(axes, limits, ticks=12, unit=" s" if axes is panels[-1] else "")
         axes.tick_params(axis="x", labelbottom=axes is panels[-1])
     _draw_bars(figure.add_subplot(grid[:, 1]), tracks, order[:_BARS], errors)
+
+
+def _draw_velocities(figure: Figure, story: Story) -> None:
+    run, limits = _run_and_limits(story)
+    grid = figure.add_gridspec(3, 1, left=0.035, right=0.99, top=0.93, bottom=0.08, hspace=0.5)
+    panels = [figure.add_subplot(grid[row]) for row in range(3)]
+    rows = story.velocities
+    velocity_plot.draw(panels, rows[:, 0], rows[:, 1:4], rows[:, 4:])
+    for axes in panels:
+        style.mark(axes, run)
+        style.time_axis(axes, limits, ticks=12, unit=" s" if axes is panels[-1] else "")
+
+
+def _run_and_limits(story: Story) -> tuple[Run, tuple[float, float]]:
+    run = Run(episode_id="", robot=story.robot, gate=story.gate, phases=story.phases)
+    return run, (min(story.first_s, 0.0), max(story.last_s, story.first_s + 0.1))
 
 
 def _draw_error(axes: Axes, run: Run, tracks: Tracks) -> None:

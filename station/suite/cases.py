@@ -7,7 +7,12 @@ from typing import Literal
 
 import msgspec
 
-Group = Literal["stand", "track", "unseen", "push", "arms", "late", "gate"]
+Group = Literal["stand", "track", "unseen", "follow", "push", "arms", "late", "gate", "hand-over"]
+
+Velocity = tuple[float, float, float]
+"""Of the base in the frame of its heading: forward, to the left [m/s], turning left [rad/s]."""
+
+STILL: Velocity = (0.0, 0.0, 0.0)
 
 
 class Silence(msgspec.Struct, frozen=True):
@@ -72,17 +77,19 @@ class Push(Case, frozen=True, kw_only=True):
         towards_rad: Its direction in the world, from the robot's first heading; to the left is positive [rad].
         at_s: When [s].
         clip: What plays; "" for standing.
+        velocity: What is commanded, of a policy that follows velocities.
     """
 
     speed_mps: float
     towards_rad: float
     at_s: float
     clip: str = ""
+    velocity: Velocity = STILL
 
     @property
     def name(self) -> str:
         """What it is called."""
-        doing = _short(self.clip) or "standing"
+        doing = _short(self.clip) or _said(self.velocity)
         return f"{doing}, {self.speed_mps:g} m/s towards {math.degrees(self.towards_rad):.0f}° at {self.at_s:g} s"
 
 
@@ -109,6 +116,53 @@ class Cut(Case, frozen=True, kw_only=True):
         """What it is called."""
         lost = f"{self.at_s:.2f} s for {self.silence.seconds:g} s"
         return f"{_short(self.clip)}, lost at {lost}, back while {self.silence.name}"
+
+
+class Walk(Case, frozen=True, kw_only=True):
+    """Stand, follow a velocity, and stand again; `late_s` as in `Stand`."""
+
+    velocity: Velocity
+    late_s: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return f"{_said(self.velocity)}{_late(self.late_s)}"
+
+
+class Cease(Case, frozen=True, kw_only=True):
+    """Follow a velocity, lose the commands, stand, and get them back."""
+
+    velocity: Velocity
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return f"{_said(self.velocity)}, then silence"
+
+
+class HandOver(Case, frozen=True, kw_only=True):
+    """Follow a velocity while the policy and another take turns.
+
+    Attributes:
+        velocity: What is commanded.
+        policy, checkpoint: The other one's family and file; the same policy once more where both are "".
+    """
+
+    velocity: Velocity
+    policy: str = ""
+    checkpoint: str = ""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return f"{_said(self.velocity)}, taking turns with {self.policy or 'itself'}"
+
+
+def _said(velocity: Velocity) -> str:
+    """What is commanded, in words; what is zero is left out."""
+    parts = [f"{name} {value:+.3g}" for name, value in zip(("vx", "vy", "wz"), velocity, strict=True) if value]
+    return " ".join(parts) or "standing"
 
 
 def _short(clip: str) -> str:

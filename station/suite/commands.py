@@ -7,13 +7,17 @@ from collections.abc import Callable
 import numpy as np
 
 from station.contract import names_of
+from station.control.tracking import VELOCITIES
 from station.errors import ConfigError
 from station.motion.playback import Playback
 from station.protocols import CommandFormat, Floats, Motion
-from station.suite.cases import Silence
+from station.suite.cases import Silence, Velocity
 
 Commands = Callable[[float], Floats | None]
 """From the time since the start [s], which only grows, to a command vector, shape (m,)."""
+
+Span = tuple[float, float]
+"""Begin and end, since the start [s]."""
 
 _ARM_WORDS = ("shoulder", "elbow", "wrist")
 _SHORTEST_S, _LONGEST_S = 0.3, 3.0  # from one pose of an arm to the next
@@ -30,6 +34,30 @@ def playing_on(motion: Motion, command_format: CommandFormat, *, period_s: float
     """Play a motion again and again, as the motion server does with `loop`."""
     playback = Playback(motion, command_format, lead_s=period_s, loop=True)
     return lambda now_s: playback.step(period_s if now_s else 0.0).command
+
+
+def velocity(
+    command_format: CommandFormat, wanted: Velocity, *, from_s: float, until_s: float, quiet: Span | None = None
+) -> Commands:
+    """Ask for a velocity for a while, and before and after it for none.
+
+    Args:
+        command_format: Its contract names the velocities.
+        wanted: The velocity.
+        from_s, until_s: When it begins and ends [s].
+        quiet: From when to when nothing comes [s].
+    """
+    names = names_of(command_format.elements)
+    still = np.array(command_format.default)
+    moving = still.copy()
+    moving[[names.index(name) for name in VELOCITIES]] = wanted
+
+    def command(now_s: float) -> Floats | None:
+        if quiet is not None and quiet[0] <= now_s < quiet[1]:
+            return None
+        return moving if from_s <= now_s < until_s else still
+
+    return command
 
 
 def cut(

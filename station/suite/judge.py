@@ -6,9 +6,21 @@ from collections.abc import Sequence
 
 import msgspec
 
+from station.control.tracking import VELOCITIES
 from station.suite.cases import Group
-from station.suite.outcome import Drift, Outcome
-from station.suite.promise import DRIFT_SLACK_M, JOINT_ERROR_RAD, LIMITS, TURN_SLACK_RAD
+from station.suite.outcome import Ceased, Drift, Outcome, TurnsTaken
+from station.suite.promise import (
+    DRIFT_SLACK_M,
+    FADE_STEP,
+    FOLLOWED,
+    JOINT_ERROR_RAD,
+    JUMPS,
+    LIMITS,
+    TURN_SLACK_RAD,
+    ZERO_AFTER_S,
+)  # fmt: skip
+
+_ROUNDING = 1e-9
 
 
 class Failure(msgspec.Struct, frozen=True):
@@ -69,6 +81,43 @@ def failure(outcome: Outcome, against: Outcome | None = None) -> str:
         return f"{measured}, at most {JOINT_ERROR_RAD:.2f} rad is allowed"
     if outcome.group == "stand" and against is not None and not against.falls:
         return _drifted(outcome.drift, against.drift)
+    return _of_velocities(outcome)
+
+
+def _of_velocities(outcome: Outcome) -> str:
+    if outcome.group == "follow":
+        return _not_followed(outcome)
+    if outcome.ceased is not None:
+        return _not_ceased(outcome.ceased)
+    return _jumped(outcome.turns) if outcome.turns is not None else ""
+
+
+def _not_followed(outcome: Outcome) -> str:
+    stretch = outcome.stretch
+    if stretch is None:
+        return "the velocity was not followed for long enough to be measured"
+    for name, asked, came in zip(VELOCITIES, stretch.commanded, stretch.measured, strict=True):
+        if asked and not came / asked >= FOLLOWED:
+            return f"{name} {came:+.2f} of {asked:+.2f}, at least {FOLLOWED:g} of it is asked for"
+    return ""
+
+
+def _not_ceased(ceased: Ceased) -> str:
+    if ceased.zero_after_s > ZERO_AFTER_S + _ROUNDING:
+        return f"commanded a velocity until {ceased.zero_after_s:.2f} s after the last, {ZERO_AFTER_S:g} s is allowed"
+    if ceased.greatest_step > FADE_STEP:
+        return f"the velocity stepped by {ceased.greatest_step:.2f} of itself in a tick, {FADE_STEP:g} is allowed"
+    return ""
+
+
+def _jumped(turns: TurnsTaken) -> str:
+    if turns.refusal:
+        return f"a policy did not take over: {turns.refusal}"
+    if not turns.count:
+        return "no policy took over"
+    allowed = max(1.0, JUMPS * turns.target_step_else)
+    if turns.target_step > allowed:
+        return f"a target jumped {turns.target_step:.2f} times as far as its joint can move, {allowed:.2f} is allowed"
     return ""
 
 

@@ -9,16 +9,33 @@ from itertools import product
 import msgspec
 
 from station.control.gate import GateConfig
-from station.suite.cases import Arms, Case, Cut, Group, Push, Silence, Stand, Track
+from station.protocols import Floats
+from station.suite.cases import (
+    STILL,
+    Arms,
+    Case,
+    Cease,
+    Cut,
+    Group,
+    HandOver,
+    Push,
+    Silence,
+    Stand,
+    Track,
+    Velocity,
+    Walk,
+)  # fmt: skip
 
 LIMITS: dict[Group, str] = {
     "stand": "no fall, and no further drift or turn than the policy it is held against",
     "track": "no fall, mean |joint error| at most 0.10 rad",
     "unseen": "no fall, mean |joint error| at most 0.10 rad",
+    "follow": "no fall, and at least 0.3 of each velocity that is asked for",
     "push": "no fall within 5 s",
     "arms": "no fall",
     "late": "no fall",
-    "gate": "no fall",
+    "gate": "no fall; a velocity fades to zero within 0.32 s, in steps of at most 0.15 of it",
+    "hand-over": "no fall, none refused, and targets that jump no more than 1.5 times as far as else, or as joints can",
 }
 """The groups, in the order of the table, and what is asked in each."""
 
@@ -40,6 +57,27 @@ HELD_BACK = (
 )  # fmt: skip
 """What no policy of ours was trained on; the group `unseen`."""
 
+FOLLOWED = 0.3
+"""Least share of each commanded velocity that is measured, as a mean over the stretch: it goes where it is sent."""
+
+ZERO_AFTER_S, FADE_STEP = 0.32, 0.15
+"""Latest time from the last command to a velocity of zero [s], and its greatest step on the way, as a share of it."""
+
+JUMPS = 1.5
+"""How much further than without a hand-over a target may step in one, where that is more than the joint can move."""
+
+STARTS_S, WALKED_S, RESTS_S = 2.0, 8.0, 3.0
+"""A robot that is to follow a velocity first stands, then walks, then stands [s]."""
+
+CEASES_S, COMES_BACK_S, WALKS_ON_S = 8.0, 13.0, 5.0
+"""When commands cease and come back, and how long it walks after that [s]."""
+
+STRIDES_S = 1.0
+"""Pushes of a robot that walks are spread over so long [s]."""
+
+TURN_EVERY_S, TURNS = 1.5, 12
+"""Policies take over from each other so often [s], and so many times."""
+
 WAVING = "builtin:wave"
 """Played under pushes."""
 
@@ -60,11 +98,12 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         stand_s, arms_s: How long it stands, and moves its arms [s].
         arm_seeds: One case each.
-        push_standing_mps, push_waving_mps: Size of the pushes [m/s].
+        push_standing_mps, push_waving_mps: Size of the pushes [m/s]; the second one also while it walks.
         push_directions: Evenly spread.
-        push_instants: Pushes per direction, each in a run of its own, spread over the time of the wave.
+        push_instants: Pushes per direction, each in a run of its own, spread over the time of the wave, or strides.
         late_s: How much later targets are applied [s].
         cut_every_s: Distance of the instants at which each silence begins, within a clip [s].
+        shares: How much of the range that a policy was trained on is asked for, of one that follows velocities.
     """
 
     stand_s: float = 600.0
@@ -76,10 +115,11 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
     push_instants: int = 6
     late_s: float = 0.02
     cut_every_s: float = 1.0
+    shares: tuple[float, ...] = (0.5, 1.0)
 
 
 FULL = Extent()
-QUICK = Extent(stand_s=60.0, arms_s=60.0, arm_seeds=(1,), push_instants=1, cut_every_s=6.0)
+QUICK = Extent(stand_s=60.0, arms_s=60.0, arm_seeds=(1,), push_instants=1, cut_every_s=6.0, shares=(0.5,))
 
 
 class Clips(msgspec.Struct, frozen=True, kw_only=True):
@@ -94,11 +134,55 @@ def cases(extent: Extent, clips: Clips, only: Collection[Group] = ()) -> list[Ca
     made = [
         *_standing(extent),
         *_tracking(clips),
-        *_pushes(extent, clips),
+        *_pushes(
+            extent, [("", STILL, extent.push_standing_mps), (WAVING, STILL, extent.push_waving_mps)], clips.wave_s
+        ),
         *_late(extent, clips),
         *_cuts(extent, clips),
     ]
     return [case for group in LIMITS for case in made if case.group == group and (not only or group in only)]
+
+
+def velocity_cases(
+    extent: Extent, lower: Floats, upper: Floats, only: Collection[Group] = (), hand_over: tuple[str, str] = ("", "")
+) -> list[Case]:
+    """Return the cases of a policy that follows velocities, in the order of the table.
+
+    Args:
+        extent: How much.
+        lower, upper: Range of the velocities, shape (3,).
+        only: Some of the groups; none for all.
+        hand_over: Family and file of the policy that takes turns with it; "" for itself.
+    """
+    first = extent.shares[0]
+    ahead, turning = (_velocity(upper, first, axis) for axis in ([0], [2]))
+    curve, other_curve = _velocity(upper, first, [0, 2]), (float(first * upper[0]), 0.0, float(first * lower[2]))
+    walk_s = STARTS_S + WALKED_S + RESTS_S
+    asked = [
+        *(_velocity(end, share, [axis]) for share, axis, end in product(extent.shares, range(3), (upper, lower))),
+        curve, other_curve,
+    ]  # fmt: skip
+    cease_s, turns_s = COMES_BACK_S + WALKS_ON_S, TURN_EVERY_S * (TURNS + 1)
+    policy, checkpoint = hand_over
+    made: list[Case] = [
+        Stand(group="stand", seconds=extent.stand_s),
+        *(Walk(group="follow", seconds=walk_s, velocity=each) for each in dict.fromkeys(asked) if any(each)),
+        *_pushes(extent, [("", STILL, extent.push_standing_mps), ("", ahead, extent.push_waving_mps)], STRIDES_S),
+        Stand(group="late", seconds=60.0, late_s=extent.late_s),
+        *(Walk(group="late", seconds=walk_s, velocity=each, late_s=extent.late_s) for each in (ahead, curve)),
+        *(Cease(group="gate", seconds=cease_s, velocity=each) for each in (ahead, turning, curve)),
+        *(
+            HandOver(group="hand-over", seconds=turns_s, velocity=each, policy=policy, checkpoint=checkpoint)
+            for each in (STILL, ahead, curve)
+        ),
+    ]
+    return [case for group in LIMITS for case in made if case.group == group and (not only or group in only)]
+
+
+def _velocity(end: Floats, share: float, axes: Collection[int]) -> Velocity:
+    """Return a share of an end of the range, along some axes."""
+    vx, vy, wz = (float(share * value) if axis in axes else 0.0 for axis, value in enumerate(end))
+    return vx, vy, wz
 
 
 def _standing(extent: Extent) -> Iterator[Case]:
@@ -112,13 +196,15 @@ def _tracking(clips: Clips) -> Iterator[Case]:
         yield Track(group="unseen" if clip in HELD_BACK else "track", seconds=duration_s + 3.0, clip=clip)
 
 
-def _pushes(extent: Extent, clips: Clips) -> Iterator[Case]:
-    doing = (("", extent.push_standing_mps), (WAVING, extent.push_waving_mps))
+def _pushes(extent: Extent, doing: Collection[tuple[str, Velocity, float]], spread_s: float) -> Iterator[Case]:
+    """Yield pushes of a size [m/s] while a clip plays or a velocity is followed, their instants over some time [s]."""
     directions = [2.0 * math.pi * k / extent.push_directions for k in range(extent.push_directions)]
-    for (clip, speed_mps), k, towards_rad in product(doing, range(extent.push_instants), directions):
-        at_s = round(PUSH_FROM_S + k * clips.wave_s / extent.push_instants, 2)
-        seconds = at_s + PUSH_SURVIVED_S
-        yield Push(group="push", seconds=seconds, speed_mps=speed_mps, towards_rad=towards_rad, at_s=at_s, clip=clip)
+    for (clip, velocity, speed_mps), k, towards_rad in product(doing, range(extent.push_instants), directions):
+        at_s = round(PUSH_FROM_S + k * spread_s / extent.push_instants, 2)
+        yield Push(
+            group="push", seconds=at_s + PUSH_SURVIVED_S, speed_mps=speed_mps, towards_rad=towards_rad, at_s=at_s,
+            clip=clip, velocity=velocity,
+        )  # fmt: skip
 
 
 def _late(extent: Extent, clips: Clips) -> Iterator[Case]:

@@ -7,11 +7,15 @@ from collections.abc import Callable, Collection, Sequence
 from pathlib import PurePath
 
 import msgspec
+import numpy as np
 
 from station import side_by_side
-from station.control.rig import RigConfig
+from station.contract import names_of
+from station.control.rig import RigConfig, build
+from station.control.tracking import VELOCITIES
+from station.errors import UsageError
 from station.suite import clips, promise
-from station.suite.cases import Case, Group
+from station.suite.cases import Case, Cease, Group, HandOver, Walk
 from station.suite.judge import Summary, judge
 from station.suite.outcome import Outcome
 from station.suite.promise import Extent
@@ -46,6 +50,11 @@ class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
     processes: int
 
     @property
+    def is_of_velocities(self) -> bool:
+        """Whether it is the suite of a policy that follows velocities."""
+        return any(outcome.velocity is not None for outcome in self.policies[0].cases)
+
+    @property
     def is_kept(self) -> bool:
         """Whether the policy keeps the promise in everything that was run."""
         return not any(summary.failures for summary in self.policies[0].groups)
@@ -65,6 +74,11 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
         """How many runs that is."""
         return len(self.cases) * len(self.rigs)
 
+    @property
+    def walks(self) -> bool:
+        """Whether any case follows a velocity that is drawn."""
+        return any(isinstance(case, (Walk, Cease, HandOver)) for case in self.cases)
+
     def label(self, rig: int) -> str:
         """Return what the policy of a rig is called: its family, and its file where that is not enough."""
         config = self.rigs[rig]
@@ -79,6 +93,7 @@ def plan(
     named: Sequence[str] = (),
     only: Collection[Group] = (),
     jobs: int = 0,
+    hand_over: tuple[str, str] = ("", ""),
 ) -> Plan:
     """List what there is to be run.
 
@@ -88,12 +103,29 @@ def plan(
         named: Clips of the user's, in place of all that there are.
         only: Some of the groups; none for all.
         jobs: Processes; 0 for one per core, 1 for this process alone.
+        hand_over: Family and file of the policy that takes turns with one that follows velocities; "" for itself.
 
     Raises:
-        StationError: a clip cannot be read.
+        StationError: a clip or a policy cannot be read.
+        UsageError: clips or another policy are named for policies that have no use for them.
     """
-    found, missing = clips.find(named)
-    cases = promise.cases(extent, found, only)
+    missing: list[str] = []
+    formats = [build(rig).control().commanded.command_format for rig in rigs]  # refuses what does not fit
+    if all(set(VELOCITIES) <= set(names_of(each.elements)) for each in formats):
+        if named:
+            raise UsageError(f"{named[0]}: policy {rigs[0].policy!r} follows velocities; its suite plays no motions")
+        lower, upper = (
+            np.max([each.lower for each in formats], axis=0),
+            np.min([each.upper for each in formats], axis=0),
+        )
+        cases = promise.velocity_cases(extent, lower, upper, only, hand_over)
+    else:
+        if any(hand_over):
+            raise UsageError(f"--hand-over: policy {rigs[0].policy!r} follows no velocities")
+        found, missing = clips.find(named)
+        cases = promise.cases(extent, found, only)
+    if not cases:
+        raise UsageError(f"the suite of policy {rigs[0].policy!r} has no group {', '.join(only)}")
     count = side_by_side.processes(len(cases) * len(rigs), jobs)
     return Plan(extent=extent, cases=cases, missing=missing, rigs=list(rigs), processes=count)
 

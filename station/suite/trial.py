@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from collections.abc import Callable
 from functools import lru_cache, singledispatch
 from typing import Any
 
@@ -15,19 +16,25 @@ from station import registry
 from station.contract import names_of
 from station.control.control import ControlStep, StepRecord
 from station.control.parted_path import samples_of
-from station.control.rig import Rig, RigConfig, build
-from station.control.tracking import TrackingError
+from station.control.policy_switch import PolicySwitch
+from station.control.rig import PolicyChoice, Rig, RigConfig, build
+from station.control.tracking import TrackingError, VelocityTracking
 from station.errors import ConfigError
 from station.protocols import Fall, Floats, JointTargets, Motion, RobotState, SimulatedRobot
 from station.rehearse import rehearse
 from station.rotations import roll_pitch_yaw, tilt
 from station.suite import commands
-from station.suite.cases import Arms, Case, Cut, Push, Stand, Track
+from station.suite.cases import STILL, Arms, Case, Cease, Cut, HandOver, Push, Stand, Track, Velocity, Walk
 from station.suite.commands import Commands
-from station.suite.outcome import Drift, FallOutcome, Outcome
-from station.suite.promise import ENTER_S, SETTLED_S
+from station.suite.outcome import Ceased, Drift, FallOutcome, Outcome, Trace, TurnsTaken
+from station.suite.promise import CEASES_S, COMES_BACK_S, ENTER_S, SETTLED_S, STARTS_S, TURN_EVERY_S, WALKED_S
 
 _ROUNDING = 1e-9
+_TRACE_S = 0.1  # a picture shows no more
+_OTHER = "the other"
+
+BeforeStep = Callable[[ControlStep, int], None]
+"""Called before a step, with its number, from 0."""
 
 
 def run_case(case: Case, config: RigConfig) -> Outcome:
@@ -38,17 +45,25 @@ def run_case(case: Case, config: RigConfig) -> Outcome:
         StationError: something cannot be loaded.
     """
     started_s = time.perf_counter()
-    rig = _rig(msgspec.json.encode(config))
+    # What hands over begins with its first policy only when it is new.
+    rig = build(_taking_turns(config, case)) if isinstance(case, HandOver) else _rig(msgspec.json.encode(config))
     watch = _run(case, rig)
+    asked = case.velocity if isinstance(case, (Walk, Cease, HandOver, Push)) else STILL
     return Outcome(
         case=case.name,
         group=case.group,
         falls=tuple(watch.falls),
         joint_error_rad=watch.error.mean_joint_error_rad,
         lean_rad=watch.lean_rad,
-        drift=watch.drift() if isinstance(case, Stand) and not watch.falls else None,
+        drift=watch.drift(case),
         simulated_s=watch.ticks * rig.period_s,
         wall_s=time.perf_counter() - started_s,
+        target_step=max(watch.target_step.values()),
+        asked=asked,
+        velocity=watch.velocity.found(),
+        trace=watch.trace() if isinstance(case, (Walk, Cease, HandOver)) else None,
+        ceased=watch.ceased(case.velocity) if isinstance(case, Cease) and not watch.falls else None,
+        turns=watch.turns() if isinstance(case, HandOver) else None,
     )
 
 
@@ -59,16 +74,31 @@ class _Watch:
         self.ticks = 0
         self.falls: list[FallOutcome] = []
         self.lean_rad = 0.0
-        self.error = TrackingError(names_of(rig.command_format.elements), rig.robot.joint_names)
+        names = names_of(rig.command_format.elements)
+        self.error = TrackingError(names, rig.robot.joint_names)
+        self.velocity = VelocityTracking(names, rig.period_s)
+        self.target_step = {False: 0.0, True: 0.0}  # by whether a policy was handing over
         self._period_s = rig.period_s
         self._places: list[Floats] = []  # x, y [m] and yaw [rad] of the root
+        self._commands: list[Floats] = []
+        self._farthest = _simulated(rig).joint_speeds * rig.period_s
+        self._sent: Floats | None = None
+        self._switch = rig.policy if isinstance(rig.policy, PolicySwitch) else None
+        self._was_switching = False
+        self._drivers: list[str] = []  # each time that another one drives
 
     def see(self, record: StepRecord, *, counts: bool) -> None:
         """Add a step; `counts` tells whether its joint error does."""
         state, fall, gate = record.state, record.fall, record.decision.state
         if counts and gate == "tracking":
             self.error.add(state.q, record.decision.vector)
-        self._places.append(_place(state))
+        place = _place(state)
+        if gate == "tracking" and state.root_pos is not None:
+            at_s = self.ticks * self._period_s
+            self.velocity.add(self.ticks, at_s, record.decision.vector, state.root_pos, state.quat_wxyz)
+        self._places.append(place)
+        self._commands.append(record.decision.vector)
+        self._see_targets(record)
         self.lean_rad = max(self.lean_rad, float(tilt(state.quat_wxyz)))
         self.ticks += 1
         if fall is not None:
@@ -76,12 +106,55 @@ class _Watch:
             at_s = self.ticks * self._period_s
             self.falls.append(FallOutcome(at_s=at_s, lean_rad=fall.tilt_rad, contacts=fall.contacts, gate=gate))
 
-    def drift(self) -> Drift:
-        settled = min(round(SETTLED_S / self._period_s), len(self._places) // 2)
-        places = np.array(self._places[settled:])
+    def _see_targets(self, record: StepRecord) -> None:
+        is_switching = self._switch is not None and self._switch.is_switching
+        if self._sent is not None:
+            step = float((np.abs(record.sent.q - self._sent) / self._farthest).max())
+            part = is_switching or self._was_switching
+            self.target_step[part] = max(self.target_step[part], step)
+        # After a fall the robot is put elsewhere.
+        self._sent, self._was_switching = None if record.fall is not None else record.sent.q, is_switching
+        if self._drivers[-1:] != [record.policy]:
+            self._drivers.append(record.policy)
+
+    def drift(self, case: Case) -> Drift | None:
+        """Return how far it went while it was to stand; None where it was not, or fell."""
+        if self.falls or not isinstance(case, (Stand, Cease)):
+            return None
+        if isinstance(case, Stand):
+            settled, end = min(round(SETTLED_S / self._period_s), len(self._places) // 2), len(self._places)
+        else:  # it has stopped in the middle of the silence
+            settled, end = (round(at_s / self._period_s) for at_s in ((CEASES_S + COMES_BACK_S) / 2, COMES_BACK_S))
+        places = np.array(self._places[settled:end])
         away_m = np.hypot(*(places[:, :2] - places[0, :2]).T)
         yaw = np.unwrap(places[:, 2])
         return Drift(end_m=float(away_m[-1]), greatest_m=float(away_m.max()), yaw_rad=float(yaw[-1] - yaw[0]))
+
+    def trace(self) -> Trace:
+        every = max(1, round(_TRACE_S / self._period_s))
+        rows = self.velocity.curves()
+        rows = rows[(np.arange(len(rows)) % every == 0) | np.isnan(rows[:, 0])]  # gaps stay
+        places = np.array(self._places[::every])[:, :2]
+        return Trace(
+            times_s=rows[:, 0].round(3).tolist(), commanded=rows[:, 1:4].round(4).tolist(),
+            measured=rows[:, 4:].round(4).tolist(), path=(places - places[0]).round(4).tolist(),
+        )  # fmt: skip
+
+    def ceased(self, velocity: Velocity) -> Ceased:
+        last, back = (round(at_s / self._period_s) for at_s in (CEASES_S, COMES_BACK_S))
+        commands = np.array(self._commands[last - 1 : back])
+        moves = np.flatnonzero(commands.any(axis=1))
+        zero_after_s = (moves[-1] + 1) * self._period_s if moves[-1] + 1 < len(commands) else math.inf
+        steps = np.abs(np.diff(commands, axis=0)).max() / np.abs(velocity).max()
+        return Ceased(zero_after_s=float(zero_after_s), greatest_step=float(steps))
+
+    def turns(self) -> TurnsTaken:
+        return TurnsTaken(
+            count=len(self._drivers) - 1,
+            refusal=self._switch.refusal if self._switch is not None else "",
+            target_step=self.target_step[True],
+            target_step_else=self.target_step[False],
+        )
 
 
 @singledispatch
@@ -106,13 +179,18 @@ def _(case: Track, rig: Rig) -> _Watch:
 
 @_run.register
 def _(case: Push, rig: Rig) -> _Watch:
-    source = (
-        commands.playing_on(_clip(case.clip), rig.command_format, period_s=rig.period_s)
-        if case.clip
-        else commands.silence
-    )
+    source: Commands = commands.silence
+    if case.clip:
+        source = commands.playing_on(_clip(case.clip), rig.command_format, period_s=rig.period_s)
+    elif case.velocity != STILL:
+        source = commands.velocity(rig.command_format, case.velocity, from_s=0.0, until_s=math.inf)
     towards = np.array([math.cos(case.towards_rad), math.sin(case.towards_rad), 0.0])
-    return _drive(rig, source, case.seconds, push=case.speed_mps * towards, push_at_s=case.at_s)
+
+    def push(_: ControlStep, tick: int) -> None:
+        if tick == round(case.at_s / rig.period_s):
+            _simulated(rig).push(case.speed_mps * towards)
+
+    return _drive(rig, source, case.seconds, before_step=push)
 
 
 @_run.register
@@ -131,25 +209,57 @@ def _(case: Cut, rig: Rig) -> _Watch:
     return _drive(rig, source, case.seconds)
 
 
+@_run.register
+def _(case: Walk, rig: Rig) -> _Watch:
+    source = commands.velocity(rig.command_format, case.velocity, from_s=STARTS_S, until_s=STARTS_S + WALKED_S)
+    return _drive(_late(rig, case.late_s), source, case.seconds)
+
+
+@_run.register
+def _(case: Cease, rig: Rig) -> _Watch:
+    source = commands.velocity(
+        rig.command_format, case.velocity, from_s=STARTS_S, until_s=case.seconds, quiet=(CEASES_S, COMES_BACK_S)
+    )
+    return _drive(rig, source, case.seconds)
+
+
+@_run.register
+def _(case: HandOver, rig: Rig) -> _Watch:
+    source = commands.velocity(rig.command_format, case.velocity, from_s=STARTS_S, until_s=case.seconds)
+
+    def take_turns(control: ControlStep, tick: int) -> None:
+        policies = control.policies
+        if policies is not None and tick and tick % round(TURN_EVERY_S / rig.period_s) == 0:
+            first, other = policies.names
+            policies.switch(other if policies.driving == first else first)
+
+    return _drive(rig, source, case.seconds, before_step=take_turns)
+
+
+def _taking_turns(config: RigConfig, case: HandOver) -> RigConfig:
+    """Return a rig with the other policy beside its own."""
+    other = PolicyChoice(policy=case.policy, checkpoint=case.checkpoint)
+    if not case.policy:
+        (own,) = config.choices.values()
+        other = msgspec.structs.replace(own, checkpoint=case.checkpoint or own.checkpoint)
+    return msgspec.structs.replace(config, policies={_OTHER: other})
+
+
 def _drive(
     rig: Rig,
     source: Commands,
     seconds: float,
     *,
-    push: Floats | None = None,
-    push_at_s: float = 0.0,
+    before_step: BeforeStep | None = None,
     goes_on: bool = False,
 ) -> _Watch:
-    """Run from the start pose for so long, or to a fall, after which the rest may go on from the start pose.
-
-    A push is a step in the velocity of the root, shape (3,) [m/s].
-    """
+    """Run from the start pose for so long, or to a fall, after which the rest may go on from the start pose."""
     robot, watch = _simulated(rig), _Watch(rig)
     control = _fresh(rig, robot)
     for tick in range(round(seconds / rig.period_s)):
         now_s = tick * rig.period_s
-        if push is not None and tick == round(push_at_s / rig.period_s):
-            robot.push(push)
+        if before_step is not None:
+            before_step(control, tick)
         record = _step(control, source(now_s), now_s)
         watch.see(record, counts=True)
         if record.fall is not None:

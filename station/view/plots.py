@@ -19,6 +19,7 @@ from station.episode.reading.reader import EpisodeReader
 from station.errors import StationError
 from station.protocols import FALL_TILT_RAD, Floats
 from station.view import plot_style as style
+from station.view import velocity_plot
 from station.view.layout import GATE_COLOURS
 from station.view.phases import TRACKING, Span
 from station.view.picture_file import page, save
@@ -63,7 +64,9 @@ def save_run(run: Run, errors: Mapping[str, float], path: Path) -> Path:
     if not names:
         raise StationError(f"{run.episode_id}: no plot, nothing names the joints of {run.robot or 'its robot'}")
     has_limbs = len(run.groups) > 1 and any(joint in limb for limb in run.groups.values() for joint in names)
-    below_in = _root_in(run) + _places(run.groups, errors).rows * _ROW_IN if has_limbs else len(names) * _ROW_IN
+    below_in = len(names) * _ROW_IN
+    if has_limbs:
+        below_in = _root_in(run) + _velocity_in(run) + _places(run.groups, errors).rows * _ROW_IN
     height_in = _HEAD_IN + _LANES_IN + below_in + _FOOT_IN
     with page(style.WIDTH_PX / style.DPI, height_in) as figure:
         (_draw if has_limbs else _draw_joints)(figure, run, errors)
@@ -93,6 +96,7 @@ def _draw(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
 
     height_in, root_in = float(figure.get_figheight()), _root_in(run)
     _head(figure, run, errors)
+    velocity_in = _velocity_in(run)
     heights = (_LANES_IN, root_in - 0.3) if root_in else (_LANES_IN,)
     top = GridSpec(
         len(heights), 1, figure, left=_LEFT_IN / 16, right=1 - _RIGHT_IN / 16, top=1 - _HEAD_IN / height_in,
@@ -103,11 +107,19 @@ def _draw(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
         root = figure.add_subplot(top[1])
         _draw_height(root, run)
         style.time_axis(root, limits, ticks=12, unit=" s")
+    if velocity_in:
+        top_in = _HEAD_IN + _LANES_IN + root_in + 0.2
+        beside = GridSpec(
+            1, 3, figure, left=_LEFT_IN / 16, right=1 - _RIGHT_IN / 16, top=1 - top_in / height_in,
+            bottom=1 - (top_in + velocity_in - 0.45) / height_in, wspace=0.12,
+        )  # fmt: skip
+        panels = [figure.add_subplot(beside[column]) for column in range(3)]
+        _draw_velocities(panels, run, limits)
     places = _places(run.groups, errors)
     below = GridSpec(
         places.rows, len(run.groups), figure, left=_LEFT_IN / 16, right=1 - _RIGHT_IN / 16,
-        top=1 - (_HEAD_IN + _LANES_IN + root_in + 0.42) / height_in, bottom=_FOOT_IN / height_in, hspace=0.5,
-        wspace=0.18,
+        top=1 - (_HEAD_IN + _LANES_IN + root_in + velocity_in + 0.42) / height_in, bottom=_FOOT_IN / height_in,
+        hspace=0.5, wspace=0.18,
     )  # fmt: skip
     _draw_limbs(figure, below, run, errors, limits)
     if run.can_fall:
@@ -121,6 +133,19 @@ def _draw(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:
 def _root_in(run: Run) -> float:
     """Return the height of the panel of the base's height [in]; 0 where nothing asked for it or measured it."""
     return _ROOT_IN if run.heights is not None or run.has_place else 0.0
+
+
+def _velocity_in(run: Run) -> float:
+    """Return the height of the panels of the base's velocity [in]; 0 where none was commanded and measured."""
+    return _ROOT_IN if len(run.velocities) else 0.0
+
+
+def _draw_velocities(panels: Sequence[Axes], run: Run, limits: tuple[float, float]) -> None:
+    rows = run.velocities
+    velocity_plot.draw(panels, rows[:, 0], rows[:, 1:4], rows[:, 4:])
+    for axes in panels:
+        style.mark(axes, run)
+        style.time_axis(axes, limits, ticks=5)
 
 
 def _draw_joints(figure: Figure, run: Run, errors: Mapping[str, float]) -> None:

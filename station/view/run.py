@@ -14,6 +14,7 @@ import numpy as np
 from station import rotations
 from station.bus import keys
 from station.episode.quality import falls
+from station.episode.quality.check import velocity_curves
 from station.episode.quality.findings import FallSeen
 from station.episode.reading.messages import Message
 from station.episode.reading.reader import EpisodeReader
@@ -51,6 +52,7 @@ class Run:
         can_fall: Whether it is a robot that stands on its own.
         groups: Names of its joints by limb.
         falls_s: When the robot fell [s].
+        velocities: How velocities were followed, `station.episode.quality.check.velocity_curves`, shape (n, 7).
         start_ns: Start of the episode on the clock of `measured` and `commanded` [ns].
     """
 
@@ -67,6 +69,7 @@ class Run:
     can_fall: bool = True
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     falls_s: list[float] = field(default_factory=list)
+    velocities: Floats = field(default_factory=lambda: np.empty((0, 7)))
     start_ns: int = 0
 
     @property
@@ -114,6 +117,7 @@ def read_run(reader: EpisodeReader, robot: str = "") -> Run:
         phases=phases.spans((at_s, name(value)) for at_s, value in source),
         can_fall=has_base,
         falls_s=_falls(held[keys.EVENT], robot, measured, begin_ns),
+        velocities=velocity_curves(reader, robot),
         start_ns=begin_ns,
         groups=description.groups if description is not None else {},
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.adapters.policies.velocity_inputs import onnx_file
 from tests.cli.running import Home, are_gone, one_line
 from tests.suite.made import limp_network
 from tests.waiting import wait_until
@@ -72,6 +73,55 @@ def test_json_holds_every_case_and_markdown_a_table(bare: Home) -> None:
     assert bare.run(*asked, "--markdown").stdout.startswith("| group | policy | runs | falls |")
 
 
+@pytest.fixture
+def statue(tmp_path: Path) -> tuple[str, ...]:
+    network = onnx_file(tmp_path / "statue.onnx", 48, 12, scale=0.0)
+    return ("--robot", "go1-mujoco", "--policy", "playground-go1", "--checkpoint", str(network))
+
+
+def test_a_policy_of_velocities_is_judged_by_case(bare: Home, statue: tuple[str, ...]) -> None:
+    asked = ("rehearse", "--suite", "--quick", "--only", "follow", "--only", "gate", *statue)
+    done = bare.run(*asked, "--jobs", "2")
+    assert done.returncode == 1, done.stderr
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert lines[0][:4] == ["group", "policy", "case,", "commanded"]
+    assert [line[-1] for line in lines[1:12]] == ["failed"] * 8 + ["kept"] * 3, "it stands, and stops well"
+    assert "follow: vx +0.75: vx -0.00 of +0.75" in done.stdout.replace("+0.00 of", "-0.00 of")
+    assert "seeds" not in done.stdout
+
+
+def test_json_of_velocities_holds_what_was_asked_and_measured_and_a_page_shows_it(
+    bare: Home, statue: tuple[str, ...], tmp_path: Path
+) -> None:
+    page = tmp_path / "walks.png"
+    asked = ("rehearse", "--suite", "--quick", "--only", "hand-over", *statue, "--jobs", "1", "--json")
+    done = bare.run(*asked, "--plot", str(page))
+    assert done.returncode == 0, done.stderr
+    assert f"saved {page}" in done.stderr
+    assert page.read_bytes().startswith(b"\x89PNG")
+    (policy,) = json.loads(done.stdout)["policies"]
+    assert [case["asked"] for case in policy["cases"]] == [[0, 0, 0], [0.75, 0, 0], [0.75, 0, 0.6]]
+    assert [case["turns"]["count"] for case in policy["cases"]] == [12, 12, 12]
+    assert policy["cases"][1]["velocity"]["stretches"][-1]["commanded"] == [0.75, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--suite", "builtin:wave"), "policy 'playground-go1' follows velocities; its suite plays no motions"),
+        (("--suite", "--only", "track"), "the suite of policy 'playground-go1' has no group track"),
+        (("--suite", "--only", "stand", "--plot", "a.png"), "--plot draws velocities that were followed; no case"),
+        (("--suite", "--hand-over", "holosma"), "unknown policy 'holosma' (did you mean 'holosoma'?)"),
+        (("velocity:stand", "--plot", "a.png"), "--plot goes with --suite"),
+        (("velocity:stand", "--hand-over", "holosoma"), "--hand-over goes with --suite"),
+    ],
+)
+def test_what_has_no_place_in_the_suite_of_velocities_is_told_in_a_line(
+    bare: Home, statue: tuple[str, ...], arguments: tuple[str, ...], told: str
+) -> None:
+    assert told in one_line(bare.run("rehearse", *statue, *arguments))
+
+
 def test_an_interrupt_ends_the_children_too(bare: Home) -> None:
     with bare.running("rehearse", "--suite", *TRACKER, "--jobs", "2", "--only", "stand", "--only", "arms") as suite:
         suite.wait_for("3 runs in 2 processes")
@@ -93,7 +143,7 @@ def test_an_interrupt_ends_the_children_too(bare: Home) -> None:
         (("builtin:wave", "--quick"), "--quick goes with --suite"),
         (("builtin:wave", "--only", "push"), "--only goes with --suite"),
         (("builtin:wave", "--markdown"), "--markdown goes with --suite"),
-        (("--suite", "--only", "pushes"), "'pushes' is not one of 'stand', 'track', 'unseen', 'push'"),
+        (("--suite", "--only", "pushes"), "'pushes' is not one of 'stand', 'track', 'unseen', 'follow', 'push'"),
         (("--suite", "--against", "twist3"), "unknown policy 'twist3' (did you mean 'twist'?)"),
         (("--suite", "builtin:wve"), "unknown built-in motion 'wve' (did you mean 'wave'?)"),
         (("builtin:wave#speed=fast", "--jobs", "1"), "speed is 'fast'; expected a number, for example 1.2"),

@@ -47,6 +47,21 @@ def test_each_stretch_is_measured_from_a_second_and_a_half_after_it_began() -> N
     assert "commanded +0.50  +0.00  +0.00" in list(found.lines())[1]
 
 
+def test_curves_are_means_over_a_second_at_its_middle_and_a_gap_is_a_row_that_is_no_number() -> None:
+    tracking = VelocityTracking(VELOCITIES, DT)
+    walked(tracking, constant(0.5, 0, 0, 4), constant(0.4, 0.1, 0, 4), sways=0.5)
+    walked(tracking, constant(0, 0, 0, 2), constant(0, 0, 0.2, 2), first=1000)
+    curves = tracking.curves()
+    (gap,) = np.flatnonzero(np.isnan(curves[:, 0]))
+    first, second = curves[:gap], curves[gap + 1 :]
+    assert len(first) == round(3 / DT)
+    assert (first[0, 0], first[-1, 0]) == (pytest.approx(0.48), pytest.approx(3.46))
+    np.testing.assert_allclose(first[:, 1:4], [[0.5, 0, 0]] * len(first))
+    np.testing.assert_allclose(first[:, 4:], [[0.4, 0.1, 0]] * len(first), atol=0.02)
+    np.testing.assert_allclose(second[:, 4:], [[0, 0, 0.2]] * len(second), atol=1e-6)
+    assert VelocityTracking(VELOCITIES, DT).curves().shape == (0, 7)
+
+
 def test_a_gait_that_sways_is_no_error_and_what_is_missing_is() -> None:
     tracking = VelocityTracking(VELOCITIES, DT)
     walked(tracking, constant(0.5, 0, 0.4, 10), constant(0.4, 0, 0.35, 10), sways=0.5)

@@ -6,16 +6,20 @@ import sys
 from pathlib import Path
 from subprocess import run as run_process
 
+import msgspec
 import numpy as np
 import pytest
 
+from adapters.commands.velocity import VelocityCommand
 from adapters.robots.g1 import twist_keys
-from station.bus import codec
+from station.bus import codec, contracts, keys
 from station.episode.reading.reader import open_episode
 from station.errors import StationError
+from station.report import story, tracking_plot
 from station.view import plot_style as style
 from station.view.plots import save_plot
-from tests.episode.synthetic import STANDING, EpisodeBuilder, command, tick, walk
+from station.view.run import read_run
+from tests.episode.synthetic import ROBOT, STANDING, EpisodeBuilder, command, tick, walk
 from tests.view import arms
 from tests.view.pictures import pixels, share
 
@@ -43,6 +47,39 @@ def test_a_walk_becomes_a_page_with_both_curves(builder: EpisodeBuilder, tmp_pat
     assert share(picture, style.PAPER) > 0.7
     assert share(picture, style.FELL) == 0.0
     assert [path.name for path in tmp_path.iterdir() if "part" in path.name] == []
+
+
+def followed_velocity(builder: EpisodeBuilder, *, asks: bool) -> Path:
+    """A robot that moves forward with 1 m/s, and is asked for it, or for joints."""
+    used = keys.command_used(ROBOT)
+    contract = contracts.contract(used)
+    assert contract is not None
+    if asks:
+        builder.contracts[used] = msgspec.structs.replace(contract, elements=VelocityCommand(ROBOT).elements)
+    for number in range(200):
+        tick(builder, number, at_s=0.02 * number, asked=np.array([0.8, 0.0, 0.0]) if asks else None)
+    return builder.finish({"servers": {"g1": {"robot": ROBOT, "rates": {"control_hz": 50.0}}}})
+
+
+def test_velocities_have_panels_of_their_own(builder: EpisodeBuilder, tmp_path: Path) -> None:
+    reader = open_episode(followed_velocity(builder, asks=True))
+    run = read_run(reader)
+    np.testing.assert_allclose(run.velocities[:, 1:], [[0.8, 0, 0, 1.0, 0, 0]] * len(run.velocities), atol=1e-6)
+    assert len(run.velocities) == 200 - 50
+    np.testing.assert_array_equal(story.read(reader).velocities, run.velocities)
+    drawn = tracking_plot.draw(story.read(reader), {})
+    assert drawn is not None
+    (tmp_path / "report.png").write_bytes(drawn)
+    assert share(pixels(tmp_path / "report.png"), style.ASKED) > 0.002
+    with_them = pixels(save_plot(reader, tmp_path / "plot.png"))
+    without = pixels(save_plot(open_episode(joints_alone(tmp_path)), tmp_path / "plot.png"))
+    assert with_them.shape[0] > without.shape[0] + 100
+
+
+def joints_alone(folder: Path) -> Path:
+    reader = open_episode(followed_velocity(EpisodeBuilder(folder / "other"), asks=False))
+    assert len(read_run(reader).velocities) == 0
+    return reader.folder
 
 
 def test_a_fall_is_marked(builder: EpisodeBuilder, tmp_path: Path) -> None:

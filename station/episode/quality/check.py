@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from station.bus import codec, keys
 from station.bus.tap import not_mirrored
 from station.contract import Contract
+from station.control.tracking import VELOCITIES
 from station.episode.quality import (
     arms,
     falls,
@@ -50,6 +52,7 @@ from station.episode.storage.manifest import MAX_STREAMS, Manifest, save_manifes
 from station.episode.storage.manifest_copy import changed_fields, manifest_to_change
 from station.episode.storage.manifest_parts import AuditFound, RecordedFile, Recorder
 from station.errors import EpisodeError
+from station.protocols import Floats
 
 _LONGEST_NAME, _MOST_CONTACTS = 60, 20  # of what an event tells of a fall; anybody may write events
 _LOCK_STEP_PACE = "command"  # of a low-level server: it waits for a command after each state
@@ -142,6 +145,24 @@ def _audited_before(manifest: Manifest, quality: Quality) -> AuditFound | None:
 def is_lock_step(manifest: Manifest) -> bool:
     """Whether a server of the episode paced itself by states instead of by the clock."""
     return any(_paces_by_state(facts) for facts in manifest.servers.values())
+
+
+def velocity_curves(reader: EpisodeReader, robot: str) -> Floats:
+    """Return how a robot followed velocities, as `station.control.tracking.VelocityTracking.curves`, shape (n, 7).
+
+    Times are since the start of the episode [s]. Where no velocity was commanded n is 0.
+    """
+    asked = reader.contract(keys.command_used(robot)) if robot else None
+    if asked is None or not set(VELOCITIES) <= set(asked.names):
+        return np.empty((0, 7))
+    meter = StepMeter(robot, reader.start_ns, reader.contract, control_period_s(reader.manifest, robot))
+    joiner = StepJoiner(robot, context=meter.context)
+    for message in reader.messages(joiner.topics):
+        if (step := joiner.feed(message)) is not None:
+            meter.feed(step)
+    for step in joiner.finish():
+        meter.feed(step)
+    return meter.velocity_curves()
 
 
 def control_period_s(manifest: Manifest, robot: str) -> float | None:

@@ -126,6 +126,10 @@ class StepMeter:
             velocity=self._velocity.found() if self._velocity else None,
         )
 
+    def velocity_curves(self) -> Floats:
+        """Return how velocities were followed, as `VelocityTracking.curves`, shape (n, 7); n is 0 where none were."""
+        return np.empty((0, 7)) if self._velocity is None else self._velocity.curves()
+
     def _lacking(self) -> dict[str, Seen]:
         """Return in how many steps each key is missing that nearly all of them hold; their keys are written at once."""
         found = {}
