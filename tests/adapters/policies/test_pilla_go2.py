@@ -11,9 +11,9 @@ from adapters.policies.pilla_go2 import PillaGo2Policy
 from station.errors import BadFile
 from tests.adapters.policies.restored import expect_goes_on
 
-from .velocity_inputs import gravity, inputs
+from .velocity_inputs import gravity, inputs, script
 
-torch = pytest.importorskip("torch")
+pytest.importorskip("torch")
 
 pytestmark = [pytest.mark.torch, pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")]
 
@@ -23,12 +23,6 @@ TO_SDK = [MODEL.index(name) for name in SDK]
 TO_MODEL = [SDK.index(name) for name in MODEL]
 THIGH = {"F": 0.8, "R": 1.0}
 DEFAULT_SDK = np.array([{"hip": 0.0, "thigh": THIGH[name[0]], "calf": -1.5}[name.split("_")[1]] for name in SDK])
-
-
-def script(path: Path, inputs: int, outputs: int) -> Path:
-    torch.manual_seed(0)
-    torch.jit.save(torch.jit.script(torch.nn.Linear(inputs, outputs)), str(path))
-    return path
 
 
 @pytest.fixture

@@ -56,3 +56,12 @@ def onnx_file(
     helper.set_model_props(model, dict(metadata or {}))
     onnx.save(model, str(path))
     return path
+
+
+def script(path: Path, inputs: int, outputs: int) -> Path:
+    """Write a linear network of those sizes as TorchScript."""
+    import torch
+
+    torch.manual_seed(0)
+    torch.jit.save(torch.jit.script(torch.nn.Linear(inputs, outputs)), str(path))
+    return path
