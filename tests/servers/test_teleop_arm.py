@@ -65,9 +65,9 @@ def test_asked_to_stop_it_leaves_the_arm_where_it_is_at_once(tmp_path: Path) -> 
         ended = len(station.told("teleop-commands-end"))
         station.supervisor.stop("teleop")
         wait_until(lambda: not arm.session.is_engaged)
-        # On its way: at a command that it was given, not at its default; a busy machine's arm is behind the last one.
-        away = np.abs(station.commands() - arm.session.q).max(axis=1)
-        assert away.min() <= arm.session.lead_rad
+        # On its way, at what it was sent last: on a busy machine that is behind the commands and beside their path.
+        assert np.abs(arm.session.q - arm.session.sent[-1]).max() <= arm.session.lead_rad
+        assert np.abs(arm.session.q - station.commands()[0]).max() > arm.session.lead_rad, "it has left its place"
         sent = len(arm.session.sent)
         station.wait_for("teleop-commands-end", ended + 1)
         assert len(arm.session.sent) == sent
