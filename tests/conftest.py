@@ -7,6 +7,7 @@ import gc
 import itertools
 import os
 import signal
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from tests.warm.starts import WarmStarts
 
 python_child.spare_processors()  # as `station` does: a child with other variables than the fork server starts cold
 
+_ENOUGH_GB = 4.0  # ten times what a run of the suite needs
 NO_UPSTREAM_DATA = "STATION_ASSETS does not name a folder with upstream data"
 
 _warm = pytest.StashKey[WarmStarts]()
@@ -37,6 +39,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--write-figures", action="store_true", help="proof tier: write its figures into docs/")
 
 
+def _keep_off_the_disk() -> None:
+    """Keep temporary files in memory, where there is plenty: a disk that stalls for seconds says nothing of code."""
+    shared = Path("/dev/shm")
+    if "TMPDIR" in os.environ or not shared.is_dir():
+        return
+    place = os.statvfs(shared)
+    free_gb = min(place.f_bavail * place.f_frsize, os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")) / 1e9
+    if free_gb > _ENOUGH_GB and not place.f_flag & os.ST_NOEXEC:  # some tests run what they build
+        os.environ["TMPDIR"] = tempfile.tempdir = str(shared)
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Obey Ctrl-C, so that every child does: a shell's background job, and all that it starts, would ignore it."""
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
@@ -44,7 +57,10 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ["XDG_CONFIG_HOME"] = "/proc/nowhere"  # never there: whoever runs the tests may have rules and defaults
     # How long an example takes is the machine's business. The same code gets the same verdict: new examples are drawn
     # where defects are looked for (`make hunt`, proofs).
-    is_new = bool(config.getoption("--new-examples")) or config.getoption("-m") == "proof"
+    is_proof = config.getoption("-m") == "proof"
+    if not is_proof:
+        _keep_off_the_disk()
+    is_new = bool(config.getoption("--new-examples")) or is_proof
     examples.draw_new(is_new)
     settings.register_profile(
         "patient", settings(), deadline=None, suppress_health_check=[HealthCheck.too_slow],

@@ -10,7 +10,7 @@ OF_LATENESS = frozenset({
 })  # fmt: skip
 """Rules that a process may break which waits for a processor; `tests.late_verdicts` asks of some whether one did."""
 
-OF_A_LATE_BUS = frozenset({"bus-lost", "bus-silent"})
+OF_A_LATE_MACHINE = frozenset({"bus-lost", "bus-silent", "server-paused"})
 """Those of them that can be broken in lock-step, where times say nothing of the control."""
 
 
@@ -22,5 +22,5 @@ def worse_than(than: Verdict, quality: Quality) -> list[Reason]:
 
 def expect_no_worse_but_late(than: Verdict, quality: Quality) -> None:
     """Fail where anything but lateness gives an episode a worse verdict."""
-    of_lateness = OF_A_LATE_BUS if quality.lock_step else OF_LATENESS
+    of_lateness = OF_A_LATE_MACHINE if quality.lock_step else OF_LATENESS
     assert {reason.rule for reason in worse_than(than, quality)} <= of_lateness, quality.reasons

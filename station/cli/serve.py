@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from station import config, python_child, registry
-from station.cli import candidates
+from station.cli import candidates, log_lines
 from station.cli.options import bus_option, set_option
 from station.cli.settings import show
 from station.errors import ConfigError
@@ -34,7 +34,8 @@ def command(server: str, bus: str | None, sets: tuple[str, ...], name: str, conf
     values = config.merged(_base(config_json), config.overrides(sets, servers=None).get("", {}))
     built = config.build(kind.config, values, where=f"server {server} (`station settings {server}` lists them)")
     python_child.write_stacks_when_asked()
-    raise SystemExit(serve(kind, built, address=address_of(bus), name=name))
+    with log_lines.never_waited_for():
+        raise SystemExit(serve(kind, built, address=address_of(bus), name=name))
 
 
 def _base(text: str) -> dict[str, Any]:

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import logging
 import os
-import sys
 import threading
+import time
 from collections.abc import Callable
 
 log = logging.getLogger(__name__)
 
 ENVIRONMENT_VARIABLE = "STATION_SUPERVISOR_FD"
+_LAST_WORD_S = 0.2
 GRACE_S = 10.0  # longer than the 2 s blend of a command server and the closing of an episode
 
 
@@ -56,5 +57,6 @@ def from_environment(on_release: Callable[[], None]) -> SupervisorPipe | None:
 
 
 def _die() -> None:
-    sys.stderr.write(f"not finished {GRACE_S:.0f} s after the supervisor was gone; giving up\n")
+    log.critical("not finished %.0f s after the supervisor was gone; giving up", GRACE_S)
+    time.sleep(_LAST_WORD_S)  # a log that nobody takes does not keep it
     os._exit(1)

@@ -19,7 +19,7 @@ import pytest
 from station.assets import ENVIRONMENT_VARIABLE
 from station.control.rig import robot_kind
 from tests.main_job.station_runs import LOCK_STEP, Terminal, up
-from tests.verdicts import OF_A_LATE_BUS
+from tests.verdicts import OF_A_LATE_MACHINE
 
 SIDE_BY_SIDE = 2
 MOST_JOINT_ERROR_RAD = 0.10
@@ -139,7 +139,7 @@ def test_nothing_is_lost_and_the_episode_is_good(run: Driven) -> None:
     assert {stream["key"]: stream["lost"] for stream in check["streams"] if stream["lost"]} == {}
     assert (check["dropped"], check["holes"], check["recorder_restarts"]) == (0, 0, 0)
     assert (check["is_lossless"], check["is_finished"], check["torn"]) == (True, True, None)
-    assert {reason["rule"] for reason in check["reasons"]} <= OF_A_LATE_BUS, check["reasons"]
+    assert {reason["rule"] for reason in check["reasons"]} <= OF_A_LATE_MACHINE, check["reasons"]
 
 
 def test_policy_gives_the_recorded_actions_again_bit_for_bit(run: Driven) -> None:

@@ -10,7 +10,7 @@ import yaml
 from adapters.robots.legged.unitree import ROBOTS
 from station import packages
 from tests.main_job.station_runs import LOCK_STEP, Terminal
-from tests.verdicts import OF_A_LATE_BUS
+from tests.verdicts import OF_A_LATE_MACHINE
 
 SETTINGS = [setting.replace("g1.", "robot.") for setting in LOCK_STEP]
 OTHER = "h1"
@@ -48,7 +48,7 @@ def episode(terminal: Terminal) -> str:
 def test_its_episode_is_good_and_it_stood(stood: tuple[Terminal, str]) -> None:
     terminal, name = stood
     found = terminal.json("check", episode(terminal))
-    assert {reason["rule"] for reason in found["reasons"]} <= OF_A_LATE_BUS, found["reasons"]
+    assert {reason["rule"] for reason in found["reasons"]} <= OF_A_LATE_MACHINE, found["reasons"]
     assert found["falls"] == 0
     (robot,) = found["steps"]
     assert (robot["robot"], robot["missing_steps"]) == (name, 0)

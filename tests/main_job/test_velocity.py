@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from tests.main_job.station_runs import Terminal
-from tests.main_job.velocity_runs import HOLOSOMA, RUNBOOK, Walked, expect_figures, expect_sound, walk
-from tests.verdicts import OF_A_LATE_BUS
+from tests.main_job.velocity_runs import FIGURES_WITHIN, HOLOSOMA, RUNBOOK, Walked, expect_figures, expect_sound, walk
+from tests.verdicts import OF_A_LATE_MACHINE
 
 SCRIPT = """
 velocities:
@@ -34,7 +34,7 @@ def test_it_walks_as_fast_as_in_a_loop_that_is_not_ours(walked: Walked) -> None:
 
 
 def test_its_episode_is_good_and_tells_how_velocities_were_followed(walked: Walked) -> None:
-    assert {reason["rule"] for reason in walked.check["reasons"]} <= OF_A_LATE_BUS, walked.check["reasons"]
+    assert {reason["rule"] for reason in walked.check["reasons"]} <= OF_A_LATE_MACHINE, walked.check["reasons"]
     assert walked.steps["mean_joint_error_rad"] is None, "no joint is commanded"
     printed = walked.terminal.run("check", walked.episode).stdout
     assert "mean velocity error vx 0." in printed
@@ -48,8 +48,9 @@ def test_its_report_tells_it_too_and_a_rehearsal_gives_the_same_figures(walked: 
     (rehearsed,) = walked.terminal.json("rehearse", walked.script, "--policy", "holosoma", "--checkpoint", HOLOSOMA)[
         "motions"
     ]
+    within = FIGURES_WITHIN if walked.check["reasons"] else 1e-9  # a bus that is lost breaks the lock-step
     for ours, theirs in zip(walked.steps["velocity"]["stretches"], rehearsed["velocity"]["stretches"], strict=True):
-        assert ours["measured"] == pytest.approx(theirs["measured"], abs=1e-9), "a lock-step station is a rehearsal"
+        assert ours["measured"] == pytest.approx(theirs["measured"], abs=within), "a lock-step station is a rehearsal"
 
 
 def test_more_than_the_policy_was_trained_on_is_clamped_and_told(walked: Walked) -> None:

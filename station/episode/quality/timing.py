@@ -35,7 +35,7 @@ def not_judged(quality: Quality) -> dict[str, str]:
     found: dict[str, str] = {}
     if quality.lock_step:
         own = set(_OF_THE_CONTROL) - {"velocity-scale"}  # its period is that of the contract
-        found |= dict.fromkeys(sorted({"gap", "device-gap", *_ENDS, *own}), _LOCK_STEP)
+        found |= dict.fromkeys(sorted({"gap", "device-gap", "idle-ends", *_ENDS, *own}), _LOCK_STEP)
     if quality.times_of == "polled":
         found |= dict.fromkeys((*_OF_THE_CONTROL, *_OF_STATES), _POLLED)
     if quality.times_of == "nominal":

@@ -204,6 +204,7 @@ def test_times_are_not_judged_in_lock_step(builder: EpisodeBuilder) -> None:
     quality = checked(builder, {"servers": servers})
     assert quality.lock_step
     assert not {"slow", "gap"} & reasons(quality)
+    assert {"slow", "gap", "idle-ends"} <= set(quality.not_judged)
 
 
 def test_what_was_measured_stands_in_the_manifest(builder: EpisodeBuilder) -> None:
