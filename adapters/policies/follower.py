@@ -26,8 +26,46 @@ class Loaded(NamedTuple):
     gains: tuple[Floats, Floats]
 
 
-class VelocityFollower:
-    """`station.protocols.Policy` but for `observe`, which is what a family differs in.
+class LastOutput:
+    """What a policy is whose network sees its own last output: `station.protocols.Policy` but for `observe`.
+
+    Attributes:
+        _network: Of one float32 row, shape (observation_size,), the raw output, shape (action_size,).
+        _spec: The constants.
+    """
+
+    _network: Callable[[Floats32], Floats32]
+    _spec: PolicySpec
+
+    @property
+    def spec(self) -> PolicySpec:
+        """The constants of this policy."""
+        return self._spec
+
+    def reset(self) -> None:
+        """Forget the previous output: zero."""
+        self._action: Floats32 = np.zeros(self._spec.action_size, dtype=np.float32)
+        self._restored: Floats32 | None = None
+
+    def act(self, observation: Floats32) -> Floats32:
+        """Return the raw output of the network, shape (action_size,), before clipping."""
+        self._action = self._network(observation)
+        self._restored = None
+        return self._action
+
+    def restore(self, observation: Floats32) -> None:
+        """Restore what a recorded observation shows; the output of its step is inferred, unless `act` is called."""
+        self._restored = np.array(observation, dtype=np.float32)
+
+    def _previous(self) -> Floats32:
+        """Return the raw output of the step before, shape (action_size,)."""
+        if self._restored is not None:
+            self.act(self._restored)
+        return self._action
+
+
+class VelocityFollower(LastOutput):
+    """A policy of a family that is the same but for `observe`.
 
     The arithmetic, so that an audit can repeat it bit for bit: observations in float64, each number rounded once to
     float32; the network in float32; targets in float64.
@@ -69,40 +107,14 @@ class VelocityFollower:
         )  # fmt: skip
         self.reset()
 
-    @property
-    def spec(self) -> PolicySpec:
-        """The constants of this policy."""
-        return self._spec
-
-    def reset(self) -> None:
-        """Forget the previous output: zero."""
-        self._action: Floats32 = np.zeros(self._spec.action_size, dtype=np.float32)
-        self._restored: Floats32 | None = None
-
-    def act(self, observation: Floats32) -> Floats32:
-        """Return the raw output of the network, shape (action_size,), before clipping."""
-        self._action = self._network(observation)
-        self._restored = None
-        return self._action
-
     def targets(self, action: Floats32, command: Floats) -> JointTargets:
         """Return default + scale x the clipped output; nothing of the command bypasses the network."""
         return JointTargets(self._spec.default_q + self.SCALE * clipped(action), self._spec.kp, self._spec.kd)
-
-    def restore(self, observation: Floats32) -> None:
-        """Restore what a recorded observation shows; the output of its step is inferred, unless `act` is called."""
-        self._restored = np.array(observation, dtype=np.float32)
 
     def _load(self, path: Path) -> Loaded:
         """Return the network, what runs it, and the gains."""
         network = OnnxNetwork(path, inputs=self.OBSERVATION, outputs=self.ACTIONS or len(self.JOINTS))
         return Loaded(network, network.runtime, self.GAINS)
-
-    def _previous(self) -> Floats32:
-        """Return the raw output of the step before, shape (action_size,)."""
-        if self._restored is not None:
-            self.act(self._restored)
-        return self._action
 
 
 def clipped(action: Floats32) -> Floats:

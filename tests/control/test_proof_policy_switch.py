@@ -27,6 +27,8 @@ FIRST_WALKER = {"policy": "holosoma", "checkpoint": HOLOSOMA}
 WALKERS = {
     "ppo": PolicyChoice(policy="holosoma", checkpoint="zoo:policies/holosoma_ppo_g1_29dof.onnx"),
     "joystick": PolicyChoice(policy="playground-g1", checkpoint=CHECKPOINTS["playground-g1"]),
+    "mjlab": PolicyChoice(policy="deploy-yaml", checkpoint=CHECKPOINTS["deploy-yaml"]),
+    "lab": PolicyChoice(policy="deploy-yaml", checkpoint="zoo:policies/unitree_rl_lab_g1.yaml"),
 }
 
 
@@ -53,7 +55,7 @@ def test_a_robot_that_follows_velocities_does_not_fall_when_it_is_handed_over(pr
     asked, jumps = 0, {False: 0.0, True: 0.0}
     while asked < SWITCHES:
         asked += _walk_about(rig, random, jumps)
-    proof.figure("hand-overs of a G1 that follows velocities among three policies", asked)
+    proof.figure("hand-overs of a G1 that follows velocities among five policies", asked)
     proof.figure("greatest step of a target during a hand-over, of what its joint can move", jumps[True])
     proof.figure("greatest step of a target else, of what its joint can move", jumps[False])
     assert jumps[True] < 1.5 * jumps[False], "targets do not jump more than those of one policy do"

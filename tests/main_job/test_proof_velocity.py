@@ -23,6 +23,7 @@ FIGURES: dict[str, dict[Velocity, Velocity]] = {
         (0.0, 0.0, 0.0): (0.14, -0.02, 0.08),
         (-0.5, 0.0, 0.0): (-0.25, -0.04, 0.06),
     },
+    "deploy-yaml": {(0.0, 0.0, 0.0): (0.00, 0.00, 0.00), (0.5, 0.0, 0.0): (0.45, 0.00, 0.00)},
 }
 """Measured velocity by the commanded one, in a bare loop of the same policy and another model of the robot.
 
@@ -30,7 +31,11 @@ How fast the second one turns is no figure to compare: asked for 0.8 rad/s it ma
 shape of its feet and by the time step (0.51 in the bare loop).
 """
 
-CHECKPOINTS = {"holosoma": HOLOSOMA, "playground-g1": "zoo:policies/playground_g1_policy.onnx"}
+CHECKPOINTS = {
+    "holosoma": HOLOSOMA,
+    "playground-g1": "zoo:policies/playground_g1_policy.onnx",
+    "deploy-yaml": "zoo:policies/unitree_rl_mjlab_g1/deploy.yaml",
+}
 
 
 OTHER_ROBOTS: dict[str, tuple[str, str, dict[Velocity, Velocity]]] = {

@@ -40,7 +40,7 @@ from station.episode.replaying.recorded_policy import (
     stated_facts,
 )
 from station.episode.replaying.target_audit import TargetReplay
-from station.errors import EpisodeError
+from station.errors import EpisodeError, StationError
 from station.protocols import Floats, Floats32, Policy, RobotState
 
 _COMPARED = (
@@ -225,14 +225,22 @@ def _places(
     """Return by name where a policy's checkpoint is, if that is given; of several policies it is that of one."""
     if checkpoint is None or len(suspects) == 1:
         return dict.fromkeys(suspects, checkpoint)
-    came = assets.sha256(assets.resolve(str(checkpoint)))
-    found = {name: checkpoint if each.sha256 == came else None for name, each in suspects.items()}
+    found = {name: checkpoint if _is_of(reader, each, checkpoint) else None for name, each in suspects.items()}
     if not any(found.values()):
         ran = ", ".join(f"{name} {each.sha256[:12]}…" for name, each in suspects.items())
+        came = assets.sha256(assets.resolve(str(checkpoint)))
         raise EpisodeError(
             f"episode {reader.episode_id}: ran checkpoints of sha256 {ran}; {checkpoint} is {came[:12]}…, none of them"
         )
     return found
+
+
+def _is_of(reader: EpisodeReader, suspect: StatedPolicy, checkpoint: str | Path) -> bool:
+    try:
+        load_policy(reader, suspect, checkpoint)
+    except StationError:
+        return False
+    return True
 
 
 def _blend_steps(facts: Mapping[str, Any]) -> int:

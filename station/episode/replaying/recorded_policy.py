@@ -95,12 +95,6 @@ def load_policy(reader: EpisodeReader, suspect: StatedPolicy, checkpoint: str | 
             f"(name {suspect.name!r}, checkpoint {suspect.checkpoint!r}); it cannot be audited"
         )
     path = _find(suspect, wanted, is_given=checkpoint is not None)
-    came = assets.sha256(path)
-    if suspect.sha256 and came != suspect.sha256:
-        raise EpisodeError(
-            f"episode {reader.episode_id}: ran checkpoint sha256 {suspect.sha256[:12]}…, {path} is {came[:12]}…; "
-            "name the file that ran with --checkpoint"
-        )
     make = registry.find("policy", suspect.name)
     unknown = set(suspect.options) - set(inspect.signature(make).parameters)
     if unknown:
@@ -108,7 +102,18 @@ def load_policy(reader: EpisodeReader, suspect: StatedPolicy, checkpoint: str | 
             f"episode {reader.episode_id}: ran policy {suspect.name!r} with options that it no longer has: "
             f"{', '.join(sorted(unknown))}; audit it with the version of the policy that ran"
         )
-    policy: Policy = make(path, **suspect.options)
+    try:
+        policy: Policy = make(path, **suspect.options)
+        came = policy.spec.sha256  # of all its files: some have several
+    except BadFile:
+        came = assets.sha256(path)
+        if came == suspect.sha256 or not suspect.sha256:
+            raise
+    if suspect.sha256 and came != suspect.sha256:
+        raise EpisodeError(
+            f"episode {reader.episode_id}: ran checkpoint sha256 {suspect.sha256[:12]}…, {path} is {came[:12]}…; "
+            "name the file that ran with --checkpoint"
+        )
     return policy
 
 
