@@ -11,12 +11,14 @@ import pytest
 
 from station.bus import keys
 from station.bus.address import BusAddress
+from station.bus.client import Bus
 from station.episode.reading.reader import open_episode
+from station.episode.recorder.remote import ask
 from station.episode.storage.claim import is_claimed
 from station.episode.storage.manifest import load_manifest
 from station.episode.storage.progress import load_resume_point
 from station.episode.writing.repair import repair
-from station.errors import Refused
+from station.errors import NotReady, Refused
 from tests.faults.disks import CAMERA, BadDisk, camera, small_disk
 from tests.faults.recorded_station import BODY, RecordedStation, Writers, assert_holds_everything, recorded_station
 from tests.faults.slow_disk import TIMING, robot_beside_a_recorder, ticks_made
@@ -240,6 +242,23 @@ def test_a_disk_that_hangs_holds_up_neither_the_reader_of_the_bus_nor_a_single_w
         written = writers.stop()
         ended = station.ask("stop")
     assert ended.summary["dropped"] == 0
+    assert_holds_everything(folder, written)
+
+
+def test_who_stops_an_episode_on_a_disk_that_hangs_is_told_that_the_recorder_lives_and_it_stops_later(
+    bus_server: BusAddress, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = BadDisk(tmp_path, tmp_path / "data", monkeypatch)
+    with recorded_station(bus_server, tmp_path) as station, Bus(bus_server, name="operator", timeout_s=5.0) as line:
+        folder = Path(station.ask("start", task="walk").path or "")
+        writers = Writers(bus_server, PERIOD_S)
+        station.wait_until_it_records(messages=300)
+        disk.order("hang", "fdatasync", "fsync", "statvfs")
+        written = writers.stop()
+        with pytest.raises(NotReady, match=r"^record stop: '\w+' has not answered within 3 s and is alive: its disk"):
+            ask(line, "stop", timeout_s=3.0)
+        disk.heal()
+        assert wait_until_it_has_stopped(station) == ""
     assert_holds_everything(folder, written)
 
 

@@ -9,6 +9,7 @@ from station.bus.client import Bus
 from station.episode.storage.request import Action, RecordAnswer, RecordRequest, parse_answer
 from station.errors import NotReady, Refused
 from station.life import request
+from station.life.server import read_health
 
 
 def ask(bus: Bus, action: Action, *, timeout_s: float = 20.0, **fields: Any) -> RecordAnswer:
@@ -32,8 +33,18 @@ def ask(bus: Bus, action: Action, *, timeout_s: float = 20.0, **fields: Any) -> 
             bus, watch, keys.RECORD, wanted, answers, what=what, within_s=timeout_s, is_repeated=False
         )
     if not found:
-        raise NotReady(f"{what}: no recorder answered within {timeout_s:g} s; start one with `station serve recorder`")
+        raise NotReady(f"{what}: {_why_silent(bus, timeout_s)}")
     answer = found[keys.RECORD_ACK]
     if not answer.ok:
         raise Refused(f"{what}: {answer.reason}")
     return answer
+
+
+def _why_silent(bus: Bus, waited_s: float) -> str:
+    for health in read_health(bus):
+        if health.role == "recorder" and health.is_alive:
+            return (
+                f"{health.name!r} has not answered within {waited_s:g} s and is alive: its disk may hang; it does what "
+                "it was asked as soon as it can (`station status`)"
+            )
+    return f"no recorder answered within {waited_s:g} s; start one with `station serve recorder`"
