@@ -8,10 +8,10 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from adapters.commands.velocity import FORMAT, VelocityCommand
+from adapters.commands.velocity import FORMAT
 from adapters.policies.onnx_network import OnnxNetwork
 from station.assets import sha256
-from station.protocols import Floats, Floats32, JointTargets, PolicySpec, RobotState
+from station.protocols import CommandFormat, Floats, Floats32, JointTargets, PolicySpec, RobotState
 from station.rotations import rotate_inverse
 
 ACTION_CLIP = 100.0
@@ -90,7 +90,7 @@ class VelocityFollower(LastOutput):
     OBSERVATION: ClassVar[int]
     RANGE: ClassVar[tuple[tuple[float, float], ...]]
     """What it was trained on, of each element of its command: vx, vy [m/s], yaw rate [rad/s], …"""
-    COMMAND: ClassVar[VelocityCommand] = FORMAT
+    COMMAND: ClassVar[CommandFormat] = FORMAT
     ACTIONS: ClassVar[int] = 0
     """Numbers of its output; 0 for one per joint."""
     NEEDS_ROOT_VELOCITY: ClassVar[bool] = False

@@ -22,25 +22,25 @@ from adapters.policies.history import FrameHistory
 from adapters.robots.g1.joints import G1_29
 from station.protocols import Floats, Floats32, JointTargets, RobotState
 
-FRAMES = 6
 _LEG = (-0.1, 0.0, 0.0, 0.3, -0.2, 0.0)
 
 
 class FramedFollower(VelocityFollower):
-    """A follower of velocities and a posture that sees its last six frames, and drives the first joints of a G1.
+    """A follower of velocities and a posture that sees its last frames, and drives the first joints of a G1.
 
     The other joints are held at their default: waist and arms.
     """
 
+    FRAMES: ClassVar[int] = 6
     FRAME: ClassVar[int]
-    """Numbers in a frame; the previous output is the last of them."""
+    """Numbers in a frame."""
     JOINTS, SCALE = G1_29, 0.25
     DEFAULT_Q = np.array([*_LEG, *_LEG, *[0.0] * 17])
 
     def reset(self) -> None:
         """Forget the frames and the previous output: zero."""
         super().reset()
-        self._frames = FrameHistory(FRAMES, self.FRAME)
+        self._frames = FrameHistory(self.FRAMES, self.FRAME)
 
     def observe(self, state: RobotState, command: Floats) -> Floats32:
         """Return the observation, of the state of the 29 joints and a command."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -116,7 +116,7 @@ class ControlStep:
         self._stood_since_s = 0.0
         self._action_is_bad = False
         self._resting = tuple(_resting(robot, self.commanded.paths))
-        self._asked: Floats | None = None  # positions that were sent last; None: none were, the joints are limp
+        self._asked: list[Floats] | None = None  # of those, positions of the last step; None: the joints are limp
         self._has_jumped = False  # whether the robot was put elsewhere after its state was read
         self._is_lost = False  # whether a joint that has to stay does not say where it is
 
@@ -150,7 +150,7 @@ class ControlStep:
             sent = self.robot.write(allowed)
         is_limp = allowed is None or decision.state == "stopped" or self._action_is_bad or self._is_lost
         if not self._has_jumped:
-            self._asked = None if is_limp else sent.q
+            self._asked = None if is_limp else [decision.vector[resting.span] for resting in self._resting]
         self._has_jumped = False
         policy, listening = self._policies_of_step()
         good = self.commanded.paths[0].validator.good
@@ -208,11 +208,12 @@ class ControlStep:
         """Tell the gate where a robot, or a part, that holds its position rests.
 
         It rests where it was asked to be, not where it is: a joint that sags a little under its load, and were asked to
-        be there, would sag on. While it is disarmed no command is followed, and the commander has to begin anew.
+        be there, would sag on. Nor at its target: a policy that balances with the arms adds to what they are asked.
+        While it is disarmed no command is followed, and the commander has to begin anew.
         """
         self._is_lost = False
-        for gate, joints in self._resting:
-            where = state.q[joints] if self._asked is None else self._asked[joints]
+        for index, (gate, joints, _) in enumerate(self._resting):
+            where = state.q[joints] if self._asked is None else self._asked[index]
             if np.isfinite(where).all():
                 gate.rest(where)
             else:
@@ -238,7 +239,8 @@ class ControlStep:
         if isinstance(self.robot, Resettable):
             self.robot.reset()
             if self._resting:  # the state that the next step acts on was read before, so nothing may come of it
-                self._asked, self._has_jumped = self.robot.read().q, True
+                q = self.robot.read().q
+                self._asked, self._has_jumped = [q[resting.joints] for resting in self._resting], True
             self.arming.restart()
         else:
             self.arming.disarm()  # however it started: stiffness must not come back at once
@@ -308,19 +310,29 @@ def _check_fit(robot: Robot, policy: Policy, command_format: CommandFormat) -> N
         )
 
 
-def _resting(robot: Robot, paths: Sequence[CommandPath]) -> Iterator[tuple[Gate, list[int]]]:
-    """Yield, of what stays without a command, its gate and the joints that its elements are.
+class _Resting(NamedTuple):
+    """What stays without a command: its gate, the joints that its elements are, and where in the command those are."""
+
+    gate: Gate
+    joints: list[int]
+    span: slice
+
+
+def _resting(robot: Robot, paths: Sequence[CommandPath]) -> Iterator[_Resting]:
+    """Yield what stays without a command.
 
     Velocities and a height are no joints: their gate keeps what was asked for last.
     """
     places = {f"{name}_pos": index for index, name in enumerate(robot.joint_names)}
+    end = 0
     for path in paths:
         command = path.command_format
         names = names_of(command.elements)
+        start, end = end, end + len(names)
         if rests_on_joints(command):
             odd = [name for name in names if name not in places]
             if odd:
                 raise ConfigError(
                     f"what stays takes positions of joints; command {command.name!r} has {', '.join(odd[:4])}"
                 )
-            yield path.gate, [places[name] for name in names]
+            yield _Resting(path.gate, [places[name] for name in names], slice(start, end))

@@ -22,6 +22,7 @@ from station.parts import parts_of, rests_on_joints
 from station.protocols import CommandFormat, Floats
 
 DT = 0.02
+FALCON = "zoo:policies/falcon_g1_29dof.onnx"
 RLGYM, HOLOSOMA = "zoo:policies/rlgym_g1_motion.pt", "zoo:policies/holosoma_fastsac_g1_29dof.onnx"
 ARM = np.array([0.0, 0.2, 0.0, 1.0, 0.0, 0.0, 0.0])
 SWING = np.array([0.6, 0.2, 0.3, 0.4, 0.4, 0.4, 0.4])
@@ -58,8 +59,12 @@ class Commander:
     def _wish(self) -> Floats:
         random = self._random
         if self.part.velocities:
-            walks = random.random() < 0.7
-            return walks * np.array([random.uniform(-0.4, 0.7), random.uniform(-0.3, 0.3), random.uniform(-0.5, 0.5)])
+            wish = self.part.default.copy()
+            if random.random() < 0.7:
+                wish[:3] = random.uniform(-0.4, 0.7), random.uniform(-0.3, 0.3), random.uniform(-0.5, 0.5)
+            if self.part.holds_position:  # a height, and a torso
+                wish[3:] = random.uniform(0.5, 0.75), *(random.uniform(-0.4, 0.4) for _ in wish[4:])
+            return wish
         side = -1.0 if "right" in self.part.robot else 1.0
         offset = self._swing * SWING * np.array([random.uniform(-1, 1) for _ in SWING])
         return ARM * [1, side, 1, 1, 1, 1, 1] + offset
@@ -71,7 +76,7 @@ def walked(
     """Run a robot and yield, of each step, the states of the parts, and the place of the base [m].
 
     Args:
-        legs, checkpoint: The policy of the legs, and its file.
+        legs, checkpoint: The policy of the legs, or of all of it, and its file.
         swing: How far arms are moved, in `SWING`.
         seconds: Simulated time [s].
         seed: Of what becomes of the commands.
@@ -79,31 +84,27 @@ def walked(
     Raises:
         AssertionError: it fell, or a part did something else than its own command path alone.
     """
-    config = RigConfig(
-        robot="g1-mujoco", robot_options={"physics_dt_s": 0.002}, policy="g1-arms", checkpoint=checkpoint,
-        policy_options={"legs": legs},
-    )  # fmt: skip
-    rig = build(config)
+    policy = {"policy": legs} if legs == "falcon" else {"policy": "g1-arms", "policy_options": {"legs": legs}}
+    rig = build(RigConfig(robot="g1-mujoco", robot_options={"physics_dt_s": 0.002}, checkpoint=checkpoint, **policy))
     control = rig.control()
     parts = parts_of(rig.command_format)
     alone = [CommandPath(part, GateConfig(), Arming(is_armed=True)) for part in parts]
     commanders = [Commander(part, swing, seed * 10 + index) for index, part in enumerate(parts)]
-    names, asked = list(rig.robot.joint_names), None
+    names, before = list(rig.robot.joint_names), None
     for tick in range(round(seconds / DT)):
         now_s, state = tick * DT, control.sense()
         samples = tuple(each.sample(tick) for each in commanders)
-        where = state.q if asked is None else asked
         record = control.step(state, samples, now_s)
-        asked = record.sent.q
         for part, path, sample, decision in zip(parts, alone, samples, record.decision.parts, strict=True):
             if rests_on_joints(part):
                 joints = [names.index(element.name.removesuffix("_pos")) for element in part.elements]
-                path.gate.rest(where[joints])
+                path.gate.rest(state.q[joints] if before is None else before[part.name])
             own = path.decide(sample, now_s)
             assert (own.state, own.vector.tobytes()) == (decision.state, decision.vector.tobytes()), (part.name, now_s)
+        before = {part.name: decision.vector for part, decision in zip(parts, record.decision.parts, strict=True)}
         assert record.fall is None, f"fell at {now_s:.2f} s: {record.fall}"
         good_s = commanders[0].good_s
         if good_s is None or now_s - good_s > _SILENT_S + DT / 2:
-            assert not record.decision.parts[0].vector.any(), f"walks on without a command at {now_s:.2f} s"
+            assert not record.decision.parts[0].vector[:3].any(), f"walks on without a command at {now_s:.2f} s"
         yield [part.state for part in record.decision.parts], state.root_pos
     rig.robot.close()

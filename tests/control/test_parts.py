@@ -127,9 +127,14 @@ class Cart(IdealRobot):
 
 
 class Roll:
-    """A policy that puts the legs where the velocities say, and the rest where its command says."""
+    """A policy that puts the legs where the velocities say, and the rest where its command says.
 
-    def __init__(self) -> None:
+    Args:
+        adds: To what each joint is told [rad], as one that balances with its arms does.
+    """
+
+    def __init__(self, adds: float = 0.0) -> None:
+        self._adds = adds
         self.spec = PolicySpec(
             name="roll", checkpoint=Path("none"), sha256="", runtime="none", rate_hz=50.0, command="cart",
             joint_names=Cart.joint_names, default_q=np.zeros(5), kp=np.full(5, 50.0), kd=np.full(5, 2.0),
@@ -146,16 +151,16 @@ class Roll:
         return observation
 
     def targets(self, action: Floats32, command: Floats) -> JointTargets:
-        return JointTargets(command, self.spec.kp, self.spec.kd)
+        return JointTargets(command + self._adds, self.spec.kp, self.spec.kd)
 
     def restore(self, observation: Floats32) -> None:
         """There is no history."""
 
 
 class Bench:
-    def __init__(self, *, is_armed: bool = True) -> None:
+    def __init__(self, *, is_armed: bool = True, adds: float = 0.0) -> None:
         self.cart = Cart()
-        self.control = ControlStep(self.cart, Roll(), FORMAT, is_armed=is_armed)
+        self.control = ControlStep(self.cart, Roll(adds), FORMAT, is_armed=is_armed)
         self.tick = 0
         self.held: list[CommandSample | None] = [None, None, None]
 
@@ -196,6 +201,15 @@ def test_silent_arms_stay_where_they_were_asked_to_be_and_the_walk_goes_on() -> 
     record = bench.steps(200, [0.4, 0.2], None, [0.2])
     assert states(record) == ["tracking", "waiting", "tracking"]
     np.testing.assert_allclose(record.sent.q, [0.4, 0.2, 1.0, 0.5, 0.2])
+
+
+def test_what_a_policy_adds_to_arms_does_not_carry_off_arms_that_rest() -> None:
+    bench = Bench(adds=0.05)
+    record = bench.steps(100, [0.4, 0.2], [1.0, 0.5], None)
+    np.testing.assert_allclose(record.sent.q, [0.45, 0.25, 1.05, 0.55, 0.55])
+    record = bench.steps(200, [0.4, 0.2], None, None)
+    assert states(record) == ["tracking", "waiting", "waiting"]
+    np.testing.assert_allclose(record.sent.q, [0.45, 0.25, 1.05, 0.55, 0.55])
 
 
 def test_parts_that_nobody_has_commanded_rest_where_they_are() -> None:

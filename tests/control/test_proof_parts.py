@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.control.parted_walk import HOLOSOMA, RLGYM, walked
+from tests.control.parted_walk import FALCON, HOLOSOMA, RLGYM, walked
 from tests.figures import Figures
 
 SECONDS = 600.0
@@ -19,7 +19,11 @@ pytestmark = [
 
 @pytest.mark.parametrize(
     ("legs", "checkpoint", "swing"),
-    [pytest.param("rlgym-g1", RLGYM, 2.0, marks=pytest.mark.torch), ("holosoma", HOLOSOMA, 0.5)],
+    [
+        pytest.param("rlgym-g1", RLGYM, 2.0, marks=pytest.mark.torch),
+        ("holosoma", HOLOSOMA, 0.5),
+        ("falcon", FALCON, 2.0),
+    ],
 )
 def test_pedals_and_arms_come_and_go_for_ten_minutes_and_it_walks_on(
     legs: str, checkpoint: str, swing: float, assets: Path, proof: Figures

@@ -96,7 +96,7 @@ def _holosoma_walk(folder: Path) -> None:
 def _holosoma(folder: Path) -> None:
     """The checkpoints that the page's reader has downloaded."""
     shutil.copy(assets.resolve("zoo:policies/holosoma_fastsac_g1_29dof.onnx"), folder / "fastsac_g1_29dof.onnx")
-    shutil.copy(assets.resolve("zoo:policies/rlgym_g1_motion.pt"), folder / "motion.pt")
+    shutil.copy(assets.resolve("zoo:policies/falcon_g1_29dof.onnx"), folder / "g1_29dof.onnx")
 
 
 PAGES = {

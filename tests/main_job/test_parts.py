@@ -14,20 +14,17 @@ FAKES = (
     "left_leader.fake=builtin:gello/g1.json",
     "right_leader.fake=builtin:gello/g1-right.json",
 )
-RLGYM = (
-    "robot.policy_options.legs=rlgym-g1", "robot.checkpoint=zoo:policies/rlgym_g1_motion.pt",
-    "legs.options.format=velocity",
-)  # fmt: skip
+FALCON = "robot.checkpoint=zoo:policies/falcon_g1_29dof.onnx"
 
-pytestmark = [pytest.mark.assets, pytest.mark.torch, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.assets, pytest.mark.timeout(300)]
 
 
 def test_it_walks_with_moving_arms_and_every_part_of_its_episode_is_audited(
     tmp_path: Path, processes: None, assets: Path
 ) -> None:
     terminal = Terminal(tmp_path)
-    sets = [word for setting in (*FAKES, *RLGYM) for word in ("--set", setting)]
-    done = terminal.run("up", "g1-homie-sim", "--yes", "--record", "--task", "carry", "--for", "6s", *sets)
+    sets = [word for setting in (*FAKES, FALCON) for word in ("--set", setting)]
+    done = terminal.run("up", "g1-falcon-sim", "--yes", "--record", "--task", "carry", "--for", "6s", *sets)
     assert done.returncode == 0, done.stdout + done.stderr
     episode = str(terminal.episode("carry"))
     check, audit = terminal.json("check", episode), terminal.json("audit", episode)
@@ -41,9 +38,18 @@ def test_it_walks_with_moving_arms_and_every_part_of_its_episode_is_audited(
         assert keys[f"command_timing_g1_29_{name}"] == keys[f"command_used_g1_29_{name}"] == audit["steps"]
 
 
-def test_whoever_lacks_the_file_is_told_where_it_comes_from(tmp_path: Path, processes: None) -> None:
-    done = Terminal(tmp_path).run("up", "g1-homie-sim", "--yes")
+@pytest.mark.parametrize(
+    ("runbook", "origin"),
+    [
+        ("g1-homie-sim", "InternRobotics/OpenHomie on GitHub (CC BY-NC-SA 4.0, no commercial use)"),
+        ("g1-falcon-sim", "LeCAR-Lab/FALCON on GitHub (MIT), sim2real/models/falcon/g1_29dof.onnx"),
+    ],
+)
+def test_whoever_lacks_the_file_is_told_where_it_comes_from(
+    tmp_path: Path, processes: None, runbook: str, origin: str
+) -> None:
+    done = Terminal(tmp_path).run("up", runbook, "--yes")
     assert done.returncode == 2
     (line,) = done.stderr.strip().splitlines()
     assert "it is not part of the station: take it from" in line
-    assert "InternRobotics/OpenHomie on GitHub (CC BY-NC-SA 4.0, no commercial use)" in line
+    assert origin in line

@@ -312,11 +312,13 @@ class Rest:
 
     Attributes:
         robot: Suffix of the robot's keys.
+        part: That of the part's keys, where its command is one of several.
         state: What `keys.robot_state` holds.
         joints: Places of the joints among the robot's.
     """
 
     robot: str
+    part: str
     state: Contract
     joints: list[int]
 
@@ -334,7 +336,8 @@ class Rest:
         count = len(state.q)
         if before is None or self._was_limp(before, count):
             return state.q[self.joints]
-        return self._sent(before)[:count][self.joints]
+        used = before.values.get(keys.command_used(self.part), b"")
+        return codec.parse_f64(used) if len(used) == 8 * len(self.joints) else None
 
     def _sent(self, step: Step) -> Floats:
         return codec.parse_f64(step.values.get(keys.target(self.robot), b""))
@@ -443,4 +446,4 @@ def _rest(robot: str, of: CommandFormat, state: Contract | None) -> Rest | str |
     names = names_of(of.elements)
     if state is None or not set(names) <= set(joints):
         return "without a command it rests where it is, which is not in the file"
-    return Rest(robot, state, [joints.index(name) for name in names])
+    return Rest(robot, of.robot, state, [joints.index(name) for name in names])
