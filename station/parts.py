@@ -88,8 +88,11 @@ class PartedCommand:
         return [vector[each] for each in self._slices]
 
     def encode(self, reference: Reference, joint_names: tuple[str, ...]) -> Floats:
-        """Return what asks all parts for a reference, shape (m,)."""
-        return np.concatenate([part.encode(reference, joint_names) for part in self.parts])
+        """Return what asks all parts for a reference, shape (m,); arms have their default where it is of no joints."""
+        return np.concatenate([
+            part.default if rests_on_joints(part) and not joint_names else part.encode(reference, joint_names)
+            for part in self.parts
+        ])  # fmt: skip
 
 
 def part_name(command_format: PartedCommand, part: CommandFormat) -> str:

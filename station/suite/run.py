@@ -114,10 +114,10 @@ def plan(
     if all(set(VELOCITIES) <= set(names_of(each.elements)) for each in formats):
         if named:
             raise UsageError(f"{named[0]}: policy {rigs[0].policy!r} follows velocities; its suite plays no motions")
-        lower, upper = (
-            np.max([each.lower for each in formats], axis=0),
-            np.min([each.upper for each in formats], axis=0),
-        )
+        places = [[names_of(each.elements).index(name) for name in VELOCITIES] for each in formats]
+        both = list(zip(formats, places, strict=True))
+        lower = np.max([each.lower[velocities] for each, velocities in both], axis=0)
+        upper = np.min([each.upper[velocities] for each, velocities in both], axis=0)
         cases = promise.velocity_cases(extent, lower, upper, only, hand_over)
     else:
         if any(hand_over):

@@ -18,7 +18,7 @@ from station.control.control import ControlStep, StepRecord
 from station.control.parted_path import samples_of
 from station.control.policy_switch import PolicySwitch
 from station.control.rig import PolicyChoice, Rig, RigConfig, build
-from station.control.tracking import TrackingError, VelocityTracking
+from station.control.tracking import VELOCITIES, TrackingError, VelocityTracking
 from station.errors import ConfigError
 from station.protocols import Fall, Floats, JointTargets, Motion, RobotState, SimulatedRobot
 from station.rehearse import rehearse
@@ -77,10 +77,11 @@ class _Watch:
         names = names_of(rig.command_format.elements)
         self.error = TrackingError(names, rig.robot.joint_names)
         self.velocity = VelocityTracking(names, rig.period_s)
+        self._velocities = [names.index(name) for name in VELOCITIES if name in names]
         self.target_step = {False: 0.0, True: 0.0}  # by whether a policy was handing over
         self._period_s = rig.period_s
         self._places: list[Floats] = []  # x, y [m] and yaw [rad] of the root
-        self._commands: list[Floats] = []
+        self._commands: list[Floats] = []  # velocities
         self._farthest = _simulated(rig).joint_speeds * rig.period_s
         self._sent: Floats | None = None
         self._switch = rig.policy if isinstance(rig.policy, PolicySwitch) else None
@@ -97,7 +98,7 @@ class _Watch:
             at_s = self.ticks * self._period_s
             self.velocity.add(self.ticks, at_s, record.decision.vector, state.root_pos, state.quat_wxyz)
         self._places.append(place)
-        self._commands.append(record.decision.vector)
+        self._commands.append(record.decision.vector[self._velocities])
         self._see_targets(record)
         self.lean_rad = max(self.lean_rad, float(tilt(state.quat_wxyz)))
         self.ticks += 1

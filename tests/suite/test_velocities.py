@@ -190,6 +190,15 @@ def test_a_policy_of_velocities_has_a_suite_of_its_own(statue: RigConfig) -> Non
     assert max(case.velocity for case in planned.cases if isinstance(case, Walk))[0] == pytest.approx(0.75)
 
 
+@pytest.mark.assets
+def test_of_a_command_with_a_posture_and_arms_the_velocities_are_asked_for(assets: Path) -> None:
+    falcon = RigConfig(robot="g1-mujoco", policy="falcon", checkpoint=str(assets / "zoo/policies/falcon_g1_29dof.onnx"))
+    planned = run.plan([falcon], extent=QUICK, jobs=1)
+    assert max(case.velocity for case in planned.cases if isinstance(case, Walk)) == (0.5, 0.0, 0.5)
+    found = run_case(Cease(group="gate", seconds=promise.COMES_BACK_S + 1.0, velocity=AHEAD), falcon)
+    assert failure(found) == "", "that its height stays is as it should be"
+
+
 def test_what_has_no_place_in_a_suite_is_refused_in_a_line(statue: RigConfig) -> None:
     with pytest.raises(UsageError, match="'playground-go1' follows velocities; its suite plays no motions"):
         run.plan([statue], extent=QUICK, named=["builtin:wave"])
