@@ -24,6 +24,7 @@ FIGURES: dict[str, dict[Velocity, Velocity]] = {
         (-0.5, 0.0, 0.0): (-0.25, -0.04, 0.06),
     },
     "deploy-yaml": {(0.0, 0.0, 0.0): (0.00, 0.00, 0.00), (0.5, 0.0, 0.0): (0.45, 0.00, 0.00)},
+    "falcon": {(0.0, 0.0, 0.0): (0.00, 0.00, 0.00), (0.5, 0.0, 0.0): (0.47, 0.00, 0.00)},
 }
 """Measured velocity by the commanded one, in a bare loop of the same policy and another model of the robot.
 
@@ -35,7 +36,9 @@ CHECKPOINTS = {
     "holosoma": HOLOSOMA,
     "playground-g1": "zoo:policies/playground_g1_policy.onnx",
     "deploy-yaml": "zoo:policies/unitree_rl_mjlab_g1/deploy.yaml",
+    "falcon": "zoo:policies/falcon_g1_29dof.onnx",
 }
+OF_THE_LEGS = ("motion.robot=g1_29_legs", "motion.format=velocity-posture")
 
 
 OTHER_ROBOTS: dict[str, tuple[str, str, dict[Velocity, Velocity]]] = {
@@ -79,7 +82,7 @@ def slippery(folder: Path) -> str:
 def test_in_a_minute_nobody_falls_and_velocities_are_those_of_a_bare_loop(
     policy: str, tmp_path: Path, processes: None, assets: Path, proof: Figures
 ) -> None:
-    settings = [slippery(tmp_path)] if policy == "playground-g1" else []
+    settings = {"playground-g1": (slippery(tmp_path),), "falcon": OF_THE_LEGS}.get(policy, ())
     walked = walk(tmp_path / "station", "velocity:each-axis", *settings, policy=policy, checkpoint=CHECKPOINTS[policy])
     expect_sound(walked)
     assert walked.steps["steps"] >= 60 * 50

@@ -12,9 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from adapters.policies.deploy_yaml import DeployYamlPolicy
 from adapters.policies.pilla_go2 import PillaGo2Policy
 from adapters.policies.playground import PlaygroundG1Policy, PlaygroundGo1Policy
 from adapters.policies.rl_gym import RlGymG1Policy, RlGymH1Policy, RlGymH12Policy
+from adapters.robots.g1.joints import JOINTS
 from station.protocols import Policy
 from tests.figures import Figures
 
@@ -24,6 +26,7 @@ Velocity = tuple[float, float, float]
 
 WITHIN = 0.05
 SECONDS = 5.0
+G1 = {"effort": np.array([joint.effort_nm for joint in JOINTS]), "height_m": 0.79}
 G1_LEG, H1_LEG, H1_2_LEG = [88, 139, 88, 139, 50, 50], [200, 200, 200, 300, 40], [200, 200, 200, 300, 60, 40]
 
 pytestmark = [pytest.mark.assets, pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")]
@@ -59,17 +62,24 @@ CASES = {
     "playground-g1": Case(PlaygroundG1Policy, "playground_g1_policy.onnx", "g1_playground.xml",
         {"effort": 0.0, "height_m": 0.755, "has_servos": True},
         {(0, 0, 0): (0.14, -0.02, 0.08), (0.6, 0, 0): (0.66, -0.06, 0.0), (0, 0.4, 0): (0.26, 0.13, 0.10)}),
+    "deploy-yaml of unitree_rl_lab": Case(DeployYamlPolicy, "unitree_rl_lab_g1.yaml", "g1_29dof.xml", G1,
+        {(0, 0, 0): (-0.01, 0.0, 0.0), (0.5, 0, 0): (0.56, 0.03, -0.04), (0.8, 0, 0): (0.82, 0.0, -0.03)}),
+    "deploy-yaml of unitree_rl_mjlab": Case(DeployYamlPolicy, "unitree_rl_mjlab_g1/deploy.yaml", "g1_29dof.xml", G1,
+        {(0, 0, 0): (0.0, 0.0, 0.0), (0.5, 0, 0): (0.44, 0.01, 0.01), (0.8, 0, 0): (0.79, 0.0, 0.0)}),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=torch if not case.checkpoint.endswith(".onnx") else ()) for name, case in CASES.items()],
+    [
+        pytest.param(name, marks=torch if case.checkpoint.endswith((".pt", ".jit")) else ())
+        for name, case in CASES.items()
+    ],
 )
 def test_it_walks_as_fast_as_in_the_loop_that_it_was_verified_in(name: str, assets: Path, proof: Figures) -> None:
     case = CASES[name]
     policy = case.policy(assets / "zoo/policies" / case.checkpoint)
-    assert policy.spec.name == name
+    assert policy.spec.name == name.partition(" of ")[0]
     loop = BareLoop(policy, assets / "zoo/models" / case.model, **case.options)
     measured = loop.walk(list(case.figures), SECONDS)
     off = [np.abs(np.subtract(*pair)).max() for pair in zip(case.figures.values(), measured, strict=True)]
