@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import importlib.util
 import itertools
 import os
 import signal
@@ -113,9 +114,11 @@ def pytest_fixture_post_finalizer(fixturedef: pytest.FixtureDef[Any]) -> None:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """See that there is upstream data for a test that is marked with `assets`, before any of its fixtures; figures
+    """See that there is what a test needs that is marked with `assets` or `torch`, before any of its fixtures; figures
     name the test."""
     item.config.stash[figures.TEST] = item.nodeid
+    if item.get_closest_marker("torch") and importlib.util.find_spec("torch") is None:
+        pytest.skip("needs the extra 'torch'")
     if item.get_closest_marker("assets"):
         _upstream_data()
 

@@ -92,7 +92,8 @@ def test_the_keys_of_a_tick_are_written_together_and_in_turn(bus_server: BusAddr
 @pytest.mark.torch
 @pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")
 def test_with_a_twist_policy_it_writes_the_keys_of_twist(bus_server: BusAddress, tmp_path: Path) -> None:
-    torch = pytest.importorskip("torch")
+    import torch
+
     checkpoint = tmp_path / "twist.pt"
     torch.jit.save(torch.jit.script(torch.nn.Linear(1155, 23)), str(checkpoint))
     twist = twist_keys.TWIST_ROBOT

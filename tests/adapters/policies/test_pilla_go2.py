@@ -13,8 +13,6 @@ from tests.adapters.policies.restored import expect_goes_on
 
 from .velocity_inputs import gravity, inputs, script
 
-pytest.importorskip("torch")
-
 pytestmark = [pytest.mark.torch, pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")]
 
 MODEL = [f"{leg}_{joint}" for leg in ("FL", "FR", "RL", "RR") for joint in ("hip", "thigh", "calf")]

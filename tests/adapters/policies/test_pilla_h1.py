@@ -13,8 +13,6 @@ from station.errors import BadFile
 from tests.adapters.policies.restored import expect_goes_on
 from tests.adapters.policies.velocity_inputs import gravity, inputs, script
 
-pytest.importorskip("torch")
-
 pytestmark = [pytest.mark.torch, pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")]
 
 DEFAULT = {

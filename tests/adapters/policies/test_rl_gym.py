@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +14,6 @@ from station.errors import BadFile, StationError
 from tests.adapters.policies.restored import expect_goes_on
 
 from .velocity_inputs import gravity, inputs
-
-torch: Any = pytest.importorskip("torch")
 
 pytestmark = [pytest.mark.torch, pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")]
 
@@ -29,27 +26,11 @@ DEFAULT = {
 }
 
 
-class Remembering(torch.nn.Module):  # type: ignore[misc]
-    """What upstream exports: an LSTM that keeps its state in two buffers, and a layer."""
-
-    def __init__(self, inputs: int, actions: int, units: int = 64) -> None:
-        super().__init__()
-        torch.manual_seed(inputs)
-        self.memory, self.actor = torch.nn.LSTM(inputs, units), torch.nn.Linear(units, actions)
-        self.register_buffer("hidden_state", torch.zeros(1, 1, units))
-        self.register_buffer("cell_state", torch.zeros(1, 1, units))
-
-    def forward(self, x):
-        out, (hidden, cell) = self.memory(x.unsqueeze(0), (self.hidden_state, self.cell_state))
-        self.hidden_state[:] = hidden
-        self.cell_state[:] = cell
-        return self.actor(out.squeeze(0))
-
-
 def script(path: Path, inputs: int, actions: int, units: int = 64) -> Path:
-    module = Remembering(inputs, actions, units).eval()
-    torch.jit.save(torch.jit.script(module), str(path))
-    return path
+    """Write what upstream exports."""
+    from . import lstm_script  # with torch, which takes two seconds
+
+    return lstm_script.write(path, inputs, actions, units)
 
 
 @pytest.fixture(params=FAMILY, ids=lambda each: each.NAME)
@@ -61,6 +42,8 @@ def policy(request: pytest.FixtureRequest, tmp_path: Path) -> RlGymPolicy:
 def test_observations_equal_the_facts_over_fifty_steps_and_the_outputs_are_those_of_the_module(
     policy: RlGymPolicy,
 ) -> None:
+    import torch
+
     count, default = JOINTS[type(policy)], np.array(DEFAULT[type(policy)])
     alone = torch.jit.load(str(policy.spec.checkpoint))  # called once per step from its zero state, as upstream does
     action = np.zeros(count, np.float32)
@@ -127,6 +110,8 @@ def test_a_network_for_another_robot_is_refused_in_one_line(tmp_path: Path) -> N
 
 
 def test_a_network_without_a_memory_or_with_another_is_refused_in_one_line(tmp_path: Path) -> None:
+    import torch
+
     plain = tmp_path / "plain.pt"
     torch.jit.save(torch.jit.script(torch.nn.Linear(47, 12)), str(plain))
     for path in (plain, script(tmp_path / "small.pt", 47, 12, units=32)):

@@ -23,7 +23,8 @@ _WIRE_WITHOUT_WRIST_ROLLS = [index for index in range(33) if index not in (27, 3
 
 
 def _script(path: Path, inputs: int, outputs: int) -> Path:
-    torch = pytest.importorskip("torch")
+    import torch
+
     torch.manual_seed(0)
     network = torch.nn.Sequential(torch.nn.Linear(inputs, 32), torch.nn.ELU(), torch.nn.Linear(32, outputs))
     torch.jit.save(torch.jit.script(network), str(path))
@@ -113,7 +114,6 @@ def test_a_network_of_another_size_is_refused_in_one_line(
 
 @pytest.mark.parametrize("content", [b"", b"hello", b"\x80\x02cos\nsystem\n."])
 def test_a_file_that_is_no_torchscript_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
-    pytest.importorskip("torch")
     path = tmp_path / "policy.pt"
     path.write_bytes(content)
     with pytest.raises(BadFile, match="not a TorchScript checkpoint") as caught:
@@ -122,7 +122,6 @@ def test_a_file_that_is_no_torchscript_is_refused_in_one_line(tmp_path: Path, co
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    pytest.importorskip("torch")
     with pytest.raises(BadFile, match=r"gone\.pt: no such file"):
         TwistPolicy(tmp_path / "gone.pt")
 
