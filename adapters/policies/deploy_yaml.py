@@ -3,7 +3,8 @@
 The page says all that differs between robots and policies: the terms of an observation in their order, clip and scale
 of each, how many steps of it the network sees (per term, oldest first), scale and offset of the targets, stiffness and
 damping, the range of velocities. ``joint_ids_map`` has the motor of each of the network's joints: stiffness and damping
-are in the order of the motors, all else in the network's. After a reset every step of a term is the first one.
+stand by motor, all else in the network's order. What the joints are called the page does not say: a row of
+`adapters.robots.legged.unitree` does. After a reset every step of a term is the first one.
 
 Wire facts: unitreerobotics/unitree_rl_lab, ``deploy/include/isaaclab``, and the pages of two policies of a G1, which
 walk in a loop that is not ours.
@@ -13,29 +14,29 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from adapters.commands.velocity import FORMAT
 from adapters.policies.follower import LastOutput, gravity
 from adapters.policies.history import FrameHistory
 from adapters.policies.onnx_network import OnnxNetwork
 from adapters.robots.g1.joints import G1_29
+from adapters.robots.legged.unitree import ROBOTS
 from station import safe_yaml
 from station.assets import sha256
-from station.errors import BadFile, ConfigError
+from station.errors import BadFile, ConfigError, did_you_mean
 from station.protocols import Floats, Floats32, JointTargets, PolicySpec, RobotState
 
-MOTORS: dict[int, tuple[str, ...]] = {
-    29: G1_29,
-    12: tuple(f"{leg}_{joint}" for leg in ("FR", "FL", "RR", "RL") for joint in ("hip", "thigh", "calf")),
+MOTORS: dict[str, dict[str, int]] = {
+    "g1_29": {name: motor for motor, name in enumerate(G1_29)},
+    **{name: dict(zip(robot.joint_names, robot.motors, strict=True)) for name, robot in ROBOTS.items()},
 }
-"""Joints of a G1 and of a Go2 in the order of their motors, by how many there are."""
+"""By robot: its joints, in their order, and the motor of each. Where no robot is named, the first one that fits."""
 NETWORKS = ("policy.onnx", "{page}.onnx", "../exported/policy.onnx")
 """Where the network is, from the folder of its page."""
 _ALL_JOINTS = "!!python/object/apply:builtins.slice"  # taken for the list behind it: nothing of a page is ever called
@@ -120,40 +121,37 @@ class DeployYamlPolicy(LastOutput):
 
     Args:
         checkpoint: The page.
-        joints: The robot's joints in the order of its motors; those of a G1 of 29 joints or of a Go2 need no names.
+        robot: Whose motors they are, for example ``go1``; "" for the first of G1, Go2, … that has them.
 
     Raises:
         BadFile: page or network is missing, or asks for what is not known here.
-        ConfigError: there is not one joint per motor.
+        ConfigError: no robot has these motors, or not the one that is named.
     """
 
     ORIGIN = "unitreerobotics/unitree_rl_lab or unitree_rl_mjlab on GitHub: a deploy.yaml with policy.onnx beside it"
 
-    def __init__(self, checkpoint: Path, *, joints: Sequence[str] = ()) -> None:
+    def __init__(self, checkpoint: Path, *, robot: str = "") -> None:
         path = Path(checkpoint)
         page = _read(path)
-        count = len(page.joint_ids_map)
-        names = tuple(joints) or MOTORS.get(count, ())
-        if len(names) != count:
-            raise ConfigError(
-                f"joints: {path} drives {count} motors, {len(names)} joints are named; expected one per motor, in "
-                f"their order (robots of {', '.join(map(str, MOTORS))} motors need no names)"
-            )
+        motors = _motors(path, page.joint_ids_map, robot)
+        count = len(motors)
         values = _Values(path, count)
-        self._motors = values.motors(page.joint_ids_map)
+        self._joints = np.array([list(motors.values()).index(motor) for motor in page.joint_ids_map])
         self._default = values.each("default_joint_pos", page.default_joint_pos)
         self._scale, self._offset, self._clip = values.action(page.actions.JointPositionAction)
         self._parts = [values.part(name, term) for name, term in page.observations.items()]
         inputs = sum(part.steps.flat.size for part in self._parts)
         file = _network(path)
         self._network = network = OnnxNetwork(file, inputs=inputs, outputs=count)
+        slots, each_motor = max(motors.values()) + 1, list(motors.values())
+        gains = [values.each(name, getattr(page, name), count=slots)[each_motor] for name in ("stiffness", "damping")]
         span = page.commands.base_velocity.ranges
         lower, upper = np.sort([span.lin_vel_x, span.lin_vel_y, span.ang_vel_z]).T
         self._spec = PolicySpec(
             name="deploy-yaml", checkpoint=path, sha256=_sha256(path, file), runtime=network.runtime,
-            rate_hz=1.0 / page.step_dt, command=FORMAT.name, joint_names=names, default_q=self._by_motor(self._default),
-            kp=values.each("stiffness", page.stiffness), kd=values.each("damping", page.damping),
-            observation_size=inputs, action_size=count, command_lower=lower, command_upper=upper,
+            rate_hz=1.0 / page.step_dt, command=FORMAT.name, joint_names=tuple(motors),
+            default_q=self._of_robot(self._default), kp=gains[0], kd=gains[1], observation_size=inputs,
+            action_size=count, command_lower=lower, command_upper=upper,
         )  # fmt: skip
         self.reset()
 
@@ -163,8 +161,8 @@ class DeployYamlPolicy(LastOutput):
         self._is_first = True
 
     def observe(self, state: RobotState, command: Floats) -> Floats32:
-        """Return the observation of the state of the joints, in the order of the motors, and a velocity, shape (3,)."""
-        q, dq = state.q[self._motors] - self._default, state.dq[self._motors]
+        """Return the observation of a state and a velocity, shape (3,)."""
+        q, dq = state.q[self._joints] - self._default, state.dq[self._joints]
         seen = _Seen(state, command, q, dq, self._previous())
         for of, clip, scale, steps in self._parts:
             frame = (np.clip(of(seen), *clip) * scale).astype(np.float32)
@@ -178,7 +176,7 @@ class DeployYamlPolicy(LastOutput):
     def targets(self, action: Floats32, command: Floats) -> JointTargets:
         """Return scale x output + offset, clipped where the page says so."""
         q = np.clip(action.astype(np.float64) * self._scale + self._offset, *self._clip)
-        return JointTargets(self._by_motor(q), self._spec.kp, self._spec.kd)
+        return JointTargets(self._of_robot(q), self._spec.kp, self._spec.kd)
 
     def restore(self, observation: Floats32) -> None:
         """Restore all steps from a recorded observation; the output of its step is inferred, unless `act` is called."""
@@ -188,10 +186,10 @@ class DeployYamlPolicy(LastOutput):
             part.steps.fill(flat)
         self._is_first = False
 
-    def _by_motor(self, values: Floats) -> Floats:
-        """Return values of the network's joints, shape (n,), in the order of the motors."""
+    def _of_robot(self, values: Floats) -> Floats:
+        """Return values of the network's joints, shape (n,), in the order of the robot's."""
         found = np.empty_like(values)
-        found[self._motors] = values
+        found[self._joints] = values
         return found
 
 
@@ -200,11 +198,6 @@ class _Values:
 
     def __init__(self, path: Path, count: int) -> None:
         self.path, self.count = path, count
-
-    def motors(self, listed: list[int]) -> NDArray[np.intp]:
-        if sorted(listed) != list(range(self.count)):
-            raise BadFile(f"{self.path}: joint_ids_map: expected each motor once, 0 to {self.count - 1}; got {listed}")
-        return np.array(listed, dtype=np.intp)
 
     def each(self, name: str, listed: list[float] | None, otherwise: float = 0.0, count: int = 0) -> Floats:
         """Return a number per joint, or ``count`` of them."""
@@ -233,6 +226,17 @@ class _Values:
         scale = self.each(f"{name}: scale", term.scale, 1.0, size)
         steps = FrameHistory(term.history_length or 1, size)
         return _Part(_TERMS[name], term.clip or (-math.inf, math.inf), scale, steps)
+
+
+def _motors(path: Path, listed: list[int], robot: str) -> dict[str, int]:
+    """Return the joints of the robot with these motors, and the motor of each."""
+    if robot and robot not in MOTORS:
+        raise ConfigError(f"robot {robot!r} is not known{did_you_mean(robot, MOTORS)}; known: {', '.join(MOTORS)}")
+    for name in [robot] if robot else MOTORS:
+        if sorted(MOTORS[name].values()) == sorted(listed):
+            return MOTORS[name]
+    whose = f"robot {robot!r} has {sorted(MOTORS[robot].values())}" if robot else "no robot that is known has these"
+    raise ConfigError(f"{path}: joint_ids_map: motors {listed}; {whose}; known: {', '.join(MOTORS)}")
 
 
 def _read(path: Path) -> _Page:

@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 import yaml
 
-from adapters.policies.deploy_yaml import MOTORS, DeployYamlPolicy
+from adapters.policies.deploy_yaml import DeployYamlPolicy
 from adapters.robots.g1.joints import G1_29
+from adapters.robots.legged.unitree import ROBOTS
+from station.control.parted_path import samples_of
+from station.control.rig import RigConfig, build
 from station.errors import BadFile, ConfigError, StationError
 from station.protocols import Floats
 from tests.adapters.policies.restored import expect_goes_on
@@ -19,6 +22,10 @@ from .velocity_inputs import gravity, inputs, onnx_file
 
 MAP = [3, 0, 9, 6, 4, 1, 10, 7, 5, 2, 11, 8]
 """The motor of each joint of the network, as for a Go2: not its own inverse."""
+MOTORS = [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]
+"""The motor of each joint of a Go2, whose model begins with the left leg and whose messages with the right one."""
+JOINT = [MOTORS.index(motor) for motor in MAP]
+"""The Go2's joint of each joint of the network."""
 DEFAULT = np.linspace(-1.5, 0.9, 12)
 SCALES = {
     "base_ang_vel": [0.2, 0.3, 0.4],
@@ -65,11 +72,11 @@ def policy(tmp_path: Path) -> DeployYamlPolicy:
 
 
 def test_observations_equal_the_facts_over_thirty_steps(policy: DeployYamlPolicy) -> None:
-    """Written out joint by joint: a network's joint i is motor MAP[i]."""
+    """Written out joint by joint: a network's joint i is the robot's joint JOINT[i]."""
     action, seen = np.zeros(12, np.float32), []
     for state, command in inputs(30, 12):
-        q = [(state.q[MAP[i]] - DEFAULT[i]) * (1.0 + i / 10) for i in range(12)]
-        dq = [state.dq[MAP[i]] * 0.05 for i in range(12)]
+        q = [(state.q[JOINT[i]] - DEFAULT[i]) * (1.0 + i / 10) for i in range(12)]
+        dq = [state.dq[JOINT[i]] * 0.05 for i in range(12)]
         gyro = [min(max(state.gyro[axis], -1.0), 1.5) * SCALES["base_ang_vel"][axis] for axis in range(3)]
         seen.append((gyro, gravity(state.quat_wxyz), command * [2.0, 1.0, 0.25], q, dq, action.astype(np.float64)))
         expected: list[Floats] = []
@@ -85,12 +92,12 @@ def test_observations_equal_the_facts_over_thirty_steps(policy: DeployYamlPolicy
 def test_targets_are_scaled_moved_clipped_and_given_to_their_motors(policy: DeployYamlPolicy) -> None:
     action = np.linspace(-9, 9, 12).astype(np.float32)
     targets = policy.targets(action, np.zeros(3))
-    for joint, motor in enumerate(MAP):
-        scale, lower, upper = (0.25, -2.0, 2.0) if joint < 6 else (0.5, -0.5, 0.6)
-        wanted = min(max(float(action[joint]) * scale + DEFAULT[joint] + 0.1, lower), upper)
-        assert targets.q[motor] == pytest.approx(wanted, abs=1e-12)
-    np.testing.assert_array_equal(targets.kp, 20.0 + np.arange(12))
-    np.testing.assert_array_equal(targets.kd, 0.5 + np.arange(12) / 10)
+    for of_network, joint in enumerate(JOINT):
+        scale, lower, upper = (0.25, -2.0, 2.0) if of_network < 6 else (0.5, -0.5, 0.6)
+        wanted = min(max(float(action[of_network]) * scale + DEFAULT[of_network] + 0.1, lower), upper)
+        assert targets.q[joint] == pytest.approx(wanted, abs=1e-12)
+    np.testing.assert_array_equal(targets.kp, [20.0 + motor for motor in MOTORS])
+    np.testing.assert_array_equal(targets.kd, [0.5 + motor / 10 for motor in MOTORS])
 
 
 @pytest.mark.parametrize("is_run", [True, False])
@@ -112,9 +119,8 @@ def test_its_constants(policy: DeployYamlPolicy) -> None:
     spec = policy.spec
     assert (spec.name, spec.command, spec.rate_hz) == ("deploy-yaml", "velocity", 40.0)
     assert (spec.observation_size, spec.action_size) == (SIZE, 12)
-    assert spec.joint_names == MOTORS[12]
-    assert spec.joint_names[:3] == ("FR_hip", "FR_thigh", "FR_calf"), "a Go2's first motor"
-    assert [spec.default_q[motor] for motor in MAP] == DEFAULT.tolist()
+    assert spec.joint_names == ROBOTS["go2"].joint_names
+    assert [spec.default_q[joint] for joint in JOINT] == DEFAULT.tolist()
     assert spec.command_lower is not None
     assert spec.command_upper is not None
     assert (spec.command_lower.tolist(), spec.command_upper.tolist()) == ([-0.5, -0.3, -0.2], [1.0, 0.4, 0.2])
@@ -145,13 +151,47 @@ def test_a_network_is_found_where_exporters_put_it(tmp_path: Path, at: str, netw
     assert DeployYamlPolicy(tmp_path / at).spec.action_size == 12
 
 
-def test_a_robot_of_other_joints_is_named_by_whoever_knows_it(tmp_path: Path) -> None:
-    names = [f"motor_{number}" for number in range(12)]
-    assert DeployYamlPolicy(write(tmp_path, page()), joints=names).spec.joint_names == tuple(names)
-    with pytest.raises(ConfigError, match=r"drives 12 motors, 2 joints are named; expected one per motor"):
-        DeployYamlPolicy(write(tmp_path, page()), joints=["a", "b"])
-    with pytest.raises(ConfigError, match=r"drives 3 motors, 0 joints are named; .*robots of 29, 12 motors need no"):
+def test_a_robot_of_the_same_motors_is_named_and_one_of_others_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, page())
+    assert DeployYamlPolicy(path, robot="go1").spec.joint_names == ROBOTS["go1"].joint_names
+    with pytest.raises(
+        ConfigError, match=r"robot 'go11' is not known \(did you mean 'go1'\?\); known: g1_29, go2, go1"
+    ):
+        DeployYamlPolicy(path, robot="go11")
+    with pytest.raises(
+        ConfigError, match=r"joint_ids_map: motors \[3, .*; robot 'g1_29' has \[0, 1, .*28\]; known: g1"
+    ):
+        DeployYamlPolicy(path, robot="g1_29")
+    with pytest.raises(
+        ConfigError, match=r"joint_ids_map: motors \[0, 1, 2\]; no robot that is known has these; known"
+    ):
         DeployYamlPolicy(write(tmp_path, page(joint_ids_map=[0, 1, 2])))
+
+
+def test_a_robot_whose_messages_have_a_slot_without_a_motor_has_gains_for_that_too(tmp_path: Path) -> None:
+    motors = ROBOTS["h1"].motors
+    terms = {"joint_pos_rel": {"scale": [1.0] * 19}, "last_action": {"scale": [1.0] * 19}}
+    facts = page(
+        joint_ids_map=sorted(motors), stiffness=[100.0 + slot for slot in range(20)], damping=[1.0] * 20,
+        default_joint_pos=[0.0] * 19, observations=terms, actions={"JointPositionAction": {"scale": [0.25] * 19}},
+    )  # fmt: skip
+    spec = DeployYamlPolicy(write(tmp_path, facts, inputs=38, outputs=19)).spec
+    assert spec.joint_names == ROBOTS["h1"].joint_names
+    assert spec.kp.tolist() == [100.0 + motor for motor in motors]
+
+
+def test_a_dog_stands_by_its_page_on_the_robot_that_it_is_for(tmp_path: Path) -> None:
+    default = [ROBOTS["go2"].start_q[joint] for joint in JOINT]
+    facts = page(default_joint_pos=default, stiffness=[60.0] * 12, damping=[3.0] * 12, step_dt=0.02)
+    facts["actions"]["JointPositionAction"] |= {"offset": default, "clip": None}
+    path = write(tmp_path, facts)
+    onnx_file(tmp_path / "policy.onnx", SIZE, 12, scale=0.0)
+    rig = build(RigConfig(robot="go2-mujoco", policy="deploy-yaml", checkpoint=str(path)))
+    control = rig.control()
+    for tick in range(80):
+        record = control.step(control.sense(), samples_of(rig.command_format, np.zeros(3), tick * 0.02), tick * 0.02)
+    assert record.fall is None
+    np.testing.assert_allclose(record.state.q, ROBOTS["go2"].start_q, rtol=0, atol=0.1)
 
 
 def test_a_tag_of_python_s_slice_means_all_joints_and_any_other_is_refused(tmp_path: Path) -> None:
@@ -180,7 +220,7 @@ def _acting(**changes: Any) -> dict[str, Any]:
     [
         ("[1, 2]", "no deploy.yaml of a policy that follows velocities: Expected `object`, got `array`"),
         ("a: [", "not YAML"),
-        (page(joint_ids_map=[0] * 12), "joint_ids_map: expected each motor once, 0 to 11"),
+        (page(joint_ids_map=[0] * 12), r"joint_ids_map: motors \[0, .*; no robot that is known has these"),
         (page(stiffness=[1.0] * 11), "stiffness: expected 12 finite numbers"),
         (page(damping=[1.0] * 11 + [float("nan")]), "damping: expected 12 finite numbers"),
         (page(step_dt=0), r"> 0.0.* at `\$.step_dt`"),
