@@ -32,7 +32,7 @@ from station.operator.buttons import DRIVING, ButtonMap, Buttons, Pressed
 from station.operator.device_subscriber import DeviceSubscriber
 from station.operator.driver import Driver, DriverKind
 from station.operator.driving import CommandWriter, Driving, DrivingStep, ExitBlend, buttons_to_drive
-from station.operator.requests import ArmButtons, RecordButtons, Requests, StopPresser
+from station.operator.requests import ArmButtons, PolicyButton, RecordButtons, Requests, StopPresser
 from station.operator.robot_side import RobotSide
 from station.protocols import Floats
 
@@ -187,8 +187,9 @@ class Teleop:
         person = {"interface": config.device, "id": user_config.operator(config.operator)}
         self._to_drive, self._to_arm = bound.how_to_drive, bound.how_to_arm
         record = RecordButtons(life, watch, task=config.task, instruction=config.instruction, operator=person)
-        arm = ArmButtons(life, self._command_format.robot, config.device)
-        self._requests = Requests(record, StopPresser(life), arm, device=config.device)
+        robot = self._command_format.robot
+        arm, policy = ArmButtons(life, robot, config.device), PolicyButton(life, robot)
+        self._requests = Requests(record, StopPresser(life), arm, policy, device=config.device)
         self._speaks = False
         self._clock = life.clock
         self._heard_s = self._clock.monotonic_s()

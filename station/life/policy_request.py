@@ -97,6 +97,18 @@ def ask(bus: Bus, policy: str, *, name: str = "", within_s: float = WITHIN_S) ->
         NotReady: no such server runs, the bus did not take the request, or no answer came.
         Refused: the policy does not take over, with the reason; or no robot, or more than one, has several policies.
     """
+    return _ask(bus, _of_several(bus, name).robot, policy, within_s)
+
+
+def ask_next(bus: Bus, *, name: str = "", within_s: float = WITHIN_S) -> str:
+    """As `ask`, for the policy that comes after the one that drives; return its name."""
+    robot = _of_several(bus, name)
+    following = robot.names[(robot.names.index(robot.driving) + 1) % len(robot.names)]
+    _ask(bus, robot.robot, following, within_s)
+    return following
+
+
+def _of_several(bus: Bus, name: str) -> Policies:
     known = policies(bus, name)
     able = [each for each in known if len(each.names) > 1]
     if not able:
@@ -104,7 +116,10 @@ def ask(bus: Bus, policy: str, *, name: str = "", within_s: float = WITHIN_S) ->
         raise Refused(f"no other policy can take over: {said}; name others in its server's settings, `policies`")
     if len(able) > 1:
         raise Refused(f"several robots have several policies: {', '.join(each.robot for each in able)}; name one")
-    robot = able[0].robot
+    return able[0]
+
+
+def _ask(bus: Bus, robot: str, policy: str, within_s: float) -> str:
     wanted = PolicyRequest(policy=policy, id=request.new_id(), robot=robot, who=getpass.getuser())
     request.ask_robot(
         bus, robot, keys.POLICY, wanted, lambda data: _answer(data, wanted.id), what="policy", within_s=within_s

@@ -45,6 +45,7 @@ ACTIONS: dict[str, str] = {
     "discard": "flag the episode as discarded",
     "rerecord": "discard the episode and start it anew",
     "success": "say that the episode succeeded",
+    "policy": "have the robot's next policy take over",
     "arm": "let targets go to the robot, which grows stiff over two seconds",
     "disarm": "send the robot nothing more, at once",
 }

@@ -1,4 +1,7 @@
-"""What an operator asks of others with a button: recorder, emergency stop, arming. None of it holds up the caller."""
+"""What an operator asks of others with a button: recorder, emergency stop, arming, another policy.
+
+None of it holds up the caller.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from station.bus.watch import Watch
 from station.episode.recorder import remote
 from station.episode.storage.request import RecorderState
 from station.errors import BusError, NotReady, Refused, StationError
-from station.life import arm_request
+from station.life import arm_request, policy_request
 from station.life.arm_request import Action
 from station.life.server import Life
 from station.life.stop_button import StopButton
@@ -195,6 +198,29 @@ class ArmButtons:
             self.refusal = refusal
 
 
+class PolicyButton:
+    """Has a robot's next policy take over just as `station policy switch` does, over a line of its own, in a thread.
+
+    Args:
+        life: Says why none did.
+        robot: Suffix of the robot's keys.
+    """
+
+    def __init__(self, life: Life, robot: str) -> None:
+        self._life, self._robot = life, robot
+
+    def press(self) -> None:
+        """Ask for it."""
+        self._life.clock.start(self._ask, "policy-button")
+
+    def _ask(self) -> None:
+        try:
+            with Bus(self._life.bus.address, name=self._life.name, timeout_s=1.0) as line:
+                policy_request.ask_next(line, name=arm_request.server_of(line, self._robot))
+        except (BusError, NotReady, Refused) as error:
+            self._life.event("operator-policy-failed", severity="warning", reason=str(error))
+
+
 class Requests:
     """All of them, by the actions of `station.operator.buttons`.
 
@@ -202,11 +228,14 @@ class Requests:
         record: Passes on to the recorder.
         stop: Stops every robot.
         arm: Arms and disarms the one that is driven.
+        policy: Has another policy drive it.
         device: Whose buttons they are.
     """
 
-    def __init__(self, record: RecordButtons, stop: StopPresser, arm: ArmButtons, *, device: str) -> None:
-        self._record, self._stop, self._arm, self._device = record, stop, arm, device
+    def __init__(
+        self, record: RecordButtons, stop: StopPresser, arm: ArmButtons, policy: PolicyButton, *, device: str
+    ) -> None:
+        self._record, self._stop, self._arm, self._policy, self._device = record, stop, arm, policy, device
 
     def obey(self, pressed: Pressed) -> None:
         """Pass on what was pressed in a tick, the stop first."""
@@ -216,6 +245,8 @@ class Requests:
             self._arm.press("disarm")
         elif "arm" in pressed.started:
             self._arm.press("arm")
+        if "policy" in pressed.started:
+            self._policy.press()
         for name in RECORDING:
             if name in pressed.started:
                 self._record.press(name)

@@ -24,6 +24,7 @@ from station.bus.client import Bus
 from station.bus.redis_server import RedisServer, ServerOptions
 from station.bus.tap import Write
 from station.control.gate import GateConfig
+from station.control.rig import PolicyChoice
 from station.life.events import Event
 from station.life.restarts import Restarts
 from station.protocols import FALL_TILT_RAD, Floats
@@ -54,6 +55,7 @@ class OperatedStation:
         record: Whether there is a recorder.
         start_armed: Whether the robot starts armed.
         gate: The robot's patience.
+        policies: That may take over from the robot's first.
         teleop: Settings of the teleoperation server.
     """
 
@@ -67,6 +69,7 @@ class OperatedStation:
         record: bool = False,
         start_armed: bool = True,
         gate: GateConfig = PATIENT,
+        policies: Mapping[str, PolicyChoice] | None = None,
         **teleop: Any,
     ) -> None:
         self.data = folder / "data"
@@ -78,7 +81,10 @@ class OperatedStation:
         self.log = Log(self.server.address)
         self.supervisor = Supervisor(self.bus, folder / "logs")
         try:
-            g1 = G1Config(physics_dt_s=0.002, real_time_priority=0, start_armed=start_armed, gate=gate)
+            g1 = G1Config(
+                physics_dt_s=0.002, real_time_priority=0, start_armed=start_armed, gate=gate,
+                policies=dict(policies or {}), blend_s=0.1,
+            )  # fmt: skip
             self._start("g1", g1)
             if record:
                 self._start("recorder", RecorderConfig(data=self.data, min_free_mb=0))

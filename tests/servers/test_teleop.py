@@ -13,12 +13,13 @@ from station.bus import codec, keys
 from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.control.arming import RAMP_S
+from station.control.rig import PolicyChoice
 from station.errors import ConfigError
 from station.life.events import Event
 from station.life.server import Life
 from station.life.stop_button import StopButton
 from station.operator.buttons import HOLD_S
-from station.operator.requests import ArmButtons
+from station.operator.requests import ArmButtons, PolicyButton
 from tests.servers.g1_station import ROBOT, logged
 from tests.servers.operated_station import START_PAUSE, OperatedStation
 from tests.servers.operated_trials import (
@@ -108,6 +109,30 @@ def test_an_arm_button_that_nobody_answers_is_told(bus_server: BusAddress) -> No
         buttons.press("arm")
         wait_until(lambda: log.events("operator-arm-failed"))
         wait_until(lambda: buttons.refusal.startswith("no low-level server runs on"))
+        life.end("over")
+
+
+def test_a_button_has_the_next_policy_take_over_and_the_next_the_first(tmp_path: Path) -> None:
+    buttons = tmp_path / "buttons.yaml"
+    buttons.write_text("rerecord: none\npolicy: hold right_secondary\n")
+    stiff = PolicyChoice(policy="tracker", policy_options={"wrist_gains": "training"})
+    with OperatedStation(tmp_path, policies={"stiff": stiff}, buttons=buttons) as station:
+        for name in ("stiff", "tracker"):
+
+            def drives(name: str = name) -> bool:
+                return bool(station.log.gate()["policy"] == name)
+
+            station.press("right_secondary", until=drives, for_s=HOLD_S + 0.6)
+        assert [event.detail["policy"] for event in station.told("policy-switched")] == ["stiff", "tracker"]
+        assert not station.told("operator-policy-failed")
+
+
+def test_a_policy_button_that_cannot_do_it_says_why(bus_server: BusAddress) -> None:
+    with Bus(bus_server, name="teleop", timeout_s=5.0) as line, logged(bus_server) as log:
+        life = Life(registry.find("server", "teleop"), "teleop", line, "")
+        PolicyButton(life, ROBOT).press()
+        wait_until(lambda: log.events("operator-policy-failed"))
+        assert log.events("operator-policy-failed")[0].detail["reason"].startswith("no low-level server runs on")
         life.end("over")
 
 
