@@ -17,7 +17,7 @@ import msgspec
 from station import config, packages, registry
 from station.bus.client import Bus
 from station.errors import ConfigError, StationError, UsageError, did_you_mean
-from station.life import arm_request
+from station.life import arm_request, policy_request
 from station.life.server import ServerKind
 from station.supervision.checks import KINDS, Check
 
@@ -25,7 +25,8 @@ IfItDies = Literal["ask", "end", "restart"]
 
 _ONLY_TELL = ("recorder", "sensor")  # roles that move nothing by themselves
 _SERVER_NAME = re.compile(r"[A-Za-z0-9_-]+")
-_STEP_KINDS = ("check", "confirm", "start", "note", "arm", "disarm")
+_HAS_NONE = "-"  # in the place of a policy's name
+_STEP_KINDS = ("check", "confirm", "start", "note", "arm", "disarm", "policy")
 
 
 class CheckStep(msgspec.Struct, frozen=True, kw_only=True):
@@ -55,12 +56,36 @@ class Arming(msgspec.Struct, frozen=True, kw_only=True):
         done = arm_request.ask(bus, self.action, name=self.server, reason="runbook", within_s=self.within_s)
         return "; ".join(f"{name} {arm_request.story(self.action, states)}" for name, states in done.items())
 
+    def __str__(self) -> str:
+        return f"{self.action} {self.server}".rstrip()
 
-class ArmStep(CheckStep, frozen=True, kw_only=True):
-    """The robot is armed or disarmed; a check, in that it may fail and is answered by the station."""
+
+class TakingOver(msgspec.Struct, frozen=True, kw_only=True):
+    """What a step asks for that has another policy drive a robot: that of a server, or of a name; "" for the one that
+    has several policies."""
+
+    policy: str
+    robot: str = ""
+    within_s: float = policy_request.WITHIN_S
+
+    def run(self, bus: Bus, _data: Path, _stop: threading.Event) -> str:
+        """Ask for it and wait until it is done.
+
+        Raises:
+            NotReady: no answer in time.
+            Refused: it does not take over, with the reason.
+        """
+        return f"{policy_request.ask(bus, self.policy, name=self.robot, within_s=self.within_s)}: it drives"
 
     def __str__(self) -> str:
-        return f"{self.check} {self.what.server}".rstrip() if isinstance(self.what, Arming) else self.check
+        return f"policy {self.policy}" + f" robot={self.robot}" * bool(self.robot)
+
+
+class AskStep(CheckStep, frozen=True, kw_only=True):
+    """Something is asked of a robot; a check, in that it may fail and is answered by the station."""
+
+    def __str__(self) -> str:
+        return str(self.what)
 
 
 class ConfirmStep(msgspec.Struct, frozen=True, kw_only=True):
@@ -214,7 +239,7 @@ def load(path: Path, sets: Sequence[str] = ()) -> Runbook:
     steps = tuple(_step(raw, changes, f"{path} step {n}") for n, raw in enumerate(file.steps, 1))
     if not names:
         raise ConfigError(f"{path}: starts nothing; expected at least one step such as `- start: motion`")
-    _expect_started_before_armed(steps, str(path))
+    _expect_started_before_asked(steps, str(path))
     return Runbook(
         name=file.runbook,
         robot="" if any(step.start in changes for step in _low_level(steps)) else file.robot,
@@ -242,7 +267,10 @@ def _step(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], wher
     if kind == "check":
         return _check(raw, where)
     if kind in ("arm", "disarm"):
-        return _arm(raw, kind, where)
+        return _asked(raw, kind, (kind,), Arming, {"action": kind, "server": raw[kind] or ""}, where)
+    if kind == "policy":
+        given = {key: raw[key] for key in ("policy", "robot") if key in raw}
+        return _asked(raw, kind, ("policy", "robot"), TakingOver, given, where)
     if kind == "confirm":
         return config.build(ConfirmStep, raw, where=where)
     return config.build(NoteStep, raw, where=where)
@@ -288,22 +316,33 @@ def _check(raw: Mapping[str, Any], where: str) -> CheckStep:
     return CheckStep(check=name, what=what)
 
 
-def _arm(raw: Mapping[str, Any], action: str, where: str) -> ArmStep:
-    known = (action, "within")
+def _asked(
+    raw: Mapping[str, Any], kind: str, of_kind: tuple[str, ...], what: Any, values: dict[str, Any], where: str
+) -> AskStep:
+    known = (*of_kind, "within")
     for key in raw:
         if key not in known:
             raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(key, known)}; known: {', '.join(known)}")
-    within_s = config.seconds(raw.get("within", arm_request.WITHIN_S), where=f"{where}: within")
-    values = {"action": action, "server": raw[action] or "", "within_s": within_s}
-    return ArmStep(check=action, what=config.build(Arming, values, where=f"{where} ({action})"))
+    if "within" in raw:
+        values["within_s"] = config.seconds(raw["within"], where=f"{where}: within")
+    return AskStep(check=kind, what=config.build(what, values, where=f"{where} ({kind})"))
 
 
-def _expect_started_before_armed(steps: Sequence[Step], where: str) -> None:
+def _expect_started_before_asked(steps: Sequence[Step], where: str) -> None:
     started: list[str] = []
+    policies: list[str] = []
     for number, step in enumerate(steps, 1):
         if isinstance(step, StartStep):
             started.append(step.start)
-        name = step.what.server if isinstance(step, ArmStep) and isinstance(step.what, Arming) else ""
+            policies += [*getattr(step.config, "policies", ()), getattr(step.config, "policy", _HAS_NONE)]
+        what = step.what if isinstance(step, CheckStep) else None
+        if isinstance(what, TakingOver) and not {what.policy, ""} & set(policies):  # "": that of the robot
+            known = [name for name in policies if name != _HAS_NONE]
+            raise ConfigError(
+                f"{where} step {number}: {step}{did_you_mean(what.policy, known)}: no server that a step before it "
+                f"starts has this policy in its settings (`policy`, `policies`); by then: {', '.join(known) or 'none'}"
+            )
+        name = what.server if isinstance(what, Arming) else ""
         if name and name not in started:
             raise ConfigError(
                 f"{where} step {number}: {step}{did_you_mean(name, started)}: no step before it starts that server; "

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from threading import Event
 from typing import NamedTuple
 
 import pytest
@@ -16,6 +18,7 @@ from station.bus.address import BusAddress
 from station.bus.client import Bus
 from station.errors import Refused
 from station.life.policy_request import PolicyRequest
+from station.supervision.runbook import TakingOver
 from tests.servers.g1_station import PATIENT, ROBOT, G1Process, Log, StockCommander, logged
 from tests.waiting import wait_until
 
@@ -65,6 +68,14 @@ def test_another_policy_takes_over_while_the_robot_is_driven_and_back(bus_server
         assert set(robot.log.states()[-20:]) == {"tracking"}
         assert not robot.log.events("fall")
         assert [each.driving for each in robot.station.policies()] == ["tracker"]
+
+
+def test_a_step_of_a_runbook_has_another_policy_take_over(bus_server: BusAddress, tmp_path: Path) -> None:
+    with driven(bus_server, *STIFF) as robot, Bus(bus_server, name="up", timeout_s=5.0) as line:
+        assert TakingOver(policy="stiff").run(line, tmp_path, Event()) == f"{ROBOT}: it drives"
+        wait_until(lambda: robot.log.gate()["policy"] == "stiff")
+        with pytest.raises(Refused, match="'stiff' drives already"):
+            TakingOver(policy="stiff", robot="g1").run(line, tmp_path, Event())
 
 
 def test_what_cannot_take_over_is_refused_in_a_line(bus_server: BusAddress) -> None:

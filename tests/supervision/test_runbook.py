@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from servers.motion import MotionConfig
-from station.errors import BadFile, StationError, UsageError
+from station.errors import BadFile, ConfigError, StationError, UsageError
 from station.supervision import runbook
 from station.supervision.checks import DiskCheck
-from station.supervision.runbook import Arming, CheckStep, ConfirmStep, StartStep
+from station.supervision.runbook import Arming, CheckStep, ConfirmStep, StartStep, TakingOver
 
 GOOD = """
 runbook: test
@@ -57,6 +57,21 @@ def test_a_robot_is_armed_and_disarmed_by_steps_that_follow_the_start_of_its_ser
     assert every.what == Arming(action="arm", server="")
 
 
+def test_a_step_has_another_policy_of_a_server_before_it_take_over(tmp_path: Path) -> None:
+    g1 = "  - start: g1\n    with: {policies: {stiff: {policy: tracker}}}\n"
+    steps = GOOD.replace(
+        "  - note", f"{g1}  - policy: stiff\n    within: 4s\n  - policy: tracker\n    robot: g1\n  - note"
+    )
+    *_, first, second, _ = load(tmp_path, steps).steps
+    assert [str(step) for step in (first, second)] == ["policy stiff", "policy tracker robot=g1"]
+    assert isinstance(first, CheckStep)
+    assert first.what == TakingOver(policy="stiff", within_s=4.0)
+    with pytest.raises(
+        ConfigError, match=r"step 5: policy stif \(did you mean 'stiff'\?\): .*; by then: stiff, tracker$"
+    ):
+        load(tmp_path, GOOD.replace("  - note", f"{g1}  - policy: stif\n  - note"))
+
+
 def test_what_moves_a_robot_asks_before_it_starts_again_and_a_recorder_does_not_unless_told_otherwise(
     tmp_path: Path,
 ) -> None:
@@ -95,6 +110,9 @@ def test_set_options_change_a_servers_configuration(tmp_path: Path) -> None:
         ("- note:", "- arm: moton\n  - note:", "step 4: arm moton (did you mean 'motion'?): no step before it starts"),
         ("- note:", "- arm: motion\n    wihin: 1s\n  - note:", "unknown key 'wihin' (did you mean 'within'?)"),
         ("- note:", "- arm: [1]\n  - note:", "step 4 (arm): "),
+        ("- note:", "- policy: walker\n  - note:", "step 4: policy walker: no server that a step before it starts has"),
+        ("- note:", "- policy: walker\n    robt: g1\n  - note:", "unknown key 'robt' (did you mean 'robot'?)"),
+        ("- note:", "- policy:\n  - note:", "step 4 (policy): "),
         ("min_free_gb", "min_fre_gb", "step 1 (check disk): unknown key 'min_fre_gb' (did you mean 'min_free_gb'?)"),
         ("check: disk\n    min_free_gb: 1", "check: ping", "step 1 (check ping): missing key host"),
         ("- confirm:", "- confrim:", "step 2: unknown step 'confrim' (did you mean 'confirm'?)"),
