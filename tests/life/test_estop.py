@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from station.bus import keys
@@ -91,8 +93,8 @@ def test_a_stop_and_a_release_of_which_no_word_has_come_yet_count_where_they_are
         latched = memory.latched()
         assert latched is not None
         assert latched.reason == "smoke"
-        stop = bus.read([keys.ESTOP])[keys.ESTOP]
-        monkeypatch.setattr(memory._watch, "latest", {keys.ESTOP: stop}.get)
+        heard = msgspec.structs.replace(bus.read([keys.ESTOP])[keys.ESTOP], arrived_ns=time.monotonic_ns())
+        monkeypatch.setattr(memory._watch, "latest", {keys.ESTOP: heard}.get)
         bus.publish({keys.ESTOP: b'{"stop": false}'})
         memory._keeper.file.release("anna")
         assert memory.latched() is None, "of the release no word has come yet"
