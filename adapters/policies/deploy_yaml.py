@@ -213,8 +213,9 @@ class _Values:
         if action.joint_ids is not None and action.joint_ids not in every:
             raise BadFile(f"{self.path}: JointPositionAction: joint_ids {action.joint_ids}; expected all joints")
         clip = np.array(action.clip or [(-math.inf, math.inf)] * self.count)
-        if len(clip) != self.count:
-            raise BadFile(f"{self.path}: JointPositionAction: clip: expected {self.count} pairs, got {len(clip)}")
+        if len(clip) != self.count or np.isnan(clip).any():
+            came = str(action.clip)[:80]
+            raise BadFile(f"{self.path}: JointPositionAction: clip: expected {self.count} pairs of numbers, got {came}")
         scale, offset = self.each("scale", action.scale, 1.0), self.each("offset", action.offset)
         return scale, offset, (clip[:, 0], clip[:, 1])
 
@@ -245,6 +246,10 @@ def _read(path: Path) -> _Page:
         return msgspec.convert(safe_yaml.load(text), _Page)
     except FileNotFoundError:
         raise BadFile(f"{path}: no such file; expected a deploy.yaml") from None
+    except UnicodeDecodeError:
+        raise BadFile(
+            f"{path}: is no text; name the deploy.yaml that belongs to the network, as `checkpoint`"
+        ) from None
     except (OSError, ValueError, msgspec.ValidationError) as error:
         raise BadFile(f"{path}: no deploy.yaml of a policy that follows velocities: {str(error)[:200]}") from None
 

@@ -1,10 +1,10 @@
-"""FALCON's policy of a G1, legs by velocities and a posture, arms as they are told: ONNX, 5 frames of 115 numbers in.
+"""FALCON's policy of a G1, for legs, torso and arms at once: ONNX, 5 frames of 115 numbers in, 29 joint offsets out.
 
 A frame: 0 previous output, clipped (29) · 29 gyro x 0.25 (3) · 32 yaw rate of the command (1) · 33 height of the base
 [m] x 2 (1) · 34 vx, vy (2) · 36 whether it walks: 1 unless all three are zero (1) · 37 yaw, roll, pitch of the torso
 (3) · 40 q - default (29) · 69 dq x 0.05 (29) · 98 gravity (3) · 101 positions that the arms are to take (14). Frames
-are zero at the start, the oldest one first. Its output is for all 29 joints: the arms' is added to what they are told,
-so that it may balance with them.
+are zero at the start, the oldest one first. The offsets of the legs and the waist are from the default pose, those of
+the arms from the commanded positions: it balances with the arms, too.
 
 Wire facts: LeCAR-Lab/FALCON, ``sim2real``, configuration and policy. What it was trained on is not said there: the
 range of velocities and heights is what it followed here.
@@ -21,7 +21,7 @@ from adapters.robots.g1 import joints as g1
 from station.protocols import Floats, Floats32, JointTargets, RobotState
 
 _ARMS = slice(15, 29)
-_TOLD = slice(7, None)  # of a command, to the arms
+_TOLD = slice(7, None)  # of a command: positions of the arms
 _YAW_ROLL_PITCH = [6, 4, 5]
 
 
@@ -42,7 +42,7 @@ class FalconPolicy(FramedFollower):
     )
 
     def targets(self, action: Floats32, command: Floats) -> JointTargets:
-        """Return default + scale x the clipped output, for the arms beside where they are told to be."""
+        """Return default + scale x the clipped output; for the arms, the commanded positions + that."""
         made = super().targets(action, command)
         made.q[_ARMS] += command[_TOLD]
         return made

@@ -71,7 +71,7 @@ class _Kept(logging.Handler):
         self._thread = threading.Thread(target=self._write_all, name="log", daemon=True)
         self._thread.start()
 
-    def emit(self, record: logging.LogRecord) -> None:
+    def emit(self, record: logging.LogRecord) -> None:  # within the handler's lock
         try:
             self._lines.put_nowait(self.format(record))
         except queue.Full:
@@ -83,12 +83,20 @@ class _Kept(logging.Handler):
         self._thread.join(_LAST_S)
 
     def _write_all(self) -> None:
-        while (line := self._lines.get()) is not None:
-            self._write(line)
-            if self._more and self._lines.empty():
-                more, self._more = self._more, 0
-                text = f"{more} more lines were not kept: whoever takes this log was too slow"
-                self._write(self.format(logging.LogRecord(__name__, logging.WARNING, "", 0, text, None, None)))
+        line: str | None = ""
+        while line is not None:
+            if (line := self._lines.get()) is not None:
+                self._write(line)
+            if line is None or self._lines.empty():
+                self._tell_how_many_more()
+
+    def _tell_how_many_more(self) -> None:
+        self.acquire()
+        more, self._more = self._more, 0
+        self.release()
+        if more:
+            text = f"{more} more lines were not kept: whoever takes this log was too slow"
+            self._write(self.format(logging.LogRecord(__name__, logging.WARNING, "", 0, text, None, None)))
 
     def _write(self, line: str) -> None:
         left = f"{line}\n".encode(errors="backslashreplace")

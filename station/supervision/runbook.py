@@ -25,7 +25,6 @@ IfItDies = Literal["ask", "end", "restart"]
 
 _ONLY_TELL = ("recorder", "sensor")  # roles that move nothing by themselves
 _SERVER_NAME = re.compile(r"[A-Za-z0-9_-]+")
-_HAS_NONE = "-"  # in the place of a policy's name
 _STEP_KINDS = ("check", "confirm", "start", "note", "arm", "disarm", "policy")
 
 
@@ -61,8 +60,8 @@ class Arming(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TakingOver(msgspec.Struct, frozen=True, kw_only=True):
-    """What a step asks for that has another policy drive a robot: that of a server, or of a name; "" for the one that
-    has several policies."""
+    """What a step asks for: another policy to drive a robot, given by its name or its server's; "" for the only robot
+    that has several policies."""
 
     policy: str
     robot: str = ""
@@ -75,7 +74,7 @@ class TakingOver(msgspec.Struct, frozen=True, kw_only=True):
             NotReady: no answer in time.
             Refused: it does not take over, with the reason.
         """
-        return f"{policy_request.ask(bus, self.policy, name=self.robot, within_s=self.within_s)}: it drives"
+        return f"{policy_request.ask(bus, self.policy, name=self.robot, within_s=self.within_s)}: {self.policy} drives"
 
     def __str__(self) -> str:
         return f"policy {self.policy}" + f" robot={self.robot}" * bool(self.robot)
@@ -334,13 +333,14 @@ def _expect_started_before_asked(steps: Sequence[Step], where: str) -> None:
     for number, step in enumerate(steps, 1):
         if isinstance(step, StartStep):
             started.append(step.start)
-            policies += [*getattr(step.config, "policies", ()), getattr(step.config, "policy", _HAS_NONE)]
+            own: str | None = getattr(step.config, "policy", None)  # "": that of the robot, which no setting names
+            policies += [*getattr(step.config, "policies", ()), *([] if own is None else [own])]
         what = step.what if isinstance(step, CheckStep) else None
-        if isinstance(what, TakingOver) and not {what.policy, ""} & set(policies):  # "": that of the robot
-            known = [name for name in policies if name != _HAS_NONE]
+        if isinstance(what, TakingOver) and not {what.policy, ""} & set(policies):
             raise ConfigError(
-                f"{where} step {number}: {step}{did_you_mean(what.policy, known)}: no server that a step before it "
-                f"starts has this policy in its settings (`policy`, `policies`); by then: {', '.join(known) or 'none'}"
+                f"{where} step {number}: {step}{did_you_mean(what.policy, policies)}: no server that a step before it "
+                f"starts has this policy in its settings (`policy`, `policies`); "
+                f"by then: {', '.join(policies) or 'none'}"
             )
         name = what.server if isinstance(what, Arming) else ""
         if name and name not in started:

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from datetime import UTC, datetime
 
 import pytest
@@ -81,7 +82,7 @@ def test_levels_in_either_case(home: Home, level: str) -> None:
 
 
 class FullPipe:
-    """A log that takes nothing for now, as a disk that stalls, or a terminal that Ctrl-S holds."""
+    """Stands for a log whose disk stalls, or a terminal that Ctrl-S holds: who writes to it waits."""
 
     def __init__(self) -> None:
         self._end, self.descriptor = os.pipe()
@@ -95,14 +96,15 @@ class FullPipe:
         self._reader = threading.Thread(target=self._take, daemon=True)
 
     def take(self) -> None:
-        """Take all from now on."""
+        """Read everything from now on."""
         self._reader.start()
 
     def taken(self) -> list[bytes]:
+        """Return what was read so far."""
         return list(self._taken)
 
     def lines(self) -> list[str]:
-        """Return what was written once nobody writes any more."""
+        """Return the lines that were written, when their writer has ended."""
         os.close(self.descriptor)
         self._reader.join(DEADLINE_S)
         return b"".join(self._taken)[self._filled :].decode().splitlines()
@@ -165,6 +167,32 @@ def test_of_a_log_that_nobody_takes_a_thousand_lines_are_kept_and_told_how_many_
     assert len(kept) in (1000, 1001), "one more is being written"
     assert int(more) + len(kept) == 3000
     assert "the last" in last
+
+
+def test_a_server_that_ends_while_its_log_is_taken_again_tells_how_many_lines_it_did_not_keep() -> None:
+    pipe, patient = (
+        FullPipe(),
+        SAYS.replace("log_lines.begin()", f"log_lines._LAST_S = {DEADLINE_S}; log_lines.begin()"),
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", patient],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=pipe.descriptor,
+        text=True,
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        assert process.stdout.readline() == "went on\n"
+        process.stdin.write("\n")
+        process.stdin.close()
+        time.sleep(0.5)  # by then it waits for a place for its end
+        pipe.take()
+        assert process.wait(DEADLINE_S) == 0
+    said = pipe.lines()
+    more = [int(found[1]) for line in said if (found := re.search(r"(\d+) more lines were not kept", line))]
+    assert more
+    assert len(said) - len(more) + sum(more) == 3001, "and the last"
 
 
 def test_a_log_that_nobody_takes_does_not_keep_a_server_from_its_end() -> None:

@@ -59,9 +59,9 @@ class Commander:
     def _wish(self) -> Floats:
         random = self._random
         if self.part.velocities:
-            wish = self.part.default.copy()
-            if random.random() < 0.7:
-                wish[:3] = random.uniform(-0.4, 0.7), random.uniform(-0.3, 0.3), random.uniform(-0.5, 0.5)
+            wish, walks = self.part.default.copy(), random.random() < 0.7
+            velocity = random.uniform(-0.4, 0.7), random.uniform(-0.3, 0.3), random.uniform(-0.5, 0.5)
+            wish[:3] = walks * np.array(velocity)
             if self.part.holds_position:  # a height, and a torso
                 wish[3:] = random.uniform(0.5, 0.75), *(random.uniform(-0.4, 0.4) for _ in wish[4:])
             return wish

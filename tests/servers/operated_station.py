@@ -55,7 +55,7 @@ class OperatedStation:
         record: Whether there is a recorder.
         start_armed: Whether the robot starts armed.
         gate: The robot's patience.
-        policies: That may take over from the robot's first.
+        policies: By name, those that may take over from the robot's first policy.
         teleop: Settings of the teleoperation server.
     """
 

@@ -72,7 +72,7 @@ def test_another_policy_takes_over_while_the_robot_is_driven_and_back(bus_server
 
 def test_a_step_of_a_runbook_has_another_policy_take_over(bus_server: BusAddress, tmp_path: Path) -> None:
     with driven(bus_server, *STIFF) as robot, Bus(bus_server, name="up", timeout_s=5.0) as line:
-        assert TakingOver(policy="stiff").run(line, tmp_path, Event()) == f"{ROBOT}: it drives"
+        assert TakingOver(policy="stiff").run(line, tmp_path, Event()) == f"{ROBOT}: stiff drives"
         wait_until(lambda: robot.log.gate()["policy"] == "stiff")
         with pytest.raises(Refused, match="'stiff' drives already"):
             TakingOver(policy="stiff", robot="g1").run(line, tmp_path, Event())

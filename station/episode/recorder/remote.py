@@ -22,7 +22,7 @@ def ask(bus: Bus, action: Action, *, timeout_s: float = 20.0, **fields: Any) -> 
         fields: The other fields of `RecordRequest`.
 
     Raises:
-        NotReady: the bus did not take the request, or no recorder answered.
+        NotReady: the bus did not take the request, or no answer came in time.
         Refused: the recorder said no; with its reason.
     """
     wanted = RecordRequest(id=request.new_id(), action=action, **fields)

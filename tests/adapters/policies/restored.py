@@ -1,4 +1,4 @@
-"""A policy that is restored from what was recorded, beside the one that went on."""
+"""What every policy's memory has to do: go on from what was recorded, and forget when it is reset."""
 
 from __future__ import annotations
 
@@ -34,3 +34,13 @@ def expect_goes_on(policy: Policy, other: Policy, steps: Sequence[tuple[RobotSta
 def _expect_same(policy: Policy, other: Policy, observation: Floats, action: Floats, command: Floats) -> None:
     np.testing.assert_array_equal(other.act(observation), action)
     np.testing.assert_array_equal(other.targets(action, command).q, policy.targets(action, command).q)
+
+
+def expect_forgets(policy: Policy, steps: Sequence[tuple[RobotState, Floats]]) -> None:
+    """Fail unless a policy that was reset observes the first of some steps, four at least, as it did at its start."""
+    (state, command), *more = steps
+    first = policy.observe(state, command)
+    for later in more:
+        policy.act(policy.observe(*later))
+    policy.reset()
+    np.testing.assert_array_equal(policy.observe(state, command), first)

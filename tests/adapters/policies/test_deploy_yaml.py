@@ -16,7 +16,7 @@ from station.control.parted_path import samples_of
 from station.control.rig import RigConfig, build
 from station.errors import BadFile, ConfigError, StationError
 from station.protocols import Floats
-from tests.adapters.policies.restored import expect_goes_on
+from tests.adapters.policies.restored import expect_forgets, expect_goes_on
 
 from .velocity_inputs import gravity, inputs, onnx_file
 
@@ -107,12 +107,7 @@ def test_a_restored_policy_goes_on_bit_for_bit(policy: DeployYamlPolicy, is_run:
 
 
 def test_reset_forgets_everything(policy: DeployYamlPolicy) -> None:
-    (state, command), *more = inputs(4, 12)
-    first = policy.observe(state, command)
-    for later in more:
-        policy.act(policy.observe(*later))
-    policy.reset()
-    np.testing.assert_array_equal(policy.observe(state, command), first)
+    expect_forgets(policy, inputs(4, 12))
 
 
 def test_its_constants(policy: DeployYamlPolicy) -> None:
@@ -227,7 +222,8 @@ def _acting(**changes: Any) -> dict[str, Any]:
         (page(commands={}), "missing required field `base_velocity`"),
         (page(actions={"JointVelocityAction": {}}), "unknown field `JointVelocityAction`"),
         (_acting(joint_ids=[0, 1]), r"joint_ids \[0, 1\]; expected all joints"),
-        (_acting(clip=[[0, 1]]), "clip: expected 12 pairs, got 1"),
+        (_acting(clip=[[0, 1]]), r"clip: expected 12 pairs of numbers, got \[\(0.0, 1.0\)\]"),
+        (_acting(clip=[[0, float("nan")]] * 12), r"clip: expected 12 pairs of numbers, got \[\(0.0, nan\), "),
         (_acting(offset=[0.0]), "offset: expected 12 finite numbers"),
         (_with("gait_phase"), "observation 'gait_phase' is not known here; known: base_ang_vel"),
         (_with("base_ang_vel", scale=[1.0]), "base_ang_vel: scale: expected 3 finite numbers"),
@@ -247,6 +243,8 @@ def test_a_page_or_a_network_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(BadFile, match=r"no such file; expected a deploy\.yaml"):
         DeployYamlPolicy(tmp_path / "deploy.yaml")
     path = write(tmp_path, page())
+    with pytest.raises(BadFile, match=r"is no text; name the deploy\.yaml that belongs to the network"):
+        DeployYamlPolicy(tmp_path / "policy.onnx")
     (tmp_path / "policy.onnx").unlink()
     with pytest.raises(BadFile, match=r"expected policy.onnx, deploy.onnx or ../exported/policy.onnx beside it"):
         DeployYamlPolicy(path)

@@ -1,4 +1,4 @@
-"""FALCON's policy of a G1: its frames to the last number, and arms that are where they are told to be."""
+"""FALCON's policy of a G1: what its network sees, number by number, and its targets for legs, waist and arms."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from adapters.robots.g1 import joints as g1
 from adapters.robots.g1.joints import G1_29
 from station.errors import BadFile
 from station.protocols import Floats, RobotState
-from tests.adapters.policies.restored import expect_goes_on
+from tests.adapters.policies.restored import expect_forgets, expect_goes_on
 
 from .velocity_inputs import gravity, inputs, onnx_file
 
@@ -63,7 +63,9 @@ def test_observations_are_the_facts_frames_oldest_first_over_ten_steps(policy: F
         policy._action = action = policy.act(observation) * np.float32(60)  # some of it beyond the clip
 
 
-def test_arms_are_where_they_are_told_to_be_and_balance_about_that(policy: FalconPolicy) -> None:
+def test_targets_of_the_arms_are_about_the_commanded_positions_and_those_of_the_legs_about_the_default_pose(
+    policy: FalconPolicy,
+) -> None:
     action = np.linspace(-150, 150, 29).astype(np.float32)
     ((_, command),) = steps(1)
     targets = policy.targets(action, command)
@@ -82,6 +84,10 @@ def test_a_restored_policy_goes_on_bit_for_bit(policy: FalconPolicy, is_run: boo
     for state, command in steps(3, seed=9):  # another past
         other.act(other.observe(state, command))
     expect_goes_on(policy, other, steps(12, seed=3), is_run=is_run)
+
+
+def test_reset_forgets_everything(policy: FalconPolicy) -> None:
+    expect_forgets(policy, steps(4))
 
 
 def test_its_constants(policy: FalconPolicy) -> None:

@@ -12,7 +12,7 @@ from adapters.policies.holosoma import HolosomaPolicy
 from adapters.robots.g1.joints import G1_29
 from station.errors import BadFile
 from station.protocols import Floats
-from tests.adapters.policies.restored import expect_goes_on
+from tests.adapters.policies.restored import expect_forgets, expect_goes_on
 
 from .velocity_inputs import gravity, inputs, onnx_file
 
@@ -93,12 +93,7 @@ def test_a_restored_policy_goes_on_bit_for_bit(policy: HolosomaPolicy, is_run: b
 
 
 def test_reset_forgets_everything(policy: HolosomaPolicy) -> None:
-    (state, command), *more = inputs(4, 29)
-    first = policy.observe(state, command)
-    for later in more:
-        policy.act(policy.observe(*later))
-    policy.reset()
-    np.testing.assert_array_equal(policy.observe(state, command), first)
+    expect_forgets(policy, inputs(4, 29))
 
 
 def test_its_constants(policy: HolosomaPolicy) -> None:

@@ -14,7 +14,7 @@ from adapters.robots.g1.joints import G1_29
 from station.control.rig import RigConfig, build
 from station.errors import BadFile, ConfigError, StationError
 from station.protocols import Floats, Floats32, RobotState
-from tests.adapters.policies.restored import expect_goes_on
+from tests.adapters.policies.restored import expect_forgets, expect_goes_on
 
 from .velocity_inputs import gravity, inputs, onnx_file
 
@@ -137,12 +137,7 @@ def test_a_restored_policy_goes_on_bit_for_bit(policy: FramedFollower, tmp_path:
 
 
 def test_reset_forgets_everything(policy: FramedFollower) -> None:
-    (state, command), *more = steps(4, len(STAND[type(policy)]))
-    first = policy.observe(state, command)
-    for later in more:
-        policy.act(policy.observe(*later))
-    policy.reset()
-    np.testing.assert_array_equal(policy.observe(state, command), first)
+    expect_forgets(policy, steps(4, len(STAND[type(policy)])))
 
 
 def test_groot_balances_below_a_velocity_of_five_hundredths_and_walks_above(tmp_path: Path) -> None:

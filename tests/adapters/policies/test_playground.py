@@ -13,7 +13,7 @@ from adapters.robots.g1.joints import G1_29
 from station.command_formats import command_format
 from station.control.control import ControlStep
 from station.errors import BadFile, ConfigError
-from tests.adapters.policies.restored import expect_goes_on
+from tests.adapters.policies.restored import expect_forgets, expect_goes_on
 from tests.control.ideal_robot import IdealRobot
 
 from .velocity_inputs import gravity, inputs, onnx_file
@@ -88,12 +88,7 @@ def test_a_restored_policy_goes_on_bit_for_bit(g1: PlaygroundG1Policy, steps: in
 
 
 def test_reset_forgets_everything(g1: PlaygroundG1Policy) -> None:
-    (state, command), *more = inputs(4, 29)
-    first = g1.observe(state, command)
-    for later in more:
-        g1.act(g1.observe(*later))
-    g1.reset()
-    np.testing.assert_array_equal(g1.observe(state, command), first)
+    expect_forgets(g1, inputs(4, 29))
 
 
 def test_a_robot_that_does_not_measure_its_velocity_is_refused_in_one_line(g1: PlaygroundG1Policy) -> None:

@@ -15,7 +15,7 @@ from adapters.robots.g1.joints import G1_23, G1_25, G1_29
 from station.errors import BadFile, StationError
 from station.protocols import Floats, RobotState
 from station.rotations import normalized, roll_pitch_yaw
-from tests.adapters.policies.restored import expect_goes_on
+from tests.adapters.policies.restored import expect_forgets, expect_goes_on
 
 pytestmark = [pytest.mark.torch, pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")]
 
@@ -85,12 +85,7 @@ def test_a_restored_policy_goes_on_bit_for_bit(policy: TwistPolicy, is_run: bool
 
 
 def test_reset_forgets_everything(policy: TwistPolicy) -> None:
-    (state, command), *more = _inputs(4)
-    first = policy.observe(state, command)
-    for later in more:
-        policy.act(policy.observe(*later))
-    policy.reset()
-    np.testing.assert_array_equal(policy.observe(state, command), first)
+    expect_forgets(policy, _inputs(4))
 
 
 def test_the_spec_is_that_of_29_driven_joints(policy: TwistPolicy) -> None:
