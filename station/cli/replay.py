@@ -82,6 +82,10 @@ def _to_sim(reader: EpisodeReader, as_json: bool) -> None:
     if as_json:
         click.echo(msgspec.json.encode(report))
     else:
+        if (count := report.without_state) == 1:
+            click.echo("1 step not compared: the state before it was not recorded")
+        elif count:
+            click.echo(f"{count} steps not compared: the states before them were not recorded")
         click.echo(
             f"{report.steps} steps, {report.different} differ; "
             f"greatest difference {report.max_q_difference_rad:.3g} rad"
@@ -94,7 +98,7 @@ def _to_sim(reader: EpisodeReader, as_json: bool) -> None:
             )
         for note in report.notes:
             click.echo(f"not as recorded: {note}")
-    raise SystemExit(1 if report.lock_step and report.different else 0)
+    raise SystemExit(1 if not report.steps or (report.lock_step and report.different) else 0)
 
 
 def _to_rerun(reader: EpisodeReader, save_as: Path | None, robot_model: str | None, as_json: bool) -> None:

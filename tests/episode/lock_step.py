@@ -29,6 +29,7 @@ def record(
     skip: int = 0,
     config: G1Config | None = None,
     switches: Mapping[int, str] | None = None,
+    with_first_state: bool = True,
 ) -> Path:
     """Run a motion for some seconds, write what the servers would write, and return the episode's folder.
 
@@ -38,6 +39,7 @@ def record(
         skip: First steps that are run but not recorded, as when the recording starts late.
         config: Of the G1 server.
         switches: Names of policies that are asked for, by the tick at which.
+        with_first_state: Whether the first state that the robot said is in the file; it waited long for a command else.
     """
     config = config or G1Config(pace="command", physics_dt_s=0.002)
     rig = build(config.rig)
@@ -57,7 +59,8 @@ def record(
                 for key in keys_of_writer:
                     builder.skip(key, writer=writer)
             continue
-        builder.write(values[0][1], at_s=at_s)
+        if tick or with_first_state:
+            builder.write(values[0][1], at_s=at_s)
         sent = {command_key: values[1][1][command_key], keys.command_source(rig.command_format.robot): source}
         builder.write(sent, at_s=at_s + 0.001, writer="motion")
         builder.write(values[2][1], at_s=at_s + 0.004)

@@ -10,8 +10,11 @@ from pathlib import Path
 from typing import Any
 
 SHARED_VARIABLES = ("STATION_BUS", "STATION_BUS_PASSWORD", "STATION_DATA")
-LOCK_STEP = ("g1.pace=command", "motion.pace=state", "g1.command_timeout_s=20", "motion.patience_s=20")
-"""One waits for the other however late it is: time stands still meanwhile, and goes not on without a command."""
+LOCK_STEP = (
+    "g1.pace=command", "motion.pace=state", "g1.command_timeout_s=20", "motion.patience_s=20", "recorder.preroll_s=60",
+)  # fmt: skip
+"""One waits for the other however late it is: time stands still meanwhile, and goes not on without a command. The robot
+says its first state once, and waits: it belongs to the episode, however late the recorder comes."""
 RUNBOOK = "runbooks/g1-sim-motion.yaml"
 ROOT = Path(__file__).parents[2]
 

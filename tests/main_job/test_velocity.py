@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.main_job.station_runs import Terminal
+from tests.main_job.station_runs import LOCK_STEP, Terminal
 from tests.main_job.velocity_runs import FIGURES_WITHIN, HOLOSOMA, RUNBOOK, Walked, expect_figures, expect_sound, walk
 from tests.verdicts import OF_A_LATE_MACHINE
 
@@ -15,7 +15,7 @@ velocities:
   - {seconds: 4, vx: 0.5}
   - {seconds: 4, wz: 1.4}
 """
-LOCK_STEP = ("robot.pace=command", "motion.pace=state", "robot.command_timeout_s=20", "motion.patience_s=20")
+SETTINGS = [setting.replace("g1.", "robot.") for setting in LOCK_STEP]
 
 pytestmark = [pytest.mark.assets, pytest.mark.timeout(300)]
 
@@ -25,7 +25,7 @@ def walked(processes: None, assets: Path, tmp_path_factory: pytest.TempPathFacto
     folder = tmp_path_factory.mktemp("walk")
     script = folder / "patrol.velocity"
     script.write_text(SCRIPT)
-    return walk(folder / "station", str(script), *LOCK_STEP)
+    return walk(folder / "station", str(script), *SETTINGS)
 
 
 def test_it_walks_as_fast_as_in_a_loop_that_is_not_ours(walked: Walked) -> None:
@@ -96,7 +96,7 @@ def test_a_policy_that_needs_the_velocity_of_the_base_takes_over_on_the_walk_and
 ) -> None:
     terminal, sets = Terminal(tmp_path), []
     for setting in (
-        *LOCK_STEP, f"robot.checkpoint={HOLOSOMA}", "robot.policies.joystick.policy=playground-g1",
+        *SETTINGS, f"robot.checkpoint={HOLOSOMA}", "robot.policies.joystick.policy=playground-g1",
         "robot.policies.joystick.checkpoint=zoo:policies/playground_g1_policy.onnx", "motion.motion=velocity:forward",
         "motion.loop=true",
     ):  # fmt: skip

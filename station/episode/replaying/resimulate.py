@@ -42,6 +42,8 @@ class Resimulation(msgspec.Struct, kw_only=True):
         lock_step: Whether it was recorded in lock-step; only then equality is promised.
         warm_up_steps: Steps that were run without commands because the recording begins after them.
         steps: Steps that were compared.
+        without_state: Steps that were run and not compared: the state that they answered to is not in the file. In
+            lock-step that is the first one, where its robot had waited for longer than the recording's pre-roll.
         different: Steps whose measured joint positions differ in any bit.
         first_different: Number of the first of them, from 0 in the file; None when none does.
         max_q_difference_rad: Greatest difference of a joint position.
@@ -59,6 +61,7 @@ class Resimulation(msgspec.Struct, kw_only=True):
     lock_step: bool
     warm_up_steps: int = 0
     steps: int = 0
+    without_state: int = 0
     different: int = 0
     first_different: int | None = None
     max_q_difference_rad: float = 0.0
@@ -153,7 +156,7 @@ def _compare(reader: EpisodeReader, control: ControlStep, rig: Rig, report: Resi
     for step in joiner.finish():
         run.on_step(step)
     report.seconds = time.perf_counter() - began
-    report.speed_x_realtime = (report.steps + report.warm_up_steps) * rig.period_s / max(report.seconds, 1e-9)
+    report.speed_x_realtime = (run.count + report.warm_up_steps) * rig.period_s / max(report.seconds, 1e-9)
 
 
 @dataclass
@@ -166,7 +169,7 @@ class _Run:
     _commands: dict[int, bytes] = field(default_factory=dict)
     _foreign: bytes | None = None
     _sample: CommandSample | None = None
-    _count: int = 0
+    count: int = 0
 
     def on_command(self, message: Message) -> None:
         """Add a recorded command."""
@@ -191,14 +194,14 @@ class _Run:
         if timing is None:
             return
         gate = codec.parse_facts(step.values.get(keys.command_gate(self.report.robot)))
-        self._switch(gate, is_at_once=self._count == 0)
-        if self._count == 0:
+        self._switch(gate, is_at_once=self.count == 0)
+        if self.count == 0:
             self._warm_up(timing[_TICK] - 1)
         now_s = self._now_s(timing, gate)
         state = self.control.sense()
         record = self.control.step(state, self._heard(timing, now_s), now_s)
         self._compare(step, record)
-        self._count += 1
+        self.count += 1
 
     def _switch(self, gate: Mapping[str, Any], *, is_at_once: bool) -> None:
         """Hand over as the recorded step began to, or as had been done where the file begins."""
@@ -252,12 +255,13 @@ class _Run:
         report.gates_different += gate.get("state") != record.decision.state
         recorded = step.values.get(keys.robot_state(robot))
         if recorded is None:
+            report.without_state += 1
             return
         q = codec.parse_f64(recorded)[: len(record.state.q)]
         report.steps += 1
         if q.tobytes() != record.state.q.tobytes():
             report.different += 1
-            report.first_different = self._count if report.first_different is None else report.first_different
+            report.first_different = self.count if report.first_different is None else report.first_different
             report.max_q_difference_rad = max(report.max_q_difference_rad, float(np.abs(q - record.state.q).max()))
         truth = step.values.get(keys.sim_qpos(robot))
         if truth is not None and record.state.root_pos is not None:

@@ -7,8 +7,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from servers.g1 import G1Config
+from station.cli.main import cli
 from station.control.rig import PolicyChoice
 from station.episode.reading.reader import EpisodeReader, open_episode
 from station.episode.replaying.resimulate import to_sim
@@ -25,6 +27,21 @@ def test_lock_step_episode_comes_out_the_same_to_the_last_bit(tmp_path: Path) ->
     assert found.max_q_difference_rad == found.max_root_difference_m == 0.0
     assert found.notes == []
     assert not found.fell
+
+
+def test_a_first_state_from_long_before_the_recording_is_told_and_all_else_compared(tmp_path: Path) -> None:
+    folder = lock_step.record(EpisodeBuilder(tmp_path), seconds=0.2, with_first_state=False)
+    found = to_sim(open_episode(folder))
+    assert (found.steps, found.without_state, found.different, found.warm_up_steps) == (9, 1, 0, 0)
+    done = CliRunner().invoke(cli, ["replay", str(folder), "--to", "sim"])
+    assert (done.exit_code, done.output.splitlines()[0]) == (
+        0, "1 step not compared: the state before it was not recorded",
+    )  # fmt: skip
+
+
+def test_a_replay_that_compared_nothing_is_no_success(tmp_path: Path) -> None:
+    folder = lock_step.record(EpisodeBuilder(tmp_path), seconds=0.02, with_first_state=False)
+    assert CliRunner().invoke(cli, ["replay", str(folder), "--to", "sim"]).exit_code == 1
 
 
 def test_another_physics_step_is_reported_from_the_first_step_that_differs(tmp_path: Path) -> None:
