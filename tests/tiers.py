@@ -4,7 +4,7 @@
 tier      fixture that decides        a test in it
 ========= =========================== ==============================================================
 `proof`   `proof`                     measures a promise in milliseconds, or breaks things for minutes
-`build`   `compiler`, `built_wheel`   compiles, runs sanitizers, or builds what is installed
+`build`   `compiler`, `built_wheel`   compiles, or builds what is installed
 `station` `processes`                 starts real processes; a bus server is one
 `unit`    none of these               starts no process and waits for no clock
 ========= =========================== ==============================================================

@@ -123,6 +123,7 @@ def test_episodes_are_added_to_a_finished_data_set_once_each_and_as_it_was_made(
     assert json.loads((out / "meta/info.json").read_text())["total_episodes"] == 2
 
 
+MANY = 50
 HALF_WAY = """
 import os, runpy, signal
 from station import side_by_side
@@ -145,7 +146,7 @@ runpy.run_module("station", run_name="__main__", alter_sys=True)
 def many(walked: Home, tmp_path: Path) -> Path:
     """A data folder with so many episodes that an export can be met in the middle."""
     (tmp_path / "data" / "walk").mkdir(parents=True)
-    for number in range(150):
+    for number in range(MANY):
         (tmp_path / "data" / "walk" / f"{number:04d}").symlink_to(walked.data / "walk" / "2026-11-21-g1-walk-0001")
     return tmp_path / "data"
 
@@ -165,15 +166,15 @@ def test_an_export_that_ends_in_the_middle_goes_on_when_it_is_called_again(
         code = terminal.finish()
         if number == signal.SIGINT:
             assert code == 130
-            assert "of 150 episodes are converted and kept; the same command goes on from there" in terminal.screen
-            assert "/150" in terminal.screen, "a bar moved"
+            assert "of 50 episodes are converted and kept; the same command goes on from there" in terminal.screen
+            assert "/50" in terminal.screen, "a bar moved"
     assert not (tmp_path / "out").exists(), "never half of it"
     done = walked.run(*command, "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
-    assert found["episodes"] == 150
-    assert 3 < found["kept"] < 150
-    assert len(list((tmp_path / "out").iterdir())) == 150
+    assert found["episodes"] == MANY
+    assert 3 < found["kept"] < MANY
+    assert len(list((tmp_path / "out").iterdir())) == MANY
     assert not (tmp_path / ".out.export").exists()
 
 
@@ -183,11 +184,11 @@ def test_an_export_onto_a_full_disk_says_so_in_a_line_and_goes_on_when_there_is_
 ) -> None:
     (tmp_path / "disk").mkdir()
     with small_disk(tmp_path / "disk", 64) as disk:
-        (disk.path / "filler").write_bytes(bytes(62 << 20))
+        (disk.path / "filler").write_bytes(bytes(127 << 19))
         command = ("export", "npz", "--data", str(many), "--out", str(disk.path / "out"), "--jobs", "2")
         told = one_line(walked.run(*command))
         assert re.search(
-            r"\d{4}: .*: No space left on device; [1-9]\d* of 150 episodes are converted and kept beside .*/out: make",
+            r"\d{4}: .*: No space left on device; [1-9]\d* of 50 episodes are converted and kept beside .*/out: make",
             told,
         )
         assert not (disk.path / "out").exists()
@@ -195,7 +196,7 @@ def test_an_export_onto_a_full_disk_says_so_in_a_line_and_goes_on_when_there_is_
         done = walked.run(*command, "--json")
         assert done.returncode == 0, done.stderr
         found = json.loads(done.stdout)
-        assert found["episodes"] == 150
+        assert found["episodes"] == MANY
         assert found["kept"] > 0
 
 

@@ -1,4 +1,4 @@
-"""No value of the bus ends what reads it: ten thousand mutants, and a registry of parsers that is whole."""
+"""No value of the bus ends what reads it: thousands of mutants, and a registry of parsers that is whole."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.fuzz.parsers import CONFIG, PARSERS, Parser, dumped, health
 from tests.fuzz.readers import READERS, episode_of_mutants
 
 ROOT = Path(__file__).parents[2]
-CASES = 10_000
+CASES = 4_000
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of arithmetic with huge numbers; it ends nobody
 READS_VALUES = re.compile(
     r"\b(codec\.parse_\w+|msgspec\.json\.(decode|Decoder)|json\.loads|stamps?\.(decode|integer)\(|estop\.read\("
@@ -90,7 +90,7 @@ def test_no_mutant_of_a_value_ends_what_reads_it() -> None:
 
 def test_no_mutant_that_was_recorded_ends_a_reader_of_episodes(tmp_path: Path) -> None:
     seed = campaign.seed()
-    folder = episode_of_mutants(tmp_path, 50, seed)
+    folder = episode_of_mutants(tmp_path, 25, seed)
     for reader in READERS:
         with contextlib.suppress(StationError):
             reader.read(open_episode(folder))

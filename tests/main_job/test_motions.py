@@ -1,8 +1,8 @@
 """Motions drive the simulated G1 through the real processes, in lock-step, and what each run left behind is sound.
 
 The built-in walk and squat run without upstream data, also where there is some: this is what a user gets who has
-installed the station and nothing else. The shortest motion that TWIST2 ships runs with our policy and with TWIST2's;
-`test_proof_motions` has all of them, and `tests/test_rehearse.py` without processes.
+installed the station and nothing else. The shortest motion that TWIST2 ships runs with TWIST2's policy;
+`test_proof_motions` has all of them with both, and `tests/test_rehearse.py` without processes.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Case(NamedTuple):
 
 SHIPPED = [f"twist2:motions/0807_yanjie_walk_{number:03}.pkl" for number in range(1, 7)]
 BUILT_IN = [Case("builtin:walk-forward"), Case("builtin:squat")]
-UPSTREAM = [Case(SHIPPED[3]), Case(SHIPPED[3], "twist2")]
+UPSTREAM = [Case(SHIPPED[3], "twist2")]
 
 
 class Driven(NamedTuple):

@@ -14,7 +14,9 @@ SOURCE = ROOT / "bridges/kord"
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("sanitizer", ["thread", "address"])
-def test_all_tests_in_cpp_pass_under_a_sanitizer(sanitizer: str, tmp_path: Path, compiler: dict[str, str]) -> None:
+def test_all_tests_in_cpp_pass_under_a_sanitizer(
+    proof: object, sanitizer: str, tmp_path: Path, compiler: dict[str, str]
+) -> None:
     done = subprocess.run(
         [SOURCE / "tools/sanitize.sh", sanitizer, tmp_path],
         capture_output=True, text=True, timeout=850, check=False, env=compiler,
