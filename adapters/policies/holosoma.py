@@ -23,6 +23,8 @@ from station.errors import BadFile
 from station.protocols import Floats, Floats32, RobotState
 
 _LEG = (-0.312, 0.0, 0.0, 0.669, -0.363, 0.0)
+DEFAULT_Q: Floats = np.array([*_LEG, *_LEG, 0, 0, 0, 0.2, 0.2, 0, 0.6, 0, 0, 0, 0.2, -0.2, 0, 0.6, 0, 0, 0], np.float64)
+"""Joint positions at action zero of all of Holosoma's policies, in the order of `G1_29` [rad]."""
 _CYCLE = 50
 """Steps of 20 ms in which the phase goes round."""
 _STILL = 0.01  # [m/s], [rad/s]
@@ -34,22 +36,13 @@ class HolosomaPolicy(VelocityFollower):
     NAME = "holosoma"
     ORIGIN = "the PyPI wheel holosoma-inference 0.1.3, models/loco/g1_29dof/{fastsac,ppo}_g1_29dof.onnx"
     JOINTS = G1_29
-    DEFAULT_Q = np.array([*_LEG, *_LEG, 0, 0, 0, 0.2, 0.2, 0, 0.6, 0, 0, 0, 0.2, -0.2, 0, 0.6, 0, 0, 0], np.float64)
+    DEFAULT_Q = DEFAULT_Q
     SCALE, OBSERVATION = 0.25, 100
     RANGE = ((-1.0, 1.0), (-1.0, 1.0), (-1.0, 1.0))
 
     def _load(self, path: Path) -> Loaded:
         network = OnnxNetwork(path, inputs=self.OBSERVATION, outputs=len(self.JOINTS))
-        joints, *listed = (_listed(network, path, name) for name in ("dof_names", "kp", "kd"))
-        if joints != [f"{name}_joint" for name in self.JOINTS]:
-            raise BadFile(
-                f"{path}: is for other joints: {str(joints)[:80]}; expected the 29 of a G1 in Unitree's order"
-            )
-        try:
-            kp, kd = (np.array(gains, np.float64).reshape(len(self.JOINTS)) for gains in listed)
-        except ValueError:
-            raise BadFile(f"{path}: expected {len(self.JOINTS)} numbers each for kp and kd in its metadata") from None
-        return Loaded(network, network.runtime, (kp, kd))
+        return Loaded(network, network.runtime, gains_of(network, path))
 
     def reset(self) -> None:
         """Forget the previous output and the phase, as at start-up."""
@@ -78,13 +71,27 @@ class HolosomaPolicy(VelocityFollower):
         self._step = round(turns * _CYCLE) % _CYCLE if self._walks else 0
 
 
+def gains_of(network: OnnxNetwork, path: Path) -> tuple[Floats, Floats]:
+    """Return stiffness and damping of the 29 joints, as a checkpoint's metadata has them.
+
+    Raises:
+        BadFile: it has none, or is for other joints.
+    """
+    joints, *listed = (_listed(network, path, name) for name in ("dof_names", "kp", "kd"))
+    if joints != [f"{name}_joint" for name in G1_29]:
+        raise BadFile(f"{path}: is for other joints: {str(joints)[:80]}; expected the 29 of a G1 in Unitree's order")
+    try:
+        kp, kd = (np.array(gains, np.float64).reshape(len(G1_29)) for gains in listed)
+    except ValueError:
+        raise BadFile(f"{path}: expected {len(G1_29)} numbers each for kp and kd in its metadata") from None
+    return kp, kd
+
+
 def _listed(network: OnnxNetwork, path: Path, name: str) -> list[object]:
     try:
         found = json.loads(network.metadata[name])
     except (KeyError, ValueError):
         found = None
     if not isinstance(found, list):
-        raise BadFile(
-            f"{path}: its metadata has no list {name!r}; expected a checkpoint of Holosoma's walking policies"
-        )
+        raise BadFile(f"{path}: its metadata has no list {name!r}; expected a checkpoint of Holosoma's policies")
     return found

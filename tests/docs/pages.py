@@ -41,7 +41,7 @@ class Page(NamedTuple):
 
 
 def _motions(folder: Path) -> None:
-    """A stand of two seconds, as two kinds of file."""
+    """A stand of two seconds, as two kinds of file, and the dance that the page's reader has downloaded."""
     still = np.ones((100, 1))
     root_pos, root_quat, joint_pos = still * [0.0, 0.0, 0.78], still * [1.0, 0.0, 0.0, 0.0], still * np.zeros(29)
     values = {"root_pos": root_pos, "root_quat_wxyz": root_quat, "joint_pos": joint_pos}
@@ -49,6 +49,8 @@ def _motions(folder: Path) -> None:
     (folder / "clips").mkdir()
     rows = np.hstack([root_pos, np.roll(root_quat, -1, axis=1), joint_pos])
     np.savetxt(folder / "clips" / "stand.csv", rows, delimiter=",")
+    dance = "ppo_g1_29dof_dancing.onnx"
+    shutil.copy(assets.resolve(f"zoo:policies/holosoma_wbt_{dance}"), folder / dance)
 
 
 def _captures(folder: Path) -> None:
@@ -124,7 +126,7 @@ PAGES = {
     }, has_upstream_data=False),
     "docs/files-and-versions.md": Page(has_upstream_data=False),
     "docs/gallery.md": Page(has_upstream_data=False),
-    "docs/motions.md": Page(prepare=_motions),
+    "docs/motions.md": Page({"pip": _INSTALLS, "unzip": Typed(elsewhere="of a download")}, _motions),
     "docs/robots.md": Page({
         "station bus start": Typed(until="Ctrl-C stops it"),
         "station serve robot": Typed(until="active on"),

@@ -43,6 +43,7 @@ READS_FILES = {
     "adapters.foreign.twist2_file": "a recording of another recorder",
     "adapters.motions.npz_file": "a motion of its own",
     "adapters.policies.holosoma": "metadata of a checkpoint",
+    "adapters.policies.holosoma_wbt": "metadata of a checkpoint",
 }
 """Modules whose JSON is no value of the bus: anybody may write to the bus, not anybody to these."""
 

@@ -1,5 +1,5 @@
-"""Every motion that TWIST2 ships drives the simulated G1 through the real processes; what is asked of each run is in
-`test_motions`."""
+"""Every motion that TWIST2 ships, and Holosoma's dance, drive the simulated G1 through the real processes; what is
+asked of each run is in `test_motions`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,13 @@ from tests.main_job.test_motions import (  # noqa: F401  tests of each run
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.assets]
 
-CASES = [case for case in (*map(Case, SHIPPED), Case(SHIPPED[0], "twist2")) if case not in UPSTREAM]
+DANCES = {"fastsac": 0.14, "ppo": 0.10}
+"""Holosoma's trackers, each with the clip in its own file, and the mean joint error that it may have [rad]."""
+FILES = {name: f"zoo:policies/holosoma_wbt_{name}_g1_29dof_dancing.onnx" for name in DANCES}
+CASES = [
+    *(case for case in (*map(Case, SHIPPED), Case(SHIPPED[0], "twist2")) if case not in UPSTREAM),
+    *(Case(FILES[name], "holosoma-wbt", FILES[name], error_rad) for name, error_rad in DANCES.items()),
+]
 
 
 @pytest.fixture(scope="module")

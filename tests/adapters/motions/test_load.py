@@ -67,7 +67,7 @@ def test_a_speed_that_cannot_be_is_refused(change: str, told: str) -> None:
 
 def test_an_unknown_suffix_lists_the_known_ones(tmp_path: Path) -> None:
     (tmp_path / "walk.bvh").write_text("HIERARCHY")
-    with pytest.raises(BadFile, match=r"'\.bvh'; known: \.csv, \.npz, \.pkl"):
+    with pytest.raises(BadFile, match=r"'\.bvh'; known: \.csv, \.npz, \.onnx, \.pkl"):
         load(tmp_path / "walk.bvh")
 
 
