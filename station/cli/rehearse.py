@@ -16,6 +16,7 @@ from station import registry
 from station.cli import candidates
 from station.cli.options import json_option
 from station.cli.tables import Column, print_table
+from station.config import build, merged, overrides
 from station.errors import UnknownName, UsageError
 from station.suite.cases import Group
 
@@ -40,6 +41,8 @@ _TOLD = 8  # cases of a group that failed and are told
 @click.option(
     "--physics-dt", "physics_dt_s", type=float, default=None, help="Physics time step [s].  [default: the robot's]"
 )
+@click.option("--set", "sets", multiple=True, metavar="KEY=VALUE",
+              help="A setting of the robot's server: policy_options.NAME, robot_options.NAME; may repeat.")  # fmt: skip
 @click.option("--holes", type=click.Choice(["refuse", "bridge"]), default="refuse", show_default=True,
               help="What is done with bad frames inside a motion; not with --suite.")  # fmt: skip
 @click.option("--jobs", default=0, help="Processes side by side.  [default: one per core]")
@@ -58,8 +61,8 @@ _TOLD = 8  # cases of a group that failed and are told
 @json_option
 def command(
     motions: Sequence[str], robot: str, policy: str, checkpoint: str, robot_model: str | None,
-    physics_dt_s: float | None, holes: str, jobs: int, as_json: bool, suite: bool, against: str,
-    against_checkpoint: str, **of_suite: Any,
+    physics_dt_s: float | None, sets: tuple[str, ...], holes: str, jobs: int, as_json: bool, suite: bool,
+    against: str, against_checkpoint: str, **of_suite: Any,
 ) -> None:  # fmt: skip
     """Run MOTIONS (files, or patterns such as 'twist2:motions/*.pkl' or 'builtin:*') in a closed loop and print how
     each went. Exit code 1 when the robot fell in any of them.
@@ -80,13 +83,17 @@ def command(
         if name not in (known := registry.names("policy")):
             raise UnknownName("policy", name, known)  # before any motion is read
     named = [reference for motion in motions for reference in inventory.motions_named(motion)]
+    told: dict[str, Any] = {"robot": kind.name, "policy": policy, "checkpoint": checkpoint}
+    if twice := [name for name in told if any(each.startswith(f"{name}=") for each in sets)]:
+        raise UsageError(f"--set {twice[0]}=…: name it with --{twice[0]}")
     named_options = {"model": robot_model, "physics_dt_s": physics_dt_s}
-    options = {name: value for name, value in named_options.items() if value is not None}
-    kind.typed(options)  # before any motion is read
-    config = RigConfig(robot=kind.name, robot_options=options, policy=policy, checkpoint=checkpoint)
+    told["robot_options"] = {name: value for name, value in named_options.items() if value is not None}
+    asked = overrides(sets, servers=None).get("", {})
+    config = build(RigConfig, merged(told, asked), where="--set")
+    kind.typed(config.robot_options)  # before any motion is read
     if not suite:
         _motions(config, named, holes=holes, jobs=jobs, as_json=as_json)
-    other = msgspec.structs.replace(config, policy=against, checkpoint=against_checkpoint)
+    other = msgspec.structs.replace(config, policy=against, checkpoint=against_checkpoint, policy_options={})
     _suite([config, other] if against else [config], named, jobs=jobs, as_json=as_json, **of_suite)
 
 

@@ -34,6 +34,14 @@ def test_a_pattern_names_built_in_clips(bare: Home) -> None:
     assert [motion["motion"] for motion in json.loads(done.stdout)["motions"]] == clips
 
 
+def test_settings_are_those_of_the_robots_server(bare: Home) -> None:
+    sets = ("--set", "policy_options.wrist_gains=real", "--set", "robot_options.latency_steps=1")
+    asked = ("rehearse", "builtin:wave", *TRACKER, "--physics-dt", "0.002", "--json", "--jobs", "1")
+    plain, changed = (json.loads(bare.run(*asked, *more).stdout)["motions"] for more in ((), sets))
+    assert plain[0]["mean_joint_error_rad"] != changed[0]["mean_joint_error_rad"]
+    assert not changed[0]["fell"]
+
+
 def test_a_policy_that_cannot_stand_fails_the_suite_and_the_cases_are_named(bare: Home, limp: str) -> None:
     done = bare.run(*QUICK, "--checkpoint", limp, "--only", "stand", "--only", "push", "builtin:stand")
     assert done.returncode == 1, done.stderr
@@ -146,6 +154,10 @@ def test_an_interrupt_ends_the_children_too(bare: Home) -> None:
         (("--suite", "--only", "pushes"), "'pushes' is not one of 'stand', 'track', 'unseen', 'follow', 'push'"),
         (("--suite", "--against", "twist3"), "unknown policy 'twist3' (did you mean 'twist'?)"),
         (("--suite", "builtin:wve"), "unknown built-in motion 'wve' (did you mean 'wave'?)"),
+        (("builtin:wave", "--set", "policy_options.wrist=real"), "policy 'tracker' has no option 'wrist'"),
+        (("builtin:wave", "--set", "robot_options.phsics_dt_s=0.002"), "unknown key 'phsics_dt_s' (did you mean"),
+        (("builtin:wave", "--set", "policy=twist2"), "--set policy=…: name it with --policy"),
+        (("builtin:wave", "--set", "rate=50"), "--set: unknown key 'rate' (did you mean 'rate_hz'?)"),
         (("builtin:wave#speed=fast", "--jobs", "1"), "speed is 'fast'; expected a number, for example 1.2"),
     ],
 )  # fmt: skip
