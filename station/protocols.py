@@ -168,6 +168,7 @@ class PolicySpec:
         command_lower, command_upper: Range of each element of the command that it was trained on, shape (m,); what is
             beyond is clamped and told. Only of a format for any robot (`ForAnyRobot`); None for the format's own.
         needs_root_velocity: Whether it uses `RobotState.root_lin_vel`, which not every robot measures.
+        part: Name of the part of its command that it listens to, where parts are commanded apart; "" for all of it.
     """
 
     name: str
@@ -185,6 +186,7 @@ class PolicySpec:
     command_lower: Floats | None = None
     command_upper: Floats | None = None
     needs_root_velocity: bool = False
+    part: str = ""
 
 
 class Policy(Protocol):
@@ -213,6 +215,15 @@ class Policy(Protocol):
 
     def restore(self, observation: Floats32) -> None:
         """Restore the history that a recorded observation shows, as if that step had just been observed."""
+        ...
+
+
+@runtime_checkable
+class TakesOver(Protocol):
+    """A policy that cannot take over from every state."""
+
+    def why_not_take_over(self, state: RobotState, command: Floats) -> str:
+        """Return why it cannot drive from here on, in words, or ""; asked once, just before it would."""
         ...
 
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from adapters.motions import raw
 from adapters.motions.clip import Clip
-from adapters.policies.onnx_network import open_session
 from adapters.robots.g1.joints import G1_29
 from adapters.robots.g1.kinematics import INDEX, forward
 from station import assets, rotations
@@ -26,6 +25,23 @@ OUTPUTS = {"joint_pos": len(G1_29), "ref_pos_xyz": 3, "ref_quat_xyzw": 4}
 _TORSO = INDEX["torso"]
 _LONGEST = 1 << 17  # rows; forty minutes
 _BEYOND = 1e7  # a time step after all
+
+
+class Reader:
+    """Reads a motion.
+
+    Attributes:
+        is_listed: Whether files of this suffix pass for motions unseen; most checkpoints hold none.
+    """
+
+    is_listed = False
+
+    def __call__(self, path: Path, *, fps: float | None = None) -> Clip:
+        """As `load`."""
+        return load(path, fps=fps)
+
+
+READER = Reader()
 
 
 def load(path: Path, *, fps: float | None = None) -> Clip:
@@ -71,6 +87,8 @@ def _waist(q: Floats) -> Floats:
 
 def _rows(path: Path) -> Floats:
     """Return all rows of the clip, outputs side by side, shape (n, 36)."""
+    from adapters.policies.onnx_network import open_session  # what runs it takes a moment to import
+
     session = open_session(path)
     given = {port.name: port.shape for port in session.get_inputs()}
     made = {port.name: port.shape for port in session.get_outputs()}

@@ -69,7 +69,7 @@ def _known() -> list[_Row]:
     """Return what needs no file, read, and the files that are here, unread."""
     from station.assets import inventory
 
-    suffixes = registry.names("motion")
+    suffixes = [name for name in registry.names("motion") if getattr(registry.find("motion", name), "is_listed", True)]
     files = [item for item in inventory.inventory() if item.where != "not here"]
     kept = [_Row(motion=item.reference, format=item.path.suffix[1:])
             for item in files if item.path.suffix[1:].lower() in suffixes]  # fmt: skip

@@ -8,14 +8,14 @@ and its replay switch at the same ones. Pure: no bus, no clock.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Protocol, runtime_checkable
+from typing import Annotated
 
 import msgspec
 import numpy as np
 
 from station.control.command_path import StepEvent
 from station.errors import ConfigError, Refused, UnknownName
-from station.protocols import Floats, Floats32, JointTargets, Policy, PolicySpec, RobotState
+from station.protocols import Floats, Floats32, JointTargets, Policy, PolicySpec, RobotState, TakesOver
 
 LISTEN_S = 0.2
 """How long the next policy observes before its targets count [s]: as many frames as a history has, or nearly."""
@@ -28,15 +28,6 @@ BlendS = Annotated[float, msgspec.Meta(ge=0.0, le=5.0)]
 
 
 _NOT_FINITE = "its output is not finite"
-
-
-@runtime_checkable
-class TakesOver(Protocol):
-    """A policy that cannot take over from every state."""
-
-    def why_not_take_over(self, state: RobotState, command: Floats) -> str:
-        """Return why it cannot drive from here on, in words, or ""; asked once, just before it would."""
-        ...
 
 
 class PolicySwitch:

@@ -285,6 +285,7 @@ def _policy_facts(spec: PolicySpec, options: dict[str, Any]) -> dict[str, Any]:
         "runtime": spec.runtime,
         "rate_hz": spec.rate_hz,
         "command": spec.command,
+        **({"part": spec.part} if spec.part else {}),
         "options": options,
         "kp": spec.kp.tolist(),
         "kd": spec.kd.tolist(),

@@ -62,7 +62,7 @@ class TrackingError:
         known = errors <= LARGEST_JOINT_ERROR_RAD
         self._sums += np.where(known, errors, 0.0)
         self._counts += known
-        if root_height_m is not None and self._height is not None:
+        if root_height_m is not None and self._height is not None and math.isfinite(command[self._height]):
             self._height_sum += abs(root_height_m - float(command[self._height]))
             self._height_ticks += 1
 

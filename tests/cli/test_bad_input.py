@@ -50,7 +50,7 @@ MOTIONS: dict[str, tuple[Any, str]] = {
     "columns.csv": (b"1,2,3\n" * 10, "3 columns; expected 36"),
     "text.csv": (b"root,of,all\n", "expected lines of 36 numbers"),
     "junk.npz": (b"PK junk", "not a readable .npz motion"),
-    "walk.fbx": (b"", "no reader for '.fbx'; known: .csv, .npz, .pkl"),
+    "walk.fbx": (b"", "no reader for '.fbx'; known: .csv, .npz, .onnx, .pkl"),
 }
 
 

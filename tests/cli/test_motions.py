@@ -64,6 +64,6 @@ def test_of_what_cannot_be_played_there_is_no_row(home: Home) -> None:
 
 def test_what_each_format_holds_is_told(home: Home) -> None:
     said = home.json("motions", "--formats")
-    assert set(said) == {".csv", ".npz", ".pkl", ".velocity"}
+    assert set(said) == {".csv", ".npz", ".onnx", ".pkl", ".velocity"}
     assert "root_quat_wxyz" in said[".npz"]
     assert "root_quat_wxyz" in home.run("motions", "--formats").stdout

@@ -155,7 +155,7 @@ def velocity_curves(reader: EpisodeReader, robot: str) -> Floats:
     asked = reader.contract(keys.command_used(robot)) if robot else None
     if asked is None or not set(VELOCITIES) <= set(asked.names):
         return np.empty((0, 7))
-    meter = StepMeter(robot, reader.start_ns, reader.contract, control_period_s(reader.manifest, robot))
+    meter = step_meter(reader, robot)
     joiner = StepJoiner(robot, context=meter.context)
     for message in reader.messages(joiner.topics):
         if (step := joiner.feed(message)) is not None:
@@ -173,6 +173,28 @@ def control_period_s(manifest: Manifest, robot: str) -> float | None:
         if isinstance(hz, int | float) and 1.0 <= hz <= 10_000.0:
             return 1.0 / hz
     return None
+
+
+def step_meter(reader: EpisodeReader, robot: str) -> StepMeter:
+    """Return what measures the steps of a robot of an episode."""
+    manifest = reader.manifest
+    return StepMeter(
+        robot, reader.start_ns, reader.contract, control_period_s(manifest, robot), listened_parts(manifest, robot)
+    )
+
+
+def listened_parts(manifest: Manifest, robot: str) -> dict[str, str]:
+    """Return the part of its command that each policy of a robot listens to, as its server stated it.
+
+    By what its steps call the policy; those that listen to all of it are not in it.
+    """
+    for facts in manifest.servers.values():
+        if facts.get("robot") == robot and isinstance(policy := facts.get("policy"), Mapping):
+            several = facts.get("policies")
+            each = several if isinstance(several, Mapping) and several else {"": policy}
+            told = {str(name): of.get("part") for name, of in each.items() if isinstance(of, Mapping)}
+            return {name: part for name, part in told.items() if isinstance(part, str) and part}
+    return {}
 
 
 def _paces_by_state(facts: Mapping[str, Any]) -> bool:
@@ -294,10 +316,7 @@ class Measurements:
         topics = reader.topics()
         self.start_ns = reader.start_ns
         self.counter = StreamCounter()
-        self.steps = {
-            robot: StepMeter(robot, self.start_ns, reader.contract, control_period_s(reader.manifest, robot))
-            for robot in steps.robots(topics)
-        }
+        self.steps = {robot: step_meter(reader, robot) for robot in steps.robots(topics)}
         self.alignment = {
             robot: AlignmentMeter(robot, steps.state_key(robot, topics), reader.contract) for robot in self.steps
         }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from array import array
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -18,7 +18,7 @@ from station.bus import codec, contracts, keys
 from station.bus.robot_streams import QUAT
 from station.contract import TIMING_STAGES, Contract
 from station.control.gate import MOVING
-from station.control.tracking import TrackingError, VelocityTracking
+from station.control.tracking import VELOCITIES, TrackingError, VelocityTracking
 from station.episode.quality import falls
 from station.episode.quality.finding_parts import Seen
 from station.episode.quality.findings import FallSeen, Spread, StepQuality
@@ -44,12 +44,15 @@ class StepMeter:
         start_ns: Instant that times are told from [ns since the epoch].
         contract: Tells what a key holds.
         period_s: Control period, as its server stated it [s]; None where it did not.
+        listens: Name of the part of the command that each policy listens to, by what its steps call the policy; those
+            that listen to all of it are not in it.
     """
 
     robot: str
     start_ns: int
     contract: Callable[[str], Contract | None] = contracts.contract
     period_s: float | None = None
+    listens: Mapping[str, str] = field(default_factory=dict)
     _times: array[int] = field(default_factory=lambda: array("q"))
     _gates: list[str] = field(default_factory=list)
     _timed: array[int] = field(default_factory=lambda: array("q"))  # the steps of _timings, by number in _gates
@@ -71,6 +74,11 @@ class StepMeter:
             for family in (keys.command_used, keys.robot_state, keys.sim_qpos, keys.state_joints)
             if (contract := self.contract(key := family(self.robot))) is not None
         }
+        self._heard = {
+            policy: frozenset(contract.names)
+            for policy, part in self.listens.items()
+            if (contract := self.contract(keys.command_used(f"{self.robot}_{part}"))) is not None
+        }
 
     @property
     def context(self) -> set[str]:
@@ -90,7 +98,7 @@ class StepMeter:
         self._add_timing(step)
         self._add_pose(step)
         if self._gates[-1] == _TRACKING and self._is_playing(step):
-            self._compare(step)
+            self._compare(step, self._heard.get(str(gate.get("policy", ""))))
         return self._gates[-1]
 
     def result(self, paused: Sequence[Span] = ()) -> StepQuality:
@@ -170,12 +178,15 @@ class StepMeter:
         # A foreign writer states no phase; its commands are meant from the first to the last.
         return not source or source.get("phase", _PLAYING) == _PLAYING
 
-    def _compare(self, step: Step) -> None:
+    def _compare(self, step: Step, heard: frozenset[str] | None) -> None:
+        """Compare what was asked with what came of it, of the elements that the policy listens to; None for all."""
         used = self._named(step, keys.command_used(self.robot))
         state = self._named(step, keys.robot_state(self.robot)) or self._named(step, keys.state_joints(self.robot))
         if used is None or state is None:
             return
         (asked_names, asked), (names, measured) = used, state
+        if heard is not None:
+            asked = np.where([name in heard for name in asked_names], asked, np.nan)
         if self._tracking is None:
             self._joints = tuple(name.removesuffix("_pos") for name in names if name.endswith("_pos"))
             self._tracking = TrackingError(asked_names, self._joints)
@@ -184,7 +195,8 @@ class StepMeter:
         self._tracking.add(measured[: len(self._joints)], asked, height_m)
         if self._velocity is None and self.period_s is not None:
             self._velocity = VelocityTracking(asked_names, self.period_s)
-        if self._velocity is not None and truth is not None and truth[0][: len(_PLACE)] == _PLACE:
+        follows = heard is None or not heard.isdisjoint(VELOCITIES)
+        if follows and self._velocity is not None and truth is not None and truth[0][: len(_PLACE)] == _PLACE:
             at_s = (step.at_ns - self.start_ns) * 1e-9
             self._velocity.add(step.number, at_s, asked, truth[1][:3], truth[1][3:7])
 

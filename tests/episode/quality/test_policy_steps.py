@@ -7,6 +7,7 @@ import pytest
 
 from station.bus import codec, keys
 from station.contract import Contract, Element
+from station.episode.quality.findings import StepQuality
 from station.episode.quality.policy_steps import StepMeter
 from station.episode.reading.steps import Step
 
@@ -44,3 +45,37 @@ def test_of_a_state_without_an_orientation_no_fall_is_told(state: str, truth: tu
         meter.feed(Step("a", number, number, number * 20_000_000, values, {}))
     assert meter.result().steps == 199
     assert len(meter.falls()) == max(told, "root_z" in truth)
+
+
+def test_what_a_policy_does_not_listen_to_is_not_what_it_is_measured_by() -> None:
+    """Of a robot with two policies each is compared with its own part of the command."""
+    asked = ("vx", "vy", "wz", "root_height", "knee_pos")
+    held = {
+        keys.robot_state(ROBOT): ("knee_pos", "knee_vel", *QUAT),
+        keys.sim_qpos(ROBOT): ("root_x", "root_y", "root_z", *QUAT, "knee_pos"),
+        keys.command_used(ROBOT): asked,
+        keys.command_used(f"{ROBOT}_walk"): asked[:3],
+        keys.command_used(f"{ROBOT}_track"): asked[3:],
+    }
+    contracts = {key: contract(key, each) for key, each in held.items()}
+
+    def measured(listens: dict[str, str]) -> StepQuality:
+        meter = StepMeter(ROBOT, 0, contracts.get, period_s=0.02, listens=listens)
+        for number in range(1, 401):
+            walks = number <= 200
+            values = {
+                keys.robot_state(ROBOT): codec.f64([0.5 if walks else 0.1, 0.0, 1.0, 0.0, 0.0, 0.0]),
+                keys.sim_qpos(ROBOT): codec.f64([0.01 * min(number, 200), 0.0, 0.7, 1.0, 0.0, 0.0, 0.0, 0.0]),
+                keys.command_used(ROBOT): codec.f64([0.5, 0.0, 0.0, 0.6, 0.0]),
+                keys.command_gate(ROBOT): b'{"state": "tracking", "policy": "%s"}' % (b"walks" if walks else b"tracks"),
+            }
+            meter.feed(Step("a", number, number, number * 20_000_000, values, {}))
+        return meter.result()
+
+    found = measured({"walks": "walk", "tracks": "track"})
+    assert found.mean_joint_error_rad == pytest.approx(0.1), "while it walks no joint is commanded"
+    assert found.mean_root_height_error_m == pytest.approx(0.1)
+    assert found.velocity is not None
+    assert found.velocity.error[0] == pytest.approx(0.0, abs=1e-6), "while it tracks no velocity is"
+    of_all = measured({})
+    assert of_all.mean_joint_error_rad == pytest.approx(0.3)

@@ -1,0 +1,159 @@
+"""A G1 that walks or tracks: each policy listens to its part of the command alone, and one hands over to the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from adapters.commands import twist2
+from adapters.motions.load import load
+from adapters.policies.g1_walk_track import TracksPolicy, WalksPolicy
+from adapters.policies.holosoma import HolosomaPolicy
+from adapters.policies.tracker.policy import TrackerPolicy
+from adapters.robots.g1.joints import G1_29
+from station import assets as files
+from station.bus import keys
+from station.control.control import ControlStep, StepRecord
+from station.control.parted_path import samples_of
+from station.control.rig import PolicyChoice, Rig, RigConfig, build
+from station.errors import ConfigError
+from station.motion.playback import Playback
+from station.parts import parts_of
+from station.protocols import Floats, RobotState
+from tests.adapters.policies.inputs import inputs
+from tests.adapters.policies.restored import expect_goes_on
+from tests.adapters.policies.test_holosoma import FACTS
+from tests.adapters.policies.velocity_inputs import onnx_file
+
+TRACKER = files.resolve("builtin:tracker.onnx")
+HOLOSOMA = "zoo:policies/holosoma_fastsac_g1_29dof.onnx"
+DT = 0.02
+
+
+@pytest.fixture
+def holosoma(tmp_path: Path) -> Path:
+    return onnx_file(tmp_path / "walk.onnx", 100, 29, FACTS)
+
+
+def both(count: int) -> list[tuple[RobotState, Floats]]:
+    """States, and commands of velocities and a motion, shape (38,) each."""
+    random = np.random.default_rng(8)
+    return [(state, np.concatenate([random.uniform(-1, 1, 3), command])) for state, command in inputs(count)]
+
+
+def test_each_is_the_policy_inside_with_its_part_of_the_command(holosoma: Path) -> None:
+    pairs = (
+        (WalksPolicy(holosoma), HolosomaPolicy(holosoma), slice(0, 3)),
+        (TracksPolicy(TRACKER), TrackerPolicy(TRACKER), slice(3, 38)),
+    )
+    for whole, inside, part in pairs:
+        for state, command in both(5):
+            observation = whole.observe(state, command)
+            np.testing.assert_array_equal(observation, inside.observe(state, command[part]))
+            action = whole.act(observation)
+            np.testing.assert_array_equal(action, inside.act(observation))
+            made, own = whole.targets(action, command), inside.targets(action, command[part])
+            np.testing.assert_array_equal(made.q, own.q)
+            np.testing.assert_array_equal(made.kp, own.kp)
+    assert [(whole.spec.name, whole.spec.part) for whole, *_ in pairs] == [("g1-walks", "walk"), ("g1-tracks", "track")]
+    assert {whole.spec.command for whole, *_ in pairs} == {"g1-walk-track"}
+
+
+def test_it_goes_on_from_a_recorded_observation(holosoma: Path) -> None:
+    expect_goes_on(WalksPolicy(holosoma), WalksPolicy(holosoma), both(6), is_run=True)
+    expect_goes_on(TracksPolicy(TRACKER), TracksPolicy(TRACKER), both(6), is_run=False)
+
+
+def test_each_part_has_a_key_of_its_own_and_the_velocities_the_range_of_who_walks(holosoma: Path) -> None:
+    rig = build(RigConfig(robot="g1-mujoco", policy="g1-walks", checkpoint=str(holosoma)))
+    walk, track = parts_of(rig.command_format)
+    assert [part.key for part in (walk, track)] == ["action_velocity_g1_29_walk", "action_motion_g1_29_track"]
+    assert keys.action("motion_g1_29_track") == track.key
+    np.testing.assert_array_equal(walk.upper, [1.0, 1.0, 1.0])
+    np.testing.assert_array_equal(track.upper, twist2.FORMAT.upper)
+    assert not track.auxiliary, "stock keys are those of the robot that stock programs know"
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda path: WalksPolicy(TRACKER, walk="tracker"), "g1-walks: policy 'tracker' follows 'twist2' commands; "
+                                                           "expected 'velocity'"),
+        (lambda path: TracksPolicy(path, track="holosoma"), "g1-tracks: policy 'holosoma' follows 'velocity' commands; "
+                                                           "expected 'twist2'"),
+        (lambda path: WalksPolicy(onnx_file(path.with_name("go1.onnx"), 48, 12), walk="playground-go1"),
+         "g1-walks: policy 'playground-go1' drives 12 joints; expected the 29 of a G1"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_inside_is_refused_in_a_line(holosoma: Path, make: object, told: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        make(holosoma)  # type: ignore[operator]
+    assert str(caught.value) == told
+
+
+def test_a_motion_that_asks_for_another_pose_is_not_taken_over_in_the_middle() -> None:
+    policy = TracksPolicy(TRACKER)
+    ((state, command),) = both(1)
+    state = replace(state, q=twist2.FORMAT.default[6:])
+    command[3:] = twist2.FORMAT.default
+    assert policy.why_not_take_over(state, command) == ""
+    command[9 + G1_29.index("left_knee")] += 1.3
+    assert "the motion asks left_knee to be 1.3 rad from where it is" in policy.why_not_take_over(state, command)
+
+
+class Hall:
+    """A simulated G1 that one policy walks and another has do motions."""
+
+    def __init__(self) -> None:
+        physics = {"physics_dt_s": 0.002}
+        self.rig: Rig = build(RigConfig(
+            robot="g1-mujoco", robot_options=physics, policy="g1-walks", checkpoint=HOLOSOMA,
+            policies={"track": PolicyChoice(policy="g1-tracks")},
+        ))  # fmt: skip
+        self.control: ControlStep = self.rig.control()
+        self.now_s = 0.0
+
+    def drive(self, seconds: float, velocity: Sequence[float], motion: str = "") -> list[StepRecord]:
+        """Command both parts for some seconds; without a motion the second part stands."""
+        whole = self.rig.command_format
+        playback = Playback(load(motion), parts_of(whole)[1]) if motion else None
+        records = []
+        for _ in range(round(seconds / DT)):
+            command = whole.default.copy()
+            command[:3] = velocity
+            if playback is not None:
+                command[3:] = playback.step(DT).command
+            record = self.control.step(self.control.sense(), samples_of(whole, command, self.now_s), self.now_s)
+            assert record.fall is None, f"{record.policy} at {self.now_s:.2f} s"
+            self.now_s += DT
+            records.append(record)
+        return records
+
+    def switch(self, name: str) -> None:
+        assert self.control.policies is not None
+        self.control.policies.switch(name)
+
+
+@pytest.mark.assets
+@pytest.mark.usefixtures("assets")
+def test_it_walks_somewhere_bows_walks_on_and_walks_by_a_motion() -> None:
+    hall = Hall()
+    hall.drive(3.0, (0.5, 0.0, 0.0))
+    hall.drive(1.0, (0.0, 0.0, 0.0))
+    hall.switch("track")
+    bowing = hall.drive(9.0, (0.0, 0.0, 0.0), "builtin:bow")
+    assert bowing[-1].policy == "track"
+    errors = [np.abs(each.state.q - each.decision.vector[9:]).mean() for each in bowing[100:]]
+    assert np.mean(errors) < 0.06, "it does what the motion says"
+    hall.switch("g1-walks")
+    start = hall.drive(1.0, (0.5, 0.0, 0.0))[-1].state.root_pos
+    end = hall.drive(2.0, (0.5, 0.0, 0.0))[-1].state.root_pos
+    assert start is not None
+    assert end is not None
+    assert np.linalg.norm((end - start)[:2]) > 0.6, "it walks again"
+    hall.switch("track")  # on the walk
+    hall.drive(6.0, (0.0, 0.0, 0.0), "builtin:walk-arc")

@@ -1,0 +1,34 @@
+"""A gamepad walks a G1, and a policy that tracks takes over and does a motion: recorded, audited."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.main_job.station_runs import Terminal
+
+SETTINGS = (
+    "robot.checkpoint=zoo:policies/holosoma_fastsac_g1_29dof.onnx", "gamepad.fake=builtin:gamepad/example.json",
+    "motion.loop=true",
+)  # fmt: skip
+
+pytestmark = [pytest.mark.assets, pytest.mark.timeout(300)]
+
+
+def test_both_drive_and_each_part_of_the_command_is_audited(
+    proof: object, tmp_path: Path, processes: None, assets: Path
+) -> None:
+    terminal, sets = Terminal(tmp_path), [word for setting in SETTINGS for word in ("--set", setting)]
+    done = terminal.run("up", "g1-walk-track", "--yes", "--record", "--task", "bow", "--for", "15s", *sets)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "track drives" in done.stdout + done.stderr
+    episode = str(terminal.episode("bow"))
+    check, audit = terminal.json("check", episode), terminal.json("audit", episode)
+    assert (check["verdict"], check["falls"]) == ("good", 0), check["reasons"]
+    assert [each["policy"] for each in (audit, *audit["took_over"])] == ["g1-walks", "g1-tracks"]
+    assert {name: part["different"] for name, part in audit["parts"].items()} == {"walk": 0, "track": 0}
+    differ = [audit[what]["different"] for what in ("observations", "commands", "targets")]
+    assert (audit["different"], differ) == (0, [0, 0, 0])
+    (robot,) = check["steps"]
+    assert robot["mean_joint_error_rad"] < 0.06, "of the time in which the motion's policy drove"
