@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from adapters.commands import g1_walk_track, twist2, velocity
+from adapters.policies.g1_whole import OnAllJoints
 from adapters.policies.holosoma import HolosomaPolicy
 from adapters.policies.tracker.policy import TrackerPolicy
 from adapters.robots.g1.joints import G1_29
@@ -26,6 +27,10 @@ FARTHEST_RAD = 1.2
 0.7; a policy that is asked for a squat or a raised arm at once throws the robot."""
 
 
+_STANDS = twist2.FORMAT.default[-len(G1_29) :]
+"""Where joints are held that a policy does not drive [rad]."""
+
+
 class _OfPart:
     """Implements `station.protocols.Policy` by another."""
 
@@ -36,17 +41,14 @@ class _OfPart:
     PART_NAME: ClassVar[str]
 
     def __init__(self, inside: str, checkpoint: Path, options: dict[str, Any] | None) -> None:
-        self._inside: Policy = registry.find("policy", inside)(checkpoint, **(options or {}))
-        spec: PolicySpec = self._inside.spec
-        if spec.command != self.FOLLOWS:
+        made: Policy = registry.find("policy", inside)(checkpoint, **(options or {}))
+        if made.spec.command != self.FOLLOWS:
             raise ConfigError(
-                f"{self.NAME}: policy {inside!r} follows {spec.command!r} commands; expected {self.FOLLOWS!r}"
+                f"{self.NAME}: policy {inside!r} follows {made.spec.command!r} commands; expected {self.FOLLOWS!r}"
             )
-        if spec.joint_names != G1_29:
-            raise ConfigError(
-                f"{self.NAME}: policy {inside!r} drives {len(spec.joint_names)} joints; expected the 29 of a G1"
-            )
-        self._spec = self._whole(spec)
+        self._why_not = made.why_not_take_over if isinstance(made, TakesOver) else None
+        self._inside = OnAllJoints(made, _STANDS, f"{self.NAME}: policy {inside!r}")
+        self._spec = self._whole(self._inside.spec)
 
     @property
     def spec(self) -> PolicySpec:
@@ -75,8 +77,7 @@ class _OfPart:
 
     def why_not_take_over(self, state: RobotState, command: Floats) -> str:
         """Return why the policy inside cannot drive from here on, or ""."""
-        own = command[self.PART]
-        return self._inside.why_not_take_over(state, own) if isinstance(self._inside, TakesOver) else ""
+        return self._why_not(state, command[self.PART]) if self._why_not is not None else ""
 
     def _whole(self, spec: PolicySpec) -> PolicySpec:
         return replace(spec, name=self.NAME, command=g1_walk_track.FORMAT.name, part=self.PART_NAME)
@@ -92,7 +93,7 @@ class WalksPolicy(_OfPart):
 
     Raises:
         UnknownName: it is not registered.
-        ConfigError: it follows other commands, or drives other joints than the 29 of a G1.
+        ConfigError: it follows other commands, or drives joints that a G1 does not have.
         BadFile: as the policy inside says.
     """
 
@@ -124,7 +125,7 @@ class TracksPolicy(_OfPart):
 
     Raises:
         UnknownName: it is not registered.
-        ConfigError: it follows other commands than TWIST2's, or drives other joints than the 29 of a G1.
+        ConfigError: it follows other commands than TWIST2's, or drives joints that a G1 does not have.
         BadFile: as the policy inside says.
     """
 

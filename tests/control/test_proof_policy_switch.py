@@ -12,6 +12,7 @@ from station import registry
 from station.control.parted_path import samples_of
 from station.control.rig import PolicyChoice, Rig, RigConfig, build
 from station.motion.playback import Playback
+from station.parts import parts_of
 from tests.figures import Figures
 from tests.main_job.test_proof_velocity import CHECKPOINTS, slippery
 from tests.main_job.velocity_runs import HOLOSOMA
@@ -29,6 +30,18 @@ WALKERS = {
     "joystick": PolicyChoice(policy="playground-g1", checkpoint=CHECKPOINTS["playground-g1"]),
     "mjlab": PolicyChoice(policy="deploy-yaml", checkpoint=CHECKPOINTS["deploy-yaml"]),
     "lab": PolicyChoice(policy="deploy-yaml", checkpoint="zoo:policies/unitree_rl_lab_g1.yaml"),
+}
+
+FIRST_OF_BOTH = {"policy": "g1-walks", "checkpoint": HOLOSOMA}
+WALK_OR_TRACK = {
+    "ppo": PolicyChoice(policy="g1-walks", checkpoint="zoo:policies/holosoma_ppo_g1_29dof.onnx"),
+    "legs": PolicyChoice(
+        policy="g1-walks", checkpoint="zoo:policies/rlgym_g1_motion.pt", policy_options={"walk": "rlgym-g1"}
+    ),
+    "track": PolicyChoice(policy="g1-tracks"),
+    "twist2": PolicyChoice(
+        policy="g1-tracks", checkpoint="twist2:ckpts/twist2_1017_20k.onnx", policy_options={"track": "twist2"}
+    ),
 }
 
 
@@ -61,8 +74,32 @@ def test_a_robot_that_follows_velocities_does_not_fall_when_it_is_handed_over(pr
     assert jumps[True] < 1.5 * jumps[False], "targets do not jump more than those of one policy do"
 
 
-def _walk_about(rig: Rig, random: Random, jumps: dict[bool, float]) -> int:
-    """Follow random velocities for half a minute and hand over meanwhile; return how often."""
+@pytest.mark.assets
+@pytest.mark.torch
+@pytest.mark.timeout(900)
+def test_a_robot_that_walks_does_not_fall_when_it_is_handed_to_one_that_tracks_and_back(proof: Figures) -> None:
+    """Velocities on one part of the command, a walk as a motion on the other."""
+    random = Random(7)
+    rig = build(RigConfig(robot="g1-mujoco", policies=WALK_OR_TRACK, **FIRST_OF_BOTH))
+    asked, jumps = 0, {False: 0.0, True: 0.0}
+    while asked < SWITCHES:
+        asked += _walk_about(rig, random, jumps, motion=f"builtin:{random.choice(WALKS)}")
+    proof.figure("hand-overs of a G1 among three policies that walk and two that track", asked)
+    proof.figure(
+        "greatest step of a target as one that walks or tracks takes over, of what its joint can move", jumps[True]
+    )
+    assert jumps[True] < 1.5 * jumps[False], "targets do not jump more than those of one policy do"
+
+
+def _walk_about(rig: Rig, random: Random, jumps: dict[bool, float], motion: str = "") -> int:
+    """Follow random velocities for half a minute and hand over meanwhile; return how often.
+
+    With a motion it is commanded beside the velocities, again and again.
+    """
+    playback = None
+    if motion:
+        clip, part = registry.find("loader", "motion")(motion), parts_of(rig.command_format)[1]
+        playback = Playback(clip, part, lead_s=rig.period_s, loop=True)
     rig.policy.reset()
     rig.robot.reset()  # type: ignore[attr-defined]
     control = rig.control()
@@ -78,8 +115,9 @@ def _walk_about(rig: Rig, random: Random, jumps: dict[bool, float]) -> int:
             others = [each for each in control.policies.names if each != control.policies.driving]
             control.policies.switch(random.choice(others))
             asked, switch_s = asked + 1, now_s + random.uniform(0.8, 2.0)
-        record = control.step(control.sense(), samples_of(rig.command_format, velocity, now_s), now_s)
-        assert record.fall is None, f"at {now_s:.2f} s, {record.policy} drove: {record.fall}"
+        command = velocity if playback is None else np.concatenate([velocity, playback.step(rig.period_s).command])
+        record = control.step(control.sense(), samples_of(rig.command_format, command, now_s), now_s)
+        assert record.fall is None, f"{motion} at {now_s:.2f} s, {record.policy} drove: {record.fall}"
         is_switching = control.policies.is_switching
         if before is not None:
             part = is_switching or was_switching

@@ -30,6 +30,7 @@ from tests.adapters.policies.test_holosoma import FACTS
 from tests.adapters.policies.velocity_inputs import onnx_file
 
 TRACKER = files.resolve("builtin:tracker.onnx")
+RLGYM = "zoo:policies/rlgym_g1_motion.pt"
 HOLOSOMA = "zoo:policies/holosoma_fastsac_g1_29dof.onnx"
 DT = 0.02
 
@@ -86,7 +87,7 @@ def test_each_part_has_a_key_of_its_own_and_the_velocities_the_range_of_who_walk
         (lambda path: TracksPolicy(path, track="holosoma"), "g1-tracks: policy 'holosoma' follows 'velocity' commands; "
                                                            "expected 'twist2'"),
         (lambda path: WalksPolicy(onnx_file(path.with_name("go1.onnx"), 48, 12), walk="playground-go1"),
-         "g1-walks: policy 'playground-go1' drives 12 joints; expected the 29 of a G1"),
+         "g1-walks: policy 'playground-go1' drives another robot: a G1 has no joint FR_hip, FR_thigh, FR_calf, FL_hip"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_inside_is_refused_in_a_line(holosoma: Path, make: object, told: str) -> None:
@@ -108,10 +109,11 @@ def test_a_motion_that_asks_for_another_pose_is_not_taken_over_in_the_middle() -
 class Hall:
     """A simulated G1 that one policy walks and another has do motions."""
 
-    def __init__(self) -> None:
+    def __init__(self, walk: str = "holosoma", checkpoint: str = HOLOSOMA) -> None:
         physics = {"physics_dt_s": 0.002}
         self.rig: Rig = build(RigConfig(
-            robot="g1-mujoco", robot_options=physics, policy="g1-walks", checkpoint=HOLOSOMA,
+            robot="g1-mujoco", robot_options=physics, policy="g1-walks", checkpoint=checkpoint,
+            policy_options={"walk": walk},
             policies={"track": PolicyChoice(policy="g1-tracks")},
         ))  # fmt: skip
         self.control: ControlStep = self.rig.control()
@@ -140,8 +142,12 @@ class Hall:
 
 @pytest.mark.assets
 @pytest.mark.usefixtures("assets")
-def test_it_walks_somewhere_bows_walks_on_and_walks_by_a_motion() -> None:
-    hall = Hall()
+@pytest.mark.parametrize(
+    ("walk", "checkpoint"), [("holosoma", HOLOSOMA), pytest.param("rlgym-g1", RLGYM, marks=pytest.mark.torch)]
+)
+def test_it_walks_somewhere_bows_walks_on_and_walks_by_a_motion(walk: str, checkpoint: str) -> None:
+    """The second is of legs alone: the other joints are held."""
+    hall = Hall(walk, checkpoint)
     hall.drive(3.0, (0.5, 0.0, 0.0))
     hall.drive(1.0, (0.0, 0.0, 0.0))
     hall.switch("track")
