@@ -173,8 +173,8 @@ def test_every_runbook_can_be_planned_in_an_empty_folder(python: Path, home: Hom
     assert sorted([*planned, *asking]) == sorted(path.name for path in (ROOT / "runbooks").glob("*.yaml"))
     assert sorted(asking) == [
         "g1-falcon-sim.yaml", "g1-homie-sim.yaml", "g1-velocity-gamepad.yaml", "g1-velocity-keyboard.yaml",
-        "g1-velocity-script.yaml", "g1-walk-track.yaml", "go1-sim-gamepad.yaml", "go2-sim-gamepad.yaml",
-        "h1-sim-gamepad.yaml",
+        "g1-velocity-script.yaml", "g1-walk-track-pico.yaml", "g1-walk-track.yaml", "go1-sim-gamepad.yaml",
+        "go2-sim-gamepad.yaml", "h1-sim-gamepad.yaml",
     ], "for the file of a policy that is no part of the station"  # fmt: skip
 
 

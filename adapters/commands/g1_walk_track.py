@@ -33,6 +33,11 @@ _OWN = {"name": "g1-motion", "robot": "", "key": "", "auxiliary": {}, "stock": S
 MOTION = MotionCommand(**{each.name: getattr(twist2.FORMAT, each.name) for each in fields(BodyCommand)} | _OWN)
 
 
+def motion_of(robot: str) -> CommandFormat:
+    """Return TWIST2's numbers as a robot's part takes them, by its name; "" for the robot that TWIST2 knows."""
+    return MOTION.for_robot(robot) if robot else twist2.FORMAT
+
+
 class WalkOrTrack(PartedCommand):
     """As `PartedCommand`; the range of the velocities is that of the policy that walks.
 

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from adapters.commands.g1_walk_track import motion_of
 from adapters.commands.twist2 import FORMAT
 from adapters.drivers.body_on_legs import HEAD
 from adapters.drivers.command_shaper import CommandShaper
@@ -21,7 +22,7 @@ from station.operator import deltas
 from station.operator.deadman import Snapshot
 from station.operator.driver import DriverInput
 from station.operator.sample import Body, OperatorSample, Pose
-from station.protocols import CommandFormat, Floats, Reference
+from station.protocols import Floats, Reference
 
 LEAVE_S = 2.0
 """From where a body was let go to a stand [s]; the arms stay as they were, velocities fade sooner."""
@@ -54,14 +55,24 @@ class BodyDriver:
         retarget: Calibrated for the operator.
         calibration: What a manifest says of that: whose, and the hash of its file.
         neck_scale: How far the neck turns for each radian of the head.
+        robot: Part of a robot that takes motions, such as ``g1_29_track``; "" for the robot that TWIST2 knows.
+
+    Attributes:
+        command_format: TWIST2's numbers.
     """
 
     name = "body"
     mode = ""
 
     def __init__(
-        self, retarget: Retarget, *, calibration: Mapping[str, Any] | None = None, neck_scale: float = SCALE
+        self,
+        retarget: Retarget,
+        *,
+        calibration: Mapping[str, Any] | None = None,
+        neck_scale: float = SCALE,
+        robot: str = "",
     ) -> None:
+        self.command_format = motion_of(robot)
         self._retarget, self._calibration = retarget, dict(calibration or {})
         self._shaper, self._fingers, self._neck = CommandShaper(FORMAT), Fingers(), Neck(neck_scale)
         self._neck_scale = neck_scale
@@ -72,18 +83,15 @@ class BodyDriver:
         self._left_s = 0.0
 
     @property
-    def command_format(self) -> CommandFormat:
-        """TWIST2's."""
-        return FORMAT
-
-    @property
     def target(self) -> Floats:
         """The command that stands."""
         return self._shaper.sent.copy()
 
     @property
     def auxiliary(self) -> Mapping[str, Floats]:
-        """Both Dex3 hands, and the neck."""
+        """Both Dex3 hands, and the neck; a part has neither."""
+        if not self.command_format.auxiliary:
+            return {}
         return {**FORMAT.auxiliary, **self._fingers.commands, **self._neck.command}
 
     @property

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
+from adapters.commands.g1_walk_track import motion_of
 from adapters.commands.twist2 import FORMAT
 from adapters.drivers.body_on_legs import BodyOnLegs, named
 from adapters.drivers.neck import SCALE, Neck
@@ -21,7 +22,7 @@ from station.operator import deltas
 from station.operator.deadman import Snapshot
 from station.operator.driver import DriverInput
 from station.operator.sample import OperatorSample, Pose, Side
-from station.protocols import CommandFormat, Floats
+from station.protocols import Floats
 
 Poses = Mapping[str, Pose]
 Palms = Mapping[Side, Pose]
@@ -37,6 +38,7 @@ class HandsOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             the headset faces at engaging.
         waist: Whether the waist helps the arms.
         neck_scale: How far the neck turns for each radian of the headset; 0 keeps it still.
+        robot: Part of a robot that takes motions, such as ``g1_29_track``; "" for the robot that TWIST2 knows.
     """
 
     sides: tuple[Side, ...] = SIDES
@@ -44,6 +46,7 @@ class HandsOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     heading: Literal["world", "head"] = "world"
     waist: bool = False
     neck_scale: float = SCALE
+    robot: str = ""
 
     def __post_init__(self) -> None:
         if not self.sides or len(set(self.sides)) < len(self.sides):
@@ -61,17 +64,13 @@ class HandsDriver:
 
     def __init__(self, options: HandsOptions | None = None) -> None:
         self._options = options or HandsOptions()
+        self.command_format = motion_of(self._options.robot)
         self._body = BodyOnLegs()
         self._ik = ArmIk(waist=self._options.waist)
         self._neck = Neck(self._options.neck_scale)
         self._held: Snapshot[Poses, Palms] | None = None
         self._walks = False
         self.resume_from(FORMAT.default)
-
-    @property
-    def command_format(self) -> CommandFormat:
-        """TWIST2's."""
-        return FORMAT
 
     @property
     def mode(self) -> str:
@@ -85,8 +84,8 @@ class HandsDriver:
 
     @property
     def auxiliary(self) -> Mapping[str, Floats]:
-        """Both Dex3 hands, and the neck."""
-        return {**self._body.auxiliary, **self._neck.command}
+        """Both Dex3 hands, and the neck; a part has neither."""
+        return {} if not self.command_format.auxiliary else {**self._body.auxiliary, **self._neck.command}
 
     @property
     def is_still(self) -> bool:

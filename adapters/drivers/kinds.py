@@ -27,11 +27,13 @@ class BodyOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         height_m: How tall an operator is who has not been measured [m].
         calibration: File with the operator's measurements; None for the one that is kept under the operator's name.
         neck_scale: How far the neck turns for each radian of the head; 0 keeps it still.
+        robot: Part of a robot that takes motions, such as ``g1_29_track``; "" for the robot that TWIST2 knows.
     """
 
     height_m: float = 1.75
     calibration: Path | None = None
     neck_scale: float = SCALE
+    robot: str = ""
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.height_m <= 2.3:
@@ -52,7 +54,12 @@ def _body(options: BodyOptions, operator: str) -> Driver:
         known, file = operators.load(operator)
     else:
         known = calibration.from_height(options.height_m)
-    return BodyDriver(BodyRetarget(known), calibration=operators.facts(known, file), neck_scale=options.neck_scale)
+    return BodyDriver(
+        BodyRetarget(known),
+        calibration=operators.facts(known, file),
+        neck_scale=options.neck_scale,
+        robot=options.robot,
+    )
 
 
 def _arm_joints(options: ArmOptions, operator: str) -> Driver:

@@ -187,6 +187,7 @@ PAGES = {
             f" {_DRIVEN_FOR} keyboard.fake=builtin:keyboard/example.json"
         ),
         "station serve motion": Typed(elsewhere="tests/main_job/test_velocity.py, in a runbook"),
+        "station up g1-walk-track-pico": Typed(elsewhere="tests/main_job/test_proof_walk_track.py"),
         "station up g1-homie-sim --record": Typed(elsewhere="needs a file that cannot be had here"),
     }, _holosoma),
     "docs/your-robot.md": Page({

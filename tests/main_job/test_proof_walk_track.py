@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
 
 from tests.main_job.station_runs import Terminal
 
-SETTINGS = (
-    "robot.checkpoint=zoo:policies/holosoma_fastsac_g1_29dof.onnx", "gamepad.fake=builtin:gamepad/example.json",
-    "motion.loop=true",
-)  # fmt: skip
+CHECKPOINT = "robot.checkpoint=zoo:policies/holosoma_fastsac_g1_29dof.onnx"
+SETTINGS = (CHECKPOINT, "gamepad.fake=builtin:gamepad/example.json", "motion.loop=true")
 
 pytestmark = [pytest.mark.assets, pytest.mark.timeout(300)]
 
@@ -23,7 +22,31 @@ def test_both_drive_and_each_part_of_the_command_is_audited(
     done = terminal.run("up", "g1-walk-track", "--yes", "--record", "--task", "bow", "--for", "15s", *sets)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "track drives" in done.stdout + done.stderr
-    episode = str(terminal.episode("bow"))
+    expect_both_drove(terminal, "bow")
+
+
+def test_one_headset_walks_and_works_by_hand(proof: object, tmp_path: Path, processes: None, assets: Path) -> None:
+    terminal = Terminal(tmp_path)
+    sets = [word for setting in (CHECKPOINT, "pico.fake=builtin:pico/example.json") for word in ("--set", setting)]
+    station = terminal.start("up", "g1-walk-track-pico", "--yes", "--record", "--task", "fetch", *sets)
+    try:
+        for line in station.stdout or ():
+            if "part=walk from=entering to=tracking" in line:
+                break
+        time.sleep(5.0)  # it walks
+        assert terminal.run("policy", "switch", "track").returncode == 0
+        time.sleep(6.0)  # hands move
+        assert terminal.run("policy", "switch", "g1-walks").returncode == 0
+        assert terminal.run("down").returncode == 0
+        station.communicate(timeout=60)
+    finally:
+        station.kill()
+    expect_both_drove(terminal, "fetch")
+
+
+def expect_both_drove(terminal: Terminal, task: str) -> None:
+    """Fail unless an episode is good, and what both policies did in it is derived again to the last bit."""
+    episode = str(terminal.episode(task))
     check, audit = terminal.json("check", episode), terminal.json("audit", episode)
     assert (check["verdict"], check["falls"]) == ("good", 0), check["reasons"]
     assert [each["policy"] for each in (audit, *audit["took_over"])] == ["g1-walks", "g1-tracks"]

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from adapters.commands.twist2 import FORMAT
+from adapters.drivers.body import BodyDriver
+from adapters.drivers.hands import HandsDriver, HandsOptions
 from station.operator.deadman import Snapshot
 from station.operator.driver import Driver
 from station.operator.sample import OperatorSample
 from station.protocols import Floats
 
-from .operators import DRIVERS, TICK_S, Operator
+from .operators import DRIVERS, TICK_S, Operator, Shadow
 
 pytest.importorskip("mink")
 
@@ -125,3 +127,17 @@ def test_what_stands_beside_the_command_is_as_long_as_stock_readers_expect(pair:
 def test_its_facts_name_it(pair: tuple[Driver, Operator]) -> None:
     assert pair[0].facts()["driver"] == pair[0].name
     assert pair[0].command_format is FORMAT
+
+
+@pytest.mark.parametrize(
+    "driver",
+    [
+        HandsDriver(HandsOptions(robot="g1_29_track")),
+        BodyDriver(Shadow(), robot="g1_29_track"),
+    ],
+    ids=lambda driver: driver.name,
+)
+def test_a_part_that_takes_motions_is_driven_under_its_own_key(driver: Driver) -> None:
+    assert driver.command_format.key == "action_motion_g1_29_track"
+    assert driver.command_format.elements == FORMAT.elements
+    assert driver.auxiliary == {}, "hands and neck are those of the robot that stock programs know"
