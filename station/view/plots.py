@@ -295,14 +295,18 @@ def _draw_errors(axes: Axes, run: Run, errors: Mapping[str, float]) -> None:
 
 
 def draw_lanes(axes: Axes, run: Run, *, width_px: float) -> None:
-    """Draw what played above what the gate did; a label stands where its bar is wide enough for it.
+    """Draw what played, which policy drove and what the gate did; a label stands where its bar is wide enough for it.
 
     Args:
         axes: Where to; its x-axis is time [s] and has its limits.
         run: The run.
         width_px: Width of the axes [px].
     """
-    lanes = [("motion", run.phases, _clip_colours(run.phases)), ("gate", run.gate, [_gate(s.name) for s in run.gate])]
+    lanes = [
+        ("motion", run.phases, _clip_colours(run.phases)),
+        ("policy", run.driving, _clip_colours(run.driving)),
+        ("gate", run.gate, [_gate(span.name) for span in run.gate]),
+    ]
     shown = [lane for lane in lanes if lane[1]]
     start_s, end_s = axes.get_xlim()
     px_per_s = width_px / max(end_s - start_s, 1e-9)

@@ -49,6 +49,7 @@ class Run:
         heights: Times [s] and commanded heights of the root [m]; None where the command has none.
         gate: States of the gate.
         phases: What was played: names of clips while a motion plays, else the phase; or what an operator moved.
+        driving: Which policy drove, where several could.
         can_fall: Whether it is a robot that stands on its own.
         groups: Names of its joints by limb.
         falls_s: When the robot fell [s].
@@ -66,6 +67,7 @@ class Run:
     heights: tuple[Floats, Floats] | None = None
     gate: list[Span] = field(default_factory=list)
     phases: list[Span] = field(default_factory=list)
+    driving: list[Span] = field(default_factory=list)
     can_fall: bool = True
     groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     falls_s: list[float] = field(default_factory=list)
@@ -103,7 +105,7 @@ def read_run(reader: EpisodeReader, robot: str = "") -> Run:
     has_base = description is None or description.has_base
     name = phases.PhaseNames(phases.motion_facts(reader, robot))
     source = _objects(held[keys.command_source(robot)], begin_ns)
-    gates = _objects(held[keys.command_gate(robot)], begin_ns)
+    gates = list(_objects(held[keys.command_gate(robot)], begin_ns))
     return Run(
         episode_id=reader.episode_id,
         robot=robot,
@@ -114,6 +116,7 @@ def read_run(reader: EpisodeReader, robot: str = "") -> Run:
         commanded=_commanded(find, commands, begin_ns),
         heights=_heights(find, commands, begin_ns),
         gate=phases.spans((at_s, str(value.get("state", ""))) for at_s, value in gates),
+        driving=phases.spans((at_s, str(value.get("policy") or "")) for at_s, value in gates),
         phases=phases.spans((at_s, name(value)) for at_s, value in source),
         can_fall=has_base,
         falls_s=_falls(held[keys.EVENT], robot, measured, begin_ns),

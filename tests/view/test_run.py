@@ -39,6 +39,16 @@ def test_gate_and_phases_are_spans_from_change_to_change(builder: EpisodeBuilder
     assert run.end_s == pytest.approx(0.98, abs=0.01)
 
 
+def test_of_several_policies_it_shows_which_drove_when(builder: EpisodeBuilder) -> None:
+    for number in range(30):
+        gate = {"state": "tracking", "policy": "walks" if number < 10 or number >= 20 else "tracks"}
+        values = {keys.command_gate(ROBOT): codec.json_object(gate), keys.policy_obs(ROBOT): bytes(4)}
+        builder.write(values, at_s=0.02 * number)
+    run = read(builder)
+    assert [span.name for span in run.driving] == ["walks", "tracks", "walks"]
+    assert [span.name for span in run.gate] == ["tracking"]
+
+
 def test_clips_take_the_place_of_playing(builder: EpisodeBuilder) -> None:
     for number in range(20):
         source = {"file": "builtin:tour", "phase": "playing", "time_s": 0.1 * number}
