@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from adapters.commands.arm import arm_command
 from adapters.robots import arm_limits
 from adapters.robots.kassow.names import KR810_ROBOT
 from station.bus import codec, keys, robot_streams
+from station.clock import Clock
 from station.config import to_plain
 from station.control.arm_control import ArmControl, result_values
 from station.control.command_validator import CommandSample
@@ -50,7 +51,9 @@ class ArmRun:
     latency_s: float = 3e-6
 
     def __post_init__(self) -> None:
-        self.control = ArmControl(self.arm, FORMAT, gate=GateConfig(), is_armed=True)
+        # On the times of the episode: the machine's own would pass for it where a test takes as long as its arm.
+        self.clock = _Ticks(self)
+        self.control = ArmControl(self.arm, FORMAT, gate=GateConfig(), is_armed=True, clock=self.clock)
         self._sample: CommandSample | None = None
         self._is_due = False
 
@@ -65,7 +68,7 @@ class ArmRun:
         self.arm.pass_tick()
         if command is not None:
             self._hear(command)
-        state = self.control.sense()
+        state = replace(self.control.sense(), mono_ns=self.clock.monotonic_ns())
         if self.ticks % 2:
             self._write_state(state.q)
         record = self.control.step(state, self._sample, MONO_START_NS * 1e-9 + self.at_s)
@@ -127,3 +130,13 @@ class ArmRun:
         if self.ticks % 24 == 1:
             values[keys.state_controller(ROBOT)] = codec.json_object(word)
         self.builder.write(values, at_s=self.at_s, writer=self.writer)
+
+
+class _Ticks(Clock):
+    """The instants of a run."""
+
+    def __init__(self, run: ArmRun) -> None:
+        self._run = run
+
+    def monotonic_ns(self) -> int:
+        return MONO_START_NS + round(self._run.at_s * 1e9)
