@@ -14,11 +14,11 @@ import pytest
 
 from station.export.jobs import Attempt, map_episodes
 from tests.cli.running import are_gone
-from tests.export.test_jobs import ROOT, check_squares, die, square
+from tests.export.test_jobs import ROOT, check_squares, die, needs_ray, square
 from tests.waiting import wait_until
 
-pytestmark = pytest.mark.usefixtures("processes")
-pytest.importorskip("ray")
+# Ray is not imported to see whether it is there: it changes the environment, and no child would start warm any more.
+pytestmark = [pytest.mark.usefixtures("processes"), needs_ray]
 
 
 def test_the_same_work_on_a_ray_cluster_of_two_workers_gives_the_same_and_leaves_nothing_behind(proof: object) -> None:
