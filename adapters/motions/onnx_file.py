@@ -14,6 +14,7 @@ import numpy as np
 
 from adapters.motions import raw
 from adapters.motions.clip import Clip
+from adapters.retarget.bone_frames import to_quats
 from adapters.robots.g1.joints import G1_29
 from adapters.robots.g1.kinematics import INDEX, forward
 from station import assets, rotations
@@ -24,65 +25,51 @@ FPS = 50.0
 OUTPUTS = {"joint_pos": len(G1_29), "ref_pos_xyz": 3, "ref_quat_xyzw": 4}
 _TORSO = INDEX["torso"]
 _LONGEST = 1 << 17  # rows; forty minutes
-_BEYOND = 1e7  # a time step after all
+_BEYOND = 1e7  # a time step after the last row
 
 
 class Reader:
-    """Reads a motion.
+    """Reads a motion; it begins at the origin and looks along X.
+
+    No frame of it is mended: a policy was trained on each, however fast it is.
 
     Attributes:
-        is_listed: Whether files of this suffix pass for motions unseen; most checkpoints hold none.
+        is_listed: Whether any file of this suffix is listed as a motion. Most checkpoints hold none.
     """
 
     is_listed = False
 
     def __call__(self, path: Path, *, fps: float | None = None) -> Clip:
-        """As `load`."""
-        return load(path, fps=fps)
+        """Read a motion.
+
+        Args:
+            path: The file.
+            fps: Takes the place of 50.
+
+        Raises:
+            BadFile: missing, no ONNX, or without such a clip.
+        """
+        rows = _rows(path)
+        if not np.isfinite(rows).all():
+            raise BadFile(f"{path}: its clip holds numbers that are not finite")
+        q, position, quat = np.split(rows, np.cumsum([*OUTPUTS.values()])[:-1], axis=1)
+        in_root = forward(np.zeros((len(q), 3)), np.tile([1.0, 0, 0, 0], (len(q), 1)), q)
+        waist = to_quats(in_root.rotation[_TORSO])
+        root = rotations.multiply(rotations.normalized(quat[:, [3, 0, 1, 2]]), rotations.inverse(waist))
+        root_pos = position - rotations.rotate(root, in_root.position[_TORSO])
+        yaw = rotations.roll_pitch_yaw(root[0])[2]
+        back = rotations.from_rotation_vector([0.0, 0.0, -yaw])
+        root_pos = rotations.rotate(back, root_pos - root_pos[0] * [1, 1, 0])
+        made = raw.build(
+            path, format="onnx", fps=FPS if fps is None else fps, root_pos=root_pos,
+            root_quat_wxyz=rotations.multiply(back, root), q=q,
+        )  # fmt: skip
+        facts = {"file": str(path), "sha256": assets.sha256(path), "format": made.format, "fps": made.fps,
+                 "duration_s": (len(made) - 1) / made.fps}  # fmt: skip
+        return Clip(made, facts=facts)
 
 
 READER = Reader()
-
-
-def load(path: Path, *, fps: float | None = None) -> Clip:
-    """Read a motion; it begins at the origin and looks along X.
-
-    No frame of it is mended: a policy was trained on each, however fast it is.
-
-    Args:
-        path: The file.
-        fps: Takes the place of 50.
-
-    Raises:
-        BadFile: missing, no ONNX, or without such a clip.
-    """
-    rows = _rows(path)
-    if not np.isfinite(rows).all():
-        raise BadFile(f"{path}: its clip holds numbers that are not finite")
-    q, position, quat = np.split(rows, np.cumsum([*OUTPUTS.values()])[:-1], axis=1)
-    in_root = forward(np.zeros((len(q), 3)), np.tile([1.0, 0, 0, 0], (len(q), 1)), q)
-    torso = rotations.normalized(quat[:, [3, 0, 1, 2]])
-    root = rotations.multiply(torso, rotations.inverse(_waist(q)))
-    root_pos = position - rotations.rotate(root, in_root.position[_TORSO])
-    yaw = rotations.roll_pitch_yaw(root[0])[2]
-    back = rotations.from_rotation_vector([0.0, 0.0, -yaw])
-    root_pos = rotations.rotate(back, root_pos - root_pos[0] * [1, 1, 0])
-    made = raw.build(
-        path, format="onnx", fps=FPS if fps is None else fps, root_pos=root_pos,
-        root_quat_wxyz=rotations.multiply(back, root), q=q,
-    )  # fmt: skip
-    facts = {"file": str(path), "sha256": assets.sha256(path), "format": made.format, "fps": made.fps,
-             "duration_s": (len(made) - 1) / made.fps}  # fmt: skip
-    return Clip(made, facts=facts)
-
-
-def _waist(q: Floats) -> Floats:
-    """Return the rotation from torso to root, shape (n, 4), of joint positions, shape (n, 29)."""
-    turned = np.tile([1.0, 0.0, 0.0, 0.0], (len(q), 1))
-    for name, axis in (("waist_yaw", [0, 0, 1]), ("waist_roll", [1, 0, 0]), ("waist_pitch", [0, 1, 0])):
-        angle = q[:, [G1_29.index(name)]]
-        turned = rotations.multiply(turned, rotations.from_rotation_vector(angle * np.array(axis, np.float64)))
-    return turned
 
 
 def _rows(path: Path) -> Floats:

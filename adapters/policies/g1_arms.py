@@ -20,10 +20,10 @@ from adapters.policies.homie import HomiePolicy
 from adapters.robots.g1.joints import G1_29
 from station import registry
 from station.errors import ConfigError
-from station.protocols import Floats, Floats32, JointTargets, Policy, PolicySpec, RobotState
+from station.protocols import Floats, Floats32, JointTargets, Policy, RobotState
 
 
-class G1ArmsPolicy:
+class G1ArmsPolicy(OnAllJoints):
     """Implements `station.protocols.Policy`.
 
     Args:
@@ -41,13 +41,13 @@ class G1ArmsPolicy:
 
     def __init__(self, checkpoint: Path, *, legs: str = "homie", legs_options: dict[str, Any] | None = None) -> None:
         inside: Policy = registry.find("policy", legs)(checkpoint, **(legs_options or {}))
-        if inside.spec.command not in FORMATS:
+        given = inside.spec
+        if given.command not in FORMATS:
             raise ConfigError(
-                f"legs: policy {legs!r} follows {inside.spec.command!r} commands; expected one that follows "
+                f"legs: policy {legs!r} follows {given.command!r} commands; expected one that follows "
                 f"{', '.join(FORMATS)}"
             )
-        self._legs = OnAllJoints(inside, np.zeros(len(G1_29)), f"legs: policy {legs!r}")
-        given = self._legs.spec
+        super().__init__(inside, np.zeros(len(G1_29)), f"legs: policy {legs!r}")
         self._arms = [G1_29.index(name) for name in ARMS]
         self._count = len(given.command_lower if given.command_lower is not None else FORMATS[given.command].default)
         span = [
@@ -55,33 +55,16 @@ class G1ArmsPolicy:
             for end in ("lower", "upper")
         ]
         lower, upper = (None if legs is None else np.concatenate([legs, *arms]) for legs, arms in span)
-        self._spec: PolicySpec = replace(
-            given, name="g1-arms", command=f"g1-arms-{given.command}", command_lower=lower, command_upper=upper
+        self._spec = replace(
+            self._spec, name="g1-arms", command=f"g1-arms-{given.command}", command_lower=lower, command_upper=upper
         )
-
-    @property
-    def spec(self) -> PolicySpec:
-        """The constants of the policy inside, for all joints of a G1."""
-        return self._spec
-
-    def reset(self) -> None:
-        """Forget what the policy inside remembers."""
-        self._legs.reset()
 
     def observe(self, state: RobotState, command: Floats) -> Floats32:
         """Return the observation of the policy inside, of the velocities."""
-        return self._legs.observe(state, command[: self._count])
-
-    def act(self, observation: Floats32) -> Floats32:
-        """Return the raw output of the policy inside."""
-        return self._legs.act(observation)
+        return super().observe(state, command[: self._count])
 
     def targets(self, action: Floats32, command: Floats) -> JointTargets:
         """Return the targets of the policy inside, and of the arms what the command says."""
-        made = self._legs.targets(action, command[: self._count])
+        made = super().targets(action, command[: self._count])
         made.q[self._arms] = command[self._count :]
         return made
-
-    def restore(self, observation: Floats32) -> None:
-        """Restore what the policy inside remembers."""
-        self._legs.restore(observation)

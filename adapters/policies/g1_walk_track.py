@@ -13,27 +13,32 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from adapters.commands import g1_walk_track, twist2, velocity
+from adapters.commands import twist2, velocity
+from adapters.commands.g1_walk_track import FORMAT, TRACK, WALK
 from adapters.policies.g1_whole import OnAllJoints
 from adapters.policies.holosoma import HolosomaPolicy
 from adapters.policies.tracker.policy import TrackerPolicy
-from adapters.robots.g1.joints import G1_29
+from adapters.robots.g1.joints import G1_29, LEGS, WAIST
 from station import registry
 from station.errors import ConfigError
-from station.protocols import Floats, Floats32, JointTargets, Policy, PolicySpec, RobotState, TakesOver
+from station.protocols import Floats, Floats32, JointTargets, Policy, RobotState, TakesOver
 
 FARTHEST_RAD = 1.6
-"""How far a joint may be from where a motion asks it to be as its policy takes over [rad]: as far as was tried. At 12
-moments of a squat and of a reach neither `tracker` nor `twist2` fell, from a stand and from 0.5 m/s. Poses to stand in
-differ by 0.7."""
+"""How far a joint may be from where a motion asks it to be as a policy that tracks takes over [rad]: as far as was
+tried, at 12 moments of a squat and a reach, from a stand and from 0.5 m/s. None of these fell."""
 
+FARTHEST_LEG_RAD = 1.2
+"""How far a joint of legs or waist may be from where a policy that walks stands, as that takes over [rad]. Of 72 such
+hand-overs one fell: out of a deep squat, a knee 1.3 rad away, whose feet were apart from the stride before."""
+
+_LOWER = slice(0, len(LEGS) + len(WAIST))
 
 _STANDS = twist2.FORMAT.default[-len(G1_29) :]
 """Where joints are held that a policy does not drive [rad]."""
 
 
-class _OfPart:
-    """Implements `station.protocols.Policy` by another."""
+class _OfPart(OnAllJoints):
+    """A policy inside that gets its part of the command."""
 
     NAME: ClassVar[str]
     FOLLOWS: ClassVar[str]
@@ -47,41 +52,21 @@ class _OfPart:
             raise ConfigError(
                 f"{self.NAME}: policy {inside!r} follows {made.spec.command!r} commands; expected {self.FOLLOWS!r}"
             )
+        super().__init__(made, _STANDS, f"{self.NAME}: policy {inside!r}")
         self._why_not = made.why_not_take_over if isinstance(made, TakesOver) else None
-        self._inside = OnAllJoints(made, _STANDS, f"{self.NAME}: policy {inside!r}")
-        self._spec = self._whole(self._inside.spec)
-
-    @property
-    def spec(self) -> PolicySpec:
-        """The constants of the policy inside, for a command of both parts."""
-        return self._spec
-
-    def reset(self) -> None:
-        """Forget what the policy inside remembers."""
-        self._inside.reset()
+        self._spec = replace(self._spec, name=self.NAME, command=FORMAT.name, part=self.PART_NAME)
 
     def observe(self, state: RobotState, command: Floats) -> Floats32:
         """Return the observation of the policy inside, of its part of the command."""
-        return self._inside.observe(state, command[self.PART])
-
-    def act(self, observation: Floats32) -> Floats32:
-        """Return the raw output of the policy inside."""
-        return self._inside.act(observation)
+        return super().observe(state, command[self.PART])
 
     def targets(self, action: Floats32, command: Floats) -> JointTargets:
-        """Return the targets of the policy inside."""
-        return self._inside.targets(action, command[self.PART])
-
-    def restore(self, observation: Floats32) -> None:
-        """Restore what the policy inside remembers."""
-        self._inside.restore(observation)
+        """Return the targets of the policy inside, for its part of the command."""
+        return super().targets(action, command[self.PART])
 
     def why_not_take_over(self, state: RobotState, command: Floats) -> str:
         """Return why the policy inside cannot drive from here on, or ""."""
         return self._why_not(state, command[self.PART]) if self._why_not is not None else ""
-
-    def _whole(self, spec: PolicySpec) -> PolicySpec:
-        return replace(spec, name=self.NAME, command=g1_walk_track.FORMAT.name, part=self.PART_NAME)
 
 
 class WalksPolicy(_OfPart):
@@ -99,21 +84,26 @@ class WalksPolicy(_OfPart):
     """
 
     NAME, FOLLOWS = "g1-walks", velocity.FORMAT.name
-    PART, PART_NAME = g1_walk_track.WALK, "walk"
+    PART, PART_NAME = WALK, "walk"
     ORIGIN = f"the origin of the policy that its option `walk` names, for `holosoma` {HolosomaPolicy.ORIGIN}"
 
     def __init__(self, checkpoint: Path, *, walk: str = "holosoma", walk_options: dict[str, Any] | None = None) -> None:
         super().__init__(walk, checkpoint, walk_options)
+        given, ends = self._spec, (FORMAT.lower.copy(), FORMAT.upper.copy())
+        for whole, own in zip(ends, (given.command_lower, given.command_upper), strict=True):
+            if own is not None:
+                whole[WALK] = own
+        self._spec = replace(given, command_lower=ends[0], command_upper=ends[1])
 
-    def _whole(self, spec: PolicySpec) -> PolicySpec:
-        own = velocity.FORMAT.lower, velocity.FORMAT.upper
-        lower, upper = (
-            np.concatenate([end if given is None else given, motion])
-            for given, end, motion in zip(
-                (spec.command_lower, spec.command_upper), own, (twist2.FORMAT.lower, twist2.FORMAT.upper), strict=True
+    def why_not_take_over(self, state: RobotState, command: Floats) -> str:
+        """Return why not: legs or waist are far from a stand, or as the policy inside says."""
+        joint, gap_rad = _farthest(state.q[_LOWER] - self._spec.default_q[_LOWER])
+        if gap_rad > FARTHEST_LEG_RAD:
+            return (
+                f"{joint} is {gap_rad:.1f} rad from where it is when the robot stands, and a policy that walks takes "
+                f"over within {FARTHEST_LEG_RAD:g} rad; have the robot stand first"
             )
-        )
-        return replace(super()._whole(spec), command_lower=lower, command_upper=upper)
+        return super().why_not_take_over(state, command)
 
 
 class TracksPolicy(_OfPart):
@@ -131,7 +121,7 @@ class TracksPolicy(_OfPart):
     """
 
     NAME, FOLLOWS = "g1-tracks", twist2.FORMAT.name
-    PART, PART_NAME = g1_walk_track.TRACK, "track"
+    PART, PART_NAME = TRACK, "track"
     CHECKPOINT = TrackerPolicy.CHECKPOINT
 
     def __init__(
@@ -141,11 +131,16 @@ class TracksPolicy(_OfPart):
 
     def why_not_take_over(self, state: RobotState, command: Floats) -> str:
         """Return why not: a joint is far from where the motion asks it to be, or as the policy inside says."""
-        gaps = np.abs(command[self.PART][-len(G1_29) :] - state.q)
-        worst = int(gaps.argmax())
-        if gaps[worst] > FARTHEST_RAD:
+        joint, gap_rad = _farthest(command[self.PART][-len(G1_29) :] - state.q)
+        if gap_rad > FARTHEST_RAD:
             return (
-                f"the motion asks {G1_29[worst]} to be {gaps[worst]:.1f} rad from where it is, and a policy takes over "
-                f"within {FARTHEST_RAD:g} rad; ask again where it stands, or before it begins"
+                f"the motion asks {joint} to be {gap_rad:.1f} rad from where it is, and a policy that tracks takes "
+                f"over within {FARTHEST_RAD:g} rad; ask again where the motion stands, or before it begins"
             )
         return super().why_not_take_over(state, command)
+
+
+def _farthest(differences: Floats) -> tuple[str, float]:
+    """Return which of the G1's first joints differs most, and by how much [rad]."""
+    worst = int(np.abs(differences).argmax())
+    return G1_29[worst], float(abs(differences[worst]))

@@ -36,7 +36,7 @@ class OnAllJoints:
         kp[12:15], kd[12:15] = _WAIST
         for whole, own in ((default, given.default_q), (kp, given.kp), (kd, given.kd)):
             whole[self._known] = own
-        self._spec: PolicySpec = replace(given, joint_names=G1_29, default_q=default, kp=kp, kd=kd)
+        self._spec = replace(given, joint_names=G1_29, default_q=default, kp=kp, kd=kd)
 
     @property
     def spec(self) -> PolicySpec:

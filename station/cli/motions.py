@@ -7,6 +7,7 @@ import json
 import logging
 import sys
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any, Literal
 
 import click
@@ -69,11 +70,16 @@ def _known() -> list[_Row]:
     """Return what needs no file, read, and the files that are here, unread."""
     from station.assets import inventory
 
-    suffixes = [name for name in registry.names("motion") if getattr(registry.find("motion", name), "is_listed", True)]
     files = [item for item in inventory.inventory() if item.where != "not here"]
     kept = [_Row(motion=item.reference, format=item.path.suffix[1:])
-            for item in files if item.path.suffix[1:].lower() in suffixes]  # fmt: skip
+            for item in files if _is_listed(item.path.suffix[1:].lower())]  # fmt: skip
     return [_read(name, "refuse") for name in inventory.motions()] + kept
+
+
+@cache
+def _is_listed(suffix: str) -> bool:
+    """Whether any file of a suffix is listed as a motion, by what its reader says."""
+    return suffix in registry.names("motion") and getattr(registry.find("motion", suffix), "is_listed", True)
 
 
 def _read(reference: str, holes: str) -> _Row:

@@ -96,6 +96,8 @@ def _to_sim(reader: EpisodeReader, as_json: bool) -> None:
             click.echo(
                 "recorded against the clock: which command met which physics step was chance, so some drift is natural"
             )
+        if not report.steps:
+            click.echo("station: no step could be compared", err=True)
         for note in report.notes:
             click.echo(f"not as recorded: {note}")
     raise SystemExit(1 if not report.steps or (report.lock_step and report.different) else 0)

@@ -24,8 +24,7 @@ BLEND_S = 0.5
 """How long the targets are blended [s]."""
 
 BlendS = Annotated[float, msgspec.Meta(ge=0.0, le=5.0)]
-"""How long they may be [s]: who asks for a policy waits until it drives alone."""
-
+"""A blend that a user may ask for [s]. It is bounded, because `station policy switch` waits until the blend is over."""
 
 _NOT_FINITE = "its output is not finite"
 

@@ -144,9 +144,10 @@ class VelocityTracking:
 
     def add(self, number: int, time_s: float, command: Floats, root_pos: Floats, quat_wxyz: Floats) -> None:
         """Add a tick that counts: its number and time [s], command, place [m] and orientation of the root."""
-        if not self._elements:
+        asked = command[self._elements]
+        if not self._elements or not np.isfinite(asked).all():  # a policy that listens to no velocity drives
             return
-        asked, yaw = command[self._elements], float(roll_pitch_yaw(quat_wxyz)[2])
+        yaw = float(roll_pitch_yaw(quat_wxyz)[2])
         before, self._before = self._before, (number, time_s, asked, root_pos, yaw)
         if before is None or number != before[0] + 1:
             self._rows.extend([math.nan] * 7)

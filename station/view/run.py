@@ -105,7 +105,10 @@ def read_run(reader: EpisodeReader, robot: str = "") -> Run:
     has_base = description is None or description.has_base
     name = phases.PhaseNames(phases.motion_facts(reader, robot))
     source = _objects(held[keys.command_source(robot)], begin_ns)
-    gates = list(_objects(held[keys.command_gate(robot)], begin_ns))
+    gates = [
+        (at_s, str(value.get("state", "")), str(value.get("policy") or ""))
+        for at_s, value in _objects(held[keys.command_gate(robot)], begin_ns)
+    ]
     return Run(
         episode_id=reader.episode_id,
         robot=robot,
@@ -115,8 +118,8 @@ def read_run(reader: EpisodeReader, robot: str = "") -> Run:
         has_place=has_base and find(keys.sim_qpos(robot)) is not None,
         commanded=_commanded(find, commands, begin_ns),
         heights=_heights(find, commands, begin_ns),
-        gate=phases.spans((at_s, str(value.get("state", ""))) for at_s, value in gates),
-        driving=phases.spans((at_s, str(value.get("policy") or "")) for at_s, value in gates),
+        gate=phases.spans((at_s, state) for at_s, state, _ in gates),
+        driving=phases.spans((at_s, policy) for at_s, _, policy in gates),
         phases=phases.spans((at_s, name(value)) for at_s, value in source),
         can_fall=has_base,
         falls_s=_falls(held[keys.EVENT], robot, measured, begin_ns),

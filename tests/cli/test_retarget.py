@@ -67,7 +67,7 @@ def walker() -> Skeletons:
 
 
 def assert_walked(home: Home, folder: Path, count: int) -> None:
-    """Retarget all files of a folder; the robot does what each says, by the real policy in real physics."""
+    """Retarget all files of a folder; in simulation the tracker follows each motion without a fall."""
     out = folder / "motions"
     assert home.run("retarget", str(folder), *TO_G1, "--out", str(out), "--height", "1.72").returncode == 0
     done = home.run("rehearse", str(out / "*.npz"), "--json")

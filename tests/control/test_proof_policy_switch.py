@@ -13,6 +13,7 @@ from station.control.parted_path import samples_of
 from station.control.rig import PolicyChoice, Rig, RigConfig, build
 from station.motion.playback import Playback
 from station.parts import parts_of
+from station.protocols import Motion
 from tests.figures import Figures
 from tests.main_job.test_proof_velocity import CHECKPOINTS, slippery
 from tests.main_job.velocity_runs import HOLOSOMA
@@ -32,6 +33,8 @@ WALKERS = {
     "lab": PolicyChoice(policy="deploy-yaml", checkpoint="zoo:policies/unitree_rl_lab_g1.yaml"),
 }
 
+POSES = {"squat": (1.0, 1.8, 2.6, 3.4, 4.2, 5.0, 5.8), "reach-both": (1.0, 1.8, 2.6, 3.4, 4.2)}
+"""Moments of clips at which another policy takes over [s]."""
 FIRST_OF_BOTH = {"policy": "g1-walks", "checkpoint": HOLOSOMA}
 WALK_OR_TRACK = {
     "ppo": PolicyChoice(policy="g1-walks", checkpoint="zoo:policies/holosoma_ppo_g1_29dof.onnx"),
@@ -89,6 +92,50 @@ def test_a_robot_that_walks_does_not_fall_when_it_is_handed_to_one_that_tracks_a
         "greatest step of a target as one that walks or tracks takes over, of what its joint can move", jumps[True]
     )
     assert jumps[True] < 1.5 * jumps[False], "targets do not jump more than those of one policy do"
+
+
+@pytest.mark.assets
+@pytest.mark.torch
+@pytest.mark.timeout(900)
+def test_nothing_falls_where_a_policy_takes_over_in_the_middle_of_a_pose(proof: Figures) -> None:
+    """From walking to tracking, out of a stand and a walk, and two seconds later back; not back in a deep squat."""
+    rig = build(RigConfig(robot="g1-mujoco", policies=WALK_OR_TRACK, **FIRST_OF_BOTH))
+    refusals = [
+        _take_over(rig, registry.find("loader", "motion")(f"builtin:{clip}"), moment_s, walks, tracks, vx)
+        for clip, moments_s in POSES.items()
+        for moment_s in moments_s
+        for walks, tracks in (("g1-walks", "track"), ("g1-walks", "twist2"), ("legs", "track"))
+        for vx in (0.0, 0.5)
+    ]
+    refused = [refusal for refusal in refusals if refusal]
+    assert all("have the robot stand first" in refusal for refusal in refused), refused
+    assert 0 < len(refused) < len(refusals) / 2
+    what = "hand-overs in the middle of a squat or a reach, those refused in a deep squat left out: falls"
+    proof.figure(what, f"0 of {2 * len(refusals) - len(refused)}", limit="0")
+
+
+def _take_over(rig: Rig, motion: Motion, moment_s: float, walks: str, tracks: str, vx: float) -> str:
+    """Walk beside a motion that is commanded, have it tracked, and after two seconds walk; return why not, or ""."""
+    rig.policy.reset()
+    rig.robot.reset()  # type: ignore[attr-defined]
+    control = rig.control()
+    policies = control.policies
+    assert policies is not None
+    if policies.driving != walks:
+        policies.switch(walks)
+        policies.reset()  # at once
+    playback = Playback(motion, parts_of(rig.command_format)[1], lead_s=rig.period_s, loop=True)
+    there = round((1.0 + moment_s) / rig.period_s)  # it blends into the motion for a second
+    back = there + round(2.0 / rig.period_s)
+    for tick in range(back + round(3.0 / rig.period_s)):
+        if tick in (there, back):
+            policies.switch(tracks if tick == there else walks)
+        velocity = [vx if tick < there else 0.0, 0.0, 0.0]
+        command, now_s = np.concatenate([velocity, playback.step(rig.period_s).command]), tick * rig.period_s
+        record = control.step(control.sense(), samples_of(rig.command_format, command, now_s), now_s)
+        assert record.fall is None, f"{motion.name} at {moment_s:.1f} s, {walks} and {tracks}, fell at {now_s:.2f} s"
+    assert policies.driving == (tracks if policies.refusal else walks)
+    return policies.refusal
 
 
 def _walk_about(rig: Rig, random: Random, jumps: dict[bool, float], motion: str = "") -> int:

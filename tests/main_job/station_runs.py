@@ -13,8 +13,8 @@ SHARED_VARIABLES = ("STATION_BUS", "STATION_BUS_PASSWORD", "STATION_DATA")
 LOCK_STEP = (
     "g1.pace=command", "motion.pace=state", "g1.command_timeout_s=20", "motion.patience_s=20", "recorder.preroll_s=60",
 )  # fmt: skip
-"""One waits for the other however late it is: time stands still meanwhile, and goes not on without a command. The robot
-says its first state once, and waits: it belongs to the episode, however late the recorder comes."""
+"""Robot and motion server wait for each other; simulated time stands still meanwhile. The robot writes its first state
+once. The long pre-roll keeps that state in the episode, even when the recorder starts late."""
 RUNBOOK = "runbooks/g1-sim-motion.yaml"
 ROOT = Path(__file__).parents[2]
 

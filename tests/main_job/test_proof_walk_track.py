@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from adapters.robots.g1.joints import G1_29
+from station.bus import codec, keys
+from station.bus.address import BusAddress
+from station.bus.client import Bus
+from station.protocols import Floats
 from tests.main_job.station_runs import Terminal
+from tests.waiting import wait_until
 
+WALKED_M, BENT_RAD = 0.1, 1.3
+"""How far the sticks walk, and how far the hands then bend the right elbow; a robot that walks has it at 0.6 rad."""
+RIGHT_ELBOW = 7 + G1_29.index("right_elbow")
 CHECKPOINT = "robot.checkpoint=zoo:policies/holosoma_fastsac_g1_29dof.onnx"
 SETTINGS = (CHECKPOINT, "gamepad.fake=builtin:gamepad/example.json", "motion.loop=true")
 
@@ -33,15 +42,21 @@ def test_one_headset_walks_and_works_by_hand(proof: object, tmp_path: Path, proc
         for line in station.stdout or ():
             if "part=walk from=entering to=tracking" in line:
                 break
-        time.sleep(5.0)  # it walks
-        assert terminal.run("policy", "switch", "track").returncode == 0
-        time.sleep(6.0)  # hands move
-        assert terminal.run("policy", "switch", "g1-walks").returncode == 0
+        with Bus(BusAddress(socket=f"{tmp_path}/station/bus.sock"), name="tests", timeout_s=5.0) as bus:
+            wait_until(lambda: np.hypot(*pose(bus)[:2]) > WALKED_M)
+            assert terminal.run("policy", "switch", "track").returncode == 0
+            wait_until(lambda: pose(bus)[RIGHT_ELBOW] > BENT_RAD)
+            assert terminal.run("policy", "switch", "g1-walks").returncode == 0
         assert terminal.run("down").returncode == 0
         station.communicate(timeout=60)
     finally:
         station.kill()
     expect_both_drove(terminal, "fetch")
+
+
+def pose(bus: Bus) -> Floats:
+    """Return place [m], orientation and joints [rad] of the robot, shape (36,)."""
+    return codec.parse_f64(bus.get(keys.sim_qpos("g1_29")) or b"")
 
 
 def expect_both_drove(terminal: Terminal, task: str) -> None:

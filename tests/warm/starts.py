@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import signal
 import socket
@@ -26,7 +25,6 @@ _READ_AT_IMPORT = (
     "PYTHON", "LD_", "MUJOCO_", "OMP_", "OPENBLAS_", "MKL_", "ORT_", "LANG", "LC_", "TZ", "MALLOC_", "RAY_"
 )  # fmt: skip
 """Beginnings of variables that a library or the interpreter reads when it starts: a child with others starts cold."""
-_MOST_LOST = 3
 _DRAWS_NOTHING = ("MUJOCO_GL", "disable")  # leaves out an import that the fork server has made
 
 
@@ -42,7 +40,7 @@ class WarmStarts:
         self._before = subprocess.Popen._execute_child  # type: ignore[attr-defined]
         self._environment = _read_at_import(os.environ)
         self._server: subprocess.Popen[bytes] | None = None
-        self.started = self._lost = 0
+        self.started = 0
 
     def install(self) -> None:
         """Let `subprocess.Popen` start children warm."""
@@ -97,40 +95,25 @@ class WarmStarts:
         return True
 
     def _ask(self, request: fork_server.Request, descriptors: list[int]) -> int | None:
-        """Return the process id of a new child; None where it has to start cold."""
+        """Return the process id of a new child; None where there is no fork server any more."""
         with self._lock:
             if self._line is None and not self._start():
                 return None
             assert self._line is not None
-            why_not = "it has ended"
             try:
                 fork_server.send(self._line, request, descriptors)
-                if (answer := fork_server.receive(self._line)) is not None:
-                    self.started += 1
-                    return int(answer[0])
-            except OSError as error:
-                if error.errno == errno.EBADF:  # one descriptor is closed here, and nothing was sent
-                    return None
-                why_not = str(error)
-            self._lose(why_not)
-            return None
-
-    def _lose(self, why_not: str) -> None:
-        """Say that the fork server is lost, for the next child to start another; children that start cold take long."""
-        assert self._line is not None
-        self._line.close()
-        self._line = None
-        code = None
-        if self._server is not None:
-            self._server.kill()
-            code = self._server.wait()
-            LASTING.discard(self._server.pid)
-        self._server = None
-        self._lost += 1
-        print(f"tests.warm: lost a fork server: {why_not}, exit code {code}", file=sys.stderr)  # noqa: T201
+                answer = fork_server.receive(self._line)
+            except OSError:  # one descriptor is closed here, or the fork server has ended: cold then
+                answer = None
+            if answer is None:
+                self._line.close()
+                self._line = None
+                return None
+            self.started += 1
+            return int(answer[0])
 
     def _start(self) -> bool:
-        if not fork_server.can_fork() or self._lost > _MOST_LOST:
+        if not fork_server.can_fork() or self._server is not None:
             return False
         ours, theirs = socket.socketpair()
         with theirs:

@@ -18,7 +18,7 @@ from station.bus import codec, contracts, keys
 from station.bus.robot_streams import QUAT
 from station.contract import TIMING_STAGES, Contract
 from station.control.gate import MOVING
-from station.control.tracking import VELOCITIES, TrackingError, VelocityTracking
+from station.control.tracking import TrackingError, VelocityTracking
 from station.episode.quality import falls
 from station.episode.quality.finding_parts import Seen
 from station.episode.quality.findings import FallSeen, Spread, StepQuality
@@ -74,8 +74,9 @@ class StepMeter:
             for family in (keys.command_used, keys.robot_state, keys.sim_qpos, keys.state_joints)
             if (contract := self.contract(key := family(self.robot))) is not None
         }
+        asked = self._layouts.get(keys.command_used(self.robot), ())
         self._heard = {
-            policy: frozenset(contract.names)
+            policy: np.array([name in contract.names for name in asked], dtype=np.bool_)
             for policy, part in self.listens.items()
             if (contract := self.contract(keys.command_used(f"{self.robot}_{part}"))) is not None
         }
@@ -178,15 +179,15 @@ class StepMeter:
         # A foreign writer states no phase; its commands are meant from the first to the last.
         return not source or source.get("phase", _PLAYING) == _PLAYING
 
-    def _compare(self, step: Step, heard: frozenset[str] | None) -> None:
-        """Compare what was asked with what came of it, of the elements that the policy listens to; None for all."""
+    def _compare(self, step: Step, heard: NDArray[np.bool_] | None) -> None:
+        """Compare the command with the motion: the elements that the policy listens to, shape (m,); None for all."""
         used = self._named(step, keys.command_used(self.robot))
         state = self._named(step, keys.robot_state(self.robot)) or self._named(step, keys.state_joints(self.robot))
         if used is None or state is None:
             return
         (asked_names, asked), (names, measured) = used, state
         if heard is not None:
-            asked = np.where([name in heard for name in asked_names], asked, np.nan)
+            asked = np.where(heard, asked, np.nan)
         if self._tracking is None:
             self._joints = tuple(name.removesuffix("_pos") for name in names if name.endswith("_pos"))
             self._tracking = TrackingError(asked_names, self._joints)
@@ -195,8 +196,7 @@ class StepMeter:
         self._tracking.add(measured[: len(self._joints)], asked, height_m)
         if self._velocity is None and self.period_s is not None:
             self._velocity = VelocityTracking(asked_names, self.period_s)
-        follows = heard is None or not heard.isdisjoint(VELOCITIES)
-        if follows and self._velocity is not None and truth is not None and truth[0][: len(_PLACE)] == _PLACE:
+        if self._velocity is not None and truth is not None and truth[0][: len(_PLACE)] == _PLACE:
             at_s = (step.at_ns - self.start_ns) * 1e-9
             self._velocity.add(step.number, at_s, asked, truth[1][:3], truth[1][3:7])
 

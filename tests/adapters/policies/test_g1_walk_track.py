@@ -106,6 +106,17 @@ def test_a_motion_that_asks_for_another_pose_is_not_taken_over_in_the_middle() -
     assert "the motion asks left_knee to be 1.7 rad from where it is" in policy.why_not_take_over(state, command)
 
 
+def test_a_policy_that_walks_does_not_take_over_in_a_squat(holosoma: Path) -> None:
+    policy = WalksPolicy(holosoma)
+    ((state, command),) = both(1)
+    state = replace(state, q=policy.spec.default_q.copy())
+    assert policy.why_not_take_over(state, command) == ""
+    state.q[G1_29.index("right_elbow")] += 1.5
+    assert policy.why_not_take_over(state, command) == "", "arms swing to where it has them"
+    state.q[G1_29.index("left_knee")] += 1.3
+    assert "left_knee is 1.3 rad from where it is when the robot stands" in policy.why_not_take_over(state, command)
+
+
 class Hall:
     """A simulated G1 that one policy walks and another has do motions."""
 
