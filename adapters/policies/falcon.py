@@ -16,7 +16,7 @@ import numpy as np
 
 from adapters.commands.g1_parts import ARMS, VELOCITY_POSTURE
 from adapters.policies.follower import gravity, joined
-from adapters.policies.homie import FramedFollower
+from adapters.policies.homie import FramedG1
 from adapters.robots.g1 import joints as g1
 from station.protocols import Floats, Floats32, JointTargets, RobotState
 
@@ -25,7 +25,7 @@ _TOLD = slice(7, None)  # of a command: positions of the arms
 _YAW_ROLL_PITCH = [6, 4, 5]
 
 
-class FalconPolicy(FramedFollower):
+class FalconPolicy(FramedG1):
     """Implements `station.protocols.Policy`."""
 
     NAME = "falcon"

@@ -9,6 +9,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from adapters.commands.velocity import FORMAT
+from adapters.policies.history import FrameHistory
 from adapters.policies.onnx_network import OnnxNetwork
 from station.assets import sha256
 from station.protocols import CommandFormat, Floats, Floats32, JointTargets, PolicySpec, RobotState
@@ -115,6 +116,38 @@ class VelocityFollower(LastOutput):
         """Return the network, what runs it, and the gains."""
         network = OnnxNetwork(path, inputs=self.OBSERVATION, outputs=self.ACTIONS or len(self.JOINTS))
         return Loaded(network, network.runtime, self.GAINS)
+
+
+class FramedFollower(VelocityFollower):
+    """A follower that sees its last frames, and drives the first joints of its robot; the others are held."""
+
+    FRAMES: ClassVar[int] = 6
+    FRAME: ClassVar[int]
+    """Numbers in a frame."""
+
+    def reset(self) -> None:
+        """Forget the frames and the previous output: zero."""
+        super().reset()
+        self._frames = FrameHistory(self.FRAMES, self.FRAME)
+
+    def observe(self, state: RobotState, command: Floats) -> Floats32:
+        """Return the observation, of the state of all joints and a command."""
+        self._frames.push(self._frame(state, command, clipped(self._previous())))
+        return self._frames.flat.copy()
+
+    def targets(self, action: Floats32, command: Floats) -> JointTargets:
+        """Return default + scale x the clipped output of the joints that it drives, and the default of the others."""
+        q = self.DEFAULT_Q.copy()
+        q[: len(action)] += self.SCALE * clipped(action)
+        return JointTargets(q, self._spec.kp, self._spec.kd)
+
+    def restore(self, observation: Floats32) -> None:
+        """Restore frames and previous output from a recorded observation."""
+        super().restore(observation)
+        self._frames.fill(self._restored if self._restored is not None else observation)
+
+    def _frame(self, state: RobotState, command: Floats, previous: Floats) -> Floats32:
+        raise NotImplementedError
 
 
 def clipped(action: Floats32) -> Floats:

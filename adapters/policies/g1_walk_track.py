@@ -16,8 +16,8 @@ import numpy as np
 from adapters.commands import twist2, velocity
 from adapters.commands.g1_walk_track import FORMAT, TRACK, WALK
 from adapters.policies.g1_whole import OnAllJoints
-from adapters.policies.holosoma import HolosomaPolicy
 from adapters.policies.tracker.policy import TrackerPolicy
+from adapters.policies.walk.policy import G1WalkPolicy
 from adapters.robots.g1.joints import G1_29, LEGS, WAIST
 from station import registry
 from station.errors import ConfigError
@@ -85,9 +85,9 @@ class WalksPolicy(_OfPart):
 
     NAME, FOLLOWS = "g1-walks", velocity.FORMAT.name
     PART, PART_NAME = WALK, "walk"
-    ORIGIN = f"the origin of the policy that its option `walk` names, for `holosoma` {HolosomaPolicy.ORIGIN}"
+    CHECKPOINT = G1WalkPolicy.CHECKPOINT
 
-    def __init__(self, checkpoint: Path, *, walk: str = "holosoma", walk_options: dict[str, Any] | None = None) -> None:
+    def __init__(self, checkpoint: Path, *, walk: str = "g1-walk", walk_options: dict[str, Any] | None = None) -> None:
         super().__init__(walk, checkpoint, walk_options)
         given, ends = self._spec, (FORMAT.lower.copy(), FORMAT.upper.copy())
         for whole, own in zip(ends, (given.command_lower, given.command_upper), strict=True):

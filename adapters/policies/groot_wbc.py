@@ -16,7 +16,7 @@ import numpy as np
 
 from adapters.commands.velocity import WITH_POSTURE
 from adapters.policies.follower import Loaded, gravity, joined
-from adapters.policies.homie import FramedFollower
+from adapters.policies.homie import FramedG1
 from adapters.policies.onnx_network import OnnxNetwork
 from station import assets
 from station.errors import ConfigError
@@ -26,7 +26,7 @@ _VELOCITY_SCALE = np.array([2.0, 2.0, 0.5])
 _STILL = 0.05  # norm of vx, vy [m/s] and yaw rate [rad/s]
 
 
-class GrootWbcPolicy(FramedFollower):
+class GrootWbcPolicy(FramedG1):
     """Implements `station.protocols.Policy`.
 
     Args:

@@ -12,57 +12,24 @@ alone; here the first frame is in the history at once, so that every action foll
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from adapters.commands.velocity import WITH_HEIGHT
-from adapters.policies.follower import VelocityFollower, clipped, gravity, joined
-from adapters.policies.history import FrameHistory
+from adapters.policies.follower import FramedFollower, gravity, joined
 from adapters.robots.g1.joints import G1_29
-from station.protocols import Floats, Floats32, JointTargets, RobotState
+from station.protocols import Floats, Floats32, RobotState
 
 _LEG = (-0.1, 0.0, 0.0, 0.3, -0.2, 0.0)
 
 
-class FramedFollower(VelocityFollower):
-    """A follower of velocities and a posture that sees its last frames, and drives the first joints of a G1.
+class FramedG1(FramedFollower):
+    """What policies of a G1 share whose outputs are the first of its 29 joints; the others are held at zero."""
 
-    The other joints are held at their default: waist and arms.
-    """
-
-    FRAMES: ClassVar[int] = 6
-    FRAME: ClassVar[int]
-    """Numbers in a frame."""
     JOINTS, SCALE = G1_29, 0.25
     DEFAULT_Q = np.array([*_LEG, *_LEG, *[0.0] * 17])
 
-    def reset(self) -> None:
-        """Forget the frames and the previous output: zero."""
-        super().reset()
-        self._frames = FrameHistory(self.FRAMES, self.FRAME)
 
-    def observe(self, state: RobotState, command: Floats) -> Floats32:
-        """Return the observation, of the state of the 29 joints and a command."""
-        self._frames.push(self._frame(state, command, clipped(self._previous())))
-        return self._frames.flat.copy()
-
-    def targets(self, action: Floats32, command: Floats) -> JointTargets:
-        """Return default + scale x the clipped output of the joints that it drives, and the default of the others."""
-        q = self.DEFAULT_Q.copy()
-        q[: len(action)] += self.SCALE * clipped(action)
-        return JointTargets(q, self._spec.kp, self._spec.kd)
-
-    def restore(self, observation: Floats32) -> None:
-        """Restore frames and previous output from a recorded observation."""
-        super().restore(observation)
-        self._frames.fill(self._restored if self._restored is not None else observation)
-
-    def _frame(self, state: RobotState, command: Floats, previous: Floats) -> Floats32:
-        raise NotImplementedError
-
-
-class HomiePolicy(FramedFollower):
+class HomiePolicy(FramedG1):
     """Implements `station.protocols.Policy`."""
 
     NAME = "homie"

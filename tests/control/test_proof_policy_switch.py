@@ -35,9 +35,12 @@ WALKERS = {
 
 POSES = {"squat": (1.0, 1.8, 2.6, 3.4, 4.2, 5.0, 5.8), "reach-both": (1.0, 1.8, 2.6, 3.4, 4.2)}
 """Moments of clips at which another policy takes over [s]."""
-FIRST_OF_BOTH = {"policy": "g1-walks", "checkpoint": HOLOSOMA}
+FIRST_OF_BOTH = {"policy": "g1-walks"}
 WALK_OR_TRACK = {
-    "ppo": PolicyChoice(policy="g1-walks", checkpoint="zoo:policies/holosoma_ppo_g1_29dof.onnx"),
+    "fastsac": PolicyChoice(policy="g1-walks", checkpoint=HOLOSOMA, policy_options={"walk": "holosoma"}),
+    "ppo": PolicyChoice(
+        policy="g1-walks", checkpoint="zoo:policies/holosoma_ppo_g1_29dof.onnx", policy_options={"walk": "holosoma"}
+    ),
     "legs": PolicyChoice(
         policy="g1-walks", checkpoint="zoo:policies/rlgym_g1_motion.pt", policy_options={"walk": "rlgym-g1"}
     ),
@@ -87,7 +90,7 @@ def test_a_robot_that_walks_does_not_fall_when_it_is_handed_to_one_that_tracks_a
     asked, jumps = 0, {False: 0.0, True: 0.0}
     while asked < SWITCHES:
         asked += _walk_about(rig, random, jumps, motion=f"builtin:{random.choice(WALKS)}")
-    proof.figure("hand-overs of a G1 among three policies that walk and two that track", asked)
+    proof.figure("hand-overs of a G1 among four policies that walk and two that track", asked)
     proof.figure(
         "greatest step of a target as one that walks or tracks takes over, of what its joint can move", jumps[True]
     )

@@ -31,7 +31,6 @@ from tests.adapters.policies.velocity_inputs import onnx_file
 
 TRACKER = files.resolve("builtin:tracker.onnx")
 RLGYM = "zoo:policies/rlgym_g1_motion.pt"
-HOLOSOMA = "zoo:policies/holosoma_fastsac_g1_29dof.onnx"
 DT = 0.02
 
 
@@ -48,7 +47,7 @@ def both(count: int) -> list[tuple[RobotState, Floats]]:
 
 def test_each_is_the_policy_inside_with_its_part_of_the_command(holosoma: Path) -> None:
     pairs = (
-        (WalksPolicy(holosoma), HolosomaPolicy(holosoma), slice(0, 3)),
+        (WalksPolicy(holosoma, walk="holosoma"), HolosomaPolicy(holosoma), slice(0, 3)),
         (TracksPolicy(TRACKER), TrackerPolicy(TRACKER), slice(3, 38)),
     )
     for whole, inside, part in pairs:
@@ -65,12 +64,13 @@ def test_each_is_the_policy_inside_with_its_part_of_the_command(holosoma: Path) 
 
 
 def test_it_goes_on_from_a_recorded_observation(holosoma: Path) -> None:
-    expect_goes_on(WalksPolicy(holosoma), WalksPolicy(holosoma), both(6), is_run=True)
+    expect_goes_on(*(WalksPolicy(holosoma, walk="holosoma") for _ in range(2)), both(6), is_run=True)
     expect_goes_on(TracksPolicy(TRACKER), TracksPolicy(TRACKER), both(6), is_run=False)
 
 
 def test_each_part_has_a_key_of_its_own_and_the_velocities_the_range_of_who_walks(holosoma: Path) -> None:
-    rig = build(RigConfig(robot="g1-mujoco", policy="g1-walks", checkpoint=str(holosoma)))
+    rig = build(RigConfig(robot="g1-mujoco", policy="g1-walks", checkpoint=str(holosoma),
+                          policy_options={"walk": "holosoma"}))  # fmt: skip
     walk, track = parts_of(rig.command_format)
     assert [part.key for part in (walk, track)] == ["action_velocity_g1_29_walk", "action_motion_g1_29_track"]
     assert keys.action("motion_g1_29_track") == track.key
@@ -107,7 +107,7 @@ def test_a_motion_that_asks_for_another_pose_is_not_taken_over_in_the_middle() -
 
 
 def test_a_policy_that_walks_does_not_take_over_in_a_squat(holosoma: Path) -> None:
-    policy = WalksPolicy(holosoma)
+    policy = WalksPolicy(holosoma, walk="holosoma")
     ((state, command),) = both(1)
     state = replace(state, q=policy.spec.default_q.copy())
     assert policy.why_not_take_over(state, command) == ""
@@ -120,7 +120,7 @@ def test_a_policy_that_walks_does_not_take_over_in_a_squat(holosoma: Path) -> No
 class Hall:
     """A simulated G1 that one policy walks and another has do motions."""
 
-    def __init__(self, walk: str = "holosoma", checkpoint: str = HOLOSOMA) -> None:
+    def __init__(self, walk: str, checkpoint: str) -> None:
         physics = {"physics_dt_s": 0.002}
         self.rig: Rig = build(RigConfig(
             robot="g1-mujoco", robot_options=physics, policy="g1-walks", checkpoint=checkpoint,
@@ -154,7 +154,8 @@ class Hall:
 @pytest.mark.assets
 @pytest.mark.usefixtures("assets")
 @pytest.mark.parametrize(
-    ("walk", "checkpoint"), [("holosoma", HOLOSOMA), pytest.param("rlgym-g1", RLGYM, marks=pytest.mark.torch)]
+    ("walk", "checkpoint"),
+    [("g1-walk", "builtin:g1-walk.onnx"), pytest.param("rlgym-g1", RLGYM, marks=pytest.mark.torch)],
 )
 def test_it_walks_somewhere_bows_walks_on_and_walks_by_a_motion(walk: str, checkpoint: str) -> None:
     """The second is of legs alone: the other joints are held."""

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from adapters.policies.follower import FramedFollower
 from adapters.policies.groot_wbc import GrootWbcPolicy
-from adapters.policies.homie import FramedFollower, HomiePolicy
+from adapters.policies.homie import HomiePolicy
 from adapters.robots.g1.joints import G1_29
 from station.control.rig import RigConfig, build
 from station.errors import BadFile, ConfigError, StationError

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from adapters.policies.tracker.training.crowd import States
 from adapters.policies.twist2 import ANKLES, DEFAULT_Q, FRAME, GYRO_SCALE, VELOCITY_SCALE
+from research.crowd import States
 from station.protocols import Floats, Floats32
 from station.rotations import roll_pitch_yaw
 
@@ -29,31 +29,6 @@ def frames(states: States, commands: Floats, actions: Floats32) -> Floats32:
     out[:, 69 + ANKLES] = 0.0
     out[:, 98:127] = actions
     return out
-
-
-class Histories:
-    """The newest frames of every robot, oldest first.
-
-    Args:
-        robots, count: Numbers of robots and of frames kept.
-    """
-
-    def __init__(self, robots: int, count: int) -> None:
-        self.rows: Floats32 = np.zeros((robots, count, FRAME), dtype=np.float32)
-
-    def push(self, newest: Floats32) -> None:
-        """Append a frame to each, shape (n, 127)."""
-        self.rows[:, :-1] = self.rows[:, 1:]
-        self.rows[:, -1] = newest
-
-    def clear(self, robot: int) -> None:
-        """Forget what one robot saw."""
-        self.rows[robot] = 0.0
-
-    @property
-    def flat(self) -> Floats32:
-        """All frames of each robot in one row, shape (n, count x 127)."""
-        return self.rows.reshape(len(self.rows), -1)
 
 
 def noise_scales(amounts: tuple[float, float, float, float]) -> Floats32:

@@ -10,15 +10,16 @@ import pytest
 
 from adapters.commands.twist2 import FORMAT
 from adapters.policies.tracker.policy import OBSERVATION, TrackerPolicy
-from adapters.policies.tracker.training.__main__ import main
-from adapters.policies.tracker.training.crowd import Crowd, States
-from adapters.policies.tracker.training.frames import frames, noise_scales
-from adapters.policies.tracker.training.gated import BLEND_IN, gated
-from adapters.policies.tracker.training.recipe import Crowd as CrowdRecipe
-from adapters.policies.tracker.training.streams import ARMS, HEAD, wandering
 from adapters.policies.twist2 import DEFAULT_Q, FRAME, gains, write_frame
 from adapters.robots.g1 import joints
 from adapters.robots.g1.joints import G1_29
+from adapters.robots.legged.unitree import G1
+from research.crowd import Crowd, States
+from research.recipe import Crowd as CrowdRecipe
+from research.tracker.__main__ import main
+from research.tracker.frames import frames, noise_scales
+from research.tracker.gated import BLEND_IN, gated
+from research.tracker.streams import ARMS, HEAD, wandering
 from station import assets as files
 from station.protocols import Floats, RobotState
 from station.rotations import normalized
@@ -34,6 +35,7 @@ def _states(count: int) -> States:
         quat_wxyz=normalized(np.array([1.0, 0, 0, 0]) + random.normal(size=(count, 4)) * 0.1),
         gyro=random.normal(size=(count, 3)),
         root_pos=np.tile([0.0, 0.0, 0.78], (count, 1)),
+        lin_vel=np.zeros((count, 3)),
         bias=np.zeros((count, 29)),
     )
 
@@ -86,7 +88,7 @@ def test_wandering_arms_stay_in_their_ranges_and_below_four_fifths_of_their_spee
 def test_robots_differ_where_the_recipe_says_so_and_stand_where_they_are_put() -> None:
     kp, kd = gains(4.0, 0.2)
     config = CrowdRecipe(robots=5, bodies=3)
-    crowd = Crowd([MODEL], kp, kd, config, np.random.default_rng(1), threads=2)
+    crowd = Crowd(G1, [MODEL], kp, kd, config, np.random.default_rng(1), threads=2)
     try:
         targets = np.tile(DEFAULT_Q, (5, 1))
         for _ in range(5):
@@ -103,7 +105,7 @@ def test_robots_differ_where_the_recipe_says_so_and_stand_where_they_are_put() -
 
 def test_targets_that_come_late_come_late() -> None:
     kp, kd = gains(4.0, 0.2)
-    crowd = Crowd([MODEL], kp, kd, CrowdRecipe(robots=3, bodies=1), np.random.default_rng(1), threads=1)
+    crowd = Crowd(G1, [MODEL], kp, kd, CrowdRecipe(robots=3, bodies=1), np.random.default_rng(1), threads=1)
     try:
         before, targets = np.tile(DEFAULT_Q, (3, 1)), np.tile(DEFAULT_Q, (3, 1))
         targets[:, ARMS - HEAD] += 0.3
@@ -117,7 +119,7 @@ def test_targets_that_come_late_come_late() -> None:
 @pytest.mark.torch
 @pytest.mark.assets
 def test_the_tutor_moves_arms_by_the_motors_equation_and_hides_wild_ones_from_the_teacher(assets: Path) -> None:
-    from adapters.policies.tracker.training.tutor import Network, Tutor
+    from research.tracker.tutor import Network, Tutor
 
     kp, kd = gains(4.0, 0.2)
     network = Network(assets / "twist2/ckpts/twist2_1017_20k.onnx", threads=1)
@@ -139,7 +141,7 @@ def test_the_tutor_moves_arms_by_the_motors_equation_and_hides_wild_ones_from_th
 def test_the_onnx_file_computes_what_the_student_does(tmp_path: Path) -> None:
     import torch
 
-    from adapters.policies.tracker.training.network import Student, save_onnx
+    from research.network import Student, save_onnx
 
     torch.manual_seed(0)
     student = Student(OBSERVATION, (64, 32), 29)

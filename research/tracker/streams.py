@@ -1,6 +1,6 @@
 """What the robots are asked to do: streams of TWIST2 commands at 50 Hz, shape (steps, 35), drawn at random.
 
-A stream is what a command server would send; `training.gated` then does to it what the gate does.
+A stream is what a command server would send; `research.tracker.gated` then does to it what the gate does.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from adapters.motions import builtin
 from adapters.motions.clip import Clip
 from adapters.motions.load import load
 from adapters.motions.transforms import mirrored, retimed
-from adapters.policies.tracker.training.recipe import Recipe
 from adapters.robots.g1 import joints
 from adapters.robots.g1.joints import G1_29
+from research.tracker.recipe import Recipe
 from station.errors import ConfigError
 from station.protocols import Floats, Motion
 

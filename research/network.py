@@ -94,7 +94,7 @@ def save_onnx(student: Student, path: Path, metadata: dict[str, str]) -> None:
     arrays |= {"low": np.float32(-8.0), "high": np.float32(8.0)}
     graph = helper.make_graph(
         nodes,
-        "tracker",
+        "policy",
         [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", linears[0].in_features])],
         [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", linears[-1].out_features])],
         [numpy_helper.from_array(np.asarray(array), name) for name, array in arrays.items()],

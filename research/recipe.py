@@ -1,11 +1,8 @@
-"""What the tracker is trained with: every number of a run, so that a seed and a file of YAML give it again."""
+"""What every training run has: the robots that collect, and how a network learns from what they saw."""
 
 from __future__ import annotations
 
 import msgspec
-
-SHARES = {"recorded": 0.30, "gait": 0.24, "builtin": 0.12, "posture": 0.14, "arms": 0.12, "stand": 0.08}
-"""How often each kind of streams is drawn."""
 
 
 class Crowd(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -20,9 +17,10 @@ class Crowd(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         physics_dt_s: Physics step [s].
         episode_s: Longest episode [s].
         mass_spread, gain_spread: Greatest relative change of each link's mass, and of each joint's gains.
-        payload_kg: Greatest mass added to the torso [kg].
-        com_shift_m: Greatest shift of the torso's centre of mass along each axis [m].
+        payload_kg: Greatest mass added to the trunk [kg].
+        com_shift_m: Greatest shift of the trunk's centre of mass along each axis [m].
         friction: Range of the friction between sole and floor.
+        armature: Range of the rotor inertia of a body's joints [kg m^2], even in its logarithm; (0, 0) for the model's.
         push_m_s: Greatest sudden change of the root's velocity in the plane [m/s].
         push_every_s: Mean time between pushes in the half of the episodes that has them [s].
         late_steps: Greatest delay of a target, in control steps.
@@ -41,26 +39,19 @@ class Crowd(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     payload_kg: float = 2.0
     com_shift_m: float = 0.02
     friction: tuple[float, float] = (0.6, 1.6)
+    armature: tuple[float, float] = (0.0, 0.0)
     push_m_s: float = 0.6
     push_every_s: float = 3.0
     late_steps: float = 1.25
     noise: tuple[float, float, float, float] = (0.01, 0.5, 0.1, 0.02)
 
 
-class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A training run.
+class Run(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A training run; with its seed, every number of it.
 
     Attributes:
         seed: Of everything that is drawn.
         start: A network to go on from, the ONNX file of a run before; "" begins with random weights.
-        teacher: Checkpoint of TWIST2's family whose actions are the labels.
-        calm: How far from home the arms are that the teacher sees, over how far they are; see `training.tutor`.
-        meshed_model: A second robot model for every fourth body, or "".
-        motions: Recorded motions that commands are drawn from.
-        mirrored: Those of `motions` whose mirror image is drawn from as well; the others' are held back.
-        shares: How often each kind of streams is drawn; together 1.
-        speeds: Each motion is played at a speed drawn from here.
-        made: Number of walks, and of rows of postures, that are made to draw from.
         rounds: Of collecting and learning.
         steps_per_round: Control steps of each robot in a round.
         batches_per_round: Gradient steps after each round.
@@ -73,14 +64,6 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     seed: int = 7
     start: str = ""
-    teacher: str = "twist2:ckpts/twist2_1017_20k.onnx"
-    calm: float = 0.25
-    meshed_model: str = "twist2:g1/g1_sim2sim_29dof.xml"
-    motions: tuple[str, ...] = tuple(f"twist2:motions/0807_yanjie_walk_00{number}.pkl" for number in range(1, 7))
-    mirrored: tuple[int, ...] = (1, 2, 4, 5)
-    shares: dict[str, float] = msgspec.field(default_factory=lambda: dict(SHARES))
-    speeds: tuple[float, ...] = (0.85, 1.0, 1.0, 1.1)
-    made: int = 250
     rounds: int = 150
     steps_per_round: int = 200
     batches_per_round: int = 120

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from adapters.commands.twist2 import FORMAT
-from adapters.policies.tracker.training.streams import DT_S, Stream
+from research.tracker.streams import DT_S, Stream
 from station.protocols import Floats
 
 BLEND_IN, HOLD, BLEND_OUT = round(1.0 / DT_S), round(0.3 / DT_S), round(2.0 / DT_S)

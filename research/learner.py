@@ -11,15 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from adapters.policies.tracker.policy import ACTIONS, OBSERVATION
-from adapters.policies.tracker.training.collector import Act, Collector, Score
-from adapters.policies.tracker.training.network import Student, load_onnx
-from adapters.policies.tracker.training.recipe import Recipe
+from research.collector import Act, Collector, Score
+from research.network import Student, load_onnx
+from research.recipe import Run
 from station import assets
 from station.protocols import Floats32
 
 _AVERAGE = 0.999  # of the weights, over gradient steps: the averaged student drives more steadily than the newest
-Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,12 +37,13 @@ class Learner:
     Args:
         recipe: Sizes and rates.
         device: A torch device, ``cpu`` or ``cuda``.
+        inputs, outputs: Sizes of the student.
     """
 
-    def __init__(self, recipe: Recipe, device: str) -> None:
+    def __init__(self, recipe: Run, device: str, inputs: int, outputs: int) -> None:
         torch.manual_seed(recipe.seed)
         self._recipe, self._device = recipe, device
-        self._student = Student(OBSERVATION, recipe.hidden, ACTIONS)
+        self._student = Student(inputs, recipe.hidden, outputs)
         if recipe.start:
             load_onnx(self._student, assets.resolve(recipe.start))
         self._student.to(device)
@@ -54,8 +53,8 @@ class Learner:
         self._total = recipe.rounds * recipe.batches_per_round + recipe.polish_batches
         self._done, self._size = 0, 0
         capacity = recipe.rounds * recipe.steps_per_round * recipe.crowd.robots
-        self._observations = np.empty((capacity, OBSERVATION), dtype=np.float16)  # 4 GB; far finer than the noise
-        self._labels = np.empty((capacity, ACTIONS), dtype=np.float32)
+        self._observations = np.empty((capacity, inputs), dtype=np.float16)  # 4 GB; far finer than the noise
+        self._labels = np.empty((capacity, outputs), dtype=np.float32)
         self._rng = np.random.default_rng(recipe.seed + 1)
 
     def __len__(self) -> int:
@@ -106,7 +105,7 @@ class Learner:
         return float(loss.detach())
 
 
-def train(recipe: Recipe, learner: Learner, collector: Collector, on_round: Callable[[Round], None]) -> None:
+def train(recipe: Run, learner: Learner, collector: Collector, on_round: Callable[[Round], None]) -> None:
     """Run all rounds and the polish at the end."""
     started_s = time.perf_counter()
     for number in range(1, recipe.rounds + 1):

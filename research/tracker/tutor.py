@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 
-from adapters.policies.tracker.training.crowd import CONTROL_DT_S, States
-from adapters.policies.tracker.training.frames import Histories
-from adapters.policies.twist2 import ACTION_SCALE, COMMAND, DEFAULT_Q, PAST
+from adapters.policies.twist2 import ACTION_SCALE, COMMAND, DEFAULT_Q, FRAME, PAST
 from adapters.robots.g1 import joints
 from adapters.robots.g1.joints import G1_29
+from research.collector import Histories
+from research.crowd import CONTROL_DT_S, States
 from station.protocols import Floats, Floats32
 
 ARMS = np.array([i for i, name in enumerate(G1_29) if any(part in name for part in ("shoulder", "elbow", "wrist"))])
@@ -62,7 +62,7 @@ class Tutor:
     def __init__(self, network: Network, robots: int, calm: float, kp: Floats, kd: Floats) -> None:
         self._network, self._calm = network, calm
         self._kp, self._lag_s = kp[ARMS], kd[ARMS] / kp[ARMS]
-        self._past = Histories(robots, PAST)
+        self._past = Histories(robots, PAST, FRAME)
         self._before: Floats = np.full((robots, len(ARMS)), np.nan)
 
     def forget(self, robot: int) -> None:

@@ -1,0 +1,1 @@
+"""The station's own policies that follow velocities, for a Go2 and a G1."""
