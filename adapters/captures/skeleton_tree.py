@@ -100,7 +100,9 @@ def _completed(names: Sequence[str], parents: Sequence[int], where: str, places:
             f"LeftUpLeg, LeftForeArm or L_Hip, L_Elbow; came {listed[:200]}"
         )
     chains = [list(_chain(parents, places[f"{side}_shoulder"])) for side in SIDES]
-    chest = next(index for index in chains[0] if index in chains[1])
+    chest = next((index for index in chains[0] if index in chains[1]), -1)
+    if chest < 0:
+        raise BadFile(f"{where}: no joint carries both shoulders; expected one tree from the pelvis outwards")
     turns = {"pelvis": places["pelvis"], "chest": chest}
     for side in SIDES:
         turns |= {f"{side}_foot": places[f"{side}_ankle"], f"{side}_hand": places[f"{side}_wrist"]}

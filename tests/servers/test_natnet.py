@@ -48,8 +48,9 @@ def test_a_body_stands_on_the_bus_and_what_fails_is_told_until_it_is_over(motive
 
 
 def test_an_actor_who_is_lost_leaves_the_device_live_and_no_body(motive: Station) -> None:
-    motive.start([{"at_s": 0.0, "motion": "builtin:wave"}, {"at_s": 1.0, "fault": "untracked"},
-                  {"at_s": 2.0, "fault": "no-actor"}, {"at_s": 3.0, "fault": "still"}, {"at_s": 4.0, "fault": ""}])  # fmt: skip
+    faults = ((1.0, "untracked"), (2.0, "no-actor"), (3.0, "still"), (4.0, ""))
+    steps = [{"at_s": 0.0, "motion": "builtin:wave"}, *({"at_s": at_s, "fault": fault} for at_s, fault in faults)]
+    motive.start(steps)
 
     def is_back() -> bool:
         bodies = [bool(status.parts) for status in motive.statuses if status.state == "live"]

@@ -100,7 +100,7 @@ def test_bones_of_other_lengths_and_orientations_of_none_are_refused() -> None:
     actor, rows = Actor(person.described(LENGTHS)), bones(standing(LENGTHS))
     long = rows.copy()
     long["position"] *= 1000.0
-    with pytest.raises(NotAPerson, match="actor Ada: bones are not as long as described; is Motive's unit metres?"):
+    with pytest.raises(NotAPerson, match=r"actor Ada: bones are not as long as described; is Motive's unit metres?"):
         actor.body(long)
     rows["quat_xyzw"][2] = 0.0
     with pytest.raises(NotAPerson, match="actor Ada: an orientation is not of unit length"):
@@ -109,7 +109,7 @@ def test_bones_of_other_lengths_and_orientations_of_none_are_refused() -> None:
 
 def test_who_is_no_person_is_refused_in_a_line() -> None:
     made = person.described(LENGTHS)
-    with pytest.raises(NotAPerson, match="actor Ada: no joint is the .* of a person; expected names as in"):
+    with pytest.raises(NotAPerson, match=r"actor Ada: no joint is the .* of a person; expected names as in"):
         Actor(Skeleton("Ada", 7, made.bones[:8]))
     lying = tuple(
         dataclasses.replace(bone, offset=(bone.offset[0], -bone.offset[2], bone.offset[1])) for bone in made.bones
@@ -118,3 +118,6 @@ def test_who_is_no_person_is_refused_in_a_line() -> None:
         Actor(Skeleton("Ada", 7, lying))
     with pytest.raises(NotAPerson, match="bones are not described from the hips outwards, each once"):
         Actor(Skeleton("Ada", 7, made.bones[::-1]))
+    torn = tuple(dataclasses.replace(bone, parent=0) if bone.name == "Ada_LShoulder" else bone for bone in made.bones)
+    with pytest.raises(NotAPerson, match="no joint carries both shoulders; expected one tree"):
+        Actor(Skeleton("Ada", 7, torn))

@@ -1,4 +1,4 @@
-"""The device on real sockets, with a server that does what a test says, one thing after another, and a clock by hand."""
+"""The device on real sockets, with a server that does what a test says, step by step, and a clock by hand."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import socket
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 
 from adapters.devices.fakes.natnet import packets, person
@@ -53,7 +54,7 @@ class Server:
     def frame(self, time_s: float, *, tracked: bool = True, actor: int = 7, shift_m: float | None = None) -> bytes:
         self.number += 1
         body = standing(LENGTHS)
-        positions = body.positions + [0.001 * self.number if shift_m is None else shift_m, 0.0, 0.0]
+        positions = body.positions + np.array([0.001 * self.number if shift_m is None else shift_m, 0.0, 0.0])
         rows = person.seen(positions[None], body.quats_wxyz[None], is_local=True)[0]
         rows["flags"] = tracked
         return packets.frame(self.number, {actor: rows}, time_s, self.version)
