@@ -2,7 +2,8 @@
 
 ==================  ===================================================================================================
 `bvh_file`          the format BVH: a tree of joints, and how each turns in each frame
-`bvh`               which of its joints are which of a body, by the names that capture systems give them
+`bvh`               from its joints to those of a body
+`skeleton_tree`     which joints of a tree are which of a body, by the names that capture systems give them
 `amass`             AMASS and SMPL-X: joint rotations of a body model, put onto a skeleton of ours
 `c3d_markers`       C3D: markers, by the library ``c3d``
 `plug_in_gait`      from the markers of Plug-in Gait to joints

@@ -6,7 +6,7 @@ is, the floor by the lowest places of the feet.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
@@ -78,7 +78,7 @@ def placed(joints: Joints, *, units: Unit | None = None, height_m: float | None 
     lengths = _lengths(places)
     places, turns = _from_origin(places, turns)
     rest_z = _rest_heights(places, lengths)
-    person = Skeletons(*_bodies(places, turns), np.arange(len(places["head"])) / joints.fps, round(lengths.height, 3))
+    person = Skeletons(*bodies(places, turns), np.arange(len(places["head"])) / joints.fps, round(lengths.height, 3))
     ankle, ball = (round(float(rest_z[name]), 4) for name in ("ankle", "ball"))
     known = msgspec.structs.replace(
         from_lengths(lengths), ankle_rest_z_m=(ankle, ankle), ball_rest_z_m=(ball, ball)
@@ -184,8 +184,13 @@ def _rest_heights(places: dict[str, Floats], lengths: Proportions) -> dict[str, 
     return {name: height - floor for name, height in low.items()}
 
 
-def _bodies(places: dict[str, Floats], turns: dict[str, Floats]) -> tuple[Floats, Floats]:
-    """Return positions (n, 24, 3) [m] and orientations (n, 24, 4) of the joints of a tracked body."""
+def bodies(places: Mapping[str, Floats], turns: Mapping[str, Floats]) -> tuple[Floats, Floats]:
+    """Return positions (n, 24, 3) [m] and orientations (n, 24, 4) of the joints of a tracked body.
+
+    Args:
+        places: As `adapters.captures.joints.Joints` has them, in our world [m].
+        turns: As it has them, in our world; and that of the ``head`` where it is known, else the chest's counts.
+    """
     count = len(places["head"])
     at, frames = np.empty((count, len(SMPL_24), 3)), np.empty((count, len(SMPL_24), 3, 3))
 
@@ -198,13 +203,13 @@ def _bodies(places: dict[str, Floats], turns: dict[str, Floats]) -> tuple[Floats
     for number, name in enumerate(_SPINE, start=1):
         put(name, hips + (places["neck"] - hips) * (number / 4), chest)
     put("neck", places["neck"], chest)
-    put("head", places["head"], chest)
+    put("head", places["head"], turns.get("head", chest))
     for side in SIDES:
         _put_limbs(put, side, places, turns)
     return at, to_quats(frames)
 
 
-def _put_limbs(put: _Put, side: str, places: dict[str, Floats], turns: dict[str, Floats]) -> None:
+def _put_limbs(put: _Put, side: str, places: Mapping[str, Floats], turns: Mapping[str, Floats]) -> None:
     foot, hand, chest = turns[f"{side}_foot"], turns[f"{side}_hand"], turns["chest"]
     hip, knee, ankle = (places[f"{side}_{name}"] for name in ("hip", "knee", "ankle"))
     put(f"{side}_hip", hip, along_z(hip - knee, foot[..., 0]))

@@ -29,7 +29,7 @@ from tests.cli.running import Home, Running, one_line
 from tests.main_job.station_runs import ROOT
 from tests.waiting import DEADLINE_S, wait_until
 
-DEVICES = ["gamepad", "gello", "keyboard", "pico", "spacemouse"]
+DEVICES = ["gamepad", "gello", "keyboard", "natnet", "pico", "spacemouse"]
 CAMERAS = ["files", "mujoco", "realsense", "uvc", "zmq"]
 PROBLEM = "lab arm at /dev/lab: permission denied; join the group lab"
 LAB = f"""
@@ -331,7 +331,7 @@ def test_a_calibration_that_is_given_up_leaves_the_one_before(home: Home, leader
     [
         (["lst"], 2, "unknown `station devices` command 'lst' (did you mean 'list'?)"),
         (["fake"], 2, "Missing argument 'DEVICE'"),
-        (["fake", "pco"], 2, "unknown device 'pco' (did you mean 'pico'?); known: gamepad, gello, keyboard, pico,"),
+        (["fake", "pco"], 2, "unknown device 'pco' (did you mean 'pico'?); known: gamepad, gello, keyboard, natnet,"),
         (["fake", "gello", "--port", "60061"], 2, "devices fake gello: takes no --port"),
         (["fake", "pico", "--port", "70000"], 2, "70000 is not in the range 0<=x<=65535"),
         (["fake", "pico", "--play", "none.json"], 2, "none.json: cannot be read: No such file or directory"),
@@ -344,7 +344,7 @@ def test_a_calibration_that_is_given_up_leaves_the_one_before(home: Home, leader
         (["buttons", "pco"], 2, "unknown device 'pco'"),
         (["buttons", "--map", "mine.yaml"], 2, "devices buttons --map: name the device"),
         (["buttons", "pico", "--map", "none.yaml"], 2, "none.yaml: no such file"),
-        (["calibrate", "keyboard"], 2, "unknown `station devices calibrate` command 'keyboard'; known: gello, pico"),
+        (["calibrate", "keyboard"], 2, "unknown `station devices calibrate` command 'keyboard'; known: gello, natnet,"),
         (["calibrate", "gello", "--joints", "a"], 2, "Missing option '--arm'"),
         (["calibrate", "gello", "--arm", "left", "--joints", "a,,b"], 2, "--joints: expected different names"),
         (["calibrate", "gello", "--arm", "left", "--joints", "a,b", "--pose-deg", "0"], 1, "1 numbers of the pose for"),

@@ -135,6 +135,7 @@ PAGES = {
     "docs/operators.md": Page({
         "pip install": _INSTALLS,
         "station up g1-sim-pico --record": Typed(elsewhere="the next one, by a fake"),
+        "station up g1-sim-mocap --record": Typed(elsewhere="the next one, by a fake"),
     }),
     "docs/kassow.md": Page({
         "pip install": _INSTALLS,

@@ -23,7 +23,11 @@ from rich.console import Console, RenderableType
 from adapters.cameras.mujoco_robot import MujocoCamera
 from adapters.commands import twist, twist2
 from adapters.commands.arm import arm_command
+from adapters.devices.fakes.natnet import packets, person
+from adapters.devices.natnet import wire
+from adapters.devices.natnet.actor import Actor, NotAPerson
 from adapters.motions.clip import Clip
+from adapters.retarget.human import of_height, standing
 from adapters.robots import arm_limits
 from adapters.robots.g1 import twist_keys
 from station import depth
@@ -612,4 +616,31 @@ def _by_key() -> list[Parser]:
     ]  # fmt: skip
 
 
-PARSERS = [*_by_itself(), *_stops_and_requests(), *_told(), *_by_key()]
+def _natnet() -> list[Parser]:
+    """What a device makes of datagrams; no value of the bus, but bytes that anybody in a network may send."""
+    lengths = of_height(1.7)
+    body, actor = standing(lengths), Actor(person.described(lengths))
+    rows = person.seen(body.positions[None], body.quats_wxyz[None], is_local=True)[0]
+
+    def seen(version: wire.Version, data: bytes) -> None:
+        for bones in wire.frame(wire.opened(data)[1], version).skeletons.values():
+            found = actor.body(bones)
+            assert found is None or np.isfinite(found.positions).all()
+
+    def described(version: wire.Version, data: bytes) -> None:
+        for skeleton in wire.descriptions(wire.opened(data)[1], version):
+            Actor(skeleton)
+
+    modules, promise = ("adapters.devices.natnet.wire", "adapters.devices.natnet.actor"), (wire.BadPacket, NotAPerson)
+    info = packets.server_info((4, 1), wire.DATA_PORT, "")
+    parsers = [Parser("natnet server", lambda data: wire.server_info(wire.opened(data)[1]), (info,), modules, promise)]
+    for version in wire.VERSIONS:
+        name = f"natnet {version[0]}.{version[1]}"
+        frame = packets.frame(1, {person.ID: rows}, 1.0, version)
+        told = packets.descriptions((person.described(lengths),), version)
+        parsers.append(Parser(f"{name} frame", partial(seen, version), (frame,), modules, promise))
+        parsers.append(Parser(f"{name} descriptions", partial(described, version), (told,), modules, promise))
+    return parsers
+
+
+PARSERS = [*_by_itself(), *_stops_and_requests(), *_told(), *_by_key(), *_natnet()]
