@@ -20,7 +20,7 @@ from station.description import RobotDescription, RobotFamily, stated
 from station.errors import StationError
 
 if TYPE_CHECKING:  # it loads NumPy, as the formats do
-    from station.protocols import CommandFormat
+    from station.protocols import CommandFormat, ForAnyRobot
 
 _Made = TypeVar("_Made")
 
@@ -152,6 +152,14 @@ def _formats() -> tuple[CommandFormat, ...]:
     return tuple(found for _, found in made)
 
 
+@cache
+def _formats_for_any() -> tuple[ForAnyRobot, ...]:
+    """Formats that any robot may take; found once, since the protocol check walks its attributes at every call."""
+    from station.protocols import ForAnyRobot  # it loads NumPy
+
+    return tuple(found for found in _formats() if isinstance(found, ForAnyRobot))
+
+
 def _command(found: CommandFormat) -> CommandFormat:
     command_stream(found)
     return found
@@ -216,9 +224,7 @@ def _of_families(key: str) -> Contract | None:
 
 def _of_any_robot(key: str, robots: Iterable[str]) -> Iterator[Contract]:
     """Yield what a key holds that is one robot's command of a format for any."""
-    from station.protocols import ForAnyRobot
-
-    general = [found for found in _formats() if isinstance(found, ForAnyRobot)]
+    general = _formats_for_any()
     for robot in robots if general else ():
         yield from (command_stream(bound) for found in general if (bound := found.for_robot(robot)).key == key)
 
