@@ -180,12 +180,16 @@ PAGES = {
     "docs/velocity.md": Page({
         "pip": _INSTALLS, "unzip": Typed(elsewhere="of a download"),
         "station up g1-velocity-gamepad": Typed(
-            instead="station up g1-velocity-gamepad --record --task walk --set robot.checkpoint=fastsac_g1_29dof.onnx"
+            instead="station up g1-velocity-gamepad --record --task walk"
             f" {_DRIVEN_FOR} gamepad.fake=builtin:gamepad/example.json"
         ),
         "station up g1-velocity-keyboard": Typed(
-            instead="station up g1-velocity-keyboard --record --task walk --set robot.checkpoint=fastsac_g1_29dof.onnx"
+            instead="station up g1-velocity-keyboard --record --task walk"
             f" {_DRIVEN_FOR} keyboard.fake=builtin:keyboard/example.json"
+        ),
+        "station up go2-sim-gamepad": Typed(
+            instead="station up go2-sim-gamepad --record --task walk"
+            f" {_DRIVEN_FOR} gamepad.fake=builtin:gamepad/example.json"
         ),
         "station serve motion": Typed(elsewhere="tests/main_job/test_velocity.py, in a runbook"),
         "station up g1-walk-track-pico": Typed(elsewhere="tests/main_job/test_proof_walk_track.py"),

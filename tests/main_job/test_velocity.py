@@ -123,18 +123,11 @@ def test_a_policy_that_needs_the_velocity_of_the_base_takes_over_on_the_walk_and
 
 
 @pytest.mark.parametrize(
-    ("runbook", "checkpoint", "robot"),
-    [
-        ("g1-velocity-gamepad", HOLOSOMA, "g1_29"),
-        ("go1-sim-gamepad", "zoo:policies/playground_go1_policy.onnx", "go1"),
-    ],
+    ("runbook", "robot"), [("g1-velocity-gamepad", "g1_29"), ("go2-sim-gamepad", "go2")]
 )
-def test_a_gamepad_drives_it_by_velocities(
-    runbook: str, checkpoint: str, robot: str, tmp_path: Path, processes: None, assets: Path
-) -> None:
+def test_a_gamepad_drives_it_by_velocities(runbook: str, robot: str, tmp_path: Path, processes: None) -> None:
     terminal = Terminal(tmp_path)
-    sets = [f"robot.checkpoint={checkpoint}", "gamepad.fake=builtin:gamepad/example.json"]
-    pad = [word for setting in sets for word in ("--set", setting)]
+    pad = ("--set", "gamepad.fake=builtin:gamepad/example.json")
     done = terminal.run("up", runbook, "--yes", "--record", "--task", "pad", "--for", "6s", *pad)
     assert done.returncode == 0, done.stdout + done.stderr
     check = terminal.json("check", str(terminal.episode("pad")))
