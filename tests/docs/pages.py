@@ -193,6 +193,12 @@ PAGES = {
         ),
         "station serve motion": Typed(elsewhere="tests/main_job/test_velocity.py, in a runbook"),
         "station up g1-walk-track-pico": Typed(elsewhere="tests/main_job/test_proof_walk_track.py"),
+        "station up g1-homie-sim --record --set robot.policy_options.legs=g1-walk": Typed(
+            instead="station up g1-homie-sim --record --task carry --set robot.policy_options.legs=g1-walk"
+            " --set legs.options.format=velocity --set robot.checkpoint=builtin:g1-walk.onnx"
+            " --set left_leader.fake=builtin:gello/g1.json --set right_leader.fake=builtin:gello/g1-right.json"
+            f" {_DRIVEN_FOR} gamepad.fake=builtin:gamepad/example.json"
+        ),
         "station up g1-homie-sim --record": Typed(elsewhere="needs a file that cannot be had here"),
     }, _holosoma),
     "docs/your-robot.md": Page({

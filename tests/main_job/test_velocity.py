@@ -66,7 +66,7 @@ def test_it_is_simulated_again_bit_for_bit(walked: Walked) -> None:
 
 
 def test_whoever_lacks_the_file_is_told_where_it_comes_from(walked: Walked) -> None:
-    done = walked.terminal.run("up", RUNBOOK, "--yes")
+    done = walked.terminal.run("up", RUNBOOK, "--yes", "--set", "robot.policy=holosoma")
     assert done.returncode == 2
     (line,) = done.stderr.strip().splitlines()
     assert "name its file with `checkpoint`; it is not part of the station: take it from the PyPI wheel" in line
@@ -83,7 +83,7 @@ def test_whoever_lacks_the_file_is_told_where_it_comes_from(walked: Walked) -> N
 def test_what_cannot_be_is_told_in_a_line_before_anything_starts(
     walked: Walked, settings: list[str], words: str
 ) -> None:
-    sets = [word for setting in [*settings, f"robot.checkpoint={HOLOSOMA}"] for word in ("--set", setting)]
+    sets = [word for setting in settings for word in ("--set", setting)]
     terminal: Terminal = walked.terminal
     done = terminal.run("up", RUNBOOK, "--yes", *sets)
     assert done.returncode == 2, done.stdout + done.stderr
@@ -96,7 +96,7 @@ def test_a_policy_that_needs_the_velocity_of_the_base_takes_over_on_the_walk_and
 ) -> None:
     terminal, sets = Terminal(tmp_path), []
     for setting in (
-        *SETTINGS, f"robot.checkpoint={HOLOSOMA}", "robot.policies.joystick.policy=playground-g1",
+        *SETTINGS, "robot.policies.joystick.policy=playground-g1",
         "robot.policies.joystick.checkpoint=zoo:policies/playground_g1_policy.onnx", "motion.motion=velocity:forward",
         "motion.loop=true",
     ):  # fmt: skip
@@ -122,9 +122,7 @@ def test_a_policy_that_needs_the_velocity_of_the_base_takes_over_on_the_walk_and
     )
 
 
-@pytest.mark.parametrize(
-    ("runbook", "robot"), [("g1-velocity-gamepad", "g1_29"), ("go2-sim-gamepad", "go2")]
-)
+@pytest.mark.parametrize(("runbook", "robot"), [("g1-velocity-gamepad", "g1_29"), ("go2-sim-gamepad", "go2")])
 def test_a_gamepad_drives_it_by_velocities(runbook: str, robot: str, tmp_path: Path, processes: None) -> None:
     terminal = Terminal(tmp_path)
     pad = ("--set", "gamepad.fake=builtin:gamepad/example.json")
