@@ -23,7 +23,7 @@ pytestmark = [
         pytest.param("rlgym-g1", RLGYM, 2.0, marks=pytest.mark.torch),
         ("holosoma", HOLOSOMA, 0.5),
         ("falcon", FALCON, 2.0),
-        ("g1-walk", "builtin:g1-walk.onnx", 2.0),
+        ("g1-walk", "builtin:g1-walk.onnx", 1.0),
     ],
 )
 def test_pedals_and_arms_come_and_go_for_ten_minutes_and_it_walks_on(
