@@ -42,7 +42,7 @@ def main(
     """Train and write a network and ``training.json`` into a folder; return the exit code.
 
     Args:
-        name: Of the network's file, without ``.onnx``; a ``{}`` in it is the stem of the recipe's file.
+        name: Of the network's file, without ``.onnx``.
         recipe: The recipe's type; its defaults are the recipe without a file.
         make: Returns robots and task of a recipe, a generator, and a number of threads.
         arguments: Of the command line; None for the process's.

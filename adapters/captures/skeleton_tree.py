@@ -1,4 +1,4 @@
-"""Which joints of a named tree are which of a person, and how their frames sit on one who stands in its pose of rest.
+"""Finds a person's joints in a named tree, and how each joint's frame is turned when the person stands at rest.
 
 Names are those of MotionBuilder, Mixamo, CMU, LAFAN1, Xsens, SMPL and Blender (see `adapters.captures.bvh`), and of
 OptiTrack's Motive (``LThigh``, ``LUArm``, ``LFArm``).
@@ -118,7 +118,7 @@ def _chain(parents: Sequence[int], index: int) -> list[int]:
 
 
 def stands(joints: Found, rest: Floats) -> Floats | None:
-    """Return the up direction of a pose of rest, shape (3,); None if nobody stands in it.
+    """Return the up direction of a rest pose, shape (3,); None if it is not the pose of a standing person.
 
     Args:
         joints: As found.
@@ -133,7 +133,7 @@ def stands(joints: Found, rest: Floats) -> Floats | None:
 
 
 def from_rest(joints: Found, rest: Floats, turns: Floats, up: Floats) -> dict[str, Floats]:
-    """Return how the joints' frames sit on a person who stands in the pose of rest, each of shape (3, 3).
+    """Return the rotation from each joint's frame in the rest pose to that of a standing person, shape (3, 3) each.
 
     Args:
         joints: As found.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -17,6 +17,15 @@ from station.rotations import rotate_inverse
 
 ACTION_CLIP = 100.0
 _DOWN = np.array([0.0, 0.0, -1.0])
+
+
+class HasOrientation(Protocol):
+    """The state of a robot, or of many at once."""
+
+    @property
+    def quat_wxyz(self) -> Floats:
+        """Orientation of the root in the world, shape (..., 4)."""
+        ...
 
 
 class Loaded(NamedTuple):
@@ -155,8 +164,8 @@ def clipped(action: Floats32) -> Floats:
     return np.clip(action.astype(np.float64), -ACTION_CLIP, ACTION_CLIP)
 
 
-def gravity(state: RobotState) -> Floats:
-    """Return where down is in the root frame, shape (3,); ``0 0 -1`` for a robot that is upright."""
+def gravity(state: HasOrientation) -> Floats:
+    """Return where down is in the root frame, shape (..., 3); ``0 0 -1`` for a robot that is upright."""
     return rotate_inverse(state.quat_wxyz, _DOWN)
 
 

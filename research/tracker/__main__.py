@@ -22,9 +22,10 @@ def _make(recipe: Recipe, rng: np.random.Generator, threads: int) -> run.Made:
     from adapters.policies.twist2 import WRIST_GAINS, gains
     from adapters.robots.legged.unitree import G1
     from research.crowd import Crowd
+    from research.teacher import Network
     from research.tracker.streams import Streams
     from research.tracker.task import TrackerTask
-    from research.tracker.tutor import Network, Tutor
+    from research.tracker.tutor import Tutor
 
     teacher = assets.resolve(recipe.teacher)
     models = [_ROBOT_MODEL] + ([assets.resolve(recipe.meshed_model)] if recipe.meshed_model else [])

@@ -8,16 +8,14 @@ no policy: the target that takes a joint along its command is known, from its ga
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-import onnxruntime
 
 from adapters.policies.twist2 import ACTION_SCALE, COMMAND, DEFAULT_Q, FRAME, PAST
 from adapters.robots.g1 import joints
 from adapters.robots.g1.joints import G1_29
 from research.collector import Histories
 from research.crowd import CONTROL_DT_S, States
+from research.teacher import Network
 from station.protocols import Floats, Floats32
 
 ARMS = np.array([i for i, name in enumerate(G1_29) if any(part in name for part in ("shoulder", "elbow", "wrist"))])
@@ -26,27 +24,6 @@ _FASTEST_RAD_S = 8.0  # beyond it a command is a jump, which no motor follows
 _JOINTS_AT, _SPEEDS_AT, _ACTIONS_AT, _COMMANDS_AT = 40, 69, 98, 6  # in a frame
 _OF_ARMS = np.concatenate([at + ARMS for at in (_COMMANDS_AT, _JOINTS_AT, _SPEEDS_AT, _ACTIONS_AT)])
 _HOME = np.concatenate([DEFAULT_Q[ARMS], np.zeros(3 * len(ARMS))]).astype(np.float32)
-
-
-class Network:
-    """TWIST2's network on many observations at once.
-
-    Args:
-        path: Its ONNX file.
-        threads: Threads that it may use.
-    """
-
-    def __init__(self, path: Path, threads: int) -> None:
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        self._input = self._session.get_inputs()[0].name
-
-    def __call__(self, observations: Floats32) -> Floats32:
-        """Return raw actions, shape (n, 29), of observations, shape (n, 1432)."""
-        (actions,) = self._session.run(None, {self._input: observations})
-        return np.asarray(actions, dtype=np.float32)
 
 
 class Tutor:

@@ -21,8 +21,9 @@ def _make(recipe: Recipe, rng: np.random.Generator, threads: int) -> run.Made:
     from adapters.policies.walk.policy import G1WalkPolicy, Go2WalkPolicy
     from adapters.robots.legged.unitree import G1, GO2
     from research.crowd import Crowd
+    from research.teacher import Network
     from research.walk.task import Teacher, WalkTask
-    from research.walk.teachers import FalconTeacher, Go1Teacher, Network
+    from research.walk.teachers import FalconTeacher, Go1Teacher
 
     file = assets.resolve(recipe.teacher)
     network = Network(file, threads)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from adapters.commands import twist2
-from adapters.policies.follower import ACTION_CLIP
+from adapters.policies.follower import clipped, gravity
 from adapters.policies.walk.policy import SPEED_SCALE, WalkPolicy
 from research.crowd import CONTROL_DT_S, States
 from research.tracker.streams import ARMS, wandering
 from research.walk.recipe import Recipe
-from research.walk.teachers import FalconTeacher, Go1Teacher, gravity
+from research.walk.teachers import FalconTeacher, Go1Teacher
 from station.protocols import Floats, Floats32
 from station.rotations import from_rotation_vector, roll_pitch_yaw, rotate_inverse, tilt
 
@@ -112,11 +112,6 @@ def in_heading(states: States) -> Floats:
     turn = np.zeros_like(states.lin_vel)
     turn[:, 2] = roll_pitch_yaw(states.quat_wxyz)[:, 2]
     return np.asarray(rotate_inverse(from_rotation_vector(turn), states.lin_vel))
-
-
-def clipped(actions: Floats32) -> Floats:
-    """Return raw outputs as policies clip them."""
-    return np.asarray(np.clip(actions.astype(np.float64), -ACTION_CLIP, ACTION_CLIP))
 
 
 def velocities(rng: np.random.Generator, steps: int, lower: Floats, upper: Floats, stands: float) -> Floats:

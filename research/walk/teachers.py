@@ -2,56 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-import onnx
-import onnxruntime
 
 from adapters.commands.g1_parts import VELOCITY_POSTURE
 from adapters.policies.falcon import FalconPolicy
+from adapters.policies.follower import gravity
 from adapters.policies.playground import PlaygroundGo1Policy
 from adapters.policies.walk.policy import Go2WalkPolicy
 from research.collector import Histories
 from research.crowd import States
+from research.teacher import Network
 from station.protocols import Floats, Floats32
 from station.rotations import rotate_inverse
-
-_DOWN = np.array([0.0, 0.0, -1.0])
-
-
-class Network:
-    """An ONNX network for one observation, run for many at once.
-
-    Args:
-        path: Its file.
-        threads: Threads that it may use.
-    """
-
-    def __init__(self, path: Path, threads: int) -> None:
-        model = onnx.load(path)
-        del model.graph.value_info[:]  # sizes of what lies between, for one
-        for value in (*model.graph.input, *model.graph.output):
-            batch = value.type.tensor_type.shape.dim[0]
-            batch.Clear()
-            batch.dim_param = "n"
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        self._session = onnxruntime.InferenceSession(
-            model.SerializeToString(), options, providers=["CPUExecutionProvider"]
-        )
-        self._input = self._session.get_inputs()[0].name
-
-    def __call__(self, observations: Floats | Floats32) -> Floats32:
-        """Return raw outputs, shape (n, outputs), of observations, shape (n, inputs)."""
-        (outputs,) = self._session.run(None, {self._input: observations.astype(np.float32)})
-        return np.asarray(outputs, dtype=np.float32)
-
-
-def gravity(states: States) -> Floats:
-    """Return where down is in each root's frame, shape (n, 3)."""
-    return rotate_inverse(states.quat_wxyz, np.tile(_DOWN, (len(states.quat_wxyz), 1)))
 
 
 class Go1Teacher:

@@ -52,7 +52,7 @@ KNOB = kind("lab-knob", "", None, list)
 
 @pytest.fixture
 def lab(home: Home, tmp_path: Path) -> Home:
-    """A home where somebody's package has a device that may not be opened, and one whose library is missing."""
+    """A home with a third-party package: one device without permission to open it, one whose library is missing."""
     (tmp_path / "lab_devices.py").write_text(LAB)
     facts = tmp_path / "lab_devices-1.0.dist-info"
     facts.mkdir()

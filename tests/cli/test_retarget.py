@@ -62,7 +62,7 @@ def test_the_tracker_walks_what_markers_say(home: Home, tmp_path: Path) -> None:
 
 
 def walker() -> Skeletons:
-    """A person who sets out, walks and stops."""
+    """A person who stands, walks forward and stands again."""
     return moving("walk-forward", 9.0, 0.0)
 
 

@@ -17,7 +17,7 @@ ODD = (
     "", "nope", "/dev/null/x", "folder", "file.txt", "-1", "9" * 400, "\x1b[31mred", "日本語", "nan", "1e999", "a=b",
     "../..", "\udcff\udcfe", "x" * 5000,
 )  # fmt: skip
-"""What somebody may type, paste, or leave to an unset variable."""
+"""Wrong values: mistyped, pasted, or from a shell variable that is not set."""
 
 BARE = {"COLUMNS": "60", "PYTHONIOENCODING": "latin-1", "LC_ALL": "C", "DISPLAY": "", "WAYLAND_DISPLAY": ""}
 """Variables of a narrow terminal that is not UTF-8, on a machine without a display."""

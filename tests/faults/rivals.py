@@ -102,7 +102,8 @@ def refuse_the_second(address: BusAddress, *robot: str) -> tuple[list[tuple[str,
     ):
         wait_until(lambda: changes(log)[-1:] == [("entering", "tracking")])
         followed = len(changes(log))
-        with commander(address, "second", "builtin:wave") as second:
+        # At another rate than the first: in step with it, each of its writes may be overwritten before it is seen.
+        with commander(address, "second", "builtin:wave", "rate_hz=47") as second:
             wait_until(lambda: told_by_robot(log))
             told = told_by_robot(log)[0].detail
             wait_until(lambda: len(writes_of(log, "second")) > 150)

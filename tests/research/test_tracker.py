@@ -119,7 +119,8 @@ def test_targets_that_come_late_come_late() -> None:
 @pytest.mark.torch
 @pytest.mark.assets
 def test_the_tutor_moves_arms_by_the_motors_equation_and_hides_wild_ones_from_the_teacher(assets: Path) -> None:
-    from research.tracker.tutor import Network, Tutor
+    from research.teacher import Network
+    from research.tracker.tutor import Tutor
 
     kp, kd = gains(4.0, 0.2)
     network = Network(assets / "twist2/ckpts/twist2_1017_20k.onnx", threads=1)

@@ -16,11 +16,12 @@ from adapters.policies.walk.policy import G1WalkPolicy, Go2WalkPolicy, WalkPolic
 from adapters.robots.legged.unitree import G1, GO2
 from research.crowd import Crowd, States
 from research.recipe import Crowd as CrowdRecipe
+from research.teacher import Network
 from research.tracker.streams import ARMS
 from research.walk.__main__ import main
 from research.walk.recipe import Recipe
 from research.walk.task import WalkTask, moved, velocities
-from research.walk.teachers import FalconTeacher, Go1Teacher, Network
+from research.walk.teachers import FalconTeacher, Go1Teacher
 from station import assets as files
 from station.protocols import Floats, RobotState
 from station.rotations import normalized, rotate_inverse

@@ -30,7 +30,7 @@ _LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 class NotAPerson(BadFile):
-    """Bones that are no person who can be followed; one line that says what to change in Motive."""
+    """These bones do not describe a person; the message says in a line what to change in Motive."""
 
 
 class Actor:

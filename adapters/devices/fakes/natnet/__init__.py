@@ -1,4 +1,4 @@
-"""A Motive that is not there: a NatNet server on a UDP port, with one actor who does what a script says.
+"""A fake Motive: a NatNet server on a UDP port, with one actor who follows a script.
 
 A script is a JSON file, see ``example.json``: ``{"device": "natnet", "steps": [{"at_s": 0.0, …}], "period_s": 60.0}``.
 A step says ``motion``, one of the G1 as ``builtin:wave``, which the actor does from then on, forwards and backwards;

@@ -1,4 +1,4 @@
-"""The fake's server: answers whoever asks, and sends frames to those it has heard lately, 120 a second."""
+"""The fake's server: it answers requests and sends 120 frames a second to every client of the last five seconds."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ class FakeMotive:
 
 
 def _taken(motion: str, *, is_local: bool) -> NDArray[Any]:
-    """Return the bones of somebody who does a motion, or stands: all frames, for the server shall have its time."""
+    """Return all frames of an actor who does a motion, or stands; slow, so they are made before the server starts."""
     lengths = of_height(HEIGHT_M)
     if not motion:
         body = standing(lengths, arms="down")

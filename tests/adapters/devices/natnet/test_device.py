@@ -79,7 +79,7 @@ def device(server: Server, clock: HandClock) -> Iterator[Natnet]:
 
 
 def met(device: Natnet, server: Server, clock: HandClock) -> None:
-    """Two rounds: who is there, and what there is."""
+    """Let the device learn who the server is, which skeletons it has, and where they are."""
     for _ in range(3):
         server.answer()
         device.read()
