@@ -33,6 +33,7 @@ class Made(NamedTuple):
 
 
 def main(
+    program: str,
     name: str,
     recipe: type[Recipe],
     make: Callable[[Recipe, np.random.Generator, int], Made],
@@ -42,13 +43,14 @@ def main(
     """Train and write a network and ``training.json`` into a folder; return the exit code.
 
     Args:
+        program: What is typed to run it.
         name: Of the network's file, without ``.onnx``.
         recipe: The recipe's type; its defaults are the recipe without a file.
         make: Returns robots and task of a recipe, a generator, and a number of threads.
         arguments: Of the command line; None for the process's.
         about: For the help.
     """
-    parser = argparse.ArgumentParser(description=about)
+    parser = argparse.ArgumentParser(program, description=about)
     parser.add_argument("--out", type=Path, required=True, help="Folder for the network and the log.")
     parser.add_argument("--recipe", type=Path, help="YAML with what differs from the recipe in recipe.py.")
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1, help="Threads of simulation and learning.")

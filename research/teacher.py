@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import onnx
 import onnxruntime
+from google.protobuf.message import DecodeError
 
+from station.errors import BadFile
 from station.protocols import Floats, Floats32
 
 
@@ -17,10 +19,16 @@ class Network:
     Args:
         path: Its file.
         threads: Threads that it may use.
+
+    Raises:
+        BadFile: missing, or no ONNX network.
     """
 
     def __init__(self, path: Path, threads: int) -> None:
-        model = onnx.load(path)
+        try:
+            model = onnx.load(path)
+        except (OSError, DecodeError) as error:
+            raise BadFile(f"{path}: expected a teacher's ONNX network: {' '.join(str(error).split())[:160]}") from None
         del model.graph.value_info[:]  # sizes of what lies between, for one
         for value in (*model.graph.input, *model.graph.output):
             batch = value.type.tensor_type.shape.dim[0]

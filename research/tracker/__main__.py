@@ -15,7 +15,7 @@ _ROBOT_MODEL = Path(__file__).parents[2] / "adapters" / "robots" / "g1" / "g1.xm
 
 def main(arguments: list[str] | None = None) -> int:
     """Train and write ``tracker.onnx`` and ``training.json`` into a folder; return the exit code."""
-    return run.main("tracker", Recipe, _make, arguments, __doc__)
+    return run.main("python -m research.tracker", "tracker", Recipe, _make, arguments, __doc__)
 
 
 def _make(recipe: Recipe, rng: np.random.Generator, threads: int) -> run.Made:

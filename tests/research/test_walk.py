@@ -198,7 +198,23 @@ def test_a_run_writes_a_policy_and_its_log(robot: str, teacher: str, tmp_path: P
     assert log["facts"]["teacher_sha256"] == files.sha256(files.resolve(f"zoo:policies/{teacher}.onnx"))
 
 
-def test_a_recipe_for_another_robot_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "bad.yaml").write_text("robot: h1\n")
+@pytest.mark.torch
+@pytest.mark.parametrize(
+    ("recipe", "words"),
+    [
+        ("robot: h1", "Invalid enum value 'h1' - at `$.robot`"),
+        ("robot: g1", "the recipe names no teacher; name with `teacher` in the recipe a copy of LeCAR-Lab/FALCON"),
+        (
+            "teacher: nowhere.onnx",
+            "nowhere.onnx: no such file; name with `teacher` in the recipe a copy of google",
+        ),
+        ("teacher: builtin:go2.xml", "go2.xml: expected a teacher's ONNX network"),
+    ],
+)
+def test_a_recipe_that_cannot_be_is_refused_in_a_line(
+    recipe: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bad.yaml").write_text(f"{recipe}\n")
     assert main(["--out", str(tmp_path), "--recipe", str(tmp_path / "bad.yaml")]) == 2
-    assert "robot" in capsys.readouterr().err
+    (line,) = capsys.readouterr().err.splitlines()
+    assert words in line
