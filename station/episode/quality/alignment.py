@@ -16,6 +16,7 @@ from array import array
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from station.bus import codec, keys
 from station.contract import TIMING_STAGES, Contract
@@ -57,10 +58,12 @@ class AlignmentMeter:
         self._shifts = _Shifts()
         self._last = (0, 0)  # numbers of the step before, and of the state that it saw
 
-    def feed(self, step: Step, gate: str) -> None:
-        """Add a step, and the state that the gate was in."""
+    def feed(self, step: Step, gate: str, heard: NDArray[np.bool_] | None = None) -> None:
+        """Add a step, the state that the gate was in, and what the policy listens to, shape (m,); None for all."""
         if gate in MOVING:
             self._add_timing(step)
+        if heard is not None and not heard[self._pairs[1]].any():
+            gate = ""  # no joint of the command is followed
         (number, seen), self._last = self._last, (step.number, step.state_number)
         is_next = step.number == number + 1
         if gate != _TRACKING or not is_next or not 0 <= step.state_number - seen <= 1:

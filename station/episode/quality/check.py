@@ -387,8 +387,9 @@ class Measurements:
 
     def _feed_step(self, robot: str, step: Step) -> None:
         gate = self.steps[robot].feed(step)
-        self.alignment[robot].feed(step, gate)
-        self.plausibility[robot].feed_step(step, gate)
+        heard = self.steps[robot].heard
+        self.alignment[robot].feed(step, gate, heard)
+        self.plausibility[robot].feed_step(step, gate, heard)
 
     def _feed_event(self, message: Message) -> None:
         event = codec.parse_facts(message.data)

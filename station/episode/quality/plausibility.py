@@ -11,6 +11,7 @@ from collections import OrderedDict, defaultdict
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from station.bus import keys
 from station.contract import Contract
@@ -92,7 +93,7 @@ class PlausibilityMeter:
         self._written: dict[str, tuple[int, int]] = defaultdict(lambda: (0, 0))  # by source: how many states, and when
         self._seen: OrderedDict[tuple[str, int], tuple[int, int]] = OrderedDict()  # by source and time of the results
         self._last_write = 0
-        self._held: list[tuple[Timed, int, bytes, bytes, bool]] = []
+        self._held: list[tuple[Timed, int, bytes, bytes, bool, NDArray[np.bool_] | None]] = []
 
     def takes(self) -> dict[str, Take]:
         """Return what takes the blocks of each key that is wanted."""
@@ -110,15 +111,15 @@ class PlausibilityMeter:
         }
         return {key: feed for key, feed in found.items() if key}
 
-    def feed_step(self, step: Step, gate: str) -> None:
-        """Add a policy step, and the state that the gate was in."""
+    def feed_step(self, step: Step, gate: str, heard: NDArray[np.bool_] | None = None) -> None:
+        """Add a policy step, the gate's state, and what the policy listens to, shape (m,); None for all."""
         count, state_ns = self._seen.pop((step.source, step.at_ns), (0, 0))
         is_reused = 0 < count == self._last_write and self._state_key == keys.robot_state(self._robot)
         self._last_write = count
         used = step.values.get(self._used_key)
         timing = step.values.get(self._timing_key)
         timed = Timed(step.at_ns, timing, used if gate == _TRACKING else None, state_ns, is_reused)
-        self._held.append((timed, count, step.values.get(self._state_key, b""), used or b"", gate in MOVING))
+        self._held.append((timed, count, step.values.get(self._state_key, b""), used or b"", gate in MOVING, heard))
         if len(self._held) >= SIZE:
             self._flush_steps()
 
@@ -184,15 +185,15 @@ class PlausibilityMeter:
         self._times.take([timed for timed, *_ in held])
         if self._state is None or not self._state.elements:
             return
-        states, fits = decoded(self._state, [state for _, _, state, _, _ in held])
+        states, fits = decoded(self._state, [state for _, _, state, *_ in held])
         whole = [one for one, fit in zip(held, fits.tolist(), strict=True) if fit]
         if not whole:
             return
-        asked = self._asked([used if moves else b"" for _, _, _, used, moves in whole])
+        asked = self._asked([(used if moves else b"", heard) for *_, used, moves, heard in whole])
         q = states[:, self._columns[0]]
         with np.errstate(all="ignore"):  # a damaged recording holds any number
             speeds = np.nan_to_num(np.abs(states[:, self._speeds]).max(axis=1, initial=0.0))
-        moving = np.array([moves for *_, moves in whole], dtype=np.bool_)
+        moving = np.array([moves for *_, moves, _ in whole], dtype=np.bool_)
         rows = StepRows(
             times=np.array([timed.at_ns for timed, *_ in whole], dtype=np.int64),
             writes=np.array([count for _, count, *_ in whole], dtype=np.int64),
@@ -206,12 +207,15 @@ class PlausibilityMeter:
             self._stuck.take(rows)
             self._order.take(q, asked)
 
-    def _asked(self, used: list[bytes]) -> Floats:
-        """Return the commanded positions of the shared joints; NaN where there is no command."""
+    def _asked(self, used: list[tuple[bytes, NDArray[np.bool_] | None]]) -> Floats:
+        """Return the commanded positions of the shared joints; NaN where there is no command that the policy hears."""
         found = np.full((len(used), len(self._joints)), np.nan)
         if self._used is not None and self._joints:
-            values, fits = decoded(self._used, used)
+            values, fits = decoded(self._used, [data for data, _ in used])
             found[fits] = values[:, self._columns[1]]
+        for row, (_, heard) in zip(found, used, strict=True):
+            if heard is not None:
+                row[~heard[self._columns[1]]] = np.nan
         return found
 
 

@@ -46,6 +46,7 @@ class StepMeter:
         period_s: Control period, as its server stated it [s]; None where it did not.
         listens: Name of the part of the command that each policy listens to, by what its steps call the policy; those
             that listen to all of it are not in it.
+        heard: Which elements of the command the policy of the newest step listens to, shape (m,); None for all.
     """
 
     robot: str
@@ -53,6 +54,7 @@ class StepMeter:
     contract: Callable[[str], Contract | None] = contracts.contract
     period_s: float | None = None
     listens: Mapping[str, str] = field(default_factory=dict)
+    heard: NDArray[np.bool_] | None = None
     _times: array[int] = field(default_factory=lambda: array("q"))
     _gates: list[str] = field(default_factory=list)
     _timed: array[int] = field(default_factory=lambda: array("q"))  # the steps of _timings, by number in _gates
@@ -93,13 +95,14 @@ class StepMeter:
         self._held.setdefault(frozenset(step.values), [0, step.at_ns])[0] += 1
         gate = codec.parse_facts(step.values.get(keys.command_gate(self.robot)))
         self._gates.append(sys.intern(str(gate.get("state", ""))))
+        self.heard = self._heard.get(str(gate.get("policy", "")))
         for name in ("clamped", "refused"):
             if isinstance(gate.get(name), int):
                 self._counts[name] = max(self._counts.get(name, 0), gate[name])
         self._add_timing(step)
         self._add_pose(step)
         if self._gates[-1] == _TRACKING and self._is_playing(step):
-            self._compare(step, self._heard.get(str(gate.get("policy", ""))))
+            self._compare(step)
         return self._gates[-1]
 
     def result(self, paused: Sequence[Span] = ()) -> StepQuality:
@@ -179,15 +182,15 @@ class StepMeter:
         # A foreign writer states no phase; its commands are meant from the first to the last.
         return not source or source.get("phase", _PLAYING) == _PLAYING
 
-    def _compare(self, step: Step, heard: NDArray[np.bool_] | None) -> None:
-        """Compare the command with the motion: the elements that the policy listens to, shape (m,); None for all."""
+    def _compare(self, step: Step) -> None:
+        """Compare the command with the motion: the elements that the policy listens to."""
         used = self._named(step, keys.command_used(self.robot))
         state = self._named(step, keys.robot_state(self.robot)) or self._named(step, keys.state_joints(self.robot))
         if used is None or state is None:
             return
         (asked_names, asked), (names, measured) = used, state
-        if heard is not None:
-            asked = np.where(heard, asked, np.nan)
+        if self.heard is not None:
+            asked = np.where(self.heard, asked, np.nan)
         if self._tracking is None:
             self._joints = tuple(name.removesuffix("_pos") for name in names if name.endswith("_pos"))
             self._tracking = TrackingError(asked_names, self._joints)

@@ -14,10 +14,13 @@ import pytest
 from adapters.robots.g1 import twist_keys
 from adapters.robots.g1.joints import G1_29
 from station.bus import codec, keys
+from station.episode.quality import plausibility
+from station.episode.quality.alignment import AlignmentMeter
 from station.episode.quality.blocks import at_once
 from station.episode.quality.check import check
 from station.episode.quality.findings import Quality
 from station.episode.quality.state_rules import PLAUSIBLE
+from station.episode.reading import steps
 from station.episode.reading.reader import open_episode
 from station.episode.storage.anchor import read_anchor
 from station.protocols import Floats
@@ -111,6 +114,31 @@ def test_a_joint_that_is_stuck_is_told_by_its_name(walked: Path, tmp_path: Path)
     assert set(told(quality)) >= {"stuck-joint"}
     assert "left_knee stayed at 0.300 rad" in told(quality)["stuck-joint"]
     assert verdicts(quality)["stuck-joint"] == "reject"
+
+
+def test_a_joint_that_the_policy_is_not_asked_to_move_is_not_stuck(walked: Path, tmp_path: Path) -> None:
+    """While a policy of velocities drives, the motion beside it moves no joint."""
+
+    def stick(topic: str, value: bytes, at_s: float) -> tuple[bytes, float]:
+        state = codec.parse_f64(value).copy() if topic == STATE else np.empty(0)
+        if topic == STATE and at_s >= 2.0:
+            state[KNEE], state[JOINTS + KNEE] = 0.3, 0.0
+        return (codec.f64(state) if topic == STATE else value), at_s
+
+    reader = open_episode(rewritten(walked, tmp_path, stick))
+    contract = reader.contract(USED)
+    assert contract is not None
+    knee = contract.names.index("left_knee_pos")
+    all_but_it = np.arange(len(contract.names)) != knee
+    none = np.zeros(len(contract.names), dtype=np.bool_)
+    for heard, expected in ((None, ["left_knee"]), (all_but_it, []), (none, [])):
+        (meter,) = plausibility.meters(reader, [ROBOT], is_lock_step=True).values()
+        lag = AlignmentMeter(ROBOT, STATE, reader.contract)
+        for step in steps.iterate(reader, ROBOT):
+            meter.feed_step(step, "tracking", heard)
+            lag.feed(step, "tracking", heard)
+        assert [joint.joint for joint in meter.result().stuck] == expected
+        assert (lag.result().lag_s is None) == (heard is none), "what is not followed has no lag"
 
 
 def test_a_quaternion_of_half_the_length_is_no_rotation(walked: Path, tmp_path: Path) -> None:
