@@ -15,6 +15,7 @@ import msgspec
 from station import registry, side_by_side
 from station.contract import names_of
 from station.control.control import ControlStep, Resettable, StepRecord
+from station.control.envelope import Envelope
 from station.control.gate import GateConfig
 from station.control.parted_path import samples_of
 from station.control.rig import Rig, RigConfig, build
@@ -60,6 +61,7 @@ def rehearse(
     period_s: float = 0.02,
     lead_s: float = 0.02,
     gate: GateConfig | None = None,
+    envelopes: Sequence[Envelope] = (),
     on_step: OnStep | None = None,
 ) -> Rehearsal:
     """Run a motion to its end, or to a fall.
@@ -72,12 +74,13 @@ def rehearse(
         period_s: Control period, that of the robot's `write` [s].
         lead_s: How far ahead the motion is sampled [s]; as the motion server does by itself.
         gate: Times of the gate.
+        envelopes: Of the policy.
         on_step: Sees every step.
     """
     policy.reset()
     if isinstance(robot, Resettable):
         robot.reset()
-    control = ControlStep(robot, policy, command_format, gate=gate)
+    control = ControlStep(robot, policy, command_format, gate=gate, envelopes=envelopes)
     playback = Playback(motion, command_format, lead_s=lead_s)
     error = TrackingError(names_of(command_format.elements), robot.joint_names)
     velocity = VelocityTracking(names_of(command_format.elements), period_s)
@@ -145,7 +148,8 @@ def _rehearse_named(task: tuple[str, RigConfig, str]) -> Rehearsal:
     motion, config, holes = task
     clip = registry.find("loader", "motion")(motion, holes=holes)
     rig = _rig(msgspec.json.encode(config))
-    return rehearse(clip, rig.policy, rig.robot, rig.command_format, name=motion, period_s=rig.period_s)
+    return rehearse(clip, rig.policy, rig.robot, rig.command_format, name=motion, period_s=rig.period_s,
+                    envelopes=rig.envelopes)  # fmt: skip
 
 
 @lru_cache(maxsize=1)

@@ -45,6 +45,8 @@ _TOLD = 8  # cases of a group that failed and are told
               help="A setting of the robot's server: policy_options.NAME, robot_options.NAME; may repeat.")  # fmt: skip
 @click.option("--holes", type=click.Choice(["refuse", "bridge"]), default="refuse", show_default=True,
               help="What is done with bad frames inside a motion; not with --suite.")  # fmt: skip
+@click.option("--envelope", "envelope_file", type=click.Path(dir_okay=False, path_type=Path), default=None,
+              metavar="FILE", help="Write what the policy survives of MOTIONS: its envelope.")  # fmt: skip
 @click.option("--jobs", default=0, help="Processes side by side.  [default: one per core]")
 @click.option("--quick", is_flag=True, help="--suite: fewer instants, and one minute in place of ten.")
 @click.option(
@@ -62,7 +64,7 @@ _TOLD = 8  # cases of a group that failed and are told
 def command(
     motions: Sequence[str], robot: str, policy: str, checkpoint: str, robot_model: str | None,
     physics_dt_s: float | None, sets: tuple[str, ...], holes: str, jobs: int, as_json: bool, suite: bool,
-    against: str, against_checkpoint: str, **of_suite: Any,
+    envelope_file: Path | None, against: str, against_checkpoint: str, **of_suite: Any,
 ) -> None:  # fmt: skip
     """Run MOTIONS (files, or patterns such as 'twist2:motions/*.pkl' or 'builtin:*') in a closed loop and print how
     each went. Exit code 1 when the robot fell in any of them.
@@ -76,6 +78,10 @@ def command(
     from station.view.offscreen import VARIABLE
 
     os.environ[VARIABLE] = "disable"  # nothing is drawn: no process need look for OpenGL as it imports MuJoCo
+    if envelope_file is not None and (suite or as_json):
+        raise UsageError("--envelope goes with MOTIONS, and without --suite and --json")
+    if envelope_file is not None and not envelope_file.absolute().parent.is_dir():
+        raise UsageError(f"--envelope {envelope_file}: no folder {envelope_file.parent}")
     _refuse_what_does_not_go_together(motions, suite, {"against": against, **of_suite})
     kind = robot_kind(robot)
     policy = policy or kind.policy
@@ -91,6 +97,8 @@ def command(
     asked = overrides(sets, servers=None).get("", {})
     config = build(RigConfig, merged(told, asked), where="--set")
     kind.typed(config.robot_options)  # before any motion is read
+    if envelope_file is not None:
+        _envelope(config, named, envelope_file, jobs=jobs)
     if not suite:
         _motions(config, named, holes=holes, jobs=jobs, as_json=as_json)
     other = msgspec.structs.replace(config, policy=against, checkpoint=against_checkpoint, policy_options={})
@@ -103,6 +111,29 @@ def _refuse_what_does_not_go_together(motions: Sequence[str], suite: bool, of_su
         raise UsageError(f"--{given[0]} goes with --suite")
     if not suite and not motions:
         raise UsageError("name a motion to rehearse, for example builtin:wave; or evaluate a policy with --suite")
+
+
+def _envelope(config: RigConfig, named: Sequence[str], file: Path, *, jobs: int) -> NoReturn:
+    """Write the envelope of the motions that are survived; exit code 1 when one was not."""
+    from station.suite import survived
+
+    done: list[survived.Survived] = []
+
+    def on_result(result: survived.Survived) -> None:
+        done.append(result)
+        click.echo(f"{len(done)}/{len(named)} {result.rehearsal.motion}", err=True)
+
+    played = survived.play(named, config, jobs=jobs, on_done=on_result)
+    envelope = survived.measured(played, config)
+    _print([each.rehearsal for each in played])
+    left_out = [each.rehearsal.motion for each in played if not survived.is_survived(each)]
+    if left_out:
+        click.echo(f"left out, not survived or not followed: {', '.join(left_out)}")
+    survived.write(envelope, file, [each.rehearsal.motion for each in played if survived.is_survived(each)])
+    click.echo(
+        f"saved {file}: {len(envelope.elements)} elements of the command, from {len(played) - len(left_out)} motions"
+    )
+    raise SystemExit(1 if left_out else 0)
 
 
 def _motions(config: RigConfig, named: Sequence[str], *, holes: str, jobs: int, as_json: bool) -> NoReturn:

@@ -7,14 +7,15 @@ Shared by robots that a policy moves (`station.control.control`) and by arms beh
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 from station.control.arming import Arming, why_not_arm
 from station.control.command_arbiter import spoken
 from station.control.command_validator import CommandValidator, Samples
-from station.control.gate import MOVING, Bounds, Decision, Gate, GateConfig, QuietTime, State
+from station.control.envelope import Envelope
+from station.control.gate import MOVING, Decision, Gate, GateConfig, QuietTime, State
 from station.life.events import Severity
 from station.protocols import CommandFormat
 
@@ -41,6 +42,7 @@ class CommandPath:
         arming: Of the robot.
         part: Name of the part that it is about, for its events; "" for all of the robot.
         step_events: Where to put what happened; a list of its own without it.
+        envelopes: Of the policies that follow it.
 
     Attributes:
         command_format, gate, validator, arming: What it is made of.
@@ -54,16 +56,10 @@ class CommandPath:
         *,
         part: str = "",
         step_events: list[StepEvent] | None = None,
+        envelopes: Sequence[Envelope] = (),
     ) -> None:
-        bounds = Bounds.of(command_format, config.rate_factor)
         self.command_format, self.part = command_format, part
-        self.gate = Gate(
-            command_format.default,
-            config,
-            bounds,
-            holds_position=command_format.holds_position,
-            velocities=command_format.velocities,
-        )
+        self.gate = Gate.of(command_format, config, envelopes)
         self.validator = CommandValidator(command_format, config.longest_delay_s)
         self.arming = arming
         self._refusing: str | None = None
@@ -71,6 +67,7 @@ class CommandPath:
         self._heard_s = (-math.inf, math.inf)  # offline everything is known
         self._slewing = Limiting("command-slewed", command_format)
         self._clamping = Limiting("command-clamped", command_format)
+        self._surviving = Limiting("command-beyond-envelope", command_format)
         self._step_events: list[StepEvent] = [] if step_events is None else step_events
 
     @property
@@ -115,6 +112,8 @@ class CommandPath:
         clamped = validator.clamped if decision.state in MOVING else ()
         for name, detail in self._clamping.on_tick(clamped, now_s):
             self.add_event(name, "warning", **detail, allowed=self._allowed(clamped))
+        for name, detail in self._surviving.on_tick(decision.beyond, now_s):
+            self.add_event(name, "warning", **detail)
         for name, detail in self._slewing.on_tick(decision.limited, now_s):
             self.add_event(name, "warning", **detail)
         return decision
@@ -163,6 +162,7 @@ class CommandPath:
             "refused": self.validator.refused.total(),
             "arming": self.arming.state,
             "limited": len(decision.limited),
+            "beyond_envelope": len(decision.beyond),
             "needs_silence": self.gate.why_not_follow,
         }
 

@@ -17,6 +17,7 @@ from station.contract import names_of
 from station.control.arming import Arming
 from station.control.command_path import CommandPath, StepEvent
 from station.control.command_validator import Samples
+from station.control.envelope import Envelope, of_parts
 from station.control.gate import Decision, Gate, GateConfig
 from station.control.parted_path import PartedPath
 from station.control.policy_switch import PolicySwitch, needs_root_velocity
@@ -78,6 +79,7 @@ class ControlStep:
         gate: Times of the gate.
         is_armed: Whether targets are sent from the start; False for real robots.
         reset_after_s: A simulated robot is put back on its feet this long after a fall [s]; None: never.
+        envelopes: Commands that the policies survive; what is beyond is kept from them, and told.
         clock: Says how long a step takes, and decides nothing.
 
     Attributes:
@@ -85,7 +87,7 @@ class ControlStep:
         policies: The policies that hand over to each other; None where there is one alone.
 
     Raises:
-        ConfigError: the policy's joints are not the robot's, or it follows another format.
+        ConfigError: the policy's joints are not the robot's, or it follows another format, or an envelope is of one.
     """
 
     def __init__(
@@ -97,6 +99,7 @@ class ControlStep:
         gate: GateConfig | None = None,
         is_armed: bool = True,
         reset_after_s: float | None = None,
+        envelopes: Sequence[Envelope] = (),
         clock: Clock = SYSTEM,
     ) -> None:
         _check_fit(robot, policy, command_format)
@@ -104,11 +107,11 @@ class ControlStep:
         self.policies = policy if isinstance(policy, PolicySwitch) else None
         self.arming = Arming(is_armed=is_armed)
         config = gate or GateConfig()
-        self.commanded = (
-            PartedPath(command_format, config, self.arming)
-            if isinstance(command_format, PartedCommand)
-            else CommandPath(command_format, config, self.arming)
-        )
+        if isinstance(command_format, PartedCommand):
+            self.commanded: CommandPath = PartedPath(command_format, config, self.arming, envelopes=envelopes)
+        else:
+            (own,) = of_parts(envelopes, [command_format])
+            self.commanded = CommandPath(command_format, config, self.arming, envelopes=own)
         self._note = self.commanded.add_event
         self._reset_after_s, self._fell_at_s = reset_after_s, math.inf
         self._tick = self._falls = 0

@@ -38,6 +38,7 @@ import numpy as np
 
 from station.blends import VELOCITY_FADE_S
 from station.control.command_arbiter import Rule
+from station.control.envelope import Envelope, EnvelopeLimit
 from station.errors import ConfigError
 from station.protocols import CommandFormat, Floats
 
@@ -132,6 +133,7 @@ class Decision:
         age_s: Age of the newest good command [s]; infinite when there is none.
         transitions: Changes since the last tick, in order.
         limited: Indices of the elements that are not where the command wants them: its way is beyond rate or range.
+        beyond: Indices of the elements that the command wanted beyond the policy's envelope.
         parts: Of a robot whose parts are commanded apart, the decision of each; `vector` is all of theirs.
         at_s: The instant that it is for, where the parts of a robot are told of it [s].
     """
@@ -142,6 +144,7 @@ class Decision:
     age_s: float
     transitions: tuple[Transition, ...]
     limited: tuple[int, ...] = ()
+    beyond: tuple[int, ...] = ()
     parts: tuple[Decision, ...] = ()
     at_s: float = 0.0
 
@@ -155,6 +158,7 @@ class Gate:
         bounds: Range and rate of each element; None bounds nothing.
         holds_position: Whether the robot stays where it is without a command, instead of going back to `default`.
         velocities: Indices of the elements that are velocities, 0 in `default`.
+        envelopes: Keep the command where the policies survive it.
 
     Raises:
         ConfigError: an element cannot be back at its default within `GateConfig.blend_out_s`.
@@ -168,10 +172,11 @@ class Gate:
         *,
         holds_position: bool = False,
         velocities: Sequence[int] = (),
+        envelopes: Sequence[EnvelopeLimit] = (),
     ) -> None:
         self.config = config or GateConfig()
         self._default = np.array(default, dtype=np.float64)
-        self._bounds, self._holds_position = bounds, holds_position
+        self._bounds, self._holds_position, self._envelopes = bounds, holds_position, tuple(envelopes)
         if bounds is not None and not holds_position:
             bounds.expect_back_within(self._default, self.config.blend_out_s)
         self._state: State = "waiting"
@@ -187,6 +192,20 @@ class Gate:
         self._now_s: float | None = None
         self._passed_s = 0.0  # since the last tick, as far as it counts
         self._limited: tuple[int, ...] = ()
+        self._beyond: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, command_format: CommandFormat, config: GateConfig, envelopes: Sequence[Envelope] = ()) -> Gate:
+        """Return the gate of a command format, within the envelopes of the policies that follow it.
+
+        Raises:
+            ConfigError: as above, or an envelope in which the robot does not stand.
+        """
+        limits = [EnvelopeLimit(envelope, command_format) for envelope in envelopes]
+        return cls(
+            command_format.default, config, Bounds.of(command_format, config.rate_factor, limits),
+            holds_position=command_format.holds_position, velocities=command_format.velocities, envelopes=limits,
+        )  # fmt: skip
 
     @property
     def state(self) -> State:
@@ -225,7 +244,7 @@ class Gate:
             quiet: For how long nothing has come, be it only to be refused; None: for as long as the age says.
         """
         now_s = self._pass_time(now_s)
-        self._limited = ()
+        self._limited, self._beyond = (), ()
         self._silence.on_tick(quiet or QuietTime(age_s), self._passed_s)
         if self.why_not_follow:
             command, refusal = None, refusal or self.why_not_follow
@@ -242,9 +261,14 @@ class Gate:
             self._hold(now_s, why)
         else:
             self._go_home(now_s, why)
+        for envelope in self._envelopes:
+            if self._state in ("waiting", *LATCHED):
+                envelope.begin()
+            else:
+                envelope.on_tick(self._vector, self._passed_s)
         transitions, self._transitions = tuple(self._transitions), []
         reason = refusal if refusal and self._state == "waiting" else self._reason
-        return Decision(self._state, self._vector.copy(), reason, age_s, transitions, self._limited)
+        return Decision(self._state, self._vector.copy(), reason, age_s, transitions, self._limited, self._beyond)
 
     def change_hands(self, reason: str) -> None:
         """Blend into the next good command again: another writer gives it."""
@@ -287,6 +311,13 @@ class Gate:
         self._state, self._reason, self._vector = "tracking", "restored", np.array(vector, dtype=np.float64)
         self._start, self._since_s, self._now_s, self._is_entered = self._vector, now_s, now_s, True
         self._fade.end()
+        for envelope in self._envelopes:
+            envelope.forget()
+
+    @property
+    def knows_averages(self) -> bool:
+        """Whether it knows what its envelopes average: it has been `waiting` since a `restore`."""
+        return all(envelope.is_known for envelope in self._envelopes)
 
     def _follow(self, now_s: float, command: Floats) -> None:
         if self._state in ("waiting", "returning") or (self._state == "holding" and not self._is_entered):
@@ -335,7 +366,14 @@ class Gate:
         if self._bounds is None:
             self._vector = np.array(wanted)
             return
-        self._vector = self._bounds.step(self._vector, wanted, self._passed_s)
+        asked = wanted
+        for envelope in self._envelopes:
+            wanted = envelope.limit(wanted, self._vector, self._passed_s)
+        self._beyond = tuple(np.flatnonzero(wanted != asked).tolist()) if wanted is not asked else ()
+        moved = self._bounds.step(self._vector, wanted, self._passed_s)
+        for envelope in self._envelopes:
+            moved = envelope.on_the_way(self._vector, wanted, moved, self._passed_s)
+        self._vector = moved
         self._limited = tuple(np.flatnonzero(self._vector != wanted).tolist())
 
     def _pass_time(self, now_s: float) -> float:
@@ -393,9 +431,14 @@ class Bounds:
     rate: Floats
 
     @classmethod
-    def of(cls, command_format: CommandFormat, factor: float = 1.0) -> Bounds:
-        """Return the bounds of a format, its rates times a factor."""
-        return cls(command_format.lower, command_format.upper, np.minimum(command_format.rate * factor, _UNLIMITED))
+    def of(cls, command_format: CommandFormat, factor: float = 1.0, envelopes: Sequence[EnvelopeLimit] = ()) -> Bounds:
+        """Return the bounds of a format within those of envelopes, their rates times a factor."""
+        rate = np.minimum.reduce([command_format.rate, *(envelope.rate for envelope in envelopes)]) * factor
+        return cls(
+            np.maximum.reduce([command_format.lower, *(envelope.lower for envelope in envelopes)]),
+            np.minimum.reduce([command_format.upper, *(envelope.upper for envelope in envelopes)]),
+            np.minimum(rate, _UNLIMITED),
+        )
 
     def step(self, before: Floats, wanted: Floats, passed_s: float) -> Floats:
         """Return what comes nearest to a vector after some time; the very vector where range and rate allow it.

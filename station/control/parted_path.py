@@ -6,6 +6,7 @@ on. Pure: no bus, no robot, no clock.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from station.bus import codec
 from station.control.arming import Arming
 from station.control.command_path import CommandPath, StepEvent
 from station.control.command_validator import CommandSample, Samples
+from station.control.envelope import Envelope, of_parts
 from station.control.gate import Decision, GateConfig, State
 from station.parts import PartedCommand, by_key, part_name
 from station.protocols import CommandFormat, Floats
@@ -23,10 +25,11 @@ _MOST_OF_ALL: tuple[State, ...] = (
 )  # fmt: skip
 
 
-def samples_of(command_format: CommandFormat, vector: Floats, at_s: float) -> Samples:
+def samples_of(command_format: CommandFormat, vector: Floats, at_s: float, writer: str = "") -> Samples:
     """Return a command, shape (m,), as if it had just been read from the bus, in each of its parts [s]."""
     samples = [
-        CommandSample(codec.json_vector(each), arrived_s=at_s) for each in by_key(command_format, vector).values()
+        CommandSample(codec.json_vector(each), arrived_s=at_s, source=writer)
+        for each in by_key(command_format, vector).values()
     ]
     return tuple(samples) if len(samples) > 1 else samples[0]
 
@@ -38,13 +41,18 @@ class PartedPath(CommandPath):
         command_format: Of the parts.
         config: Times of each gate.
         arming: Of the robot.
+        envelopes: Of its policies, each of one part.
     """
 
-    def __init__(self, command_format: PartedCommand, config: GateConfig, arming: Arming) -> None:
+    def __init__(
+        self, command_format: PartedCommand, config: GateConfig, arming: Arming, *, envelopes: Sequence[Envelope] = ()
+    ) -> None:
         step_events: list[StepEvent] = []
         self._paths = tuple(
-            CommandPath(part, config, arming, part=part_name(command_format, part), step_events=step_events)
-            for part in command_format.parts
+            CommandPath(
+                part, config, arming, part=part_name(command_format, part), step_events=step_events, envelopes=own
+            )
+            for part, own in zip(command_format.parts, of_parts(envelopes, command_format.parts), strict=True)
         )
         self.command_format, self.part, self.arming, self._step_events = command_format, "", arming, step_events
         self.gate, self.validator = self._paths[0].gate, self._paths[0].validator
@@ -70,14 +78,15 @@ class PartedPath(CommandPath):
         parts = tuple(
             path.decide(each, now_s, why_blocked=why_blocked) for path, each in zip(self._paths, samples, strict=True)
         )
-        starts = np.cumsum([0, *(len(part.vector) for part in parts)]).tolist()
+        starts = np.cumsum([0, *(len(part.vector) for part in parts)]).tolist()[:-1]
         return Decision(
             state=self.state,
             vector=np.concatenate([part.vector for part in parts]),
             reason=self.reason,
             age_s=min(part.age_s for part in parts),
             transitions=(),
-            limited=tuple(start + index for start, part in zip(starts, parts, strict=False) for index in part.limited),
+            limited=tuple(start + index for start, part in zip(starts, parts, strict=True) for index in part.limited),
+            beyond=tuple(start + index for start, part in zip(starts, parts, strict=True) for index in part.beyond),
             parts=parts,
             at_s=now_s,
         )

@@ -15,7 +15,9 @@ from station import assets, registry
 from station.bus import codec, keys
 from station.clock import SYSTEM, Clock
 from station.command_formats import command_format
+from station.control import envelope
 from station.control.control import ControlStep
+from station.control.envelope import Envelope
 from station.control.gate import GateConfig
 from station.control.policy_switch import BLEND_S, BlendS, PolicySwitch, needs_root_velocity
 from station.errors import AssetMissing, BadFile, ConfigError, did_you_mean
@@ -49,6 +51,8 @@ class RigConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         policies: Others that may take over while the robot moves, by the names that they are asked for with.
         blend_s: How long the targets of two policies are blended when one takes over [s].
         rate_hz: Rate of the policy [Hz]; 0 for the rate it was trained at.
+        envelope: Which commands the policies get: ``auto`` for those within the envelope beside each one's checkpoint,
+            all where there is none; a file, for one beside no checkpoint; ``none`` for all, at your own risk.
     """
 
     robot: str = ""
@@ -59,6 +63,7 @@ class RigConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     policies: dict[str, PolicyChoice] = {}
     blend_s: BlendS = BLEND_S
     rate_hz: float = 0.0
+    envelope: str = "auto"
 
     @property
     def choices(self) -> dict[str, PolicyChoice]:
@@ -95,13 +100,14 @@ class RigConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class Rig(msgspec.Struct, frozen=True):
-    """What a `RigConfig` names, loaded; `period_s` is the control period [s]."""
+    """What a `RigConfig` names, loaded; `period_s` is the control period [s], `envelopes` those of its policies."""
 
     kind: RobotKind
     robot: Robot
     policy: Policy
     command_format: CommandFormat
     period_s: float
+    envelopes: tuple[Envelope, ...] = ()
 
     def control(
         self,
@@ -119,6 +125,7 @@ class Rig(msgspec.Struct, frozen=True):
             gate=gate,
             is_armed=is_armed,
             reset_after_s=reset_after_s,
+            envelopes=self.envelopes,
             clock=clock,
         )
 
@@ -166,14 +173,13 @@ def expect(config: RigConfig) -> None:
 
     Raises:
         UnknownName: a name that is not registered.
-        ConfigError: an option that the robot does not know, no checkpoint, or a rate that cannot be.
-        AssetMissing, BadFile: the checkpoint or the robot's model is not there.
+        ConfigError: an option that the robot does not know, no checkpoint, a rate that cannot be, or no envelope.
+        AssetMissing, BadFile: the checkpoint, the robot's model or an envelope is not there.
     """
     options = config.kind.typed(config.robot_options)
     if config.rate_hz:
         _expect_rate(config.rate_hz)
-    for choice in config.choices.values():
-        _checkpoint(config, choice)
+    _envelopes(config.envelope, [_checkpoint(config, choice) for choice in config.choices.values()])
     if isinstance(model := getattr(options, "model", None), str) and model:
         assets.resolve(model)
 
@@ -198,12 +204,19 @@ def build(config: RigConfig, *, may_be_real: bool = False) -> Rig:
     options = kind.typed(config.robot_options)
     policies = {name: _policy(config, choice) for name, choice in config.choices.items()}
     policy = next(iter(policies.values()))
+    envelopes = _envelopes(config.envelope, [each.spec.checkpoint for each in policies.values()])
     rate_hz = config.rate_hz or policy.spec.rate_hz
     _expect_rate(rate_hz)
     if len(policies) > 1:
         policy = PolicySwitch(policies, period_s=1.0 / rate_hz, blend_s=config.blend_s)
     followed = _command_format(kind, [each.spec for each in policies.values()])
-    return Rig(kind, kind.make(options, 1.0 / rate_hz), policy, followed, 1.0 / rate_hz)
+    return Rig(kind, kind.make(options, 1.0 / rate_hz), policy, followed, 1.0 / rate_hz, envelopes)
+
+
+def _envelopes(setting: str, checkpoints: Sequence[Path]) -> tuple[Envelope, ...]:
+    """Return the envelopes of some policies, each once."""
+    each = (envelope.found(setting, checkpoint) for checkpoint in dict.fromkeys(checkpoints))
+    return tuple(dict.fromkeys(one for one in each if one is not None))
 
 
 def _command_format(kind: RobotKind, specs: Sequence[PolicySpec]) -> CommandFormat:

@@ -43,6 +43,8 @@ class PolicyServerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
             with ``policy``, ``checkpoint`` and ``policy_options`` of its own.
         blend_s: How long the targets of two policies are blended when one takes over [s].
         rate_hz: Rate of the loop [Hz]; 0 for the one that the policy was trained at.
+        envelope: ``auto``: commands beyond the envelope beside a policy's checkpoint are kept from it, and that is
+            told; ``none``: nothing is; or a file in place of that.
         pace: ``wall`` or ``command`` (lock-step).
         command_timeout_s: Longest wait for the next command in lock-step [s]; then ticks go on at `rate_hz`.
         gate: Times of the gate, how fast a command may move, and which writer to obey when two write it.
@@ -57,6 +59,7 @@ class PolicyServerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     policies: dict[str, PolicyChoice] = {}
     blend_s: BlendS = BLEND_S
     rate_hz: float = 0.0
+    envelope: str = "auto"
     pace: Literal["wall", "command"] = "wall"
     command_timeout_s: float = 1.0
     gate: GateConfig = GateConfig()
@@ -69,6 +72,7 @@ class PolicyServerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         return RigConfig(
             robot=robot, robot_options=options, policy=self.policy, checkpoint=self.checkpoint,
             policy_options=self.policy_options, policies=self.policies, blend_s=self.blend_s, rate_hz=self.rate_hz,
+            envelope=self.envelope,
         )  # fmt: skip
 
     def expect_policies(self) -> None:
@@ -272,6 +276,7 @@ def facts(config: PolicyServerConfig, name: str, rig: Rig) -> dict[str, Any]:
         **({"policies": policies} if driving else {}),
         "rates": {"control_hz": 1.0 / rig.period_s, "pace": config.pace, **physics},
         "gate": to_plain(config.gate),
+        "envelopes": [to_plain(envelope) for envelope in rig.envelopes],
         "software": {"version": code.version, "revision": code.revision, "dirty": code.dirty},
         "config": to_plain(config),
     }

@@ -7,7 +7,9 @@ from typing import Literal
 
 import msgspec
 
-Group = Literal["stand", "track", "unseen", "follow", "push", "arms", "late", "gate", "hand-over"]
+from station.suite.attacks import Attack
+
+Group = Literal["stand", "track", "unseen", "follow", "push", "arms", "late", "gate", "hand-over", "envelope"]
 
 Velocity = tuple[float, float, float]
 """Of the base in the frame of its heading: forward, to the left [m/s], turning left [rad/s]."""
@@ -157,6 +159,25 @@ class HandOver(Case, frozen=True, kw_only=True):
     def name(self) -> str:
         """What it is called."""
         return f"{_said(self.velocity)}, taking turns with {self.policy or 'itself'}"
+
+
+class Attacked(Case, frozen=True, kw_only=True):
+    """Get commands that nobody means well with, and then the last of them for a second.
+
+    Attributes:
+        attack: Of what kind.
+        seed: Of all chance in it.
+        clips: Whose frames are taken.
+    """
+
+    attack: Attack
+    seed: int
+    clips: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return f"{self.attack}, seed {self.seed}"
 
 
 def _said(velocity: Velocity) -> str:

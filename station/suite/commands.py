@@ -19,7 +19,9 @@ Commands = Callable[[float], Floats | None]
 Span = tuple[float, float]
 """Begin and end, since the start [s]."""
 
-_ARM_WORDS = ("shoulder", "elbow", "wrist")
+REACHING = ("shoulder", "elbow")
+WRIST = ("wrist",)
+_ARM_WORDS = REACHING + WRIST
 _SHORTEST_S, _LONGEST_S = 0.3, 3.0  # from one pose of an arm to the next
 _SPEED_PART = 0.8  # of what the joints can do
 _MIN_JERK_PEAK = 1.875  # greatest speed of a minimum-jerk move, over its mean

@@ -10,9 +10,11 @@ import msgspec
 
 from station.control.gate import GateConfig
 from station.protocols import Floats
+from station.suite.attacks import ATTACKS
 from station.suite.cases import (
     STILL,
     Arms,
+    Attacked,
     Case,
     Cease,
     Cut,
@@ -35,6 +37,7 @@ LIMITS: dict[Group, str] = {
     "arms": "no fall",
     "late": "no fall",
     "gate": "no fall; a velocity fades to zero within 0.32 s, in steps of at most 0.15 of it",
+    "envelope": "no fall, whatever is commanded",
     "hand-over": "no fall, none refused, and targets that jump no more than 1.5 times as far as else, or as joints can",
 }
 """The groups, in the order of the table, and what is asked in each."""
@@ -88,6 +91,9 @@ SILENCES = (
     Silence("standing", _GATE.return_after_s + _GATE.blend_out_s + 1.0, goes_on=False),
 )
 
+ATTACKED_S = 8.0
+"""How long an attack lasts [s]; its last command is held for a second more."""
+
 PUSH_FROM_S, PUSH_SURVIVED_S = 3.0, 5.0  # the robot has settled by then; a fall after a push takes no longer
 ENTER_S, AFTER_S = 2.0, 4.0  # each a second of blend, then the clip itself
 
@@ -103,6 +109,7 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
         push_instants: Pushes per direction, each in a run of its own, spread over the time of the wave, or strides.
         late_s: How much later targets are applied [s].
         cut_every_s: Distance of the instants at which each silence begins, within a clip [s].
+        attacks: Streams of commands that nobody means well with, of all kinds in turn.
         shares: How much of the range that a policy was trained on is asked for, of one that follows velocities.
     """
 
@@ -115,11 +122,12 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
     push_instants: int = 6
     late_s: float = 0.02
     cut_every_s: float = 1.0
+    attacks: int = 140
     shares: tuple[float, ...] = (0.5, 1.0)
 
 
 FULL = Extent()
-QUICK = Extent(stand_s=60.0, arms_s=60.0, arm_seeds=(1,), push_instants=1, cut_every_s=6.0, shares=(0.5,))
+QUICK = Extent(stand_s=60.0, arms_s=60.0, arm_seeds=(1,), push_instants=1, cut_every_s=6.0, attacks=14, shares=(0.5,))
 
 
 class Clips(msgspec.Struct, frozen=True, kw_only=True):
@@ -139,6 +147,7 @@ def cases(extent: Extent, clips: Clips, only: Collection[Group] = ()) -> list[Ca
         ),
         *_late(extent, clips),
         *_cuts(extent, clips),
+        *_attacks(extent, tuple(clips.durations_s)),
     ]
     return [case for group in LIMITS for case in made if case.group == group and (not only or group in only)]
 
@@ -168,6 +177,7 @@ def velocity_cases(
         Stand(group="stand", seconds=extent.stand_s),
         *(Walk(group="follow", seconds=walk_s, velocity=each) for each in dict.fromkeys(asked) if any(each)),
         *_pushes(extent, [("", STILL, extent.push_standing_mps), ("", ahead, extent.push_waving_mps)], STRIDES_S),
+        *_attacks(extent),
         Stand(group="late", seconds=60.0, late_s=extent.late_s),
         *(Walk(group="late", seconds=walk_s, velocity=each, late_s=extent.late_s) for each in (ahead, curve)),
         *(Cease(group="gate", seconds=cease_s, velocity=each) for each in (ahead, turning, curve)),
@@ -205,6 +215,15 @@ def _pushes(extent: Extent, doing: Collection[tuple[str, Velocity, float]], spre
             group="push", seconds=at_s + PUSH_SURVIVED_S, speed_mps=speed_mps, towards_rad=towards_rad, at_s=at_s,
             clip=clip, velocity=velocity,
         )  # fmt: skip
+
+
+def _attacks(extent: Extent, clips: tuple[str, ...] = ()) -> Iterator[Case]:
+    """Yield attacks of all kinds; without clips those that need none."""
+    kinds = ATTACKS if clips else [kind for kind in ATTACKS if kind != "frames"]
+    for seed in range(extent.attacks):
+        yield Attacked(
+            group="envelope", seconds=ATTACKED_S + 1.0, attack=kinds[seed % len(kinds)], seed=seed, clips=clips
+        )
 
 
 def _late(extent: Extent, clips: Clips) -> Iterator[Case]:

@@ -23,11 +23,20 @@ from station.errors import ConfigError
 from station.protocols import Fall, Floats, JointTargets, Motion, RobotState, SimulatedRobot
 from station.rehearse import rehearse
 from station.rotations import roll_pitch_yaw, tilt
-from station.suite import commands
-from station.suite.cases import STILL, Arms, Case, Cease, Cut, HandOver, Push, Stand, Track, Velocity, Walk
+from station.suite import attacks, commands
+from station.suite.cases import STILL, Arms, Attacked, Case, Cease, Cut, HandOver, Push, Stand, Track, Velocity, Walk
 from station.suite.commands import Commands
 from station.suite.outcome import Ceased, Drift, FallOutcome, Outcome, Trace, TurnsTaken
-from station.suite.promise import CEASES_S, COMES_BACK_S, ENTER_S, SETTLED_S, STARTS_S, TURN_EVERY_S, WALKED_S
+from station.suite.promise import (
+    ATTACKED_S,
+    CEASES_S,
+    COMES_BACK_S,
+    ENTER_S,
+    SETTLED_S,
+    STARTS_S,
+    TURN_EVERY_S,
+    WALKED_S,
+)
 
 _ROUNDING = 1e-9
 _TRACE_S = 0.1  # a picture shows no more
@@ -173,7 +182,7 @@ def _(case: Track, rig: Rig) -> _Watch:
     watch = _Watch(rig)
     rehearse(
         _clip(case.clip), rig.policy, _late(rig, case.late_s).robot, rig.command_format, period_s=rig.period_s,
-        on_step=lambda frame, record: watch.see(record, counts=frame.phase == "playing"),
+        envelopes=rig.envelopes, on_step=lambda frame, record: watch.see(record, counts=frame.phase == "playing"),
     )  # fmt: skip
     return watch
 
@@ -237,6 +246,24 @@ def _(case: HandOver, rig: Rig) -> _Watch:
     return _drive(rig, source, case.seconds, before_step=take_turns)
 
 
+@_run.register
+def _(case: Attacked, rig: Rig) -> _Watch:
+    motions = [_clip(clip) for clip in case.clips]
+    stream, writers = attacks.commands(
+        case.attack, case.seed, rig.command_format, rig.envelopes, motions, seconds=ATTACKED_S, period_s=rig.period_s
+    )
+    last = len(stream) - 1
+
+    def command(now_s: float) -> Floats:
+        found: Floats = stream[min(round(now_s / rig.period_s), last)]
+        return found
+
+    def writer(now_s: float) -> str:
+        return writers[min(round(now_s / rig.period_s), last)]
+
+    return _drive(rig, command, case.seconds, writer=writer)
+
+
 def _taking_turns(config: RigConfig, case: HandOver) -> RigConfig:
     """Return a rig with the other policy beside its own."""
     other = PolicyChoice(policy=case.policy, checkpoint=case.checkpoint)
@@ -253,6 +280,7 @@ def _drive(
     *,
     before_step: BeforeStep | None = None,
     goes_on: bool = False,
+    writer: Callable[[float], str] = lambda _: "",
 ) -> _Watch:
     """Run from the start pose for so long, or to a fall, after which the rest may go on from the start pose."""
     robot, watch = _simulated(rig), _Watch(rig)
@@ -261,7 +289,7 @@ def _drive(
         now_s = tick * rig.period_s
         if before_step is not None:
             before_step(control, tick)
-        record = _step(control, source(now_s), now_s)
+        record = _step(control, source(now_s), now_s, writer(now_s))
         watch.see(record, counts=True)
         if record.fall is not None:
             if not goes_on:
@@ -276,9 +304,9 @@ def _fresh(rig: Rig, robot: SimulatedRobot) -> ControlStep:
     return rig.control()
 
 
-def _step(control: ControlStep, command: Floats | None, now_s: float) -> StepRecord:
+def _step(control: ControlStep, command: Floats | None, now_s: float, writer: str) -> StepRecord:
     """Do a step; without a command, the last one grows old. As in a rehearsal, it goes through its JSON text."""
-    sample = None if command is None else samples_of(control.commanded.command_format, command, now_s)
+    sample = None if command is None else samples_of(control.commanded.command_format, command, now_s, writer)
     return control.step(control.sense(), sample, now_s)
 
 
@@ -307,7 +335,7 @@ def _rig(config: bytes) -> Rig:
     return build(msgspec.json.decode(config, type=RigConfig))
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=64)  # attacks take from all
 def _clip(reference: str) -> Motion:
     motion: Motion = registry.find("loader", "motion")(reference)
     return motion

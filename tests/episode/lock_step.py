@@ -17,6 +17,7 @@ from station.control.low_level import result_values
 from station.control.rig import Rig, build
 from station.control.robot_server import facts
 from station.motion.playback import Playback
+from station.protocols import Floats
 from tests.episode.synthetic import EpisodeBuilder
 
 MOTION = "builtin:walk-forward"
@@ -30,6 +31,7 @@ def record(
     config: G1Config | None = None,
     switches: Mapping[int, str] | None = None,
     with_first_state: bool = True,
+    commands: Floats | None = None,
 ) -> Path:
     """Run a motion for some seconds, write what the servers would write, and return the episode's folder.
 
@@ -39,6 +41,7 @@ def record(
         skip: First steps that are run but not recorded, as when the recording starts late.
         config: Of the G1 server.
         switches: Names of policies that are asked for, by the tick at which.
+        commands: What is commanded in place of the motion, shape (ticks, m); its last row on and on.
         with_first_state: Whether the first state that the robot said is in the file; it waited long for a command else.
     """
     config = config or G1Config(pace="command", physics_dt_s=0.002)
@@ -51,7 +54,8 @@ def record(
         if switches and tick in switches and control.policies is not None:
             control.policies.switch(switches[tick])
         frame = playback.step(rig.period_s)
-        values = _tick(control, rig, codec.json_vector(frame.command), tick)
+        command = frame.command if commands is None else commands[min(tick, len(commands) - 1)]
+        values = _tick(control, rig, codec.json_vector(command), tick)
         source = json.dumps({"file": "walk.pkl", "frame": frame.frame_index, "phase": frame.phase}).encode()
         at_s = 0.1 + tick * rig.period_s
         if tick < skip:

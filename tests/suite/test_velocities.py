@@ -53,7 +53,7 @@ def test_each_axis_is_walked_both_ways_at_two_shares_of_what_was_trained_and_in_
 def test_cases_have_names_of_their_own_groups_can_be_picked_and_quick_is_less_of_each() -> None:
     made, quick = velocity_cases(FULL, LOWER, UPPER), velocity_cases(QUICK, LOWER, UPPER)
     assert [name for name, count in Counter((case.group, case.name) for case in made).items() if count > 1] == []
-    groups = ["stand", "follow", "push", "late", "gate", "hand-over"]
+    groups = ["stand", "follow", "push", "late", "gate", "envelope", "hand-over"]
     assert list(dict.fromkeys(case.group for case in made)) == groups
     assert list(dict.fromkeys(case.group for case in quick)) == groups
     assert sum(case.seconds for case in quick) < 0.5 * sum(case.seconds for case in made)
@@ -186,7 +186,15 @@ def test_policies_take_turns_as_often_as_is_said_and_it_is_the_same_each_time(
 def test_a_policy_of_velocities_has_a_suite_of_its_own(statue: RigConfig) -> None:
     planned = run.plan([statue], extent=QUICK, jobs=1)
     assert planned.missing == []
-    assert {case.group for case in planned.cases} == {"stand", "follow", "push", "late", "gate", "hand-over"}
+    assert {case.group for case in planned.cases} == {
+        "stand",
+        "follow",
+        "push",
+        "late",
+        "gate",
+        "envelope",
+        "hand-over",
+    }
     assert max(case.velocity for case in planned.cases if isinstance(case, Walk))[0] == pytest.approx(0.75)
 
 

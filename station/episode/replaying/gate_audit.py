@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, OrderedDict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -21,7 +21,8 @@ from station.bus import codec, keys
 from station.command_formats import command_format
 from station.contract import TIMING_STAGES, Contract, names_of
 from station.control.command_validator import Checked, check_command
-from station.control.gate import LATCHED, Bounds, Gate, GateConfig
+from station.control.envelope import Envelope, of_parts
+from station.control.gate import LATCHED, Gate, GateConfig
 from station.episode.reading.messages import Message
 from station.episode.reading.steps import Step, robot_state, timing_row
 from station.episode.replaying.comparison import Comparison
@@ -54,6 +55,7 @@ class GateTold(msgspec.Struct, frozen=True):
     state: str = ""
     age_s: float | None = None
     limited: int | None = None
+    beyond_envelope: int = 0
     needs_silence: str = ""
     arming: str = ""
     policy: str = ""
@@ -78,11 +80,13 @@ class GateSetting(NamedTuple):
         command_format: Of its commands.
         config: Its times.
         period_s: Of a tick in lock-step, whose clock is that of the ticks [s]; None by the wall clock.
+        envelopes: Of the policies that followed it.
     """
 
     command_format: CommandFormat
     config: GateConfig
     period_s: float | None
+    envelopes: Sequence[Envelope] = ()
 
 
 def setting(facts: Mapping[str, Any], command: str) -> GateSetting | str:
@@ -98,11 +102,25 @@ def setting(facts: Mapping[str, Any], command: str) -> GateSetting | str:
         config = msgspec.convert(facts["gate"], GateConfig)
         rates = facts["rates"]
         period_s = 1.0 / float(rates["control_hz"]) if rates.get("pace") == "command" else None
+        envelopes = stated_envelopes(facts)
+        of_parts(envelopes, parts_of(followed))
     except (UnknownName, ConfigError) as error:
         return str(error)
     except (KeyError, TypeError, ValueError, AttributeError, ZeroDivisionError, msgspec.ValidationError):
         return "the manifest does not say how the gate was set"
-    return GateSetting(followed, config, period_s)
+    return GateSetting(followed, config, period_s, envelopes)
+
+
+def stated_envelopes(facts: Mapping[str, Any]) -> tuple[Envelope, ...]:
+    """Return the envelopes of a robot's policies, by what its server stated; none of a server that knew of none.
+
+    Raises:
+        ConfigError: they cannot be read.
+    """
+    try:
+        return msgspec.convert(facts.get("envelopes", ()), tuple[Envelope, ...])
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"the manifest does not say which envelope the gate kept to: {error}") from None
 
 
 @dataclass
@@ -177,7 +195,7 @@ class GateReplay:
                 self._gate.rest(used)  # as high as it was asked to be before the file began
                 self.not_proven[_IN_THE_MIDDLE] += 1
                 return
-        if self._gate is None:
+        if self._gate is None or (told.beyond_envelope and not self._gate.knows_averages):
             self._resume(used, now_s, told, row)
             self.not_proven[_IN_THE_MIDDLE] += 1
             return
@@ -196,12 +214,7 @@ class GateReplay:
         return self.of.command_format.default
 
     def _fresh(self) -> Gate:
-        command_format, config = self.of.command_format, self.of.config
-        bounds = Bounds.of(command_format, config.rate_factor)
-        return Gate(
-            command_format.default, config, bounds, holds_position=command_format.holds_position,
-            velocities=command_format.velocities,
-        )  # fmt: skip
+        return Gate.of(self.of.command_format, self.of.config, self.of.envelopes)
 
     @property
     def _keeps_command(self) -> bool:
@@ -211,7 +224,8 @@ class GateReplay:
     def _resume(self, used: Floats, now_s: float | None, told: GateTold, row: list[int]) -> None:
         """Go on from what the gate let through in a step, where nothing else of its past counts."""
         self._gate = None
-        if now_s is not None and told.state == "tracking" and told.limited == 0 and self._is_steady(now_s):
+        is_free = told.limited == 0 and not told.beyond_envelope
+        if now_s is not None and told.state == "tracking" and is_free and self._is_steady(now_s):
             self._gate = self._fresh()
             self._gate.restore(used, now_s)
             command = self._command(row)
@@ -425,12 +439,14 @@ def replay(
     if isinstance(found, str):
         return found
     whole, made = found.command_format, dict[str, GateReplay]()
-    for part in parts_of(whole):
+    parts = parts_of(whole)
+    for part, own in zip(parts, of_parts(found.envelopes, parts), strict=True):
         name = part_name(whole, part) if isinstance(whole, PartedCommand) else ""
         rest = _rest(robot, part, state)
         if isinstance(rest, str):
             return rest
-        made[name] = GateReplay(part.robot, found._replace(command_format=part), anchor, bool(name), rest)
+        of = found._replace(command_format=part, envelopes=own)
+        made[name] = GateReplay(part.robot, of, anchor, bool(name), rest)
         try:
             made[name]._fresh()
         except ConfigError as error:

@@ -24,6 +24,7 @@ from station.control.policy_switch import PolicySwitch
 from station.control.rig import Rig, RigConfig, build
 from station.episode.reading.reader import EpisodeReader, Message
 from station.episode.reading.steps import Step, StepJoiner, timing_row
+from station.episode.replaying.gate_audit import stated_envelopes
 from station.episode.replaying.recorded_policy import recorded_policies
 from station.episode.storage import layout
 from station.errors import EpisodeError, Refused, UnknownName
@@ -97,7 +98,10 @@ def to_sim(
     recorded = config.rig.headless()
     fields = {name: value for name, value in (changes or {}).items() if name in RigConfig.__struct_fields__}
     options = {name: value for name, value in (changes or {}).items() if name not in fields}
-    rig = build(msgspec.structs.replace(recorded, **fields, robot_options=recorded.robot_options | options))
+    changed = {"envelope": "none"} | fields | {"robot_options": recorded.robot_options | options}
+    rig = build(msgspec.structs.replace(recorded, **changed))
+    if "envelope" not in fields:  # that of then, wherever its file is now
+        rig = msgspec.structs.replace(rig, envelopes=stated_envelopes(facts))
     try:
         if "policy" not in (changes or {}) and "checkpoint" not in (changes or {}):
             _same_checkpoints(reader, {name: each.sha256 for name, each in suspects.items()}, rig)

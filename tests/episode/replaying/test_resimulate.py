@@ -6,16 +6,20 @@ import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from servers.g1 import G1Config
 from station.cli.main import cli
-from station.control.rig import PolicyChoice
+from station.control.rig import PolicyChoice, build
 from station.episode.reading.reader import EpisodeReader, open_episode
+from station.episode.replaying.audit import audit
 from station.episode.replaying.resimulate import to_sim
 from station.episode.storage.manifest import load_manifest, save_manifest
 from station.errors import EpisodeError
+from station.suite import attacks
 from tests.episode import lock_step
 from tests.episode.synthetic import EpisodeBuilder, walk
 
@@ -143,3 +147,45 @@ def test_a_hand_over_comes_out_the_same_to_the_last_bit(tmp_path: Path, other: P
     folder = lock_step.record(EpisodeBuilder(tmp_path), seconds=3.0, config=config, switches=switches)
     found = to_sim(open_episode(folder))
     assert (found.steps, found.different, found.gates_different) == (150, 0, 0)
+
+
+@pytest.mark.parametrize("skip", [0, 100])
+def test_commands_beyond_the_envelope_are_derived_bit_for_bit(tmp_path: Path, skip: int) -> None:
+    """A gate that begins in the middle knows no averages: it proves what they do not bound, and says what it cannot."""
+    rig = build(G1Config().rig)
+    wild, _ = attacks.commands("jump", 14, rig.command_format, rig.envelopes, [], seconds=2.0, period_s=rig.period_s)
+    stream = np.concatenate([wild, np.tile(rig.command_format.default, (60, 1)), wild])
+    rig.robot.close()
+    folder = lock_step.record(EpisodeBuilder(tmp_path), seconds=5.0, commands=stream, skip=skip)
+    reader = open_episode(folder)
+    found = audit(reader)
+    assert (found.different, found.commands.different, found.gates_different) == (0, 0, 0)
+    assert found.commands.compared >= (30 if skip else 250)
+    assert bool(found.commands_not_proven) == (skip > 0)
+    (stated,) = load_manifest(folder).servers["g1"]["envelopes"]
+    slower = stated["bounded"] | {"rate": [0.5 * each for each in stated["bounded"]["rate"]]}
+    forged = audit(restated(folder, envelopes=[stated | {"bounded": slower}]))
+    assert (forged.commands.different > 0) == (not skip)
+    broken = audit(restated(folder, envelopes=[{"bounded": 3}]))
+    assert broken.commands.compared == 0
+    (why,) = broken.commands_not_proven
+    assert why.startswith("the manifest does not say which envelope the gate kept to: ")
+
+
+def test_commands_beyond_the_envelope_are_simulated_within_the_one_of_then(tmp_path: Path) -> None:
+    rig = build(G1Config().rig)
+    stream, _ = attacks.commands("jump", 14, rig.command_format, rig.envelopes, [], seconds=3.0, period_s=rig.period_s)
+    rig.robot.close()
+    config = G1Config(pace="command", physics_dt_s=0.002)
+    mine = tmp_path / "mine.envelope.yaml"
+    bounded = rig.envelopes[0].bounded
+    slower = msgspec.structs.replace(bounded, rate=tuple(0.6 * each for each in bounded.rate))
+    mine.write_bytes(msgspec.json.encode(msgspec.structs.replace(rig.envelopes[0], bounded=slower)))
+    config = msgspec.structs.replace(config, envelope=str(mine))
+    reader = open_episode(lock_step.record(EpisodeBuilder(tmp_path), seconds=3.0, commands=stream, config=config))
+    mine.unlink()
+    again = to_sim(reader)
+    assert (again.steps, again.different, again.gates_different) == (150, 0, 0)
+    without = to_sim(reader, changes={"envelope": "none"})
+    assert without.different > 50
+    assert "envelope: changed to none" in without.notes

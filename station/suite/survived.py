@@ -1,0 +1,172 @@
+"""Measuring an envelope: from the motions that a policy tracks without a fall, what it was seen to survive.
+
+A range of each element alone is not enough: the corners of ranges are poses that no motion has. So the directions are
+found in which the motions' commands spread (the principal ones of what differs from standing, each element divided by
+half of its range), and how far they go in each: at once, and averaged over some times. Shoulders and elbows may reach
+out beyond the motions, to the format's ranges, while the rest stands: there nothing fell. Wrists are left alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from station import registry, side_by_side
+from station.atomic_file import write_atomic
+from station.contract import names_of
+from station.control.envelope import Envelope, Ranges, Span
+from station.control.rig import RigConfig, build
+from station.errors import UsageError
+from station.protocols import CommandFormat, Floats
+from station.rehearse import Rehearsal, rehearse
+from station.suite import clips
+from station.suite.commands import REACHING, WRIST
+from station.suite.promise import JOINT_ERROR_RAD
+
+OVER_S = (0.0, 0.5, 2.0, 5.0)
+"""Over how long sums are averaged [s]. A motion has a speed for a moment that its robot does not hold for a second, and
+turns on legs that step: the tracker turns on legs that are held still for some seconds, and then falls."""
+
+CHANGES_S = (0.1,)
+"""Over how long that average is from which sums may differ by so much [s]. The tracker falls when it has to rise from a
+squat as fast as a knee moves in a step."""
+
+_ROOM = 0.01  # beyond what was seen, as a share of it: ticks of a real clock are not those of a rehearsal
+_RATE_ROOM = 0.02
+_ACROSS_S = 1.0
+_LEAST = 1e-3  # what never moves may move by so much
+_DIGITS = 6
+
+
+class Survived(NamedTuple):
+    """A motion that was played: how it went, and the commands that the policy got, shape (steps, m)."""
+
+    rehearsal: Rehearsal
+    commands: Floats
+
+
+def play(motions: Sequence[str], config: RigConfig, *, jobs: int = 0,
+         on_done: Callable[[Survived], None] | None = None) -> list[Survived]:  # fmt: skip
+    """Rehearse motions without an envelope, side by side, as `station.rehearse.rehearse_all` does."""
+    free = msgspec.structs.replace(config, envelope="none")
+    build(free).robot.close()  # refuses what does not fit, before there are processes
+    return list(side_by_side.run(_play, [(motion, free) for motion in motions], jobs=jobs, on_done=on_done))
+
+
+def is_survived(played: Survived) -> bool:
+    """Whether a motion was tracked to its end, as closely as the suite asks for."""
+    error = played.rehearsal.mean_joint_error_rad
+    return not played.rehearsal.fell and error is not None and error <= JOINT_ERROR_RAD
+
+
+def measured(played: Sequence[Survived], config: RigConfig) -> Envelope:
+    """Return the envelope of the motions that were survived.
+
+    Raises:
+        UsageError: none was.
+    """
+    rig = build(msgspec.structs.replace(config, envelope="none"))
+    command, period_s = rig.command_format, rig.period_s
+    names = names_of(command.elements)
+    bounded = [index for index, name in enumerate(names) if not any(word in name for word in REACHING + WRIST)]
+    reaching = [index for index, name in enumerate(names) if any(word in name for word in REACHING)]
+    streams = [each.commands - command.default for each in played if is_survived(each)]
+    if not streams or not bounded:
+        raise UsageError("no motion was tracked without a fall; an envelope is made of those that are")
+    changes = [each[:, bounded] for each in streams]
+    lower, upper = _ends(changes)
+    half = (upper - lower) / 2.0
+    _, _, directions = np.linalg.svd(np.concatenate(changes) / half, full_matrices=False)
+    weights = (directions / half).round(_DIGITS)
+    sums = [each @ weights.T for each in changes]
+    return Envelope(
+        bounded=_ranges(command, bounded, streams, period_s),
+        reaching=_ranges(command, reaching, streams, period_s, width=(command.upper - command.lower)[reaching]),
+        sums=tuple(_numbers(row) for row in weights),
+        spans=tuple(_span(over_s, sums, period_s) for over_s in OVER_S)
+        + tuple(_span(over_s, sums, period_s, is_change=True) for over_s in CHANGES_S),
+    )
+
+
+def write(envelope: Envelope, file: Path, motions: Sequence[str]) -> None:
+    """Write an envelope as YAML, and above it of which motions it is; whole, or not at all."""
+    lines = [f"# What the policy survives, measured by `station rehearse --envelope` from {len(motions)} motions:"]
+    lines += [f"# {motion}" for motion in motions]
+    for name in ("bounded", "reaching"):
+        lines.append(f"{name}:")
+        lines += [f"  {key}: {_row(value)}" for key, value in msgspec.structs.asdict(getattr(envelope, name)).items()]
+    lines += ["sums:", *(f"- {_row(row)}" for row in envelope.sums), "spans:"]
+    for span in envelope.spans:
+        lines += [f"- over_s: {span.over_s:g}", f"  lower: {_row(span.lower)}", f"  upper: {_row(span.upper)}"]
+        lines += ["  is_change: true"] if span.is_change else []
+    write_atomic(file, ("\n".join(lines) + "\n").encode())
+
+
+def _ranges(
+    command: CommandFormat, own: list[int], streams: Sequence[Floats], period_s: float, *, width: Floats | None = None
+) -> Ranges:
+    """Return the ranges and rates of some elements in streams of changes from standing, shape (steps, m) each.
+
+    An element is at least fast enough to cross its range, or a given width, in `_ACROSS_S`: it has to come back too.
+    """
+    changes = [each[:, own] for each in streams]
+    lower, upper = _ends(changes)
+    fastest = np.max([np.abs(np.diff(each, axis=0)).max(axis=0) for each in changes], axis=0) / period_s
+    least = (upper - lower if width is None else width) / _ACROSS_S
+    return Ranges(
+        elements=tuple(command.elements[index].name for index in own),
+        lower=_numbers(command.default[own] + lower),
+        upper=_numbers(command.default[own] + upper),
+        rate=_numbers(np.maximum(fastest * (1.0 + _RATE_ROOM), least)),
+    )
+
+
+def _span(over_s: float, sums: Sequence[Floats], period_s: float, *, is_change: bool = False) -> Span:
+    """Return between what sums, shape (steps, k) each, were."""
+    averages = [_averaged(each, period_s / over_s) if over_s else each for each in sums]
+    lower, upper = _ends(
+        [each - average for each, average in zip(sums, averages, strict=True)] if is_change else averages
+    )
+    return Span(over_s=over_s, lower=_numbers(lower), upper=_numbers(upper), is_change=is_change)
+
+
+def _ends(changes: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """Return the least and greatest of each column, and some room; standing, 0, is inside."""
+    lower = np.min([each.min(axis=0) for each in changes], axis=0)
+    upper = np.max([each.max(axis=0) for each in changes], axis=0)
+    return np.minimum(lower * (1.0 + _ROOM), -_LEAST), np.maximum(upper * (1.0 + _ROOM), _LEAST)
+
+
+def _averaged(sums: Floats, part: float) -> Floats:
+    averages, average = np.empty_like(sums), np.zeros(sums.shape[1])
+    for step, each in enumerate(sums):
+        average = average + part * (each - average)
+        averages[step] = average
+    return averages
+
+
+def _row(values: Sequence[float | str]) -> str:
+    """Return a list in YAML, for which 1e-06 is no number."""
+    words = [each if isinstance(each, str) else np.format_float_positional(each, trim="0") for each in values]
+    return f"[{', '.join(words)}]"
+
+
+def _numbers(values: Floats) -> tuple[float, ...]:
+    return tuple(values.round(_DIGITS).tolist())
+
+
+def _play(task: tuple[str, RigConfig]) -> Survived:
+    motion, config = task
+    rig, made = build(config), list[Floats]()
+    with clips.quietly():
+        clip = registry.find("loader", "motion")(motion)
+    rehearsal = rehearse(
+        clip, rig.policy, rig.robot, rig.command_format, name=motion, period_s=rig.period_s,
+        on_step=lambda _, record: made.append(record.decision.vector),
+    )  # fmt: skip
+    rig.robot.close()
+    return Survived(rehearsal, np.array(made))

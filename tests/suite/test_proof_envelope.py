@@ -1,0 +1,39 @@
+"""Ten thousand commands that nobody means well with, on each built-in policy: none falls; motions pass unchanged."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from station.control.rig import RigConfig, build
+from station.rehearse import rehearse
+from station.suite import clips, promise, run, trial
+from station.suite.promise import FULL
+
+EXTENT = msgspec.structs.replace(FULL, attacks=840)  # some twelve commands each
+POLICIES = {"tracker": "g1-mujoco", "g1-walk": "g1-mujoco", "go2-walk": "go2-mujoco"}
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize(("policy", "robot"), POLICIES.items())
+def test_whatever_is_commanded_nothing_falls(policy: str, robot: str) -> None:
+    planned = run.plan([RigConfig(robot=robot, policy=policy)], extent=EXTENT, only=["envelope"])
+    assert planned.runs == EXTENT.attacks
+    found = [outcome for outcome in run.run(planned).policies[0].cases if outcome.falls]
+    assert found == []
+
+
+@pytest.mark.proof
+@pytest.mark.assets
+def test_every_motion_that_the_tracker_follows_passes_to_the_last_bit() -> None:
+    found, missing = clips.find()
+    assert missing == []
+    rig = build(RigConfig(policy="tracker"))
+    for clip in found.durations_s:
+        made: list[tuple[int, ...]] = []
+        rehearse(
+            trial._clip(clip), rig.policy, rig.robot, rig.command_format, envelopes=rig.envelopes,
+            on_step=lambda _, record, made=made: made.append(record.decision.beyond),  # type: ignore[misc]
+        )  # fmt: skip
+        assert not any(made), clip
+    assert set(promise.HELD_BACK) <= set(found.durations_s)
