@@ -30,8 +30,8 @@ PRELOADED = (
 )  # fmt: skip
 """Imported beside all servers, verbs and what the entry points of the station name, as far as it is installed."""
 
-STARTS_CHILDREN = ("up", "demo")
-"""Verbs of `station` whose process starts servers: it gets a fork server of its own."""
+STARTS_CHILDREN = ("up", "demo", "rehearse", "export")
+"""Verbs of `station` whose process starts servers, or processes to share its work: it gets a fork server of its own."""
 
 _PR_GET_TID_ADDRESS = 40
 _SYS_CLONE = {"x86_64": 56, "aarch64": 220}
@@ -52,6 +52,8 @@ class Request(NamedTuple):
     """Numbers that the descriptors, sent along, have in the child."""
     ignored: list[int]
     """Signals that the child ignores."""
+    blocked: list[int]
+    """Signals that the thread which starts the child has blocked, as the child's first thread then has."""
     new_session: bool
     process_group: int
     umask: int
@@ -106,7 +108,7 @@ def become(request: Request, descriptors: list[int]) -> None:
         os.setsid()
     if request.process_group >= 0:
         os.setpgid(0, request.process_group)
-    _reset_signals(set(request.ignored))
+    _reset_signals(set(request.ignored), request.blocked)
     os.chdir(request.folder)
     os.environ.clear()
     os.environ.update(request.environment)
@@ -228,7 +230,7 @@ def _descriptor_limit() -> int:
     return resource.getrlimit(resource.RLIMIT_NOFILE)[0]
 
 
-def _reset_signals(ignored: set[int]) -> None:
+def _reset_signals(ignored: set[int], blocked: list[int]) -> None:
     """Set the signals as in an interpreter that has just started."""
     for number in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}:
         if signal.getsignal(number) is not None:
@@ -237,7 +239,7 @@ def _reset_signals(ignored: set[int]) -> None:
         signal.signal(number, signal.SIG_IGN)
     if signal.SIGINT not in ignored:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.pthread_sigmask(signal.SIG_SETMASK, ())  # what came since the fork is delivered now
+    signal.pthread_sigmask(signal.SIG_SETMASK, blocked)  # what came since the fork is delivered now
 
 
 def _open_standard_streams() -> None:

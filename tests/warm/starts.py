@@ -1,4 +1,5 @@
-"""Start Python children warm: `subprocess` asks the fork server where a child would be the same as one started cold."""
+"""Start Python children warm: `subprocess` and `multiprocessing` ask the fork server where a child would be the same as
+one started cold."""
 
 from __future__ import annotations
 
@@ -8,6 +9,8 @@ import socket
 import subprocess
 import sys
 import threading
+from collections.abc import Sequence
+from multiprocessing import util
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +28,7 @@ _READ_AT_IMPORT = (
     "PYTHON", "LD_", "MUJOCO_", "OMP_", "OPENBLAS_", "MKL_", "ORT_", "LANG", "LC_", "TZ", "MALLOC_", "RAY_"
 )  # fmt: skip
 """Beginnings of variables that a library or the interpreter reads when it starts: a child with others starts cold."""
+_SHARES_WORK = "--multiprocessing-fork"  # last word of a child that has a target; the tracker of resources has none
 _DRAWS_NOTHING = ("MUJOCO_GL", "disable")  # leaves out an import that the fork server has made
 
 
@@ -38,23 +42,30 @@ class WarmStarts:
     def __init__(self, line: socket.socket | None = None) -> None:
         self._line, self._lock = line, threading.Lock()
         self._before = subprocess.Popen._execute_child  # type: ignore[attr-defined]
+        self._spawn_before = util.spawnv_passfds  # type: ignore[attr-defined]
         self._environment = _read_at_import(os.environ)
         self._server: subprocess.Popen[bytes] | None = None
         self.started = 0
 
     def install(self) -> None:
-        """Let `subprocess.Popen` start children warm."""
+        """Let `subprocess.Popen`, and `multiprocessing` where it spawns, start children warm."""
         starts = self
 
         def execute(process: subprocess.Popen[Any], *arguments: Any) -> None:
             if not starts._execute(process, *arguments):
                 starts._before(process, *arguments)
 
+        def spawn(path: Any, args: Sequence[Any], passed: Sequence[int]) -> int:
+            pid = starts._spawn(args, [int(number) for number in passed])
+            return starts._spawn_before(path, args, passed) if pid is None else pid
+
         subprocess.Popen._execute_child = execute  # type: ignore[attr-defined]
+        util.spawnv_passfds = spawn  # type: ignore[attr-defined]
 
     def uninstall(self) -> None:
         """Start children cold again, and let the fork server end."""
         subprocess.Popen._execute_child = self._before  # type: ignore[attr-defined]
+        util.spawnv_passfds = self._spawn_before  # type: ignore[attr-defined]
         if self._line is not None:
             self._line.close()
         if self._server is not None:
@@ -77,14 +88,13 @@ class WarmStarts:
             return False
         old_mask = os.umask(0)
         os.umask(old_mask)
-        ignored = [number for number in signal.valid_signals() if signal.getsignal(number) == signal.SIG_IGN]
         descriptors = [
             given if given >= 0 else number for number, given in enumerate((p2cread, c2pwrite, errwrite))
         ] + sorted(pass_fds)  # fmt: skip
         request = fork_server.Request(
             program, folder, environment, [0, 1, 2, *sorted(pass_fds)],
-            [number for number in ignored if not (restore_signals and number in (signal.SIGPIPE, signal.SIGXFSZ))],
-            bool(start_new_session), process_group, old_mask if umask < 0 else umask,
+            [number for number in _ignored() if not (restore_signals and number in (signal.SIGPIPE, signal.SIGXFSZ))],
+            _blocked(), bool(start_new_session), process_group, old_mask if umask < 0 else umask,
         )  # fmt: skip
         sys.audit("subprocess.Popen", words[0], words, cwd, env)  # as the original does: `tests.tiers` listens
         pid = self._ask(request, descriptors)
@@ -93,6 +103,20 @@ class WarmStarts:
         process.pid, process._child_created = pid, True
         process._close_pipe_fds(p2cread, p2cwrite, c2pread, c2pwrite, errread, errwrite)
         return True
+
+    def _spawn(self, args: Sequence[Any], passed: list[int]) -> int | None:
+        """Start a child of `multiprocessing` warm; return None, with nothing done, where it has to start cold."""
+        words, environment = [os.fsdecode(word) for word in args], dict(os.environ)
+        program = _program(words, os.getcwd(), bool(environment.get(SAFE_PATH)))
+        if words[-1] != _SHARES_WORK or program is None or _read_at_import(environment) != self._environment:
+            return None
+        old_mask = os.umask(0)
+        os.umask(old_mask)
+        numbers = sorted({0, 1, 2, *passed})
+        request = fork_server.Request(
+            program, os.getcwd(), environment, numbers, _ignored(), _blocked(), False, -1, old_mask
+        )
+        return self._ask(request, numbers)
 
     def _ask(self, request: fork_server.Request, descriptors: list[int]) -> int | None:
         """Return the process id of a new child; None where there is no fork server any more."""
@@ -135,6 +159,14 @@ def _cold(execute: Any, arguments: list[str], pass_fds: tuple[int, ...]) -> subp
         _execute_child = execute
 
     return Cold(arguments, pass_fds=pass_fds, stdin=subprocess.DEVNULL)
+
+
+def _ignored() -> list[int]:
+    return [number for number in signal.valid_signals() if signal.getsignal(number) == signal.SIG_IGN]
+
+
+def _blocked() -> list[int]:
+    return [int(number) for number in signal.pthread_sigmask(signal.SIG_BLOCK, ())]
 
 
 def _program(words: list[str], folder: str, is_safe: bool) -> list[str] | None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from station import side_by_side
 from tests.cli.running import COMMANDS_ONLY, new_home
 from tests.warm import fork_server
 
@@ -64,6 +66,21 @@ def test_the_two_are_started_differently() -> None:
     code = "import sys; print('station.supervision.session' in sys.modules)"
     assert _ended(code)[1] == b"True\n"
     assert _ended(code, {"PYTHONHASHSEED": "0"})[1] == b"False\n"
+
+
+def _who_shares_work(number: int) -> tuple[bool, str, bool]:
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    return "station.supervision.session" in sys.modules, os.environ["WHO_ASKS"], signal.SIGINT in blocked
+
+
+@pytest.mark.parametrize("is_warm", [True, False])
+def test_processes_that_share_work_are_started_warm_as_deaf_to_interrupts_as_cold_ones(
+    is_warm: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("WHO_ASKS", str(is_warm))
+    if not is_warm:
+        monkeypatch.setenv("PYTHONHASHSEED", "0")
+    assert side_by_side.run(_who_shares_work, [1, 2], jobs=2) == 2 * [(is_warm, str(is_warm), True)]
 
 
 def test_the_servers_of_a_station_are_started_warm_too() -> None:
