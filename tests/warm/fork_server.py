@@ -30,7 +30,7 @@ PRELOADED = (
 )  # fmt: skip
 """Imported beside all servers, verbs and what the entry points of the station name, as far as it is installed."""
 
-STARTS_CHILDREN = ("up", "demo", "rehearse", "export")
+STARTS_CHILDREN = ("up", "demo", "rehearse", "export", "retarget", "import", "compact")
 """Verbs of `station` whose process starts servers, or processes to share its work: it gets a fork server of its own."""
 
 _PR_GET_TID_ADDRESS = 40
