@@ -6,6 +6,7 @@ and the large values, texts and lists are cut to what is left. A text that was c
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -41,11 +42,16 @@ def size_of(value: Any) -> int:
     return _VALUE
 
 
-def cut(value: Any, most: int, *, depth: int = 0) -> Cut:
+def cut(value: Any, most: int) -> Cut:
     """Cut a value to a size [bytes of YAML]; structs become dicts, and keep all of their fields.
 
-    An integer that 64 bits cannot hold becomes a text. What cannot be made so small is made as small as it can.
+    An integer that 64 bits cannot hold becomes a text. What cannot be made so small is made as small as it can. Plain
+    data that fits is returned as it is.
     """
+    return Cut(value, 0) if _plain_size(value) <= most else _cut(value, most, 0)
+
+
+def _cut(value: Any, most: int, depth: int) -> Cut:
     if isinstance(value, str):
         return _cut_text(value, most)
     if isinstance(value, int) and value.bit_length() > _LONGEST_NUMBER:
@@ -76,7 +82,20 @@ def cut_each(members: Mapping[Any, Any], most: int, *, depth: int = 0, may_drop:
             left -= size
     sizes = {key: _key_size(key) + size_of(members[key]) for key in least}
     level = _level([*sizes.values()], [*least.values()], most - _VALUE)
-    return {key: cut(members[key], max(floor, level) - _key_size(key), depth=depth + 1) for key, floor in least.items()}
+    return {key: _cut(members[key], max(floor, level) - _key_size(key), depth + 1) for key, floor in least.items()}
+
+
+def _plain_size(value: Any, depth: int = 0) -> float:
+    """Return what `size_of` does; infinity for what `cut` changes though it fits."""
+    if isinstance(value, dict):
+        if depth > _DEEPEST:
+            return math.inf
+        return _VALUE + sum(size_of(key) + _plain_size(inner, depth + 1) for key, inner in value.items())
+    if isinstance(value, list):
+        return math.inf if depth > _DEEPEST else _VALUE + sum(_plain_size(inner, depth + 1) for inner in value)
+    if isinstance(value, int):
+        return math.inf if value.bit_length() > _LONGEST_NUMBER else _VALUE
+    return math.inf if isinstance(value, (tuple, msgspec.Struct)) else size_of(value)
 
 
 def _together(found: dict[Any, Cut], left_out: int) -> Cut:

@@ -57,9 +57,12 @@ def test_an_integer_beyond_64_bits_is_a_text_and_what_is_nested_deeper_than_a_re
     assert cut([2**64 - 1, -(2**64), 2**64], 1_000) == (
         [2**64 - 1, str(-(2**64)), str(2**64)], 2,
     )  # fmt: skip
-    nested: Any = 1
+    objects: Any = 1
+    lists: Any = 1
     for _ in range(45):
-        nested = {"a": nested}
-    found = cut(nested, 100_000)
+        objects, lists = {"a": objects}, [lists]
+    found = cut(objects, 100_000)
     assert found.cuts == 1
     assert yaml.safe_dump(found.value).count("a:") == 41
+    found = cut(lists, 100_000)
+    assert (found.cuts, str(found.value).count("[")) == (1, 42)  # the innermost one is empty
