@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 
 import msgspec
 
-from station import packages
+from station import packages, python_child
 from station.errors import StationError, UnknownName
 
 Kind = Literal[
@@ -114,7 +114,8 @@ def find(kind: Kind, name: str) -> Any:
         raise UnknownName(kind, name, _entries(kind))
     _expect_our_packages()
     try:
-        return entry.load()
+        with python_child.importing():
+            return entry.load()
     except (ImportError, AttributeError) as error:
         if (foreign := next(packages.foreign(), None)) is not None:
             raise StationError(f"{foreign} ({error})") from error

@@ -40,6 +40,24 @@ print(os.environ["OPENBLAS_NUM_THREADS"], len(os.listdir("/proc/self/task")))
 """
 
 
+_IMPORTS = """
+import gc, sys
+from station import registry
+from station.cli.main import main
+
+before = gc.get_freeze_count()
+if sys.argv[1] == "a library":
+    registry.find("server", "g1")
+else:
+    sys.argv = ["station", "settings", "g1"]
+    try:
+        main()
+    except SystemExit as end:
+        assert end.code == 0
+print(gc.get_freeze_count() - before > 10_000, gc.isenabled())
+"""
+
+
 @pytest.fixture
 def hostile(tmp_path: Path) -> Path:
     """A folder whose modules end the process that imports them; multiprocessing imports `socket`."""
@@ -80,3 +98,15 @@ def test_the_command_line_multiplies_in_one_thread_unless_the_user_wants_more(gi
         [sys.executable, "-B", "-c", _MULTIPLIES], env=environment, capture_output=True, text=True, check=True
     )  # cold
     assert done.stdout.splitlines()[-1] == has
+
+
+@pytest.mark.usefixtures("processes")
+@pytest.mark.parametrize("caller", ["a library", "the command"])
+def test_what_a_command_imports_is_not_searched_for_what_can_be_freed_and_a_library_leaves_the_collector_alone(
+    caller: str, tmp_path: Path
+) -> None:
+    cold = {**os.environ, "PYTHONHASHSEED": "0"}
+    command = python_child.command("-c", _IMPORTS, caller)
+    done = subprocess.run(command, cwd=tmp_path, env=cold, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == f"{caller == 'the command'} True"

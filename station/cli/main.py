@@ -78,7 +78,8 @@ class _LazyVerbs(Verbs):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in VERBS:
             return None
-        command: click.Command = importlib.import_module(module_of(cmd_name)).command
+        with python_child.importing():
+            command: click.Command = importlib.import_module(module_of(cmd_name)).command
         return command
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
@@ -102,6 +103,7 @@ def main() -> NoReturn:
     """Run the command line; every known error is one line on stderr and an exit code."""
     python_child.protect_children()
     python_child.spare_processors()
+    python_child.keep_imports()
     if COMPLETION_VARIABLE in os.environ:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # a shell would show it amid what is being typed
     os.environ.setdefault("RUST_LOG", "off")  # Rerun's own log, on stderr in colours: what matters of it is raised
