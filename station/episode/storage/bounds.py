@@ -80,9 +80,15 @@ def cut_each(members: Mapping[Any, Any], most: int, *, depth: int = 0, may_drop:
         if size <= left or not may_drop:
             least[key] = size
             left -= size
-    sizes = {key: _key_size(key) + size_of(members[key]) for key in least}
-    level = _level([*sizes.values()], [*least.values()], most - _VALUE)
-    return {key: _cut(members[key], max(floor, level) - _key_size(key), depth + 1) for key, floor in least.items()}
+    plain = {key: _key_size(key) + _plain_size(members[key], depth + 1) for key in least}
+    sizes = [_key_size(key) + size_of(members[key]) if size == math.inf else int(size) for key, size in plain.items()]
+    level = _level(sizes, [*least.values()], most - _VALUE)
+    return {
+        key: Cut(members[key], 0)
+        if plain[key] <= max(floor, level)
+        else _cut(members[key], max(floor, level) - _key_size(key), depth + 1)
+        for key, floor in least.items()
+    }
 
 
 def _plain_size(value: Any, depth: int = 0) -> float:
