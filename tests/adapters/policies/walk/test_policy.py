@@ -103,5 +103,5 @@ def follow(rig: Rig, command: Floats, seconds: float) -> VelocityFound:
 def test_nothing_is_left_of_how_it_was_made_in_what_is_installed() -> None:
     folder = Path(files.resolve("builtin:go2-walk.onnx")).parent
     assert {path.name for path in folder.iterdir() if path.name != "__pycache__"} == {
-        "__init__.py", "policy.py", "MODEL_CARD.md", "g1-walk.onnx", "go2-walk.onnx",
+        "__init__.py", "policy.py", "MODEL_CARD.md", "g1-walk.onnx", "go2-walk.onnx", "go2-walk.envelope.yaml",
     }  # fmt: skip
