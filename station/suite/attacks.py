@@ -33,7 +33,7 @@ def commands(
 ) -> tuple[Floats, list[str]]:  # fmt: skip
     """Return a stream of commands, shape (steps, m), and the writer of each.
 
-    Half of the seeds reach for the format's ends, the others, whose every element is within the envelopes, for theirs.
+    For half of the seeds each element may be anywhere within the format's range, for the others within the envelopes'.
 
     Args:
         attack: What kind.
