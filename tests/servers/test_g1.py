@@ -112,7 +112,7 @@ def test_two_writers_of_the_command_are_an_event_that_names_both(bus_server: Bus
 
 
 def test_a_fall_is_one_event_and_the_robot_is_put_back_on_its_feet_when_asked(bus_server: BusAddress) -> None:
-    with logged(bus_server) as log, G1Process(bus_server, *LIGHT, "on_fall=reset"):
+    with logged(bus_server) as log, G1Process(bus_server, *LIGHT, "on_fall=reset", "envelope=none"):
         wait_until(lambda: ticks(log) > 5)
         with StockCommander(bus_server, leaning):
             wait_until(lambda: log.events("robot-reset"))

@@ -15,18 +15,17 @@ POLICIES = [("tracker", "g1-mujoco", 4), ("g1-walk", "g1-mujoco", 0), ("go2-walk
 """And how many streams may end in a fall: none is the goal, one of 420 of the tracker's did."""
 
 
-@pytest.mark.proof
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize(("policy", "robot", "may_fall"), POLICIES)
-def test_whatever_is_commanded_it_stands(policy: str, robot: str, may_fall: int) -> None:
+def test_whatever_is_commanded_it_stands(proof: None, policy: str, robot: str, may_fall: int) -> None:
     planned = run.plan([RigConfig(robot=robot, policy=policy)], extent=EXTENT, only=["envelope"])
     assert planned.runs == EXTENT.attacks
     found = [outcome for outcome in run.run(planned).policies[0].cases if outcome.falls]
     assert len(found) <= may_fall, [outcome.case for outcome in found]
 
 
-@pytest.mark.proof
 @pytest.mark.assets
-def test_every_motion_that_the_tracker_follows_passes_to_the_last_bit() -> None:
+def test_every_motion_that_the_tracker_follows_passes_to_the_last_bit(proof: None) -> None:
     found, missing = clips.find()
     assert missing == []
     rig = build(RigConfig(policy="tracker"))
