@@ -22,6 +22,11 @@ class FrameHistory:
         self._rows: Floats32 = np.zeros((frames, size), dtype=np.float32)
 
     @property
+    def rows(self) -> Floats32:
+        """All frames, oldest first, shape (frames, size); a view that the next `push` changes."""
+        return self._rows
+
+    @property
     def flat(self) -> Floats32:
         """All frames in one row, oldest first, newest last; a view that the next `push` changes."""
         return self._rows.reshape(-1)
@@ -32,7 +37,7 @@ class FrameHistory:
         self._rows[-1] = frame
 
     def fill(self, flat: Floats32) -> None:
-        """Replace all frames by those of a row as `flat` shows it."""
+        """Replace all frames by those that `flat`, or `rows`, shows."""
         self._rows[:] = flat.reshape(self._rows.shape)
 
     def clear(self) -> None:

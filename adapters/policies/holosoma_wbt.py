@@ -21,6 +21,7 @@ import numpy as np
 
 from adapters.commands.twist2 import FORMAT
 from adapters.policies.follower import LastOutput, joined
+from adapters.policies.heading import rate, within_reach
 from adapters.policies.holosoma import DEFAULT_Q, gains_of
 from adapters.policies.onnx_network import OnnxNetwork
 from adapters.robots.g1.joints import G1_29, WAIST
@@ -30,9 +31,6 @@ from station.errors import BadFile
 from station.protocols import Floats, Floats32, JointTargets, PolicySpec, RobotState
 
 OBSERVATION, STEP_S = 154, 0.02
-MOST_AHEAD_RAD = 0.6
-"""How far the reference may look beside the robot [rad]: one that was pushed or carried round goes on from where it
-looks, and does not turn back as fast as it can. In the dance that it was trained on it is 0.3 at most."""
 _ROLL, _PITCH, _YAW_RATE, _JOINTS = 3, 4, 5, 6  # places in the command
 _JOINTS_SEEN = slice(90, 119)
 _WAIST = [G1_29.index(name) for name in WAIST]
@@ -80,13 +78,11 @@ class HolosomaTrackingPolicy(LastOutput):
         asked = lean @ _torso(joints)
         before = self._seen
         looks = _heading(robot) - _heading(asked)  # the heading of the reference with which both torsos look one way
-        velocity, ahead = np.zeros_like(joints), 0.0
+        velocity, heading = np.zeros_like(joints), looks
         if before is not None:
-            # The yaw rate is about the root's own axis, which leans.
-            turn = (yaw_rate + (pitch - before[1]) / STEP_S * np.sin(roll)) / (np.cos(pitch) * np.cos(roll))
-            velocity, ahead = (joints - before[0]) / STEP_S, _wrapped(before[2] + turn * STEP_S - looks)
-        ahead = min(max(ahead, -MOST_AHEAD_RAD), MOST_AHEAD_RAD)
-        heading, pitch = (float(np.float32(value)) for value in (_wrapped(looks + ahead), pitch))
+            velocity = (joints - before[0]) / STEP_S
+            heading = before[2] + float(rate(roll, pitch, (pitch - before[1]) / STEP_S, yaw_rate)) * STEP_S
+        heading, pitch = within_reach(heading, looks), float(np.float32(pitch))
         self._seen = joints, pitch, heading
         seen = robot.T @ about("z", np.array(heading)) @ asked
         return joined(
@@ -132,7 +128,3 @@ def _torso(q: Floats) -> Floats:
 
 def _heading(rotation: Floats) -> float:
     return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
-
-
-def _wrapped(angle: float) -> float:
-    return float(np.remainder(angle + np.pi, 2 * np.pi) - np.pi)

@@ -44,6 +44,7 @@ READS_FILES = {
     "adapters.motions.npz_file": "a motion of its own",
     "adapters.policies.holosoma": "metadata of a checkpoint",
     "adapters.policies.holosoma_wbt": "metadata of a checkpoint",
+    "adapters.policies.motion_tracking": "what its exporter says of a checkpoint",
 }
 """Modules whose JSON is no value of the bus: anybody may write to the bus, not anybody to these."""
 

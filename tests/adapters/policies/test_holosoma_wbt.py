@@ -21,6 +21,7 @@ from station.rehearse import rehearse
 from station.rotations import normalized, roll_pitch_yaw
 from tests.adapters.policies.inputs import inputs
 from tests.adapters.policies.restored import expect_forgets, expect_goes_on
+from tests.adapters.policies.turned import looks, of_root, turned
 from tests.adapters.policies.velocity_inputs import onnx_file as walking_file
 
 LEG = [-0.312, 0, 0, 0.669, -0.363, 0]
@@ -92,25 +93,8 @@ def policy(tmp_path: Path) -> HolosomaTrackingPolicy:
     return HolosomaTrackingPolicy(tracking_file(tmp_path / "made.onnx"))
 
 
-def turned(axis: int, angle: float) -> Floats:
-    made = np.eye(3)
-    first, second = (axis + 1) % 3, (axis + 2) % 3
-    made[first, first] = made[second, second] = np.cos(angle)
-    made[first, second], made[second, first] = -np.sin(angle), np.sin(angle)
-    return made
-
-
 def torso(q: Floats) -> Floats:
     return turned(2, q[12]) @ turned(0, q[13]) @ turned(1, q[14])
-
-
-def of_root(quat_wxyz: Floats) -> Floats:
-    roll, pitch, yaw = roll_pitch_yaw(quat_wxyz)
-    return turned(2, yaw) @ turned(1, pitch) @ turned(0, roll)
-
-
-def looks(rotation: Floats) -> float:
-    return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
 
 
 def calm(count: int) -> list[tuple[RobotState, Floats]]:
