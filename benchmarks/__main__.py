@@ -15,7 +15,7 @@ from benchmarks.harness import Benchmark, Settings
 from station.errors import did_you_mean
 
 MODULES = (
-    "bus", "wake", "loop", "estop", "recorder", "effect", "sim", "inference", "devices", "camera", "retarget",
+    "bus", "wake", "loop", "estop", "recorder", "effect", "sim", "inference", "legged", "devices", "camera", "retarget",
     "walking", "reading", "export", "startup", "whole", "kord",
 )  # fmt: skip
 
