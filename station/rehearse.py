@@ -135,7 +135,19 @@ def rehearse_all(
         StationError: a motion, the policy or the robot model cannot be loaded; the first problem ends the rest.
     """
     tasks = [(motion, config, holes) for motion in motions]
-    return side_by_side.run(_rehearse_named, tasks, jobs=jobs, on_done=on_done)
+    return side_by_side.run(_rehearse_task, tasks, jobs=jobs, on_done=on_done)
+
+
+def rehearse_named(
+    motion: str, config: RigConfig, *, holes: str = "refuse", on_step: OnStep | None = None
+) -> Rehearsal:
+    """Rehearse a motion by its name: arguments and errors as of `rehearse_all`, `on_step` as of `rehearse`."""
+    clip = registry.find("loader", "motion")(motion, holes=holes)
+    rig = _rig(msgspec.json.encode(config))
+    return rehearse(
+        clip, rig.policy, rig.robot, rig.command_format, name=motion, period_s=rig.period_s, envelopes=rig.envelopes,
+        on_step=on_step,
+    )  # fmt: skip
 
 
 def _step(control: ControlStep, playback: Playback, now_s: float, dt_s: float) -> tuple[Frame, StepRecord]:
@@ -144,12 +156,9 @@ def _step(control: ControlStep, playback: Playback, now_s: float, dt_s: float) -
     return frame, control.step(state, samples_of(control.commanded.command_format, frame.command, now_s), now_s)
 
 
-def _rehearse_named(task: tuple[str, RigConfig, str]) -> Rehearsal:
+def _rehearse_task(task: tuple[str, RigConfig, str]) -> Rehearsal:
     motion, config, holes = task
-    clip = registry.find("loader", "motion")(motion, holes=holes)
-    rig = _rig(msgspec.json.encode(config))
-    return rehearse(clip, rig.policy, rig.robot, rig.command_format, name=motion, period_s=rig.period_s,
-                    envelopes=rig.envelopes)  # fmt: skip
+    return rehearse_named(motion, config, holes=holes)
 
 
 @lru_cache(maxsize=1)

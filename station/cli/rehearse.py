@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, get_args
 
@@ -98,7 +99,7 @@ def command(
     config = build(RigConfig, merged(told, asked), where="--set")
     kind.typed(config.robot_options)  # before any motion is read
     if envelope_file is not None:
-        _envelope(config, named, envelope_file, jobs=jobs)
+        _envelope(config, named, envelope_file, holes=holes, jobs=jobs)
     if not suite:
         _motions(config, named, holes=holes, jobs=jobs, as_json=as_json)
     other = msgspec.structs.replace(config, policy=against, checkpoint=against_checkpoint, policy_options={})
@@ -113,44 +114,39 @@ def _refuse_what_does_not_go_together(motions: Sequence[str], suite: bool, of_su
         raise UsageError("name a motion to rehearse, for example builtin:wave; or evaluate a policy with --suite")
 
 
-def _envelope(config: RigConfig, named: Sequence[str], file: Path, *, jobs: int) -> NoReturn:
+def _envelope(config: RigConfig, named: Sequence[str], file: Path, *, holes: str, jobs: int) -> NoReturn:
     """Write the envelope of the motions that are survived; exit code 1 when one was not."""
     from station.suite import survived
 
-    done: list[survived.Survived] = []
-
-    def on_result(result: survived.Survived) -> None:
-        done.append(result)
-        click.echo(f"{len(done)}/{len(named)} {result.rehearsal.motion}", err=True)
-
-    played = survived.play(named, config, jobs=jobs, on_done=on_result)
-    envelope = survived.measured(played, config)
+    command, period_s = survived.commands_of(config)
+    tell = _teller(len(named))
+    played = survived.play(named, config, holes=holes, jobs=jobs, on_done=lambda each: tell(each.rehearsal))
+    taken = [each for each in played if survived.is_survived(each)]
+    envelope = survived.measured([each.commands for each in taken], command, period_s)
     _print([each.rehearsal for each in played])
     left_out = [each.rehearsal.motion for each in played if not survived.is_survived(each)]
     if left_out:
         click.echo(f"left out, not survived or not followed: {', '.join(left_out)}")
-    survived.write(envelope, file, [each.rehearsal.motion for each in played if survived.is_survived(each)])
-    click.echo(
-        f"saved {file}: {len(envelope.elements)} elements of the command, from {len(played) - len(left_out)} motions"
-    )
+    survived.write(envelope, file, [each.rehearsal.motion for each in taken])
+    click.echo(f"saved {file}: {len(envelope.elements)} elements of the command, from {len(taken)} motions")
     raise SystemExit(1 if left_out else 0)
 
 
 def _motions(config: RigConfig, named: Sequence[str], *, holes: str, jobs: int, as_json: bool) -> NoReturn:
     from station.rehearse import rehearse_all
 
-    done: list[Rehearsal] = []
-
-    def on_result(result: Rehearsal) -> None:
-        done.append(result)
-        click.echo(f"{len(done)}/{len(named)} {result.motion}", err=True)
-
-    results = rehearse_all(named, config, holes=holes, jobs=jobs, on_done=on_result)
+    results = rehearse_all(named, config, holes=holes, jobs=jobs, on_done=_teller(len(named)))
     if as_json:
         click.echo(json.dumps({"motions": msgspec.to_builtins(results)}))
     else:
         _print(results)
     raise SystemExit(1 if any(result.fell for result in results) else 0)
+
+
+def _teller(count: int) -> Callable[[Rehearsal], None]:
+    """Return what says on stderr how many of some motions are done."""
+    done = itertools.count(1)
+    return lambda result: click.echo(f"{next(done)}/{count} {result.motion}", err=True)
 
 
 def _suite(

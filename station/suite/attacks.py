@@ -1,4 +1,4 @@
-"""Commands that nobody means well with: within the format, and beyond what a motion would ask for."""
+"""Wild commands, to find out what makes a robot fall: within the format, and beyond what a motion would ask for."""
 
 from __future__ import annotations
 
@@ -24,8 +24,6 @@ _SWINGS_S, _HELD_S, _TURN_S = 2.0, 4.0, 0.5
 _SLOWEST_HZ, _FASTEST_HZ = 0.3, 6.0
 _SHARES = (0.03, 0.1, 0.3, 1.0)  # of the elements that something is done to
 
-Maker = Callable[["_Draw", int], Floats]
-
 
 def commands(
     attack: Attack, seed: int, command_format: CommandFormat, envelopes: Sequence[Envelope], motions: Sequence[Motion],
@@ -50,22 +48,21 @@ def commands(
         limits = [EnvelopeLimit(envelope, command_format) for envelope in envelopes]
         lower = np.maximum.reduce([lower, *(each.lower for each in limits)])
         upper = np.minimum.reduce([upper, *(each.upper for each in limits)])
-    draw = _Draw(random, np.array(command_format.default), lower, upper, period_s)
-    steps = round(seconds / period_s)
-    if attack in ("frames", "mixed", "two"):
-        base = _played(motions, command_format, random, period_s)
-        made = _frames(draw, steps, base) if attack == "frames" else _mixed(draw, steps, base)
-    else:
-        made = _MAKERS[attack](draw, steps)
-    turn = round(_TURN_S / period_s)
+    steps, turn = round(seconds / period_s), round(_TURN_S / period_s)
+    made = _MAKERS[attack](_Draw(random, command_format, lower, upper, motions, period_s), steps)
     return made, ["b" if attack == "two" and step // turn % 2 else "a" for step in range(steps)]
 
 
 class _Draw:
     """What is drawn by chance, all of shape (m,) unless said."""
 
-    def __init__(self, random: np.random.Generator, standing: Floats, lower: Floats, upper: Floats, period_s: float):
-        self.random, self.standing, self.lower, self.upper, self.period_s = random, standing, lower, upper, period_s
+    def __init__(
+        self, random: np.random.Generator, command_format: CommandFormat, lower: Floats, upper: Floats,
+        motions: Sequence[Motion], period_s: float,
+    ) -> None:  # fmt: skip
+        self.random, self.lower, self.upper, self.period_s = random, lower, upper, period_s
+        self.standing = np.array(command_format.default)
+        self._format, self._motions = command_format, motions
 
     def steps(self) -> int:
         """For how many steps a command is held."""
@@ -87,6 +84,17 @@ class _Draw:
         found: NDArray[np.bool_] = self.random.random(len(self.lower)) < share
         found[self.random.integers(len(found))] = True
         return found
+
+    def played(self) -> Floats:
+        """The commands of one motion, shape (steps, m); without motions, standing."""
+        if not self._motions:
+            return self.standing[None]
+        motion = self._motions[int(self.random.integers(len(self._motions)))]
+        playback = Playback(motion, self._format, lead_s=self.period_s)
+        made = [playback.step(0.0).command]
+        while not playback.is_done:
+            made.append(playback.step(self.period_s).command)
+        return np.array([command for command in made if command is not None])
 
 
 def _jump(draw: _Draw, steps: int) -> Floats:
@@ -128,11 +136,13 @@ def _drift(draw: _Draw, steps: int) -> Floats:
     return _pieces(steps, piece)
 
 
-def _frames(draw: _Draw, steps: int, base: Floats) -> Floats:
-    return _pieces(steps, lambda: np.tile(base[draw.random.integers(len(base))], (draw.steps(), 1)))
+def _frames(draw: _Draw, steps: int) -> Floats:
+    frames = draw.played()
+    return _pieces(steps, lambda: np.tile(frames[draw.random.integers(len(frames))], (draw.steps(), 1)))
 
 
-def _mixed(draw: _Draw, steps: int, base: Floats) -> Floats:
+def _mixed(draw: _Draw, steps: int) -> Floats:
+    base = draw.played()
     first = int(draw.random.integers(max(1, len(base) - steps)))
     made = base[np.minimum(first + np.arange(steps), len(base) - 1)]
     start = 0
@@ -150,17 +160,6 @@ def _pieces(steps: int, make: Callable[[], Floats]) -> Floats:
     return np.concatenate(made)[:steps]
 
 
-def _played(
-    motions: Sequence[Motion], command_format: CommandFormat, random: np.random.Generator, period_s: float
-) -> Floats:
-    """Return the commands of one motion, shape (steps, m)."""
-    if not motions:
-        return np.array([command_format.default])
-    playback = Playback(motions[int(random.integers(len(motions)))], command_format, lead_s=period_s)
-    made = [playback.step(0.0).command]
-    while not playback.is_done:
-        made.append(playback.step(period_s).command)
-    return np.array([command for command in made if command is not None])
-
-
-_MAKERS: dict[Attack, Maker] = {"jump": _jump, "edge": _edge, "swing": _swing, "drift": _drift}
+_MAKERS: dict[Attack, Callable[[_Draw, int], Floats]] = {
+    "jump": _jump, "swing": _swing, "drift": _drift, "edge": _edge, "frames": _frames, "mixed": _mixed, "two": _mixed,
+}  # fmt: skip

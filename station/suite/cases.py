@@ -162,7 +162,7 @@ class HandOver(Case, frozen=True, kw_only=True):
 
 
 class Attacked(Case, frozen=True, kw_only=True):
-    """Get commands that nobody means well with, and then the last of them for a second.
+    """Get wild commands, and then the last of them for a second.
 
     Attributes:
         attack: Of what kind.

@@ -109,7 +109,7 @@ class Extent(msgspec.Struct, frozen=True, kw_only=True):
         push_instants: Pushes per direction, each in a run of its own, spread over the time of the wave, or strides.
         late_s: How much later targets are applied [s].
         cut_every_s: Distance of the instants at which each silence begins, within a clip [s].
-        attacks: Streams of commands that nobody means well with, of all kinds in turn.
+        attacks: Streams of wild commands, of all kinds in turn.
         shares: How much of the range that a policy was trained on is asked for, of one that follows velocities.
     """
 

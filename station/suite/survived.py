@@ -17,15 +17,15 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from station import registry, side_by_side
+from station import side_by_side
 from station.atomic_file import write_atomic
 from station.contract import names_of
 from station.control.envelope import Envelope, Ranges, Span
 from station.control.rig import RigConfig, build
+from station.control.tracking import VELOCITIES
 from station.errors import UsageError
 from station.protocols import CommandFormat, Floats
-from station.rehearse import Rehearsal, rehearse
-from station.suite import clips
+from station.rehearse import Rehearsal, rehearse_named
 from station.suite.commands import REACHING, WRIST
 from station.suite.promise import JOINT_ERROR_RAD
 
@@ -37,14 +37,15 @@ CHANGES_S = (0.1,)
 """Over how long that average is from which sums may differ by so much [s]. The tracker falls when it has to rise from a
 squat as fast as a knee moves in a step."""
 
-_BETWEEN = 30
+_BETWEEN = 90
 """How many directions between two to four principal ones, by chance, each weighted by how far motions spread in it.
-They cut corners off: without them 2 of 350 streams made the tracker fall."""
+They cut corners off: with 30 of them wild commands made the tracker fall more often; 200 were no better."""
 
 _ROOM = 0.01  # beyond what was seen, as a share of it: ticks of a real clock are not those of a rehearsal
 _RATE_ROOM = 0.02
 _ACROSS_S = 1.0
 _LEAST = 1e-3  # what never moves may move by so much
+_NO_SPREAD = 1e-9  # keeps a direction without any from an infinite weight
 _DIGITS = 6
 
 
@@ -55,12 +56,28 @@ class Survived(NamedTuple):
     commands: Floats
 
 
-def play(motions: Sequence[str], config: RigConfig, *, jobs: int = 0,
+def commands_of(config: RigConfig) -> tuple[CommandFormat, float]:
+    """Return what an envelope is measured of: the format of a policy's commands, and the time between two [s].
+
+    Raises:
+        StationError: the robot or the policy cannot be loaded, or they do not fit.
+        UsageError: the policy follows velocities.
+    """
+    rig = build(config)
+    rig.robot.close()
+    if set(VELOCITIES) <= set(names_of(rig.command_format.elements)):
+        raise UsageError(
+            f"policy {config.policy!r} follows velocities: motions do not show which of them it survives; "
+            "--suite --only envelope tries it"
+        )
+    return rig.command_format, rig.period_s
+
+
+def play(motions: Sequence[str], config: RigConfig, *, holes: str = "refuse", jobs: int = 0,
          on_done: Callable[[Survived], None] | None = None) -> list[Survived]:  # fmt: skip
-    """Rehearse motions without an envelope, side by side, as `station.rehearse.rehearse_all` does."""
+    """Rehearse motions without an envelope: arguments and errors as of `station.rehearse.rehearse_all`."""
     free = msgspec.structs.replace(config, envelope="none")
-    build(free).robot.close()  # refuses what does not fit, before there are processes
-    return list(side_by_side.run(_play, [(motion, free) for motion in motions], jobs=jobs, on_done=on_done))
+    return list(side_by_side.run(_play, [(motion, free, holes) for motion in motions], jobs=jobs, on_done=on_done))
 
 
 def is_survived(played: Survived) -> bool:
@@ -69,18 +86,21 @@ def is_survived(played: Survived) -> bool:
     return not played.rehearsal.fell and error is not None and error <= JOINT_ERROR_RAD
 
 
-def measured(played: Sequence[Survived], config: RigConfig) -> Envelope:
-    """Return the envelope of the motions that were survived.
+def measured(survived: Sequence[Floats], command: CommandFormat, period_s: float) -> Envelope:
+    """Return the envelope of commands that a policy survived.
+
+    Args:
+        survived: Streams of commands, shape (steps, m) each.
+        command: Format of the commands.
+        period_s: Time between two [s].
 
     Raises:
-        UsageError: none was.
+        UsageError: there are none.
     """
-    rig = build(msgspec.structs.replace(config, envelope="none"))
-    command, period_s = rig.command_format, rig.period_s
     names = names_of(command.elements)
     bounded = [index for index, name in enumerate(names) if not any(word in name for word in REACHING + WRIST)]
     reaching = [index for index, name in enumerate(names) if any(word in name for word in REACHING)]
-    streams = [each.commands - command.default for each in played if is_survived(each)]
+    streams = [each - command.default for each in survived]
     if not streams or not bounded:
         raise UsageError("no motion was tracked without a fall; an envelope is made of those that are")
     changes = [each[:, bounded] for each in streams]
@@ -101,7 +121,7 @@ def _directions(changes: Sequence[Floats]) -> Floats:
     half = (upper - lower) / 2.0
     everything = np.concatenate(changes) / half
     _, spread, principal = np.linalg.svd(everything, full_matrices=False)
-    alike = principal / (spread[:, None] / math.sqrt(len(everything)) + _LEAST**3)
+    alike = principal / (spread[:, None] / math.sqrt(len(everything)) + _NO_SPREAD)
     random, between = np.random.default_rng(0), []
     for _ in range(_BETWEEN):
         some = random.choice(len(alike), min(int(random.integers(2, 5)), len(alike)), replace=False)
@@ -111,9 +131,9 @@ def _directions(changes: Sequence[Floats]) -> Floats:
     return found
 
 
-def write(envelope: Envelope, file: Path, motions: Sequence[str]) -> None:
-    """Write an envelope as YAML, and above it of which motions it is; whole, or not at all."""
-    lines = [f"# What the policy survives, measured by `station rehearse --envelope` from {len(motions)} motions:"]
+def write(envelope: Envelope, file: Path, motions: Sequence[str], *, by: str = "station rehearse --envelope") -> None:
+    """Write an envelope as YAML, and above it of which motions it is, and what measured it; whole, or not at all."""
+    lines = [f"# What the policy survives, measured by `{by}` from {len(motions)} motions:"]
     lines += [f"# {motion}" for motion in motions]
     for name in ("bounded", "reaching"):
         lines.append(f"{name}:")
@@ -178,14 +198,10 @@ def _numbers(values: Floats) -> tuple[float, ...]:
     return tuple(values.round(_DIGITS).tolist())
 
 
-def _play(task: tuple[str, RigConfig]) -> Survived:
-    motion, config = task
-    rig, made = build(config), list[Floats]()
-    with clips.quietly():
-        clip = registry.find("loader", "motion")(motion)
-    rehearsal = rehearse(
-        clip, rig.policy, rig.robot, rig.command_format, name=motion, period_s=rig.period_s,
-        on_step=lambda _, record: made.append(record.decision.vector),
-    )  # fmt: skip
-    rig.robot.close()
+def _play(task: tuple[str, RigConfig, str]) -> Survived:
+    motion, config, holes = task
+    made: list[Floats] = []
+    rehearsal = rehearse_named(
+        motion, config, holes=holes, on_step=lambda _, record: made.append(record.decision.vector)
+    )
     return Survived(rehearsal, np.array(made))

@@ -1,4 +1,4 @@
-"""What a policy survives: measured of motions, kept to, and attacked."""
+"""A policy's envelope is measured of motions and keeps the robot on its feet under wild commands."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from adapters.commands.twist2 import FORMAT
+from adapters.robots.g1.joints import G1_29
 from station import registry
 from station.cli.main import cli
 from station.control.envelope import read
@@ -95,11 +97,27 @@ def test_motions_that_are_not_survived_are_left_out_and_without_any_nothing_is_w
     assert not file.exists()
 
 
+def test_a_hole_in_a_motion_is_bridged_when_asked_and_else_refused(tmp_path: Path) -> None:
+    height, holed, file = np.full(100, 0.78), tmp_path / "holed.npz", tmp_path / "mine.envelope.yaml"
+    height[50:53] += 1.0
+    np.savez(
+        holed, fps=50.0, root_pos=np.column_stack([np.zeros((100, 2)), height]), joint_names=G1_29,
+        root_quat_wxyz=np.tile([1.0, 0, 0, 0], (100, 1)), joint_pos=np.tile(FORMAT.default[6:], (100, 1)),
+    )  # fmt: skip
+    words = ["rehearse", str(holed), "--envelope", str(file), "--jobs", "1"]
+    assert CliRunner().invoke(cli, words).exit_code != 0
+    assert not file.exists()
+    done = CliRunner().invoke(cli, [*words, "--holes", "bridge"])
+    assert done.exit_code == 0, done.output
+    assert file.exists()
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
         (["--suite", "--envelope", "x.yaml"], "--envelope goes with MOTIONS"),
         (["builtin:bow", "--envelope", "nowhere/x.yaml"], "no folder nowhere"),
+        (["builtin:bow", "--envelope", "x.yaml", "--policy", "g1-walk"], "policy 'g1-walk' follows velocities"),
     ],
 )
 def test_what_does_not_go_together_is_refused_in_a_line(words: list[str], told: str) -> None:
