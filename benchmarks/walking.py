@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -144,8 +145,8 @@ class Session:
     costs_ms: list[float]
 
 
-def session(rig: Rig, seed: int, seconds: float) -> Session:
-    """Drive hands and legs for so long, or to a fall."""
+def session(rig: Rig, seed: int, seconds: float, on_step: Callable[[StepRecord], None] | None = None) -> Session:
+    """Drive hands and legs for so long, or to a fall; `on_step` sees every step of the robot."""
     control = fresh(rig)
     driving = Driving(HandsDriver(), Buttons(button_map("pico")))
     operator = Operator(np.random.default_rng(seed))
@@ -159,8 +160,12 @@ def session(rig: Rig, seed: int, seconds: float) -> Session:
         if driven.change is not None and driven.change.name == "operator-engaged":
             difference = max(difference, float(np.abs(driven.command - command).max()))
         command = driven.command
-        if tick % 2 == 0 and follow(control, command, now_s).fall is not None:
-            return Session(True, difference, costs)
+        if tick % 2 == 0:
+            record = follow(control, command, now_s)
+            if on_step is not None:
+                on_step(record)
+            if record.fall is not None:
+                return Session(True, difference, costs)
     return Session(False, difference, costs)
 
 

@@ -99,7 +99,7 @@ def test_more_than_the_legs_can_is_cut_off() -> None:
 @pytest.mark.parametrize("turn", some([1.0, -1.0]))
 def test_the_tracker_stays_in_a_fast_curve(turn: float) -> None:
     asked = (FASTEST[0], 0.0, turn * FASTEST[2])
-    reached = velocity_reached(build(RigConfig(robot_options={"physics_dt_s": 0.002}, envelope="none")), asked)
+    reached = velocity_reached(build(RigConfig(robot_options={"physics_dt_s": 0.002})), asked)
     assert np.hypot(*(reached - asked)[:2]) < 0.2, "without the way inward it is 0.26 m/s"
     assert abs(reached[1]) < 0.08
 
