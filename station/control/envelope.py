@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -32,6 +32,9 @@ from station.protocols import CommandFormat, Floats
 
 SUFFIX = ".envelope.yaml"
 """Of the file; before it stands the name of the checkpoint, without its own."""
+
+MOST_BYTES = 100_000
+"""Of one as `stated`: every episode keeps it, and a list of episodes reads it."""
 
 _MOST = 1000  # elements, sums: more are no command
 _SHORTEST_S = 0.05  # longer than a tick counts for at most
@@ -142,9 +145,28 @@ def read(file: Path) -> Envelope:
 
     Raises:
         BadFile: the file is not there, or cannot be read.
-        ConfigError: it is no envelope; the message names the file and what is wrong.
+        ConfigError: it is no envelope, or a larger one than an episode keeps; the message names the file.
     """
-    return build(Envelope, read_yaml(file), where=str(file))
+    envelope = build(Envelope, read_yaml(file), where=str(file))
+    if (size := len(stated(envelope))) > MOST_BYTES:
+        raise ConfigError(
+            f"{file}: {size} characters as JSON, expected at most {MOST_BYTES}: every episode keeps it; fewer sums"
+        )
+    return envelope
+
+
+def stated(envelope: Envelope) -> str:
+    """Return an envelope as one text, JSON: in a manifest thousands of numbers take ten times as long to read."""
+    return msgspec.json.encode(envelope).decode()
+
+
+def from_stated(value: Any) -> Envelope:
+    """Return the envelope that `stated` was of; or that a mapping is of, as it was stated once.
+
+    Raises:
+        msgspec.MsgspecError: it is none.
+    """
+    return msgspec.json.decode(value, type=Envelope) if isinstance(value, str) else msgspec.convert(value, Envelope)
 
 
 def found(setting: str, checkpoint: Path) -> Envelope | None:

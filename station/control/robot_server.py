@@ -16,6 +16,7 @@ from station.bus import keys
 from station.config import to_plain
 from station.control import rig as rigs
 from station.control.control import ControlStep
+from station.control.envelope import stated
 from station.control.gate import GateConfig
 from station.control.low_level import LowLevelLoop, result_values
 from station.control.policy_switch import BLEND_S, BlendS, PolicySwitch
@@ -276,7 +277,7 @@ def facts(config: PolicyServerConfig, name: str, rig: Rig) -> dict[str, Any]:
         **({"policies": policies} if driving else {}),
         "rates": {"control_hz": 1.0 / rig.period_s, "pace": config.pace, **physics},
         "gate": to_plain(config.gate),
-        "envelopes": [to_plain(envelope) for envelope in rig.envelopes],
+        "envelopes": [stated(envelope) for envelope in rig.envelopes],
         "software": {"version": code.version, "revision": code.revision, "dirty": code.dirty},
         "config": to_plain(config),
     }

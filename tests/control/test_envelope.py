@@ -17,7 +17,18 @@ from station.bus import codec
 from station.control.arming import Arming
 from station.control.command_path import CommandPath
 from station.control.command_validator import CommandSample
-from station.control.envelope import Envelope, EnvelopeLimit, Ranges, Span, found, of_parts, read
+from station.control.envelope import (
+    MOST_BYTES,
+    Envelope,
+    EnvelopeLimit,
+    Ranges,
+    Span,
+    found,
+    from_stated,
+    of_parts,
+    read,
+    stated,
+)
 from station.control.gate import Gate, GateConfig
 from station.control.rig import RigConfig, build, expect
 from station.errors import BadFile, ConfigError
@@ -204,6 +215,18 @@ def test_a_file_that_is_no_envelope_is_refused_in_one_line(tmp_path: Path, chang
         read(file)
     assert str(file) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_what_is_stated_of_one_is_short_enough_for_every_episode_and_the_same_again(tmp_path: Path) -> None:
+    text = stated(ENVELOPE)
+    assert from_stated(text) == from_stated(msgspec.to_builtins(ENVELOPE)) == ENVELOPE
+    assert len(text) <= MOST_BYTES
+    many = ENVELOPE.sums * 8
+    spans = tuple(msgspec.structs.replace(each, lower=each.lower * 8, upper=each.upper * 8) for each in ENVELOPE.spans)
+    file = tmp_path / "large.envelope.yaml"
+    file.write_bytes(msgspec.json.encode(msgspec.structs.replace(ENVELOPE, sums=many, spans=spans)))
+    with pytest.raises(ConfigError, match=r"large.envelope.yaml: \d+ characters as JSON, expected at most 100000"):
+        read(file)
 
 
 def test_a_setting_names_the_file_beside_the_checkpoint_another_or_none(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from station.bus import codec, keys
 from station.command_formats import command_format
 from station.contract import TIMING_STAGES, Contract, names_of
 from station.control.command_validator import Checked, check_command
-from station.control.envelope import Envelope, of_parts
+from station.control.envelope import Envelope, from_stated, of_parts
 from station.control.gate import LATCHED, Gate, GateConfig
 from station.episode.reading.messages import Message
 from station.episode.reading.steps import Step, robot_state, timing_row
@@ -118,8 +118,8 @@ def stated_envelopes(facts: Mapping[str, Any]) -> tuple[Envelope, ...]:
         ConfigError: they cannot be read.
     """
     try:
-        return msgspec.convert(facts.get("envelopes", ()), tuple[Envelope, ...])
-    except msgspec.ValidationError as error:
+        return tuple(map(from_stated, facts.get("envelopes", ())))
+    except (msgspec.MsgspecError, TypeError) as error:
         raise ConfigError(f"the manifest does not say which envelope the gate kept to: {error}") from None
 
 

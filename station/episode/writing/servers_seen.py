@@ -17,8 +17,8 @@ SILENT_AFTER_S = 3.0
 
 MAX_MOTIONS = 200
 MAX_SERVERS = 200
-LARGEST_CONFIGURATION = 200_000
-"""As `bounds.size_of` estimates it, which is 2500 numbers with their names."""
+LARGEST_CONFIGURATION = 500_000
+"""As `bounds.size_of` estimates it: 2500 numbers with their names, and envelopes of three policies."""
 _LARGEST_MOTION = 20_000
 _MOTION_IDENTITY = ("key", "file", "sha256")
 _SOURCE_PREFIX = keys.command_source("")

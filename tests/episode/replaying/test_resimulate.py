@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -162,14 +163,17 @@ def test_commands_beyond_the_envelope_are_derived_bit_for_bit(tmp_path: Path, sk
     assert (found.different, found.commands.different, found.gates_different) == (0, 0, 0)
     assert found.commands.compared >= (30 if skip else 250)
     assert bool(found.commands_not_proven) == (skip > 0)
-    (stated,) = load_manifest(folder).servers["g1"]["envelopes"]
+    (text,) = load_manifest(folder).servers["g1"]["envelopes"]
+    stated = json.loads(text)
     slower = stated["bounded"] | {"rate": [0.5 * each for each in stated["bounded"]["rate"]]}
-    forged = audit(restated(folder, envelopes=[stated | {"bounded": slower}]))
-    assert (forged.commands.different > 0) == (not skip)
-    broken = audit(restated(folder, envelopes=[{"bounded": 3}]))
-    assert broken.commands.compared == 0
-    (why,) = broken.commands_not_proven
-    assert why.startswith("the manifest does not say which envelope the gate kept to: ")
+    for forgery in (stated | {"bounded": slower}, json.dumps(stated | {"bounded": slower})):
+        forged = audit(restated(folder, envelopes=[forgery]))
+        assert (forged.commands.different > 0) == (not skip)
+    for broken in ([{"bounded": 3}], ["{"], [3], 3):
+        found = audit(restated(folder, envelopes=broken))
+        assert found.commands.compared == 0
+        (why,) = found.commands_not_proven
+        assert why.startswith("the manifest does not say which envelope the gate kept to: ")
 
 
 def test_commands_beyond_the_envelope_are_simulated_within_the_one_of_then(tmp_path: Path) -> None:
