@@ -22,7 +22,7 @@ from station.parts import parts_of, rests_on_joints
 from station.protocols import CommandFormat, Floats
 
 DT = 0.02
-FALCON = "zoo:policies/falcon_g1_29dof.onnx"
+FALCON, ASAP = "zoo:policies/falcon_g1_29dof.onnx", "zoo:policies/asap_dec_loco_g1.onnx"
 RLGYM, HOLOSOMA = "zoo:policies/rlgym_g1_motion.pt", "zoo:policies/holosoma_fastsac_g1_29dof.onnx"
 ARM = np.array([0.0, 0.2, 0.0, 1.0, 0.0, 0.0, 0.0])
 SWING = np.array([0.6, 0.2, 0.3, 0.4, 0.4, 0.4, 0.4])
@@ -84,7 +84,7 @@ def walked(
     Raises:
         AssertionError: it fell, or a part did something else than its own command path alone.
     """
-    policy = {"policy": legs} if legs == "falcon" else {"policy": "g1-arms", "policy_options": {"legs": legs}}
+    policy = {"policy": legs} if legs in ("falcon", "asap") else {"policy": "g1-arms", "policy_options": {"legs": legs}}
     rig = build(RigConfig(robot="g1-mujoco", robot_options={"physics_dt_s": 0.002}, checkpoint=checkpoint, **policy))
     control = rig.control()
     parts = parts_of(rig.command_format)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.control.parted_walk import FALCON, HOLOSOMA, RLGYM, walked
+from tests.control.parted_walk import ASAP, FALCON, HOLOSOMA, RLGYM, walked
 from tests.figures import Figures
 
 SECONDS = 600.0
@@ -23,6 +23,7 @@ pytestmark = [
         pytest.param("rlgym-g1", RLGYM, 2.0, marks=pytest.mark.torch),
         ("holosoma", HOLOSOMA, 0.5),
         ("falcon", FALCON, 2.0),
+        ("asap", ASAP, 2.0),
         ("g1-walk", "builtin:g1-walk.onnx", 1.0),
     ],
 )
