@@ -41,6 +41,7 @@ from station.cli import logs
 from station.clock import SYSTEM
 from station.contract import TIMING_STAGES
 from station.control.command_validator import CommandSample, CommandValidator, check_command
+from station.control.envelope import Envelope, Ranges, Span, stated
 from station.control.stop_trace import StopTrace
 from station.enrich.scalars import Shape
 from station.enrich.siblings import siblings
@@ -48,12 +49,13 @@ from station.episode.reading import vectors
 from station.episode.reading.messages import Channel, Message
 from station.episode.reading.steps import robot_state, timing_row
 from station.episode.recorder import controller
+from station.episode.replaying.gate_audit import stated_envelopes
 from station.episode.storage import pictures
 from station.episode.storage.channels import encoding_of, source_of
 from station.episode.storage.manifest import Manifest, Timing, dump_manifest
 from station.episode.storage.request import parse_answer, parse_request, request_id
 from station.episode.writing import servers_seen, summary
-from station.errors import NotReady, Refused, UnknownName, UsageError
+from station.errors import ConfigError, NotReady, Refused, UnknownName, UsageError
 from station.life import arm_request, controller_request, estop, events, policy_request, stop_button, stop_file
 from station.life.request import parse
 from station.life.server import Health, decode_health
@@ -123,6 +125,11 @@ CONFIG: dict[str, Any] = {
     "description": DESCRIPTION,
 }  # fmt: skip
 SOURCE = {"kind": "motion", "file": "a.pkl", "sha256": "ab", "phase": "playing", "time_s": 1.5, "engaged": True}
+ENVELOPE = Envelope(
+    bounded=Ranges(elements=("vx", "vy"), lower=(-1.0, -0.5), upper=(1.0, 0.5), rate=(6.0, 6.0)),
+    sums=((1.0, 0.5),),
+    spans=(Span(over_s=0.5, lower=(-1.0,), upper=(1.0,)),),
+)
 GATE: dict[str, Any] = {
     "state": "tracking", "reason": "", "arming": "armed", "age_s": 0.01, "clamped": 0, "refused": 3,
     "arm": {"id": "1", "action": "arm", "refused": ""}, "controller": {"id": "1", "action": "clear", "refused": ""},
@@ -506,6 +513,8 @@ def _by_itself() -> list[Parser]:
         Parser("facts", codec.parse_facts, (dumped(CONFIG),), (_BODY + "codec",)),
         Parser("vector f64", codec.parse_f64, (codec.f64(np.ones(7)),), (_BODY + "codec",), (codec.BadValue,)),
         Parser("vector f32", codec.parse_f32, (codec.f32(np.ones(7)),), (_BODY + "codec",), (codec.BadValue,)),
+        Parser("envelope, stated", lambda data: stated_envelopes({"envelopes": [data.decode(errors="replace")]}),
+               (stated(ENVELOPE).encode(),), ("station.control.envelope",), (ConfigError,)),
         Parser("depth", depth.decoded, (depth.encoded(np.eye(8, dtype=np.uint16)),), ("station.depth",)),
         Parser("stamp", _stamped, (STAMP, b"1 2 3 a.b.c.d"), (
             _BODY + "stamp", _BODY + "client", _BODY + "watch", "station.view.status", _EPISODE + "storage.channels",
