@@ -214,7 +214,7 @@ def test_what_sticks_ask_for_is_within_the_envelope_to_the_last_bit(wish: Veloci
 
 
 def test_who_walks_by_sticks_with_hands_at_work_is_hardly_held_back_by_the_envelope() -> None:
-    """Measured of motions alone, it changed his command in three of four ticks."""
+    """Measured of motions alone, it changed his command in nine of ten ticks."""
     beyond: list[bool] = []
     rig = build(RigConfig(robot="g1-mujoco", policy="tracker"))
     done = session(rig, 0, 40.0, lambda record: beyond.append(bool(record.decision.beyond)))
