@@ -11,7 +11,7 @@ from station.suite import clips, promise, run, trial
 from station.suite.promise import FULL
 
 EXTENT = msgspec.structs.replace(FULL, attacks=840)  # some twelve commands each
-POLICIES = [("tracker", "g1-mujoco", 8), ("g1-walk", "g1-mujoco", 0), ("go2-walk", "go2-mujoco", 0)]
+POLICIES = [("tracker", "g1-mujoco", 4), ("g1-walk", "g1-mujoco", 0), ("go2-walk", "go2-mujoco", 0)]
 """And how many streams may end in a fall: none is the goal, four of the tracker's did."""
 
 
