@@ -11,6 +11,8 @@ import numpy as np
 
 from benchmarks import processes
 from benchmarks.harness import Benchmark, Row, Settings, alternate, compare, p50, p99
+from benchmarks.sim import motion_commands
+from benchmarks.walking import fresh
 from station import assets, registry
 from station.contract import names_of
 from station.control.control import Resettable
@@ -19,7 +21,6 @@ from station.control.policy_switch import PolicySwitch
 from station.control.rig import PolicyChoice, Rig, RigConfig, build
 from station.control.tracking import VELOCITIES
 from station.errors import StationError
-from station.motion.playback import Playback
 from station.protocols import CommandFormat, Floats
 
 METHOD = """\
@@ -102,7 +103,7 @@ def run(settings: Settings) -> list[Row]:
 def _walks(config: RigConfig, takes_turns: bool, ticks: int) -> Iterator[Callable[[], Turn]]:
     """Load a rig in this process; yields what has it walk for some ticks."""
     rig = build(config)
-    commands = _commands(rig.command_format, rig.period_s, ticks)
+    commands = _commands(rig.command_format, ticks)
 
     def act() -> Turn:
         steps_us, loop_s = _walk(rig, commands, takes_turns)
@@ -115,8 +116,7 @@ def _walks(config: RigConfig, takes_turns: bool, ticks: int) -> Iterator[Callabl
 
 def _walk(rig: Rig, commands: list[Floats], takes_turns: bool) -> tuple[list[float], float]:
     """Return what each step cost [us], and how long the loop took [s]."""
-    _begin(rig)
-    control, switch = rig.control(), rig.policy if isinstance(rig.policy, PolicySwitch) else None
+    control, switch = fresh(rig), rig.policy if isinstance(rig.policy, PolicySwitch) else None
     samples = [samples_of(rig.command_format, command, tick * rig.period_s) for tick, command in enumerate(commands)]
     turn, steps_us = round(_TURN_S / rig.period_s), []
     began_s = time.perf_counter()
@@ -132,44 +132,34 @@ def _walk(rig: Rig, commands: list[Floats], takes_turns: bool) -> tuple[list[flo
 
 def _stand(rig: Rig, command: Floats, ticks: int) -> float:
     """Return how long the robot alone takes for some ticks [s]."""
-    _begin(rig)
-    targets = rig.policy.targets(rig.policy.act(rig.policy.observe(rig.robot.read(), command)), command)
-    again = round(_AGAIN_S / rig.period_s)
+    fresh(rig)
+    robot, again = rig.robot, round(_AGAIN_S / rig.period_s)
+    assert isinstance(robot, Resettable)
+    targets = rig.policy.targets(rig.policy.act(rig.policy.observe(robot.read(), command)), command)
     began_s = time.perf_counter()
     for tick in range(ticks):
         if tick % again == 0:
-            _begin(rig)
-        rig.robot.read()
-        rig.robot.write(targets)
+            robot.reset()
+        robot.read()
+        robot.write(targets)
     return time.perf_counter() - began_s
 
 
-def _begin(rig: Rig) -> None:
-    rig.policy.reset()
-    assert isinstance(rig.robot, Resettable)
-    rig.robot.reset()
-
-
-def _commands(command_format: CommandFormat, period_s: float, ticks: int) -> list[Floats]:
+def _commands(command_format: CommandFormat, ticks: int) -> list[Floats]:
     names = names_of(command_format.elements)
     if set(VELOCITIES) <= set(names):
         command = np.array(command_format.default)
         command[names.index("vx")] = _AHEAD_MPS
         return [command] * ticks
-    playback = Playback(registry.find("loader", "motion")("builtin:walk-forward"), command_format, lead_s=period_s)
-    found: list[Floats] = []
-    while len(found) < ticks:
-        command = playback.step(period_s).command
-        found.append(found[-1] if command is None else np.array(command))
-    return found
+    found = motion_commands(registry.find("loader", "motion")("builtin:walk-forward"))
+    return [found[min(tick, len(found) - 1)] for tick in range(ticks)]
 
 
 def _is_here(config: RigConfig) -> bool:
     try:
-        assets.resolve(config.checkpoint or "builtin:g1.xml")
+        return not config.checkpoint or bool(assets.resolve(config.checkpoint))
     except StationError:
         return False
-    return True
 
 
 BENCHMARK = Benchmark(name="legged", title="Robots on legs", method=METHOD, run=run)

@@ -156,7 +156,7 @@ def read(file: Path) -> Envelope:
 
 
 def stated(envelope: Envelope) -> str:
-    """Return an envelope as one text, JSON: in a manifest thousands of numbers take ten times as long to read."""
+    """Return an envelope as one text, JSON: the tracker's, number by number, takes 25 ms to read in a manifest."""
     return msgspec.json.encode(envelope).decode()
 
 
