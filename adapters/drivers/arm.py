@@ -8,7 +8,7 @@ operator asks in a tick, within soft limits and no faster than told, and stands 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import msgspec
@@ -23,6 +23,7 @@ from adapters.robots import arm_limits
 from adapters.robots.kassow import kinematics
 from adapters.robots.kassow.names import MAKER, suffix
 from station import registry, rotations
+from station.arms import JointCommand
 from station.errors import ConfigError
 from station.operator import deltas
 from station.operator.deadman import Snapshot
@@ -238,6 +239,8 @@ def _command_format(options: ArmOptions) -> tuple[CommandFormat, dict[str, Any]]
             not element.name.endswith("_pos") for element in command_format.elements
         ):
             raise ConfigError(f"command {options.command!r} has other elements than positions of an arm's joints")
+        if options.robot and isinstance(command_format, JointCommand):
+            command_format = replace(command_format, robot=options.robot)
         slowest, facts = (
             float(command_format.rate.min()),
             {name: getattr(command_format, name).tolist() for name in _LIMITS},

@@ -22,6 +22,8 @@ class ArmOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         name: Further part of the suffix of its keys, for a second arm of the model; "" for none.
         limits: File with the limits of its joints; None for the one that ships with the station.
         command: Registered format of the positions of an arm's joints, in place of the three above; it has limits.
+        robot: End of the keys of the robot's part that takes that command, where it is not the command's own:
+            ``g1_dex3_left_arm``.
         speed_rad_s: Greatest speed of a joint [rad/s]; the arm's own profile must be as fast.
         tool_mps, tool_rad_s: Speeds of the tool at full deflection, and the greatest ones [m/s, rad/s].
         box_lower, box_upper: Corners that the tool stays between, in the frame of the base [m].
@@ -39,6 +41,7 @@ class ArmOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     name: str = ""
     limits: Path | None = None
     command: str = ""
+    robot: str = ""
     speed_rad_s: float = 0.3
     tool_mps: float = 0.15
     tool_rad_s: float = 0.5
@@ -54,6 +57,10 @@ class ArmOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     def __post_init__(self) -> None:
         if self.command:
             registry.expect("command", self.command)
+        elif self.robot:
+            raise ValueError(
+                f"robot is {self.robot!r}; expected none without a command: an arm's is its model and name"
+            )
         for name, most in (("speed_rad_s", 4.0), ("tool_mps", 1.0), ("tool_rad_s", 3.0)):
             if not 0.01 <= getattr(self, name) <= most:
                 raise ValueError(f"{name} is {getattr(self, name):g}; expected 0.01 to {most:g}")

@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 
 from adapters.drivers.arm_options import ArmOptions
+from adapters.drivers.glove import GloveDriver, GloveOptions
 from adapters.drivers.hands import HandsDriver, HandsOptions
 from adapters.drivers.jog import JogDriver
 from adapters.drivers.joints import JointsDriver, JointsOptions
@@ -115,6 +116,12 @@ WALK = DriverKind(
         "keyboard": "w s forwards and back, a d turn, j l sideways, i k height",
         "gamepad": "left stick forwards and sideways, right stick turn and height",
     },
+)
+GLOVE = DriverKind(
+    name="glove",
+    summary="the fingers of a robot's hand bend as those in a glove do",
+    options=GloveOptions,
+    make=lambda options, operator: GloveDriver(options),
 )
 JOG = DriverKind(
     name="jog",

@@ -1,4 +1,4 @@
-"""Legs of a G1 by a policy that follows velocities, arms by positions of their joints: a policy around another.
+"""Legs of a G1 by a policy that follows velocities, arms, and hands, by positions of their joints: around a policy.
 
 The one inside (`homie`, `groot-wbc`, `rlgym-g1`, `holosoma`) gets the velocities and sees the joints that it knows;
 what it says of the arms is put aside. Joints that neither drives, the waist of a policy of legs, are held at zero.
@@ -13,14 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from adapters.commands.g1_parts import ARM, ARMS, arm
+from adapters.commands.g1_parts import ARM, arm, hand
 from adapters.commands.velocity import FORMATS
 from adapters.policies.g1_whole import OnAllJoints
 from adapters.policies.homie import HomiePolicy
-from adapters.robots.g1.joints import G1_29
+from adapters.robots.legged.unitree import G1, G1_DEX3
 from station import registry
+from station.command_formats import command_format
 from station.errors import ConfigError
 from station.protocols import Floats, Floats32, JointTargets, Policy, RobotState
+
+_WITH_ARMS = "g1-arms-"
 
 
 class G1ArmsPolicy(OnAllJoints):
@@ -30,6 +33,8 @@ class G1ArmsPolicy(OnAllJoints):
         checkpoint: Of the policy inside.
         legs: Its registered name.
         legs_options: Its further arguments.
+        hands: Whether it drives the robot with Dex3-1 hands, whose joints are two parts more; the policy inside may
+            then be one that takes the arms' commands as well (`asap`, `falcon`).
 
     Raises:
         UnknownName: it is not registered.
@@ -39,32 +44,38 @@ class G1ArmsPolicy(OnAllJoints):
 
     ORIGIN = f"the origin of the policy that its option `legs` names, for `homie` {HomiePolicy.ORIGIN}"
 
-    def __init__(self, checkpoint: Path, *, legs: str = "homie", legs_options: dict[str, Any] | None = None) -> None:
+    def __init__(
+        self, checkpoint: Path, *, legs: str = "homie", legs_options: dict[str, Any] | None = None, hands: bool = False
+    ) -> None:
         inside: Policy = registry.find("policy", legs)(checkpoint, **(legs_options or {}))
         given = inside.spec
-        if given.command not in FORMATS:
+        velocities = given.command.removeprefix(_WITH_ARMS) if hands else given.command
+        if velocities not in FORMATS:
             raise ConfigError(
                 f"legs: policy {legs!r} follows {given.command!r} commands; expected one that follows "
-                f"{', '.join(FORMATS)}"
+                f"{', '.join(FORMATS)}{', or these with arms' if hands else ''}"
             )
-        super().__init__(inside, np.zeros(len(G1_29)), f"legs: policy {legs!r}")
-        self._arms = [G1_29.index(name) for name in ARMS]
-        self._count = len(given.command_lower if given.command_lower is not None else FORMATS[given.command].default)
-        span = [
-            (getattr(given, f"command_{end}"), [getattr(arm(side, ""), end) for side in ARM])
-            for end in ("lower", "upper")
+        robot = G1_DEX3 if hands else G1
+        super().__init__(inside, np.zeros(len(robot.joints)), f"legs: policy {legs!r}", robot)
+        limbs = [make(side, "") for make in ((arm, hand) if hands else (arm,)) for side in ARM]
+        ours = limbs if velocities == given.command else limbs[len(ARM) :]
+        self._limbs = [
+            robot.joint_names.index(element.name.removesuffix("_pos")) for limb in ours for element in limb.elements
         ]
-        lower, upper = (None if legs is None else np.concatenate([legs, *arms]) for legs, arms in span)
+        self._count = len(command_format(given.command, "inside").default)
+        span = [(getattr(given, f"command_{end}"), [getattr(limb, end) for limb in ours]) for end in ("lower", "upper")]
+        lower, upper = (None if theirs is None else np.concatenate([theirs, *ends]) for theirs, ends in span)
         self._spec = replace(
-            self._spec, name="g1-arms", command=f"g1-arms-{given.command}", command_lower=lower, command_upper=upper
-        )
+            self._spec, name="g1-arms", command=f"g1-{'hands' if hands else 'arms'}-{velocities}",
+            command_lower=lower, command_upper=upper,
+        )  # fmt: skip
 
     def observe(self, state: RobotState, command: Floats) -> Floats32:
-        """Return the observation of the policy inside, of the velocities."""
+        """Return the observation of the policy inside, of its part of the command."""
         return super().observe(state, command[: self._count])
 
     def targets(self, action: Floats32, command: Floats) -> JointTargets:
-        """Return the targets of the policy inside, and of the arms what the command says."""
+        """Return the targets of the policy inside, and of arms and hands what the command says."""
         made = super().targets(action, command[: self._count])
-        made.q[self._arms] = command[self._count :]
+        made.q[self._limbs] = command[self._count :]
         return made

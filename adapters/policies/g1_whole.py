@@ -1,11 +1,15 @@
-"""A policy that drives some joints of a G1, for all 29: the others are held."""
+"""A policy that drives some joints of a G1, for all of them: the others are held."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from adapters.policies.groot_wbc import GrootWbcPolicy
-from adapters.robots.g1.joints import G1_29
+from adapters.robots.g1.joints import G1_29, WAIST
+from adapters.robots.legged.table import LeggedRobot
+from adapters.robots.legged.unitree import G1
 from station.errors import ConfigError
 from station.protocols import Floats, Floats32, JointTargets, Policy, PolicySpec, RobotState
 
@@ -19,24 +23,29 @@ class OnAllJoints:
 
     Args:
         inside: The policy.
-        held: Where joints are held that it does not drive, shape (29,) [rad].
+        held: Where joints are held that it does not drive, shape (n,) [rad].
         what: What a user calls it, for errors: ``legs: policy 'homie'``.
+        robot: Which G1; one with hands holds their joints by the gains of its table.
 
     Raises:
         ConfigError: it drives joints that a G1 does not have.
     """
 
-    def __init__(self, inside: Policy, held: Floats, what: str) -> None:
+    def __init__(self, inside: Policy, held: Floats, what: str, robot: LeggedRobot = G1) -> None:
         self._inside, given = inside, inside.spec
+        names = robot.joint_names
         odd = [name for name in given.joint_names if name not in G1_29]
         if odd:
             raise ConfigError(f"{what} drives another robot: a G1 has no joint {', '.join(odd[:4])}")
-        self._known = [G1_29.index(name) for name in given.joint_names]
-        default, (kp, kd) = held.copy(), (gains.copy() for gains in GrootWbcPolicy.GAINS)
-        kp[12:15], kd[12:15] = _WAIST
+        self._known = [names.index(name) for name in given.joint_names]
+        default, kp, kd = held.copy(), np.array(robot.stand_kp), np.array(robot.stand_kd)
+        body = [names.index(name) for name in G1_29]
+        kp[body], kd[body] = GrootWbcPolicy.GAINS
+        waist = [names.index(name) for name in WAIST]
+        kp[waist], kd[waist] = _WAIST
         for whole, own in ((default, given.default_q), (kp, given.kp), (kd, given.kd)):
             whole[self._known] = own
-        self._spec = replace(given, joint_names=G1_29, default_q=default, kp=kp, kd=kd)
+        self._spec = replace(given, joint_names=names, default_q=default, kp=kp, kd=kd)
 
     @property
     def spec(self) -> PolicySpec:

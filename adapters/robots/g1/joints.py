@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from adapters.robots.legged.table import Joint
+from adapters.robots.legged.table import Joint, mirrored
 
 if TYPE_CHECKING:  # NumPy is loaded where arrays are made: names are asked for where that would take too long
     from station.protocols import Floats
@@ -66,11 +66,27 @@ G1_23 = tuple(name for name in G1_29 if not name.endswith(_WRIST))
 G1_25 = tuple(name for name in G1_29 if not name.endswith(_WRIST[1:]))
 """Joints of TWIST's command: each arm with its wrist roll."""
 
+# No source gives a rotor inertia of a hand's motors: this one is ours, well above a finger's own inertia.
+_FINGER = 0.001
+
+DEX3_LEFT: tuple[Joint, ...] = (
+    Joint("left_hand_thumb_0", "y", -1.0472, 1.0472, 2.45, 3.14, _FINGER),
+    Joint("left_hand_thumb_1", "z", -0.724312, 1.0472, 1.4, 12.0, _FINGER),
+    Joint("left_hand_thumb_2", "z", 0.0, 1.74533, 1.4, 12.0, _FINGER),
+    Joint("left_hand_middle_0", "z", -1.5708, 0.0, 1.4, 12.0, _FINGER),
+    Joint("left_hand_middle_1", "z", -1.74533, 0.0, 1.4, 12.0, _FINGER),
+    Joint("left_hand_index_0", "z", -1.5708, 0.0, 1.4, 12.0, _FINGER),
+    Joint("left_hand_index_1", "z", -1.74533, 0.0, 1.4, 12.0, _FINGER),
+)
+"""Of a Dex3-1 hand, in the order of its MJCF. Source: ``dex3_1_l`` of unitreerobotics/unitree_ros."""
+
+DEX3_RIGHT: tuple[Joint, ...] = tuple(mirrored(DEX3_LEFT))
+
 HAND_LEFT = ("thumb_0", "thumb_1", "thumb_2", "middle_0", "middle_1", "index_0", "index_1")
 HAND_RIGHT = ("thumb_0", "thumb_1", "thumb_2", "index_0", "index_1", "middle_0", "middle_1")
 """Dex3-1 joints in the order of TWIST2's hand driver; the two sides differ."""
 
-_BY_NAME = {joint.name: joint for joint in JOINTS}
+_BY_NAME = {joint.name: joint for joint in (*JOINTS, *DEX3_LEFT, *DEX3_RIGHT)}
 
 
 def hand(side: str) -> tuple[str, ...]:

@@ -50,4 +50,4 @@ class PoseCommand(JointCommand):
         return JointCommand.encode(self, reference, joint_names) if self.follows_motions else self.default.copy()
 
 
-GO2, GO1, H1, H1_10, H1_2, H1_2_12, G1_12, G1_23 = map(PoseCommand.of, ROBOTS.values())
+GO2, GO1, H1, H1_10, H1_2, H1_2_12, G1_12, G1_23, G1_DEX3 = map(PoseCommand.of, ROBOTS.values())

@@ -68,4 +68,4 @@ def kind_of(robot: LeggedRobot, stand: str = "") -> RobotKind:
     )
 
 
-GO2, GO1, H1, H1_10, H1_2, H1_2_12, G1_12, G1_23 = map(kind_of, ROBOTS.values())
+GO2, GO1, H1, H1_10, H1_2, H1_2_12, G1_12, G1_23, G1_DEX3 = map(kind_of, ROBOTS.values())

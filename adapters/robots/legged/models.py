@@ -3,7 +3,8 @@
 ``python -m adapters.robots.legged.models`` writes them anew. Masses, inertias and link frames are facts of
 unitreerobotics/unitree_rl_gym (Go2, H1-2, G1 with 12 joints), of mujoco_menagerie (Go1, H1) and of unitree_ros (G1 with
 23 joints), all BSD-3-Clause; shapes are ours. Numbers are those of the left, and of a quadruped's front; the other side
-is their mirror image. The two G1s are `g1.xml` with fewer joints; light, floor and materials of all are from there.
+is their mirror image. The G1s are `g1.xml` with fewer joints, or with hands; light, floor and materials of all are from
+there.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, TreeBuilder, XMLParser, fromstring, indent, tostring
 
+from adapters.robots.g1.dex3 import give_hands
 from adapters.robots.legged.table import LeggedRobot
-from adapters.robots.legged.unitree import G1_12, G1_23, GO1, GO2, H1, H1_2, H1_2_12, H1_10, ROBOTS
+from adapters.robots.legged.unitree import G1_12, G1_23, G1_DEX3, GO1, GO2, H1, H1_2, H1_2_12, H1_10, ROBOTS
 
 HERE = Path(__file__).parent
 SOURCE = HERE.parent / "g1" / "g1.xml"
@@ -419,7 +421,7 @@ def build(name: str, source: str) -> str:
     if name in _LINKS:
         _replace_body(root, robot, *_LINKS[name])
     else:
-        _LESS[name](root)
+        _OF_G1[name](root)
     _replace_motors(root, robot)
     indent(root, "  ")
     return re.sub(r"[ \t]+\n", "\n", tostring(root, encoding="unicode")) + "\n"
@@ -533,7 +535,7 @@ def _with_23_joints(root: Element) -> None:
         _weigh(hand, 0.356929, (0.107947, sign * 0.00163512, 0.00202245), axes, (0.00200292, 0.0019426, 0.000195232))
 
 
-_LESS = {G1_12.name: _with_12_joints, G1_23.name: _with_23_joints}
+_OF_G1 = {G1_12.name: _with_12_joints, G1_23.name: _with_23_joints, G1_DEX3.name: give_hands}
 
 
 def _fix(body: Element, *, is_weightless: bool) -> None:

@@ -305,5 +305,41 @@ G1 = LeggedRobot(
     fills_armature=False,  # the stock model has none at the wrists, and the station's G1 moves as there
 )
 
-ROBOTS = {robot.name: robot for robot in (GO2, GO1, H1, H1_10, H1_2, H1_2_12, G1_12, G1_23)}
+_DEX3_JOINTS = (*g1.JOINTS[:22], *g1.DEX3_LEFT, *g1.JOINTS[22:], *g1.DEX3_RIGHT)
+_DEX3_MOTORS = (*g1.G1_29, *g1.hand("left"), *g1.hand("right"))
+_OPEN = (0.0, 0.1, 0.1, -0.1, -0.1, -0.1, -0.1)
+"""A left hand at rest: a little closed, within the ends of its joints [rad]."""
+
+
+def _with_hands(body: tuple[float, ...], left: tuple[float, ...], right: tuple[float, ...]) -> tuple[float, ...]:
+    return (*body[:22], *left, *body[22:], *right)
+
+
+# A G1 whose hands are joints as its others are: each a part with a command of its own, as legs and arms. Where hands
+# are commanded beside the body, by TWIST2's keys, it is the G1 above.
+G1_DEX3 = replace(
+    G1,
+    name="g1_dex3",
+    model="unitree_g1_dex3",
+    title="Unitree G1 with Dex3-1 hands",
+    mjcf="builtin:g1_dex3.xml",
+    joints=_DEX3_JOINTS,
+    motors=tuple(_DEX3_MOTORS.index(joint.name) for joint in _DEX3_JOINTS),
+    groups={
+        **G1.groups,
+        **{f"{side} hand": tuple(joint.name for joint in hand)
+           for side, hand in (("left", g1.DEX3_LEFT), ("right", g1.DEX3_RIGHT))},
+    },
+    start_q=_with_hands(
+        (*_alike(2, _G1_LEG), 0.0, 0.0, 0.0, 0.0, 0.2, 0.0, 1.2, 0.0, 0.0, 0.0, 0.0, -0.2, 0.0, 1.2, 0.0, 0.0, 0.0),
+        _OPEN, tuple(-q for q in _OPEN),
+    ),
+    start_height_m=0.785,
+    least_height_m=0.4,
+    stand_kp=_with_hands(G1.stand_kp, *((1.5,) * 7,) * 2),
+    stand_kd=_with_hands(G1.stand_kd, *((0.1,) * 7,) * 2),
+    clip_nm=(),
+)  # fmt: skip
+
+ROBOTS = {robot.name: robot for robot in (GO2, GO1, H1, H1_10, H1_2, H1_2_12, G1_12, G1_23, G1_DEX3)}
 """All that are served by `adapters.robots.legged.kind`, by the suffix of their keys."""

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from adapters.commands.g1_parts import ARM, ARMS, LEFT_ARM, RIGHT_ARM
+from adapters.commands.g1_parts import ARM, ARMS, HAND, HANDS, LEFT_ARM, LEFT_HAND, RIGHT_ARM, RIGHT_HAND
 from adapters.policies.g1_arms import G1ArmsPolicy
 from adapters.policies.holosoma import HolosomaPolicy
 from adapters.policies.homie import HomiePolicy
 from adapters.robots.g1.joints import G1_29
+from adapters.robots.legged.unitree import G1_DEX3
 from station import registry
 from station.control.rig import RigConfig, build
 from station.errors import BadFile, ConfigError, UnknownName
@@ -114,9 +116,65 @@ def test_a_policy_of_other_commands_or_of_another_robot_is_named(homie: Path, mo
         ),
         ({"joint_names": ("FL_hip", *G1_29[1:])}, "policy 'other' drives another robot: a G1 has no joint FL_hip"),
     ):
-        from dataclasses import replace
-
         inside._spec, before = replace(inside._spec, **change), inside._spec
         with pytest.raises(ConfigError, match=words):
             G1ArmsPolicy(homie, legs="other")
         inside._spec = before
+
+
+@pytest.mark.parametrize(("legs", "file"), [("homie", None), ("asap", "asap_dec_loco_g1.onnx")])
+def test_with_hands_each_hand_is_where_its_command_says_and_the_rest_as_without(
+    homie: Path, request: pytest.FixtureRequest, legs: str, file: str | None
+) -> None:
+    """Around a policy of legs, and around one that takes the arms' commands as well."""
+    path = homie if file is None else request.getfixturevalue("assets") / f"zoo/policies/{file}"
+    whole = G1ArmsPolicy(path, legs=legs, hands=True)
+    alone = G1ArmsPolicy(path) if file is None else registry.find("policy", legs)(path)
+    names, count = whole.spec.joint_names, len(alone.spec.joint_names)
+    assert names == G1_DEX3.joint_names
+    known = [names.index(name) for name in alone.spec.joint_names]
+    for state, command in steps(8, 4):
+        body = np.concatenate([command, np.linspace(-0.3, 0.3, 14)])
+        hands = np.linspace(-0.5, 0.5, 14)
+        q, dq = np.full((2, 43), 0.3)
+        q[known], dq[known] = state.q[:count], state.dq[:count]
+        observation = whole.observe(replace(state, q=q, dq=dq), np.concatenate([body, hands]))
+        theirs = alone.observe(replace(state, q=state.q[:count], dq=state.dq[:count]), body)
+        np.testing.assert_array_equal(observation, theirs)
+        sent, expected = (
+            whole.targets(whole.act(observation), np.concatenate([body, hands])),
+            alone.targets(alone.act(theirs), body),
+        )
+        np.testing.assert_array_equal(sent.q[known], expected.q)
+        np.testing.assert_array_equal(sent.q[[names.index(name) for name in HANDS]], hands)
+        np.testing.assert_array_equal(sent.kp[known], expected.kp)
+        assert set(sent.kp[[names.index(name) for name in HANDS]]) == {1.5}
+
+
+def test_each_hand_is_a_part_with_a_key_of_its_own(homie: Path) -> None:
+    rig = build(
+        RigConfig(robot="g1-dex3-mujoco", policy="g1-arms", policy_options={"hands": True}, checkpoint=str(homie))
+    )
+    parts = parts_of(rig.command_format)
+    assert [part.robot for part in parts] == [
+        "g1_dex3_legs", "g1_dex3_left_arm", "g1_dex3_right_arm", "g1_dex3_left_hand", "g1_dex3_right_hand",
+    ]  # fmt: skip
+    np.testing.assert_array_equal(parts[0].upper, [1.2, 0.5, 0.8, 0.74])
+    assert [part.key for part in parts[3:]] == [LEFT_HAND.key, RIGHT_HAND.key], "what the driver `glove` drives"
+    contracts = {item.key: item for item in rig.kind.describe(rig.command_format).contracts()}
+    assert contracts[LEFT_HAND.key].names == tuple(f"{name}_pos" for name in HAND["left"])
+
+
+def test_a_robot_without_hands_takes_no_hands_and_one_with_hands_no_policy_without(homie: Path) -> None:
+    for robot, hands in (("g1-mujoco", True), ("g1-dex3-mujoco", False)):
+        with pytest.raises(ConfigError, match="drives .. joints, the robot has .."):
+            build(
+                RigConfig(robot=robot, policy="g1-arms", policy_options={"hands": hands}, checkpoint=str(homie))
+            ).control()
+
+
+def test_a_policy_that_takes_the_arms_needs_no_other_that_does(assets: Path) -> None:
+    with pytest.raises(
+        ConfigError, match="'asap' follows 'g1-arms-velocity-height' commands; expected one that follows"
+    ):
+        G1ArmsPolicy(assets / "zoo/policies/asap_dec_loco_g1.onnx", legs="asap")

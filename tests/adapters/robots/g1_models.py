@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from adapters.policies.twist2 import gains
-from adapters.robots.g1 import dex3
 from adapters.robots.g1.joints import G1_29, select
 from adapters.robots.g1.mujoco_g1 import START_ROOT_POS
+from adapters.robots.legged import models
 from station.protocols import Floats, JointTargets
 
-G1, DEX3 = dex3.SOURCE, dex3.TARGET
+G1, DEX3 = models.SOURCE, models.HERE / "g1_dex3.xml"
 
 FLOOR, SEEN, TOUCHES = 0, 1, 3
 """Geom groups."""

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from adapters.robots.g1 import dex3
 from adapters.robots.g1.joints import G1_29, select
+from adapters.robots.g1.joints import hand as hand_joints
 from adapters.robots.g1.mujoco_g1 import START_Q, MujocoG1
 from adapters.robots.legged import mjcf, unitree
 from adapters.robots.picture import Camera
@@ -107,10 +107,9 @@ def test_masses_add_up_to_those_of_the_robot() -> None:
 
 
 @both
-def test_there_is_a_servo_for_every_motor_in_the_order_of_the_motors(path: Path) -> None:
+def test_there_is_a_servo_for_every_motor_in_the_order_of_the_table(path: Path) -> None:
     model = compiled(path)
-    hands = [f"{side}_hand_{name}_joint" for side, names in dex3.MOTORS.items() for name in names]
-    expected = [joint.mjcf_name for joint in select(G1_29)] + (hands if path == DEX3 else [])
+    expected = [joint.mjcf_name for joint in (unitree.G1_DEX3 if path == DEX3 else unitree.G1).joints]
     assert [model.joint(model.actuator_trnid[u, 0]).name for u in range(model.nu)] == expected
     for u in range(model.nu):
         np.testing.assert_array_equal(model.actuator_forcerange[u], model.jnt_actfrcrange[model.actuator_trnid[u, 0]])
@@ -235,8 +234,8 @@ def test_the_hands_are_seven_joints_each_and_servos_hold_them_where_they_are_tol
     hinges = {path: (compiled(path).jnt_type == mujoco.mjtJoint.mjJNT_HINGE).sum() for path in (G1, DEX3)}
     assert hinges == {G1: 29, DEX3: 43}
     robot = MujocoG1(DEX3, physics_dt_s=0.002)
-    hand = [robot._model.joint(f"left_hand_{name}_joint") for name in dex3.MOTORS["left"]]
-    servos = [robot._model.actuator(f"left_hand_{name}_joint").id for name in dex3.MOTORS["left"]]
+    hand = [robot._model.joint(f"{name}_joint") for name in hand_joints("left")]
+    servos = [robot._model.actuator(f"{name}_joint").id for name in hand_joints("left")]
     told = np.array([(low if abs(low) > abs(high) else high) / 2 for low, high in (joint.range for joint in hand)])
     robot._data.ctrl[servos] = told
     for _ in range(40):
@@ -244,7 +243,3 @@ def test_the_hands_are_seven_joints_each_and_servos_hold_them_where_they_are_tol
     assert robot.fallen() is None
     held_at = robot._data.qpos[[joint.qposadr[0] for joint in hand]]
     np.testing.assert_allclose(held_at, told, atol=0.15)
-
-
-def test_the_file_with_hands_is_what_the_other_one_gives() -> None:
-    assert DEX3.read_text(encoding="utf-8") == dex3.build(G1.read_text(encoding="utf-8")), "run dex3.py"

@@ -187,7 +187,7 @@ def test_the_facts_name_the_model_its_hash_and_the_time_steps(robot: MujocoG1) -
     assert (facts["physics_dt_s"], facts["control_dt_s"]) == (0.001, 0.02)
     assert facts["mass_kg"] == pytest.approx(33.34, abs=0.01)
     assert facts["has_hands"] is False
-    assert MujocoG1(G1.with_name("g1_dex3.xml")).facts()["has_hands"] is True
+    assert MujocoG1(assets.resolve("builtin:g1_dex3.xml")).facts()["has_hands"] is True
 
 
 @pytest.mark.parametrize("physics_dt_s", [0.0, -0.001, 0.003, 0.05, float("nan")])

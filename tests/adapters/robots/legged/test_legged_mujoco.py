@@ -242,7 +242,7 @@ def test_a_pose_goes_by_names_and_a_motion_of_another_body_has_it_stand() -> Non
     reference = g1.at(2.0)
     for name, robot in ROBOTS.items():
         asked = PoseCommand.of(robot).encode(reference, g1.joint_names)
-        if name.startswith("g1"):
+        if name in ("g1_12", "g1_23"):  # a motion says nothing of hands
             by_name = dict(zip(g1.joint_names, reference.q, strict=True))
             np.testing.assert_array_equal(asked, [by_name[joint] for joint in robot.joint_names])
         else:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from adapters.robots.g1.joints import G1_29
+from adapters.robots.g1.joints import G1_29, hand
 from adapters.robots.legged import unitree
 from adapters.robots.legged.table import LeggedRobot
-from adapters.robots.legged.unitree import G1, G1_12, G1_23, GO1, GO2, H1, H1_2, H1_2_12, H1_10, ROBOTS
+from adapters.robots.legged.unitree import G1, G1_12, G1_23, G1_DEX3, GO1, GO2, H1, H1_2, H1_2_12, H1_10, ROBOTS
 
 each = pytest.mark.parametrize("robot", [*ROBOTS.values(), G1], ids=lambda robot: robot.name)
 
@@ -64,12 +64,14 @@ def test_motors_are_where_the_makers_messages_have_them() -> None:
     assert H1_2.motors == tuple(range(27))
     assert H1_2_12.motors == tuple(range(12))
     assert all(h1[motor] == name for motor, name in sent(H1_10).items())
+    hands = (*G1_29, *hand("left"), *hand("right"))
+    assert [sent(G1_DEX3)[motor] for motor in range(43)] == [*hands]
     assert all(G1_29[motor] == name for robot in (G1, G1_12, G1_23) for motor, name in sent(robot).items())
 
 
 def test_the_number_of_joints_is_that_of_the_robot() -> None:
     assert {name: len(robot.joints) for name, robot in ROBOTS.items()} == {
-        "go2": 12, "go1": 12, "h1": 19, "h1_10": 10, "h1_2": 27, "h1_2_12": 12, "g1_12": 12, "g1_23": 23,
+        "go2": 12, "go1": 12, "h1": 19, "h1_10": 10, "h1_2": 27, "h1_2_12": 12, "g1_12": 12, "g1_23": 23, "g1_dex3": 43,
     }  # fmt: skip
     missing = set(G1_29) - set(G1_23.joint_names)
     assert missing == {"waist_roll", "waist_pitch", "left_wrist_pitch", "left_wrist_yaw", "right_wrist_pitch",

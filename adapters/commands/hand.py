@@ -1,0 +1,23 @@
+"""The command of a robot's hand: absolute positions of its joints, each of which one finger of a person bends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from station.arms import JointCommand
+from station.protocols import Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class HandCommand(JointCommand):
+    """Implements `station.protocols.CommandFormat`; a hand without a command stays as it is.
+
+    Attributes:
+        fingers: What of a person's hand bends each joint, of `adapters.devices.glove.sensors`: ``index_0`` for the
+            knuckle of an index finger, ``index`` for all of it.
+        opened, closed: Joints of an open and of a closed hand, shape (n,) [rad]; read-only.
+    """
+
+    fingers: tuple[str, ...]
+    opened: Floats
+    closed: Floats
