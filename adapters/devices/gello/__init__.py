@@ -1,1 +1,1 @@
-"""GELLO leader arms: a chain of Dynamixel servos on a serial port."""
+"""GELLO leader arms: a chain of Dynamixel or Feetech servos on a serial port."""

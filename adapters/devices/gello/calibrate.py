@@ -12,7 +12,7 @@ import numpy as np
 
 from adapters.devices.gello import calibration as calibrations
 from adapters.devices.gello import ports
-from adapters.devices.gello.bus import BAUDS, MotorBus, model_name
+from adapters.devices.gello.bus import BUSES, MotorBus, Servos, model_name
 from adapters.devices.gello.calibration import (
     LEAST_TRAVEL_RAD,
     Arm,
@@ -80,7 +80,14 @@ class Plan:
 
 
 def calibrate_port(
-    port: str, plan: Plan, console: Console, *, baud: int = BAUDS[0], folder: Path | None = None, clock: Clock = SYSTEM
+    port: str,
+    plan: Plan,
+    console: Console,
+    *,
+    servos: Servos = "dynamixel",
+    baud: int | None = None,
+    folder: Path | None = None,
+    clock: Clock = SYSTEM,
 ) -> Path:
     """Calibrate the leader on a serial port and keep what was found; return the file.
 
@@ -88,7 +95,8 @@ def calibrate_port(
         port: Name of the port, such as `adapters.devices.gello.ports.choose` returns.
         plan: What is to be calibrated.
         console: The person at the leader.
-        baud: Rate of the servos [bit/s].
+        servos: Whose servos it has.
+        baud: Rate of the servos [bit/s]; None for the most usual of theirs.
         folder: Where calibrations are kept; None for that of the user's settings.
         clock: Of the process.
 
@@ -96,7 +104,8 @@ def calibrate_port(
         DeviceError: the port cannot be opened, the servos do not fit the plan, or one falls silent.
         BadFile: the calibration cannot be written.
     """
-    bus = MotorBus(port, baud, clock)
+    kind = BUSES[servos]
+    bus = kind(port, baud or kind.bauds[0], clock)
     try:
         if advice := ports.latency_advice(port):
             console.show(advice)

@@ -13,7 +13,7 @@ import numpy as np
 
 from adapters.devices.gello import calibration as calibrations
 from adapters.devices.gello import ports
-from adapters.devices.gello.bus import BAUDS, MotorBus, PortGone
+from adapters.devices.gello.bus import BUSES, MotorBus, PortGone, Servos, model_name
 from adapters.devices.gello.calibration import Calibration
 from station.clock import SYSTEM, Clock
 from station.operator.device import DeviceError
@@ -34,7 +34,8 @@ class Gello:
     Args:
         ports_wanted: Serial ports, one per leader; none for the adapters that are plugged in.
         leaders: How many there are, 1 or 2.
-        baud: Rate of the servos [bit/s].
+        servos: Whose servos they have.
+        baud: Rate of the servos [bit/s]; None for the most usual of theirs.
         rate_hz: Readings per second [Hz].
         patience_s: For how long readings may fail before that is a fault [s].
         calibrations_folder: Where calibrations are kept, by serial number.
@@ -52,7 +53,8 @@ class Gello:
         *,
         ports_wanted: tuple[str, ...] = (),
         leaders: int = 1,
-        baud: int = BAUDS[0],
+        servos: Servos = "dynamixel",
+        baud: int | None = None,
         rate_hz: float = 100.0,
         patience_s: float = 0.25,
         calibrations_folder: Path | None = None,
@@ -60,13 +62,15 @@ class Gello:
         clock: Clock = SYSTEM,
     ) -> None:
         folder = calibrations_folder or calibrations.default_folder()
-        self._baud = baud
+        self._kind = BUSES[servos]
+        self._baud = baud or self._kind.bauds[0]
         self._given: tuple[int, ...] = ()
         self._samplers: list[Sampler] = []
         with contextlib.ExitStack() as on_error:
             opened = []
-            for port in ports.choose(ports_wanted, leaders, by_id):
-                opened.append(_open(port, baud, calibrations.load(folder, ports.serial_of(port, by_id)), clock))
+            for port in ports.choose(ports_wanted, leaders, by_id, servos):
+                calibration = calibrations.load(folder, ports.serial_of(port, by_id))
+                opened.append(_open(self._kind, port, self._baud, calibration, clock))
                 on_error.callback(opened[-1][1].close)
             opened.sort(key=lambda one: one[0].arm)
             self._calibrations = [calibration for calibration, _ in opened]
@@ -107,7 +111,8 @@ class Gello:
             ],
             "joints": self._names(),
             "baud": self._baud,
-            "library": f"dynamixel-sdk {metadata.version('dynamixel-sdk')}",
+            "servos": self._kind.servos,
+            "library": f"{self._kind.library} {metadata.version(self._kind.library)}",
         }
 
     def close(self) -> None:
@@ -135,9 +140,12 @@ class Gello:
             )
 
 
-def _open(port: str, baud: int, calibration: Calibration, clock: Clock) -> tuple[Calibration, MotorBus]:
+def _open(
+    kind: type[MotorBus], port: str, baud: int, calibration: Calibration, clock: Clock
+) -> tuple[Calibration, MotorBus]:
     """Open the port of a leader and see that it is the one that was calibrated."""
-    bus = MotorBus(port, baud, clock)
+    _expect_servos(kind.servos, port, calibration)
+    bus = kind(port, baud, clock)
     try:
         found = bus.ping(calibration.ids)
         if not found:
@@ -152,11 +160,23 @@ def _open(port: str, baud: int, calibration: Calibration, clock: Clock) -> tuple
     return calibration, bus
 
 
+def _expect_servos(servos: Servos, port: str, calibration: Calibration) -> None:
+    """See that no servo that was calibrated is known to be another maker's, for none of those would answer."""
+    for model in calibration.models.values():
+        for maker, bus in BUSES.items():
+            if maker != servos and model in bus.models:
+                raise DeviceError(
+                    f"{port}: leader {calibration.serial} was calibrated with servos {model_name(model)} of {maker}, "
+                    f"expected those of {servos}; set servos: {maker}, or calibrate this leader: "
+                    f"station devices calibrate gello --servos {servos}"
+                )
+
+
 def _why_no_answer(bus: MotorBus, first: int) -> str:
     """Return at which rate the first servo would answer; takes 40 ms a rate."""
     bus.close()
-    for baud in BAUDS:
-        other = MotorBus(bus.port, baud, bus.clock)
+    for baud in bus.bauds:
+        other = type(bus)(bus.port, baud, bus.clock)
         try:
             if baud != bus.baud and other.ping([first]):
                 return f"{bus.port}: no servo answers at {bus.baud} baud, but they do at {baud}: set baud: {baud}"

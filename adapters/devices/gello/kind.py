@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adapters.devices.gello.bus import BAUDS
+from adapters.devices.gello.bus import BUSES, Servos
 from station.clock import Clock
 from station.operator.device import Device
 from station.operator.device_kind import DeviceConfig, DeviceKind, Source
@@ -25,15 +25,17 @@ class GelloConfig(DeviceConfig, frozen=True, kw_only=True, forbid_unknown_fields
 
     Attributes:
         leaders: How many leader arms there are, 1 or 2.
-        ports: Their serial ports; none for the U2D2 adapters that are plugged in.
-        baud: Rate of the servos [bit/s].
+        ports: Their serial ports; none for the adapters that are plugged in (a U2D2; for Feetech one with a CH343).
+        servos: Whose servos they have: Dynamixel's, or Feetech's STS3215.
+        baud: Rate of the servos [bit/s]; None for the most usual: 57600 of Dynamixel, 1000000 of Feetech.
         patience_s: For how long readings may fail before that is a fault [s].
         calibrations: Folder with a calibration by serial number; None for that of the user's settings.
     """
 
     leaders: int = 1
     ports: tuple[str, ...] = ()
-    baud: int = BAUDS[0]
+    servos: Servos = "dynamixel"
+    baud: int | None = None
     patience_s: float = 0.25
     calibrations: Path | None = None
 
@@ -42,8 +44,10 @@ class GelloConfig(DeviceConfig, frozen=True, kw_only=True, forbid_unknown_fields
             raise ValueError(f"leaders is {self.leaders}; expected 1 or 2")
         if self.ports and len(self.ports) != self.leaders:
             raise ValueError(f"{len(self.ports)} ports for {self.leaders} leaders; expected one each, or none")
-        if self.baud not in BAUDS:
-            raise ValueError(f"baud is {self.baud}; expected one of {', '.join(map(str, BAUDS))}")
+        bauds = BUSES[self.servos].bauds
+        if self.baud is not None and self.baud not in bauds:
+            rates = ", ".join(map(str, bauds))
+            raise ValueError(f"baud is {self.baud}; expected one of {rates} for servos of {self.servos}")
         if not 10.0 <= self.rate_hz <= 200.0:
             raise ValueError(f"rate_hz is {self.rate_hz:g}; expected 10 to 200 Hz: a reading takes 4 ms")
         if not 0.05 <= self.patience_s <= 5.0:
@@ -55,7 +59,8 @@ def _source(config: GelloConfig, clock: Clock, start_s: float) -> Iterator[Sourc
     def opened(places: dict[str, Any]) -> Device:
         from adapters.devices.gello.device import Gello
 
-        return Gello(baud=config.baud, rate_hz=config.rate_hz, patience_s=config.patience_s, clock=clock, **places)
+        return Gello(servos=config.servos, baud=config.baud, rate_hz=config.rate_hz, patience_s=config.patience_s,
+                     clock=clock, **places)  # fmt: skip
 
     if config.fake is None:
         yield Source(open=lambda: opened({"leaders": config.leaders, "ports_wanted": config.ports,

@@ -6,23 +6,30 @@ import os
 import re
 from pathlib import Path
 
+from adapters.devices.gello.bus import Servos
 from station.operator.device import DeviceError
 
 BY_ID = Path("/dev/serial/by-id")
 
-_FTDI = "usb-FTDI_USB__-__Serial_Converter_*"
+_ADAPTERS: dict[Servos, tuple[str, str]] = {
+    "dynamixel": ("U2D2", "usb-FTDI_USB__-__Serial_Converter_*"),
+    "feetech": ("servo adapter", "usb-1a86_USB_Single_Serial_*"),  # a CH343, as on the boards of SO-101
+}
+"""What the usual adapters are called, and their ports by id."""
+
 _SERIAL = re.compile(r"_([A-Za-z0-9-]+)-if\d+(-port\d+)?$")
 _LATENCY = "/sys/bus/usb-serial/devices/{tty}/latency_timer"
 LATENCY_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 
 
-def choose(wanted: tuple[str, ...], count: int, folder: Path = BY_ID) -> list[str]:
+def choose(wanted: tuple[str, ...], count: int, folder: Path = BY_ID, servos: Servos = "dynamixel") -> list[str]:
     """Return the ports of the leaders: those that were asked for, or all adapters that are plugged in.
 
     Args:
         wanted: Names of ports; none for any.
         count: How many leaders there are to be.
         folder: Where ports appear by serial number.
+        servos: Whose servos they have, which says which adapters are looked for.
 
     Raises:
         DeviceError: there are fewer, or more than that and none were asked for.
@@ -31,10 +38,12 @@ def choose(wanted: tuple[str, ...], count: int, folder: Path = BY_ID) -> list[st
         if len(wanted) != count:
             raise DeviceError(f"{len(wanted)} ports for {count} leaders; name one each with ports:")
         return list(wanted)
-    found = sorted(str(path) for path in folder.glob(_FTDI))
+    adapter, pattern = _ADAPTERS[servos]
+    found = sorted(str(path) for path in folder.glob(pattern))
     if not found:
         raise DeviceError(
-            f"no leader found: no {_FTDI} in {folder}; plug its U2D2 in, or name another port with ports: [/dev/tty…]"
+            f"no leader found: no {pattern} in {folder}; "
+            f"plug its {adapter} in, or name another port with ports: [/dev/tty…]"
         )
     if len(found) != count:
         listed = ", ".join(found)
@@ -44,7 +53,8 @@ def choose(wanted: tuple[str, ...], count: int, folder: Path = BY_ID) -> list[st
 
 def plugged_in(folder: Path = BY_ID) -> list[str]:
     """Return each adapter that may have a leader behind it, as a person is told."""
-    return [f"adapter {serial_of(str(path), folder)} at {path}" for path in sorted(folder.glob(_FTDI))]
+    found = sorted(path for _, pattern in _ADAPTERS.values() for path in folder.glob(pattern))
+    return [f"adapter {serial_of(str(path), folder)} at {path}" for path in found]
 
 
 def serial_of(port: str, folder: Path = BY_ID) -> str:

@@ -10,11 +10,13 @@ import click
 
 from adapters.devices.gello import calibration as calibrations
 from adapters.devices.gello import ports
-from adapters.devices.gello.bus import BAUDS
+from adapters.devices.gello.bus import BUSES, Servos
 from adapters.devices.gello.calibrate import SIGNS, Plan, calibrate_port
 from adapters.devices.gello.calibration import Arm
 from station.errors import UsageError, did_you_mean
 from station.operator.device import DeviceError
+
+_USUAL = ", ".join(f"{bus.bauds[0]} of {maker}" for maker, bus in BUSES.items())
 
 
 @click.command("gello")
@@ -30,7 +32,13 @@ from station.operator.device import DeviceError
     help=f"How the servos turn: 1,-1,… or {', '.join(SIGNS)}.  [default: found by turning each joint]",
 )  # fmt: skip
 @click.option("--no-gripper", is_flag=True, help="The leader has no trigger.")
-@click.option("--baud", default=BAUDS[0], show_default=True, help="Rate of the servos [bit/s].")
+@click.option(
+    "--servos", default="dynamixel", show_default=True, type=click.Choice(list(BUSES)), help="Whose servos it has."
+)
+@click.option(
+    "--baud", default=None, type=int,
+    help=f"Rate of the servos [bit/s].  [default: {_USUAL}]",
+)  # fmt: skip
 @click.option(
     "--calibrations", metavar="DIR", default=None, type=click.Path(file_okay=False, path_type=Path),
     help="Folder to keep it in.  [default: ~/.config/station/gello]",
@@ -42,7 +50,8 @@ def command(
     pose_deg: str | None,
     signs: str | None,
     no_gripper: bool,
-    baud: int,
+    servos: Servos,
+    baud: int | None,
     calibrations: Path | None,
 ) -> None:
     """Find offsets, signs and the gripper's travel of a leader arm, and keep them by its serial number.
@@ -55,17 +64,17 @@ def command(
         raise UsageError(f"--joints: expected different names such as base,shoulder,elbow, got {joints!r}")
     pose = (0.0,) * len(names) if pose_deg is None else tuple(map(math.radians, _numbers("--pose-deg", pose_deg)))
     plan = Plan(arm, names, pose, None if signs is None else _signs(signs), has_gripper=not no_gripper)
-    chosen = port or _only_port()
+    chosen = port or _only_port(servos)
     if not sys.stdin.isatty():
         raise UsageError("devices calibrate gello: there is no terminal to ask in; it needs somebody at the leader")
     terminal = _Terminal()
     _print_replaced(chosen, calibrations, terminal)
-    calibrate_port(chosen, plan, terminal, baud=baud, folder=calibrations)
+    calibrate_port(chosen, plan, terminal, servos=servos, baud=baud, folder=calibrations)
 
 
-def _only_port() -> str:
+def _only_port(servos: Servos) -> str:
     try:
-        return ports.choose((), 1)[0]
+        return ports.choose((), 1, servos=servos)[0]
     except DeviceError as error:  # it names the settings of a server
         raise DeviceError(f"{error} (here: --port)") from None
 

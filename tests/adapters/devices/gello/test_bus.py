@@ -14,7 +14,7 @@ import pytest
 from adapters.devices.fakes.gello.port import FakePort
 from adapters.devices.fakes.gello.servos import Chain, Servo
 from adapters.devices.gello import bus as buses
-from adapters.devices.gello.bus import MotorBus, PortGone
+from adapters.devices.gello.bus import DynamixelBus, MotorBus, PortGone
 from station.operator.device import DeviceError
 from tests.adapters.devices.gello.serial_line import LinePort, lines_in_memory
 from tests.virtual.clock import VirtualClock
@@ -45,7 +45,7 @@ def line(clock: VirtualClock) -> Iterator[Callable[..., LinePort]]:
 @pytest.fixture
 def bus(line: Callable[..., LinePort], servos: list[Servo], tmp_path: Path) -> Iterator[MotorBus]:
     port = line(tmp_path, "FT1", Chain(servos))
-    opened = MotorBus(str(port.path), 57600, port.clock)
+    opened = DynamixelBus(str(port.path), 57600, port.clock)
     yield opened
     opened.close()
     port.close()
@@ -61,7 +61,7 @@ def port(servos: list[Servo], tmp_path: Path, processes: object) -> Iterator[Fak
 
 @pytest.fixture
 def real_bus(port: FakePort) -> Iterator[MotorBus]:
-    opened = MotorBus(str(port.path), 57600)
+    opened = DynamixelBus(str(port.path), 57600)
     yield opened
     opened.close()
 
@@ -117,7 +117,7 @@ def test_the_sdk_writes_and_reads_the_table_of_a_servo(bus: MotorBus) -> None:
     assert packets.write1ByteTxRx(handler, 1, 64, 1) == (0, 0)
     assert packets.write1ByteTxRx(handler, 1, 11, 4) == (0, 7), "no access to what is kept while the torque is on"
     assert packets.readTxRx(handler, 1, 254, 4)[2] == 5, "beyond the table"
-    sync = buses.sdk().GroupSyncWrite(handler, packets, 102, 2)
+    sync = bus._sdk.GroupSyncWrite(handler, packets, 102, 2)
     for id_ in (1, 2):
         sync.addParam(id_, [id_, 0])
     assert sync.txPacket() == 0
@@ -157,10 +157,10 @@ def test_servos_at_another_rate_hear_only_noise(
 ) -> None:
     fake = line(tmp_path, "FAST", Chain(servos), baud=termios.B1000000)
     try:
-        slow = MotorBus(str(fake.path), 57600, fake.clock)
+        slow = DynamixelBus(str(fake.path), 57600, fake.clock)
         assert slow.ping([1]) == {}
         slow.close()
-        fast = MotorBus(str(fake.path), 1_000_000, fake.clock)
+        fast = DynamixelBus(str(fake.path), 1_000_000, fake.clock)
         assert fast.ping([1]) == {1: 1200}
         fast.close()
     finally:
@@ -182,7 +182,7 @@ def test_a_port_that_is_torn_out_is_gone_for_every_call(real_bus: MotorBus, port
 
 def test_a_port_is_read_by_one_process_only(real_bus: MotorBus) -> None:
     with pytest.raises(DeviceError, match="in use by another process; stop it first"):
-        MotorBus(real_bus.port, 57600)
+        DynamixelBus(real_bus.port, 57600)
 
 
 @pytest.mark.parametrize(
@@ -191,12 +191,12 @@ def test_a_port_is_read_by_one_process_only(real_bus: MotorBus) -> None:
         ("/dev/ttyNONE", 57600, r"/dev/ttyNONE: no such port; plug the leader in"),
         ("/", 57600, r"cannot be opened"),
         ("/dev/null", 57600, r"cannot be opened"),
-        ("/dev/null", 57601, r"no such baud rate: 57601; GELLO's servos use 57600, 1000000"),
+        ("/dev/null", 57601, r"no such baud rate: 57601; GELLO's dynamixel servos use 57600, 1000000"),
     ],
 )
 def test_a_port_that_cannot_be_used_is_one_line(port: str, baud: int, told: str) -> None:
     with pytest.raises(DeviceError, match=told) as caught:
-        MotorBus(port, baud)
+        DynamixelBus(port, baud)
     assert "\n" not in str(caught.value)
 
 
@@ -205,7 +205,7 @@ def test_a_port_of_others_names_the_group(port: FakePort) -> None:
     if os.access(port.path, os.R_OK):
         pytest.skip("root may open anything")
     with pytest.raises(DeviceError, match="sudo usermod -aG dialout"):
-        MotorBus(str(port.path), 57600)
+        DynamixelBus(str(port.path), 57600)
 
 
 def test_a_missing_permission_names_the_group() -> None:
@@ -215,4 +215,4 @@ def test_a_missing_permission_names_the_group() -> None:
 def test_a_missing_library_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "dynamixel_sdk", None)
     with pytest.raises(DeviceError, match=r"pip install 'teleop-station\[gello\]'"):
-        MotorBus("/dev/null", 57600)
+        DynamixelBus("/dev/null", 57600)

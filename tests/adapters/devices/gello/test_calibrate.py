@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from adapters.devices.fakes.gello.servos import Chain, Servo
-from adapters.devices.gello.bus import RAD_PER_TICK, MotorBus
+from adapters.devices.gello.bus import RAD_PER_TICK, DynamixelBus, MotorBus
 from adapters.devices.gello.calibrate import SIGNS, Plan, calibrate, calibrate_port
 from adapters.devices.gello.calibration import QUARTER, load
 from station.operator.device import DeviceError
@@ -65,7 +65,7 @@ def bus(person: Person, tmp_path: Path) -> Iterator[MotorBus]:
     servos = [Servo(index + 1, lambda index=index: person.ticks(index)) for index in range(len(NAMES) + 1)]
     with VirtualClock() as clock, lines_in_memory(clock) as line:
         port = line(tmp_path, "FT1", Chain(servos))
-        opened = MotorBus(str(port.path), 57600, clock)
+        opened = DynamixelBus(str(port.path), 57600, clock)
         yield opened
         opened.close()
         port.close()
@@ -112,7 +112,7 @@ def test_a_port_is_calibrated_under_the_serial_number_in_its_name(
     bus.close()
     file = calibrate_port(bus.port, Plan("left", NAMES, POSE, signs=TURNS), person, clock=bus.clock)
     assert file == tmp_path / "settings" / "station" / "gello" / "FT1.yaml"
-    MotorBus(bus.port, 57600, bus.clock).close()  # the port was let go of
+    DynamixelBus(bus.port, 57600, bus.clock).close()  # the port was let go of
 
 
 def test_servos_that_do_not_fit_the_plan_are_listed(bus: MotorBus, person: Person, tmp_path: Path) -> None:
