@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 
 from adapters.devices.fakes.gello.port import FakePort
-from adapters.devices.fakes.gello.servos import Chain, Servo
-from adapters.devices.gello.bus import RAD_PER_TICK
+from adapters.devices.fakes.gello.servos import SERVOS, Chain, wrapped
+from adapters.devices.gello.bus import RAD_PER_TICK, Servos
 from adapters.devices.gello.calibration import QUARTER, load
 from adapters.devices.gello.device import Gello
 from adapters.devices.pico.headset import DEFAULT_PORT
@@ -266,9 +266,10 @@ CALIBRATE = ("devices", "calibrate", "gello", "--arm", "right", "--joints", ",".
 class Leader:
     """A leader arm on a pseudo terminal, moved by the test."""
 
-    def __init__(self, folder: Path) -> None:
-        self.joints, self.trigger = [0.4, 0.4], 0.5
-        servos = [Servo(index + 1, lambda index=index: self._ticks(index)) for index in range(3)]
+    def __init__(self, folder: Path, maker: Servos) -> None:
+        self.joints, self.trigger, self.maker = [0.4, 0.4], 0.5, maker
+        shown = wrapped if maker == "feetech" else int
+        servos = [SERVOS[maker](index + 1, lambda index=index: shown(self._ticks(index))) for index in range(3)]
         self.port = FakePort(folder, "FT7", Chain(servos))
 
     def _ticks(self, index: int) -> int:
@@ -278,15 +279,17 @@ class Leader:
 
 
 @pytest.fixture
-def leader(tmp_path: Path) -> Iterator[Leader]:
-    made = Leader(tmp_path)
+def leader(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Leader]:
+    made = Leader(tmp_path, getattr(request, "param", "dynamixel"))
     yield made
     made.port.close()
 
 
+@pytest.mark.parametrize("leader", SERVOS, indirect=True)
 def test_a_leader_is_calibrated_at_a_terminal(home: Home, leader: Leader, tmp_path: Path) -> None:
     kept = tmp_path / "kept"
     where = ("--port", str(leader.port.path), "--calibrations", str(kept))
+    where += () if leader.maker == "dynamixel" else ("--servos", leader.maker)
     with AtTerminal(home, *CALIBRATE, *where) as terminal:
         place = 0
         for index, name in enumerate(NAMES):
@@ -307,7 +310,10 @@ def test_a_leader_is_calibrated_at_a_terminal(home: Home, leader: Leader, tmp_pa
     assert "will be replaced" not in terminal.screen
     made = load(kept, "FT7")
     assert [joint.sign for joint in made.joints] == list(TURNS)
-    assert [joint.offset_rad for joint in made.joints] == pytest.approx(OFFSETS)
+    turn = {"dynamixel": 0.0, "feetech": math.tau}[leader.maker]  # whole ones are not seen
+    off = [joint.offset_rad - offset for joint, offset in zip(made.joints, OFFSETS, strict=True)]
+    assert [each for each in off if min(abs(each), abs(abs(each) - turn)) > 1e-6] == []
+    assert {joint.model for joint in made.joints} == {SERVOS[leader.maker].usual_model}
     assert [joint.reference_rad for joint in made.joints] == pytest.approx([0.0, math.pi / 2])
     assert made.names == ("right_base", "right_elbow", "right_gripper")
 
@@ -346,6 +352,7 @@ def test_a_calibration_that_is_given_up_leaves_the_one_before(home: Home, leader
         (["buttons", "pico", "--map", "none.yaml"], 2, "none.yaml: no such file"),
         (["calibrate", "keyboard"], 2, "unknown `station devices calibrate` command 'keyboard'; known: gello, natnet,"),
         (["calibrate", "gello", "--joints", "a"], 2, "Missing option '--arm'"),
+        (["calibrate", "gello", "--servos", "feetec"], 2, "'feetec' is not one of 'dynamixel', 'feetech'"),
         (["calibrate", "gello", "--arm", "left", "--joints", "a,,b"], 2, "--joints: expected different names"),
         (["calibrate", "gello", "--arm", "left", "--joints", "a,b", "--pose-deg", "0"], 1, "1 numbers of the pose for"),
         (["calibrate", "gello", "--arm", "left", "--joints", "a", "--pose-deg", "nan"], 2, "--pose-deg: expected"),

@@ -1,4 +1,4 @@
-"""Fake GELLO leaders under the real dynamixel-sdk: servos on pseudo terminals, held by a script."""
+"""Fake GELLO leaders under their makers' real libraries: servos on pseudo terminals, held by a script."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from adapters.devices.fakes import script
-from adapters.devices.fakes.gello.leader import FakeLeader, LeaderStep, arms_of
+from adapters.devices.fakes.gello.leader import FakeLeader, LeaderStep, arms_of, servos_of
 from adapters.devices.fakes.script import Clock
 
 
@@ -23,6 +23,7 @@ class FakeGello:
 
     Attributes:
         leaders: They, left before right.
+        servos: Whose servos they have.
         folder: In place of ``/dev/serial/by-id``.
         calibrations: The folder of their calibrations.
 
@@ -35,10 +36,11 @@ class FakeGello:
     ) -> None:
         steps = script.load(file, "gello", LeaderStep)
         arms = arms_of(steps, file)
+        self.servos = servos_of(steps, file)
         self._is_temporary = folder is None
         self.folder = folder or Path(tempfile.mkdtemp(prefix="fake-gello-"))
         self.calibrations = self.folder / "calibrations"
-        self.leaders = [FakeLeader(arm, steps, clock, self.folder, start_s) for arm in arms]
+        self.leaders = [FakeLeader(arm, steps, clock, self.folder, start_s, self.servos) for arm in arms]
 
     def begin(self) -> None:
         """Start the script's clock: until then the leaders are held as at that time, and nothing goes wrong."""

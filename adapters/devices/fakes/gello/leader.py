@@ -7,7 +7,8 @@
         {"at_s": 5, "plugged": false}, {"at_s": 6, "plugged": true}, {"at_s": 7, "broken": 2}]}
 
 A script that names ``left`` and ``right`` has two leaders; ``arm`` says whose servos a fault is, of both without it.
-The fake leaders come calibrated, with offsets and signs as a real one might have.
+The servos are Dynamixel's; ``"servos": "feetech"`` in a step makes them Feetech's, as in ``so101.json``. The fake
+leaders come calibrated, with offsets and signs as a real one might have.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ import msgspec
 import numpy as np
 
 from adapters.devices.fakes.gello.port import FakePort
-from adapters.devices.fakes.gello.servos import XL330_M288, Chain, Servo
+from adapters.devices.fakes.gello.servos import SERVOS, Chain, wrapped
 from adapters.devices.fakes.script import Clock, Play, Script, Step
 from adapters.devices.gello import calibration as calibrations
-from adapters.devices.gello.bus import RAD_PER_TICK
+from adapters.devices.gello.bus import RAD_PER_TICK, Servos
 from adapters.devices.gello.calibration import Arm, Calibration, GripperCalibration, JointCalibration
 from station.errors import BadFile
 from station.protocols import Floats
@@ -40,6 +41,7 @@ class LeaderStep(Step, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     Attributes:
         left, right: Joints [rad] and, last, the gripper (0..1), at this time.
+        servos: Whose servos the leaders have, from the beginning to the end.
         arm: Whose faults the following are; None for both.
         silent: The servos that answer nothing from now on.
         broken: How many of the next answers of each servo are torn.
@@ -49,6 +51,7 @@ class LeaderStep(Step, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     left: list[float] | None = None
     right: list[float] | None = None
+    servos: Servos | None = None
     arm: Arm | None = None
     silent: list[int] | None = None
     broken: int | None = None
@@ -65,19 +68,30 @@ class FakeLeader:
         clock: Tells the time [s].
         folder: Where the port appears, and its calibration in ``calibrations`` beneath.
         start_s: Time of the script to begin at, and to be held as at until then [s].
+        servos: Whose servos it has.
     """
 
-    def __init__(self, arm: Arm, script: Script[LeaderStep], clock: Clock, folder: Path, start_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        script: Script[LeaderStep],
+        clock: Clock,
+        folder: Path,
+        start_s: float = 0.0,
+        servos: Servos = "dynamixel",
+    ) -> None:
         self.arm, self.serial = arm, f"FAKE-{arm.upper()}"
         self._play, self._start_s = Play(script, clock), start_s
         self._period_s = script.period_s
         self._times_s, self._held = _keyframes(arm, script)
         self._turns_lost = np.zeros(self._held.shape[1])
-        self.calibration = _calibration(self.arm, self.serial, self._held.shape[1] - 1)
+        servo = SERVOS[servos]
+        self.calibration = _calibration(self.arm, self.serial, self._held.shape[1] - 1, servo.usual_model)
         calibrations.save(folder / "calibrations", self.calibration)
         self._lock = threading.Lock()
         self._ticks = [0] * self._held.shape[1]
-        self.servos = [Servo(index + 1, self._position_of(index)) for index in range(len(self._ticks))]
+        self._show = wrapped if servos == "feetech" else int
+        self.servos = [servo(index + 1, self._position_of(index)) for index in range(len(self._ticks))]
         self._update(start_s)
         self.port = FakePort(folder, self.serial, Chain(self.servos), before_reply=self._before_reply)
 
@@ -94,7 +108,7 @@ class FakeLeader:
         self.port.close()
 
     def _position_of(self, index: int) -> Callable[[], int]:
-        return lambda: self._ticks[index]
+        return lambda: self._show(self._ticks[index])
 
     def _before_reply(self) -> None:
         with self._lock:
@@ -144,22 +158,34 @@ def arms_of(script: Script[LeaderStep], file: Path) -> list[Arm]:
     return arms
 
 
+def servos_of(script: Script[LeaderStep], file: Path) -> Servos:
+    """Return whose servos the leaders of a script have.
+
+    Raises:
+        BadFile: it says more than one.
+    """
+    named: list[Servos] = sorted({step.servos for step in script.steps if step.servos is not None})
+    if len(named) > 1:
+        raise BadFile(f"{file}: servos are {' and '.join(named)}; expected the same from the beginning to the end")
+    return named[0] if named else "dynamixel"
+
+
 def _keyframes(arm: Arm, script: Script[LeaderStep]) -> tuple[Floats, Floats]:
     frames = [(step.at_s, values) for step in script.steps if (values := getattr(step, arm)) is not None]
     return np.array([at_s for at_s, _ in frames]), np.array([values for _, values in frames], dtype=np.float64)
 
 
-def _calibration(arm: Arm, serial: str, joints: int) -> Calibration:
+def _calibration(arm: Arm, serial: str, joints: int, model: int) -> Calibration:
     return Calibration(
         serial=serial,
         arm=arm,
         date="2026-01-01",
         joints=tuple(
             JointCalibration(
-                id=index + 1, name=f"joint_{index + 1}", model=XL330_M288, sign=1 if index % 3 else -1,
+                id=index + 1, name=f"joint_{index + 1}", model=model, sign=1 if index % 3 else -1,
                 offset_rad=(index % 4 + 1) * calibrations.QUARTER,
             )
             for index in range(joints)
         ),
-        gripper=GripperCalibration(id=joints + 1, model=XL330_M288, open_rad=OPEN_RAD, closed_rad=CLOSED_RAD),
+        gripper=GripperCalibration(id=joints + 1, model=model, open_rad=OPEN_RAD, closed_rad=CLOSED_RAD),
     )  # fmt: skip

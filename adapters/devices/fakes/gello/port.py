@@ -12,24 +12,33 @@ import tty
 from collections.abc import Callable
 from pathlib import Path
 
-from adapters.devices.fakes.gello.protocol import Wire
 from adapters.devices.fakes.gello.servos import Chain
 from adapters.devices.fakes.punctual import be_punctual
+from adapters.devices.gello.bus import Servos
 
-_LINK = "usb-FTDI_USB__-__Serial_Converter_{serial}-if00-port0"
+LINKS: dict[Servos, str] = {
+    "dynamixel": "usb-FTDI_USB__-__Serial_Converter_{serial}-if00-port0",
+    "feetech": "usb-1a86_USB_Single_Serial_{serial}-if00",
+}
+"""Names of the adapters as udev gives them."""
+
+RATES: dict[Servos, int] = {"dynamixel": termios.B57600, "feetech": termios.B1000000}
+"""The usual rates, as constants of `termios`."""
+
 _LOOK_S = 0.02
 _CHUNK = 4096
 _OSPEED = 5  # place in what termios returns
 
 
 class FakePort:
-    """A U2D2 with a chain of servos, under a name as udev gives it.
+    """An adapter with a chain of servos, under a name as udev gives it.
 
     Args:
         folder: Where the name appears, in place of ``/dev/serial/by-id``.
         serial: Serial number of the adapter.
         chain: The servos.
-        baud: The rate they listen at; at another one there is only noise. A constant of `termios`.
+        baud: The rate they listen at; at another one there is only noise. A constant of `termios`; None for their
+            maker's usual one.
         before_reply: Called before each answer, to bring the servos up to date.
 
     Attributes:
@@ -43,11 +52,12 @@ class FakePort:
         serial: str,
         chain: Chain,
         *,
-        baud: int = termios.B57600,
+        baud: int | None = None,
         before_reply: Callable[[], None] = lambda: None,
     ) -> None:
-        self.path, self.delay_s = folder / _LINK.format(serial=serial), 0.0
-        self._chain, self._baud, self._before_reply = chain, baud, before_reply
+        self.path, self.delay_s = folder / LINKS[chain.maker].format(serial=serial), 0.0
+        self._chain, self._before_reply = chain, before_reply
+        self._baud = RATES[chain.maker] if baud is None else baud
         self._stop = threading.Event()
         self._lock = threading.Lock()
         self._master, self._slave = -1, -1
@@ -83,7 +93,7 @@ class FakePort:
 
     def _serve(self) -> None:
         be_punctual()  # the library waits 34 ms for an answer
-        wire = Wire()
+        wire = self._chain.wire()
         while not self._stop.is_set():
             self._before_reply()
             data, speed = self._receive()

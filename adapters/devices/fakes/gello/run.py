@@ -20,7 +20,7 @@ def run(file: Path) -> None:
     try:
         ports = ", ".join(str(leader.port.path) for leader in fake.leaders)
         click.echo(f"--set gello.ports='[{ports}]' --set gello.leaders={len(fake.leaders)} "
-                   f"--set gello.calibrations={fake.calibrations}")  # fmt: skip
+                   f"--set gello.servos={fake.servos} --set gello.calibrations={fake.calibrations}")  # fmt: skip
         click.echo("these settings let a gello server find the fake; Ctrl-C takes it away", err=True)
         fake.begin()
         threading.Event().wait()

@@ -1,52 +1,61 @@
-"""A chain of fake Dynamixel servos: what each answers to a packet."""
+"""A chain of fake servos, Dynamixel's or Feetech's: what each answers to a packet."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import ClassVar
 
-from adapters.devices.fakes.gello import protocol
+from adapters.devices.fakes.gello import feetech, protocol
 from adapters.devices.fakes.gello.protocol import Packet
+from adapters.devices.gello.bus import Servos
 
-XL330_M288 = 1200
+XL330_M288, STS3215 = 1200, 777
 
 _TABLE_BYTES = 256
-_MODEL, _FIRMWARE, _ID, _TORQUE_ENABLE, _POSITION = 0, 6, 7, 64, 132
-_EEPROM_END = 64
 _FIRMWARE_VERSION = 52
 
 
 class Servo:
-    """One servo: a table of bytes, of which the present position follows a function.
+    """One servo of Dynamixel: a table of bytes, of which the present position follows a function.
 
     Args:
         id_: Its number on the bus.
         position: Returns its present position, 4096 per turn.
-        model: Its model number.
+        model: Its model number; None for that of leaders.
 
     Attributes:
+        maker: Whose it is.
         is_silent: It answers nothing, as with its cable out.
         broken_answers: How many of its next answers come with a wrong CRC.
     """
 
-    def __init__(self, id_: int, position: Callable[[], int], model: int = XL330_M288) -> None:
+    maker: ClassVar[Servos] = "dynamixel"
+    usual_model: ClassVar[int] = XL330_M288
+    wire: ClassVar[type[protocol.Wire | feetech.Wire]] = protocol.Wire
+
+    _MODEL, _FIRMWARE, _ID, _TORQUE_ENABLE, _POSITION, _EEPROM_END = 0, 6, 7, 64, 132, 64
+
+    def __init__(self, id_: int, position: Callable[[], int], model: int | None = None) -> None:
         self.id, self.is_silent, self.broken_answers = id_, False, 0
         self._position = position
         self._table = bytearray(_TABLE_BYTES)
-        self._table[_MODEL : _MODEL + 2] = model.to_bytes(2, "little")
-        self._table[_FIRMWARE], self._table[_ID] = _FIRMWARE_VERSION, id_
+        number = self.usual_model if model is None else model
+        self._table[self._MODEL : self._MODEL + 2] = number.to_bytes(2, "little")
+        self._table[self._FIRMWARE], self._table[self._ID] = _FIRMWARE_VERSION, id_
 
     def read(self, address: int, length: int) -> bytes | None:
         """Return bytes of the table; None beyond its end."""
         if address + length > _TABLE_BYTES:
             return None
-        self._table[_POSITION : _POSITION + 4] = self._position().to_bytes(4, "little", signed=True)
+        shown = self._shown(self._position())
+        self._table[self._POSITION : self._POSITION + len(shown)] = shown
         return bytes(self._table[address : address + length])
 
     def write(self, address: int, data: bytes) -> int:
         """Write bytes of the table; return the error number."""
         if address + len(data) > _TABLE_BYTES:
             return protocol.BAD_LENGTH
-        if address < _EEPROM_END and self._table[_TORQUE_ENABLE]:
+        if address < self._EEPROM_END and self._table[self._TORQUE_ENABLE]:
             return protocol.NO_ACCESS
         self._table[address : address + len(data)] = data
         return protocol.NO_ERROR
@@ -55,7 +64,7 @@ class Servo:
         """Return a status packet, or nothing from a silent servo."""
         if self.is_silent:
             return b""
-        sent = protocol.status(self.id, error, data)
+        sent = self._status(error, data)
         if self.broken_answers:
             self.broken_answers -= 1
             return sent[:-1] + bytes([sent[-1] ^ 0xFF])
@@ -63,18 +72,60 @@ class Servo:
 
     def identity(self) -> bytes:
         """Return what a ping is answered with: model number and firmware."""
-        return bytes(self._table[_MODEL : _MODEL + 2]) + bytes([self._table[_FIRMWARE]])
+        return bytes(self._table[self._MODEL : self._MODEL + 2]) + bytes([self._table[self._FIRMWARE]])
+
+    def _shown(self, ticks: int) -> bytes:
+        return ticks.to_bytes(4, "little", signed=True)
+
+    def _status(self, error: int, data: bytes) -> bytes:
+        return protocol.status(self.id, error, data)
+
+
+class FeetechServo(Servo):
+    """One STS3215: other places in the table, and a position of 15 bits whose 16th is its sign.
+
+    It shows what it is given; whoever gives it begins anew after a turn, as a real one does (`wrapped`).
+    """
+
+    maker = "feetech"
+    usual_model = STS3215
+    wire = feetech.Wire
+
+    _MODEL, _FIRMWARE, _ID, _TORQUE_ENABLE, _POSITION, _EEPROM_END = 3, 0, 5, 40, 56, 40
+
+    def identity(self) -> bytes:
+        """Return what a ping is answered with: nothing beside the error."""
+        return b""
+
+    def _shown(self, ticks: int) -> bytes:
+        return (abs(ticks) | (1 << 15 if ticks < 0 else 0)).to_bytes(2, "little")
+
+    def _status(self, error: int, data: bytes) -> bytes:
+        return feetech.status(self.id, error, data) if error == protocol.NO_ERROR else b""  # it ignores what it cannot
+
+
+SERVOS: dict[Servos, type[Servo]] = {"dynamixel": Servo, "feetech": FeetechServo}
+
+
+def wrapped(ticks: int) -> int:
+    """Return what an STS3215 shows: it begins anew after a turn."""
+    return ticks % 4096
 
 
 class Chain:
     """Servos on one bus, in the order of the cable.
 
     Args:
-        servos: They.
+        servos: They, all of one maker.
+
+    Attributes:
+        maker: Whose they are.
+        wire: Finds packets for them.
     """
 
-    def __init__(self, servos: list[Servo]) -> None:
+    def __init__(self, servos: Sequence[Servo]) -> None:
         self.servos = {servo.id: servo for servo in servos}
+        self.maker, self.wire = servos[0].maker, servos[0].wire
 
     def reply(self, packet: Packet) -> bytes:
         """Return what the bus answers to an instruction."""

@@ -8,7 +8,7 @@ import pytest
 
 from adapters.devices import fakes
 from adapters.devices.fakes.gamepad.pad import PadStep
-from adapters.devices.fakes.gello.leader import LeaderStep, arms_of
+from adapters.devices.fakes.gello.leader import LeaderStep, arms_of, servos_of
 from adapters.devices.fakes.keyboard.typist import TypistStep
 from adapters.devices.fakes.script import Step, load
 from adapters.devices.fakes.spacemouse.mouse import MouseStep
@@ -29,3 +29,10 @@ def test_the_example_of_a_leader_has_seven_joints_and_a_gripper() -> None:
     script = load(file, "gello", LeaderStep)
     assert arms_of(script, file) == ["left"]
     assert {len(step.left) for step in script.steps if step.left is not None} == {8}
+
+
+def test_the_example_of_an_so101_has_five_joints_a_gripper_and_servos_of_feetech() -> None:
+    file = FOLDER / "gello" / "so101.json"
+    script = load(file, "gello", LeaderStep)
+    assert servos_of(script, file) == "feetech"
+    assert {len(step.left) for step in script.steps if step.left is not None} == {6}

@@ -48,6 +48,11 @@ def play(tmp_path: Path) -> Iterator[Play]:
         ([{"at_s": 0, "silent": [1]}], "no step says where left or right is held"),
         ([{"at_s": 0, "left": [0.0] * 8}, {"at_s": 1, "left": [0.0] * 7}], r"left: \[7, 8\] values; expected the same"),
         ([{"at_s": 0, "left": [0.0]}], r"left: \[1\] values"),
+        (
+            [{"at_s": 0, "left": POSE, "servos": "feetech"}, {"at_s": 1, "servos": "dynamixel"}],
+            "servos are dynamixel and feetech; expected the same from the beginning to the end",
+        ),
+        ([{"at_s": 0, "left": POSE, "servos": "feetec"}], "Invalid enum value 'feetec'"),
         ([{"at_s": 0, "up": 1}], "unknown field `up`; a step may say at_s, left, right"),
     ],
 )

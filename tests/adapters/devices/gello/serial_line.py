@@ -16,8 +16,7 @@ from typing import Any
 
 import pytest
 
-from adapters.devices.fakes.gello.port import _LINK, _LOOK_S
-from adapters.devices.fakes.gello.protocol import Wire
+from adapters.devices.fakes.gello.port import _LOOK_S, LINKS, RATES
 from adapters.devices.fakes.gello.servos import Chain
 from station.clock import Clock
 
@@ -30,9 +29,10 @@ class LinePort:
 
     def __init__(
         self, clock: Clock, ports: dict[str, LinePort], folder: Path, serial: str, chain: Chain, *,
-        baud: int = termios.B57600, before_reply: Callable[[], None] = lambda: None,
+        baud: int | None = None, before_reply: Callable[[], None] = lambda: None,
     ) -> None:  # fmt: skip
-        self.path, self.clock, self.baud = folder / _LINK.format(serial=serial), clock, _BAUDS[baud]
+        self.path, self.clock = folder / LINKS[chain.maker].format(serial=serial), clock
+        self.baud = _BAUDS[RATES[chain.maker] if baud is None else baud]
         self._ports, self._chain, self._before_reply = ports, chain, before_reply
         self._stop = threading.Event()
         self.plug()
@@ -55,7 +55,7 @@ class LinePort:
     def reply(self, data: bytes) -> bytes:
         """Return what the servos answer; each packet is written whole."""
         self._before_reply()
-        return b"".join(self._chain.reply(packet) for packet in Wire().feed(data))
+        return b"".join(self._chain.reply(packet) for packet in self._chain.wire().feed(data))
 
     def _look(self) -> None:
         while not self.clock.wait(self._stop, _LOOK_S):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Iterator
@@ -9,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from adapters.devices.fakes.gello.servos import Chain, Servo
-from adapters.devices.gello.bus import RAD_PER_TICK, DynamixelBus, MotorBus
+from adapters.devices.fakes.gello.servos import SERVOS, Chain, FeetechServo, wrapped
+from adapters.devices.gello.bus import BUSES, RAD_PER_TICK, FeetechBus, MotorBus, model_name
 from adapters.devices.gello.calibrate import SIGNS, Plan, calibrate, calibrate_port
-from adapters.devices.gello.calibration import QUARTER, load
+from adapters.devices.gello.calibration import QUARTER, Calibration, load
 from station.operator.device import DeviceError
 from tests.adapters.devices.gello.serial_line import lines_in_memory
 from tests.virtual.clock import VirtualClock
@@ -60,15 +61,24 @@ def person() -> Person:
     return Person()
 
 
-@pytest.fixture
-def bus(person: Person, tmp_path: Path) -> Iterator[MotorBus]:
-    servos = [Servo(index + 1, lambda index=index: person.ticks(index)) for index in range(len(NAMES) + 1)]
+@pytest.fixture(params=BUSES)
+def bus(person: Person, tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[MotorBus]:
+    kind, servo, shown = BUSES[request.param], SERVOS[request.param], wrapped if request.param == "feetech" else int
+    servos = [servo(index + 1, lambda index=index: shown(person.ticks(index))) for index in range(len(NAMES) + 1)]
     with VirtualClock() as clock, lines_in_memory(clock) as line:
         port = line(tmp_path, "FT1", Chain(servos))
-        opened = DynamixelBus(str(port.path), 57600, clock)
+        opened = kind(str(port.path), kind.bauds[0], clock)
         yield opened
         opened.close()
         port.close()
+
+
+def expect_offsets(bus: MotorBus, made: Calibration) -> None:
+    """Expect those of the leader; whole turns are nothing to a servo that begins anew after each."""
+    off = [joint.offset_rad - offset for joint, offset in zip(made.joints, OFFSETS, strict=True)]
+    if bus.servos == "feetech":
+        off = [math.remainder(each, math.tau) for each in off]
+    assert off == pytest.approx([0.0] * len(NAMES))
 
 
 def test_signs_offsets_and_gripper_are_found_and_kept(bus: MotorBus, person: Person, tmp_path: Path) -> None:
@@ -76,7 +86,8 @@ def test_signs_offsets_and_gripper_are_found_and_kept(bus: MotorBus, person: Per
     made = load(tmp_path / "kept", "FT1")
     assert file == tmp_path / "kept" / "FT1.yaml"
     assert [joint.sign for joint in made.joints] == list(TURNS)
-    assert [joint.offset_rad for joint in made.joints] == pytest.approx(OFFSETS)
+    expect_offsets(bus, made)
+    assert {joint.model for joint in made.joints} <= set(bus.models)
     assert [joint.reference_rad for joint in made.joints] == pytest.approx(POSE)
     assert made.gripper is not None
     assert math.degrees(made.gripper.open_rad) == pytest.approx(200.0, abs=0.1)
@@ -102,7 +113,7 @@ def test_what_was_not_done_is_asked_again(bus: MotorBus, person: Person, tmp_pat
 def test_known_signs_are_not_asked_for(bus: MotorBus, person: Person, tmp_path: Path) -> None:
     calibrate(bus, "FT1", Plan("left", NAMES, POSE, signs=TURNS), person, tmp_path)
     assert not [question for question in person.asked if question.startswith("Turn")]
-    assert [joint.offset_rad for joint in load(tmp_path, "FT1").joints] == pytest.approx(OFFSETS)
+    expect_offsets(bus, load(tmp_path, "FT1"))
 
 
 def test_a_port_is_calibrated_under_the_serial_number_in_its_name(
@@ -110,15 +121,32 @@ def test_a_port_is_calibrated_under_the_serial_number_in_its_name(
 ) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "settings"))
     bus.close()
-    file = calibrate_port(bus.port, Plan("left", NAMES, POSE, signs=TURNS), person, clock=bus.clock)
+    plan = Plan("left", NAMES, POSE, signs=TURNS)
+    file = calibrate_port(bus.port, plan, person, servos=bus.servos, clock=bus.clock)
     assert file == tmp_path / "settings" / "station" / "gello" / "FT1.yaml"
-    DynamixelBus(bus.port, 57600, bus.clock).close()  # the port was let go of
+    type(bus)(bus.port, bus.baud, bus.clock).close()  # the port was let go of
 
 
 def test_servos_that_do_not_fit_the_plan_are_listed(bus: MotorBus, person: Person, tmp_path: Path) -> None:
-    with pytest.raises(DeviceError, match=r"4 servos answer at 57600 baud \(1 \(XL330-M288\).*\), expected 3"):
+    usual = model_name(bus.scan()[1])
+    assert usual == {"dynamixel": "XL330-M288", "feetech": "STS3215"}[bus.servos]
+    with pytest.raises(DeviceError, match=rf"4 servos answer at {bus.baud} baud \(1 \({usual}\).*\), expected 3"):
         calibrate(bus, "FT1", Plan("left", NAMES, POSE, has_gripper=False), person, tmp_path)
     assert not list(tmp_path.glob("*.yaml"))
+
+
+def test_a_joint_that_trembles_where_its_servo_begins_anew_is_held_still(tmp_path: Path) -> None:
+    looks = itertools.count()
+    servo = FeetechServo(1, lambda: wrapped(next(looks) % 3 - 1))
+    person = Person()
+    with VirtualClock() as clock, lines_in_memory(clock) as line:
+        port = line(tmp_path, "FT1", Chain([servo]))
+        bus = FeetechBus(str(port.path), 1_000_000, clock)
+        calibrate(bus, "FT1", Plan("left", ("base",), (0.0,), signs=(1,), has_gripper=False), person, tmp_path)
+        bus.close()
+        port.close()
+    assert len(person.asked) == 1, "not whether it is held still"
+    assert load(tmp_path, "FT1").joints[0].offset_rad % math.tau == pytest.approx(0.0)
 
 
 def test_a_plan_that_does_not_agree_with_itself_is_refused() -> None:

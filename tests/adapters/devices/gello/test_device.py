@@ -1,4 +1,4 @@
-"""Leader arms on the real dynamixel-sdk and fake servos, in virtual time: values, loss, faults with names, scripts."""
+"""Leader arms on real libraries and fake servos, in virtual time: values, loss, faults with names, scripts."""
 
 from __future__ import annotations
 
@@ -53,6 +53,7 @@ class Bench:
             "leaders": len(fake.leaders),
             "calibrations_folder": fake.calibrations,
             "by_id": fake.folder,
+            "servos": fake.servos,
             "clock": self.clock,
             **options,
         }
@@ -300,6 +301,78 @@ def test_two_leaders_of_the_same_arm_are_refused(bench: Bench) -> None:
     assert bench.joints(bench.open(fake, leaders=1, ports_wanted=(str(fake.leaders[0].port.path),))) == near(POSE)
 
 
+FEETECH = {"at_s": 0, "servos": "feetech"}
+
+
+def test_a_leader_of_feetech_shows_its_joints_through_the_place_where_its_servos_begin_anew(bench: Bench) -> None:
+    there, back = [1.0, -1.5, 1.5, -1.0, 0.5, 0.0], [-1.0, 1.5, -1.5, 1.0, -0.5, 1.0]  # joint 4 is zero at a whole turn
+    fake = bench.play({**FEETECH, "left": there}, {"at_s": 1, "left": back}, period_s=2.0)
+    device = bench.open(fake)
+    assert bench.joints(device) == near(there)
+    fake.begin()
+    began_ns, ticks, shown = bench.clock.monotonic_ns(), [], []
+    for _ in range(300):
+        reading = bench.sample(device)
+        ticks.append(fake.leaders[0].servos[3]._position())
+        share = abs((reading.capture_ns - began_ns) * 1e-9 % 2.0 - 1.0)
+        assert reading.joints == pytest.approx(
+            [b + (a - b) * share for a, b in zip(there, back, strict=True)], abs=0.03
+        )
+        shown.append(reading.joints[3])
+    assert np.abs(np.diff(ticks)).max() > 4000, "its servo began anew"
+    assert np.abs(np.diff(shown)).max() < 0.1
+    facts = device.facts()
+    assert (facts["servos"], facts["baud"]) == ("feetech", 1_000_000)
+    assert facts["library"].startswith("feetech-servo-sdk 1")
+
+
+def test_a_leader_of_feetech_that_is_opened_anew_is_on_the_same_turn(bench: Bench) -> None:
+    held = [2.5, -2.5, 2.5, -2.5, 2.5, 0.5]
+    fake = bench.play({**FEETECH, "left": [0.0] * 6}, {"at_s": 1, "left": held})
+    device = bench.open(fake)
+    fake.begin()
+    bench.until(lambda: bench.joints(device) == near(held))
+    device.close()
+    assert bench.joints(bench.open(fake)) == near(held)
+
+
+def test_a_silent_servo_of_feetech_is_named_and_a_torn_out_port_found_again(bench: Bench) -> None:
+    steps = [{"at_s": 1, "silent": [4]}, {"at_s": 3, "silent": []}, {"at_s": 4, "plugged": False},
+             {"at_s": 5, "plugged": True}]  # fmt: skip
+    fake = bench.play({**FEETECH, "left": POSE}, *steps)
+    device = bench.open(fake)
+    fake.begin()
+    assert bench.fault(device) == (
+        "leader FAKE-LEFT: servo 4 (joint_4) is silent; see to its cable and to the one before it"
+    )
+    device.close()
+    bench.until(lambda: not fake.leaders[0].servos[3].is_silent)
+    device = bench.open(fake)
+    assert bench.joints(device) == near(POSE)
+    assert "gone" in bench.fault(device)
+    device.close()
+    with pytest.raises(
+        DeviceError, match=r"no leader found: no usb-1a86_USB_Single_Serial.* plug its servo adapter in"
+    ):
+        bench.open(fake)
+    bench.clock.sleep(1.0)
+    bench.until(fake.leaders[0].port.path.exists)
+    assert bench.joints(bench.open(fake)) == near(POSE)
+
+
+def test_a_wrong_rate_and_other_servos_of_a_leader_are_named_in_a_line(bench: Bench) -> None:
+    fake = bench.play({**FEETECH, "left": POSE})
+    with pytest.raises(DeviceError, match="no servo answers at 115200 baud, but they do at 1000000: set baud: 1000000"):
+        bench.open(fake, baud=115_200)
+    port = (str(fake.leaders[0].port.path),)
+    with pytest.raises(DeviceError) as caught:
+        bench.open(fake, servos="dynamixel", ports_wanted=port)
+    assert str(caught.value) == (
+        f"{port[0]}: leader FAKE-LEFT was calibrated with servos STS3215 of feetech, expected those of dynamixel; "
+        "set servos: feetech, or calibrate this leader: station devices calibrate gello --servos dynamixel"
+    )
+
+
 def test_numbers_of_ports_are_checked(bench: Bench, tmp_path: Path) -> None:
     fake = bench.play({"at_s": 0, "left": POSE, "right": POSE})
     with pytest.raises(DeviceError, match=r"2 adapters found, 1 wanted: .*FAKE-LEFT.*FAKE-RIGHT.*choose with ports:"):
@@ -310,9 +383,10 @@ def test_numbers_of_ports_are_checked(bench: Bench, tmp_path: Path) -> None:
         ports.choose((), 1, tmp_path / "none")
 
 
+@pytest.mark.parametrize("servos", ["dynamixel", "feetech"])
 @pytest.mark.parametrize("seed", some(range(12)))
 def test_whatever_goes_wrong_a_sample_shows_what_was_the_case_and_nothing_follows_a_fault(
-    tmp_path: Path, seed: int
+    tmp_path: Path, seed: int, servos: str
 ) -> None:
     chance = random.Random(seed)
     faults: list[dict[str, Any]] = [
@@ -321,6 +395,7 @@ def test_whatever_goes_wrong_a_sample_shows_what_was_the_case_and_nothing_follow
     ]  # fmt: skip
     poses = [[chance.uniform(-1.5, 1.5) for _ in range(7)] + [chance.random()] for _ in range(4)]
     moves = [{"at_s": at_s, "left": poses[at_s], "right": poses[-1 - at_s]} for at_s in range(4)]
+    moves[0]["servos"] = servos
     moves += [chance.choice(faults) | {"at_s": round(chance.uniform(0.1, 3.0), 3)} for _ in range(3)]
     told = f"seed {seed}: {moves}"
     with bench_in(tmp_path, seed) as bench:

@@ -21,6 +21,16 @@ def test_the_serial_number_of_a_port_is_found_by_either_name(tmp_path: Path) -> 
     assert ports.serial_of(str(tty), by_id) == "FT8ISUJY"
 
 
+def test_adapters_are_looked_for_by_whose_servos_are_behind_them(tmp_path: Path) -> None:
+    (tmp_path / "usb-FTDI_USB__-__Serial_Converter_FT8ISUJY-if00-port0").touch()
+    name = tmp_path / "usb-1a86_USB_Single_Serial_5A7C116959-if00"
+    name.touch()
+    assert ports.choose((), 1, tmp_path, "feetech") == [str(name)]
+    assert ports.choose((), 1, tmp_path) != [str(name)]
+    assert f"adapter 5A7C116959 at {name}" in ports.plugged_in(tmp_path)
+    assert len(ports.plugged_in(tmp_path)) == 2
+
+
 def test_an_adapter_that_holds_bytes_back_is_told_with_the_rule(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
