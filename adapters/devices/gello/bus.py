@@ -177,7 +177,10 @@ class FeetechBus(MotorBus):
     """Of Feetech's STS servos, which count from 0 to 4095 and begin anew after a turn.
 
     `positions` goes on counting where a servo begins anew: each position is on the turn nearest to the one before of
-    the same servo, the first between zero and a turn. So a servo must not turn by half a turn between two readings.
+    the same servo, the first as the servo shows it. So a servo must not turn by half a turn between two readings; one
+    that is set to count its turns itself (bit 4 of address 18) is believed.
+
+    Never tried on real servos. Look first whether all answer a sync read in time, in the order in which they are asked.
     """
 
     servos = "feetech"
