@@ -29,6 +29,10 @@ class PortGone(DeviceError):
     """The serial port was torn out."""
 
 
+class NoSuchRate(DeviceError):
+    """The library or the adapter cannot do a baud rate."""
+
+
 class MotorBus(ABC):
     """An open serial port with servos of one maker.
 
@@ -138,9 +142,11 @@ class MotorBus(ABC):
                 handler.ser.exclusive = True  # two that read one port would tear each other's packets
         except OSError as error:
             raise DeviceError(_why_not_open(port, error)) from None
+        except ValueError as error:  # pyserial's, at rates that the system has no constant for
+            raise NoSuchRate(f"{port}: its adapter cannot do {baud} baud ({error}); name another rate") from None
         if not is_open:
             rates = ", ".join(map(str, self.bauds))
-            raise DeviceError(f"{port}: no such baud rate: {baud}; GELLO's {self.servos} servos use {rates}")
+            raise NoSuchRate(f"{port}: no such baud rate: {baud}; GELLO's {self.servos} servos use {rates}")
         return handler
 
 

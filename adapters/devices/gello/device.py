@@ -13,7 +13,7 @@ import numpy as np
 
 from adapters.devices.gello import calibration as calibrations
 from adapters.devices.gello import ports
-from adapters.devices.gello.bus import BUSES, MotorBus, PortGone, Servos, model_name
+from adapters.devices.gello.bus import BUSES, MotorBus, NoSuchRate, PortGone, Servos, model_name
 from adapters.devices.gello.calibration import Calibration
 from station.clock import SYSTEM, Clock
 from station.operator.device import DeviceError
@@ -176,7 +176,10 @@ def _why_no_answer(bus: MotorBus, first: int) -> str:
     """Return at which rate the first servo would answer; takes 40 ms a rate."""
     bus.close()
     for baud in bus.bauds:
-        other = type(bus)(bus.port, baud, bus.clock)
+        try:
+            other = type(bus)(bus.port, baud, bus.clock)
+        except NoSuchRate:
+            continue  # the servos cannot be at a rate that the adapter cannot do
         try:
             if baud != bus.baud and other.ping([first]):
                 return f"{bus.port}: no servo answers at {bus.baud} baud, but they do at {baud}: set baud: {baud}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
 import random
@@ -371,6 +372,28 @@ def test_a_wrong_rate_and_other_servos_of_a_leader_are_named_in_a_line(bench: Be
         f"{port[0]}: leader FAKE-LEFT was calibrated with servos STS3215 of feetech, expected those of dynamixel; "
         "set servos: feetech, or calibrate this leader: station devices calibrate gello --servos dynamixel"
     )
+
+
+def test_a_rate_that_an_adapter_cannot_do_hides_no_other(bench: Bench) -> None:
+    fake = bench.play({**FEETECH, "left": POSE})
+    leader = fake.leaders[0]
+    leader.port.close()
+    leader.port = bench.port(fake.folder, leader.serial, Chain(leader.servos), baud=termios.B57600)
+    line = importlib.import_module("serial").Serial
+
+    def only_usual_ones(port: str, baudrate: int, **how: Any) -> Any:
+        if baudrate in (250_000, 128_000):
+            raise ValueError(f"Failed to set custom baud rate ({baudrate})")
+        return line(port, baudrate, **how)
+
+    with pytest.MonkeyPatch.context() as patch:  # within the lines in memory, which are a patch too
+        patch.setattr("serial.Serial", only_usual_ones)
+        with pytest.raises(
+            DeviceError, match="no servo answers at 1000000 baud, but they do at 57600: set baud: 57600"
+        ):
+            bench.open(fake)
+        with pytest.raises(DeviceError, match="its adapter cannot do 250000 baud"):
+            bench.open(fake, baud=250_000)
 
 
 def test_numbers_of_ports_are_checked(bench: Bench, tmp_path: Path) -> None:
