@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import errno
 import importlib
 import math
-import os
 import select
 import termios
 from abc import ABC, abstractmethod
@@ -14,6 +12,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from adapters.devices.serial_port import why_gone, why_not_open
 from station.clock import SYSTEM, Clock
 from station.operator.device import DeviceError
 from station.protocols import Floats
@@ -132,7 +131,7 @@ class MotorBus(ABC):
             return call(*arguments)
         except (OSError, termios.error, TypeError, ValueError) as error:  # pyserial's own errors are OSErrors
             self._handler.is_using = False
-            raise PortGone(f"{self.port}: gone ({_plain(error)}); plug the leader in again") from None
+            raise PortGone(why_gone(self.port, error, device="leader")) from None
 
     def _open(self, port: str, baud: int) -> Any:
         handler = _patient(self._sdk, self.clock)(port)
@@ -141,7 +140,7 @@ class MotorBus(ABC):
             if is_open:
                 handler.ser.exclusive = True  # two that read one port would tear each other's packets
         except OSError as error:
-            raise DeviceError(_why_not_open(port, error)) from None
+            raise DeviceError(why_not_open(port, error, device="leader", setting="ports")) from None
         except ValueError as error:  # pyserial's, at rates that the system has no constant for
             raise NoSuchRate(f"{port}: its adapter cannot do {baud} baud ({error}); name another rate") from None
         if not is_open:
@@ -262,18 +261,3 @@ def _patient(sdk_: Any, clock: Clock) -> Any:
             return clock.monotonic_ns() * 1e-6
 
     return PatientPort
-
-
-def _plain(error: Exception) -> str:
-    return str(error.args[-1] if error.args else error).splitlines()[0]
-
-
-def _why_not_open(port: str, error: OSError) -> str:
-    number = error.errno
-    if number == errno.ENOENT:
-        return f"{port}: no such port; plug the leader in, or name another with ports:"
-    if number in (errno.EACCES, errno.EPERM):
-        return f"{port}: permission denied; join the group of the port and log in anew: sudo usermod -aG dialout $USER"
-    if number in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK):
-        return f"{port}: in use by another process; stop it first (`fuser {os.path.realpath(port)}` tells which)"
-    return f"{port}: cannot be opened: {error}"

@@ -6,10 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
+from adapters.devices import calibration_file
+from adapters.devices.console import Console
 from adapters.devices.gello import calibration as calibrations
 from adapters.devices.gello import ports
 from adapters.devices.gello.bus import BUSES, MotorBus, Servos, model_name
@@ -41,18 +42,6 @@ _STILL_RAD = math.radians(2.0)
 _READINGS = 10
 _ATTEMPTS = 50
 _PAUSE_S = 0.01
-
-
-class Console(Protocol):
-    """The person at the leader."""
-
-    def show(self, line: str) -> None:
-        """Show a line."""
-        ...
-
-    def ask(self, question: str) -> str:
-        """Ask, and return the line that is typed; "" for Enter alone."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -126,7 +115,7 @@ def calibrate(bus: MotorBus, serial: str, plan: Plan, console: Console, folder: 
     signs = plan.signs or _find_signs(bus, ids, plan, console)
     joints = _find_offsets(bus, ids, models, signs, plan, console)
     gripper = _find_gripper(bus, ids[-1], models[ids[-1]], console) if plan.has_gripper else None
-    made = Calibration(serial=serial, arm=plan.arm, date=calibrations.today(), joints=joints, gripper=gripper)
+    made = Calibration(serial=serial, arm=plan.arm, date=calibration_file.today(), joints=joints, gripper=gripper)
     file = calibrations.save(folder, made)
     console.show(f"leader {serial} is calibrated as the {plan.arm} arm: {file}")
     return file

@@ -8,15 +8,14 @@ it has made: after each start the joints are brought to the turn nearest to a st
 
 from __future__ import annotations
 
-import datetime
 import math
-import os
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 import numpy as np
 
+from adapters.devices import calibration_file
 from adapters.devices.gello.bus import model_name
 from station.errors import BadFile
 from station.operator.device import DeviceError
@@ -183,8 +182,7 @@ def nearest_offset(servo_rad: float, joint_rad: float, sign: int) -> float:
 
 def default_folder() -> Path:
     """Return where calibrations are kept, ``$XDG_CONFIG_HOME/station/gello``; not necessarily there."""
-    base = os.environ.get("XDG_CONFIG_HOME")
-    return (Path(base).absolute() if base else Path.home() / ".config") / "station" / "gello"
+    return calibration_file.default_folder("gello")
 
 
 def file_of(folder: Path, serial: str) -> Path:
@@ -200,16 +198,8 @@ def load(folder: Path, serial: str) -> Calibration:
         BadFile: it cannot be read, or is that of another leader.
     """
     path = file_of(folder, serial)
-    try:
-        found = msgspec.yaml.decode(path.read_bytes(), type=Calibration)
-    except FileNotFoundError:
-        raise DeviceError(
-            f"leader {serial} has no calibration ({path}); make one: station devices calibrate gello"
-        ) from None
-    except OSError as error:
-        raise BadFile(f"{path}: cannot be read: {error.strerror}; expected the calibration of a leader") from None
-    except (msgspec.MsgspecError, ValueError) as error:
-        raise BadFile(f"{path}: no calibration of a leader: {' '.join(str(error).split())[:200]}") from None
+    missing = f"leader {serial} has no calibration ({path}); make one: station devices calibrate gello"
+    found = calibration_file.read(path, Calibration, of="a leader", missing=missing)
     if found.serial != serial:
         raise BadFile(
             f"{path}: is the calibration of leader {found.serial}, expected that of {serial}; "
@@ -224,17 +214,4 @@ def save(folder: Path, calibration: Calibration) -> Path:
     Raises:
         BadFile: it cannot be written.
     """
-    path = file_of(folder, calibration.serial)
-    temporary = path.with_suffix(".new")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(msgspec.yaml.encode(calibration))
-        os.replace(temporary, path)
-    except OSError as error:
-        raise BadFile(f"{path}: cannot be written: {error.strerror}") from None
-    return path
-
-
-def today() -> str:
-    """Return the date that a calibration made now bears."""
-    return datetime.date.today().isoformat()
+    return calibration_file.write(file_of(folder, calibration.serial), calibration)

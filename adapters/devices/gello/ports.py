@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-import re
 from pathlib import Path
 
 from adapters.devices.gello.bus import Servos
+from adapters.devices.serial_port import BY_ID, serial_of
 from station.operator.device import DeviceError
-
-BY_ID = Path("/dev/serial/by-id")
 
 _ADAPTERS: dict[Servos, tuple[str, str]] = {
     "dynamixel": ("U2D2", "usb-FTDI_USB__-__Serial_Converter_*"),
@@ -17,7 +15,6 @@ _ADAPTERS: dict[Servos, tuple[str, str]] = {
 }
 """What the usual adapters are called, and their ports by id."""
 
-_SERIAL = re.compile(r"_([A-Za-z0-9-]+)-if\d+(-port\d+)?$")
 _LATENCY = "/sys/bus/usb-serial/devices/{tty}/latency_timer"
 LATENCY_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 
@@ -55,22 +52,6 @@ def plugged_in(folder: Path = BY_ID) -> list[str]:
     """Return each adapter that may have a leader behind it, as a person is told."""
     found = sorted(path for _, pattern in _ADAPTERS.values() for path in folder.glob(pattern))
     return [f"adapter {serial_of(str(path), folder)} at {path}" for path in found]
-
-
-def serial_of(port: str, folder: Path = BY_ID) -> str:
-    """Return the serial number of a port's adapter: from its name, or from the name by id of the same device.
-
-    For an adapter without one it is the last part of the port's name: ``ttyUSB0``.
-    """
-    names = [
-        port,
-        *(str(path) for path in sorted(folder.glob("*")) if os.path.realpath(path) == os.path.realpath(port)),
-    ]
-    for name in names:
-        match = _SERIAL.search(os.path.basename(name))
-        if match:
-            return match[1]
-    return os.path.basename(port)
 
 
 def latency_advice(port: str) -> str:

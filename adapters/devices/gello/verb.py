@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from adapters.devices.console import Terminal
 from adapters.devices.gello import calibration as calibrations
 from adapters.devices.gello import ports
 from adapters.devices.gello.bus import BUSES, Servos
@@ -67,7 +68,7 @@ def command(
     chosen = port or _only_port(servos)
     if not sys.stdin.isatty():
         raise UsageError("devices calibrate gello: there is no terminal to ask in; it needs somebody at the leader")
-    terminal = _Terminal()
+    terminal = Terminal()
     _print_replaced(chosen, calibrations, terminal)
     calibrate_port(chosen, plan, terminal, servos=servos, baud=baud, folder=calibrations)
 
@@ -79,24 +80,7 @@ def _only_port(servos: Servos) -> str:
         raise DeviceError(f"{error} (here: --port)") from None
 
 
-class _Terminal:
-    """The person at the leader, who sits at a terminal too."""
-
-    def show(self, line: str) -> None:
-        click.echo(line)
-
-    def ask(self, question: str) -> str:
-        try:
-            answer: str = click.prompt(
-                click.style(question, bold=True), default="", show_default=False, prompt_suffix=" "
-            )
-        except click.Abort:
-            click.echo()  # the next words go below the question
-            raise
-        return answer
-
-
-def _print_replaced(port: str, folder: Path | None, terminal: _Terminal) -> None:
+def _print_replaced(port: str, folder: Path | None, terminal: Terminal) -> None:
     file = calibrations.file_of(folder or calibrations.default_folder(), ports.serial_of(port))
     if file.exists():
         terminal.show(f"{file} is there and will be replaced at the end")

@@ -15,6 +15,7 @@ from adapters.devices.fakes.gello.port import FakePort
 from adapters.devices.fakes.gello.servos import Chain, Servo
 from adapters.devices.gello import bus as buses
 from adapters.devices.gello.bus import DynamixelBus, MotorBus, PortGone
+from adapters.devices.serial_port import why_not_open
 from station.operator.device import DeviceError
 from tests.adapters.devices.gello.serial_line import LinePort, lines_in_memory
 from tests.virtual.clock import VirtualClock
@@ -209,7 +210,8 @@ def test_a_port_of_others_names_the_group(port: FakePort) -> None:
 
 
 def test_a_missing_permission_names_the_group() -> None:
-    assert "permission denied; join the group" in buses._why_not_open("/dev/ttyUSB0", PermissionError(13, "denied"))
+    told = why_not_open("/dev/ttyUSB0", PermissionError(13, "denied"), device="leader", setting="ports")
+    assert "permission denied; join the group" in told
 
 
 def test_a_missing_library_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
