@@ -22,6 +22,7 @@ from adapters.devices.gello.calibration import (
     JointCalibration,
     nearest_offset,
 )
+from adapters.devices.serial_port import serial_of
 from station.clock import SYSTEM, Clock
 from station.operator.device import DeviceError
 from station.protocols import Floats
@@ -98,7 +99,7 @@ def calibrate_port(
     try:
         if advice := ports.latency_advice(port):
             console.show(advice)
-        return calibrate(bus, ports.serial_of(port), plan, console, folder or calibrations.default_folder())
+        return calibrate(bus, serial_of(port), plan, console, folder or calibrations.default_folder())
     finally:
         bus.close()
 

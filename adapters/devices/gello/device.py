@@ -15,6 +15,7 @@ from adapters.devices.gello import calibration as calibrations
 from adapters.devices.gello import ports
 from adapters.devices.gello.bus import BUSES, MotorBus, NoSuchRate, PortGone, Servos, model_name
 from adapters.devices.gello.calibration import Calibration
+from adapters.devices.serial_port import BY_ID, serial_of
 from station.clock import SYSTEM, Clock
 from station.operator.device import DeviceError
 from station.operator.sample import OperatorSample
@@ -58,7 +59,7 @@ class Gello:
         rate_hz: float = 100.0,
         patience_s: float = 0.25,
         calibrations_folder: Path | None = None,
-        by_id: Path = ports.BY_ID,
+        by_id: Path = BY_ID,
         clock: Clock = SYSTEM,
     ) -> None:
         folder = calibrations_folder or calibrations.default_folder()
@@ -69,7 +70,7 @@ class Gello:
         with contextlib.ExitStack() as on_error:
             opened = []
             for port in ports.choose(ports_wanted, leaders, by_id, servos):
-                calibration = calibrations.load(folder, ports.serial_of(port, by_id))
+                calibration = calibrations.load(folder, serial_of(port, by_id))
                 opened.append(_open(self._kind, port, self._baud, calibration, clock))
                 on_error.callback(opened[-1][1].close)
             opened.sort(key=lambda one: one[0].arm)

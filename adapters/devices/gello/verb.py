@@ -14,6 +14,7 @@ from adapters.devices.gello import ports
 from adapters.devices.gello.bus import BUSES, Servos
 from adapters.devices.gello.calibrate import SIGNS, Plan, calibrate_port
 from adapters.devices.gello.calibration import Arm
+from adapters.devices.serial_port import serial_of
 from station.errors import UsageError, did_you_mean
 from station.operator.device import DeviceError
 
@@ -81,7 +82,7 @@ def _only_port(servos: Servos) -> str:
 
 
 def _print_replaced(port: str, folder: Path | None, terminal: Terminal) -> None:
-    file = calibrations.file_of(folder or calibrations.default_folder(), ports.serial_of(port))
+    file = calibrations.file_of(folder or calibrations.default_folder(), serial_of(port))
     if file.exists():
         terminal.show(f"{file} is there and will be replaced at the end")
 

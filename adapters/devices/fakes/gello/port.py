@@ -8,11 +8,11 @@ import select
 import termios
 import threading
 import time
-import tty
 from collections.abc import Callable
 from pathlib import Path
 
 from adapters.devices.fakes.gello.servos import Chain
+from adapters.devices.fakes.pty_port import PtyPort
 from adapters.devices.fakes.punctual import be_punctual
 from adapters.devices.gello.bus import Servos
 
@@ -30,7 +30,7 @@ _CHUNK = 4096
 _OSPEED = 5  # place in what termios returns
 
 
-class FakePort:
+class FakePort(PtyPort):
     """An adapter with a chain of servos, under a name as udev gives it.
 
     Args:
@@ -55,35 +55,13 @@ class FakePort:
         baud: int | None = None,
         before_reply: Callable[[], None] = lambda: None,
     ) -> None:
-        self.path, self.delay_s = folder / LINKS[chain.maker].format(serial=serial), 0.0
+        super().__init__(folder / LINKS[chain.maker].format(serial=serial))
+        self.delay_s = 0.0
         self._chain, self._before_reply = chain, before_reply
         self._baud = RATES[chain.maker] if baud is None else baud
         self._stop = threading.Event()
-        self._lock = threading.Lock()
-        self._master, self._slave = -1, -1
-        self.plug()
         self._thread = threading.Thread(target=self._serve, name=f"fake-{serial}", daemon=True)
         self._thread.start()
-
-    def plug(self) -> None:
-        """Plug it in; nothing where it is."""
-        with self._lock:
-            if self._master >= 0:
-                return
-            self._master, self._slave = os.openpty()
-            tty.setraw(self._slave)
-            self.path.unlink(missing_ok=True)
-            self.path.symlink_to(os.ttyname(self._slave))
-
-    def unplug(self) -> None:
-        """Tear it out: reads and writes of whoever has it open fail from now on."""
-        with self._lock:
-            if self._master < 0:
-                return
-            self.path.unlink(missing_ok=True)
-            os.close(self._master)
-            os.close(self._slave)
-            self._master = self._slave = -1
 
     def close(self) -> None:
         """Stop answering and take the port away."""

@@ -1,0 +1,1 @@
+"""Sensor gloves: how far fingers are closed, as lines of numbers on a serial port."""
