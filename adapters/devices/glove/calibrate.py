@@ -27,7 +27,7 @@ FLAT = "Hold the hand flat, fingers spread and open, thumb out; then Enter"
 FIST = "Make a fist, the thumb over the fingers, and hold it; then Enter"
 
 LEAST_SHARE = 0.05
-"""Of the largest travel of all sensors: one that moves less has not been moved."""
+"""Of the range in which all sensors were seen: one that moves less has not been moved."""
 
 LEAST_COUNTS = 10.0
 """And of counts, for a sensor that writes whole numbers."""
@@ -142,14 +142,14 @@ def _names(plan: Plan, count: int) -> tuple[str, ...]:
 def _unmoved(used: Sequence[tuple[int, str]], flat: _Held, fist: _Held) -> list[str]:
     """Return a line for each sensor that has not moved enough from the flat hand to the fist."""
     travel = np.abs(fist.median - flat.median)
-    largest = max(float(travel[number]) for number, _ in used)
-    floor = max(LEAST_SHARE * largest, LEAST_COUNTS if flat.is_whole and fist.is_whole else 0.0)
+    seen = [float(held.median[number]) for held in (flat, fist) for number, _ in used]
+    floor = max(LEAST_SHARE * (max(seen) - min(seen)), LEAST_COUNTS if flat.is_whole and fist.is_whole else 0.0)
     told = []
     for number, name in used:
         least = max(floor, _NOISE * float(max(flat.noise[number], fist.noise[number])))
         if travel[number] < least or travel[number] == 0.0:
             told.append(
-                f"{name}: number {number + 1} of the line has moved by {travel[number]:g} only, expected {least:g} at "
+                f"{name}: number {number + 1} of the line has moved by {travel[number]:g} only, expected {least:.4g} at "
                 "least; see to its magnet or lever and to its wire, and hold still while it is measured"
             )
     return told
@@ -174,7 +174,7 @@ def _lines(port: GlovePort, protocol: Protocol, count: int | None, clock: Clock)
     if len(found) >= _FEWEST:
         return found
     if reader.last_bad:
-        came = f"the last bad line is {reader.last_bad!r}, expected {reader.expected}; see to --baud and --protocol"
+        came = f"the last bad line is '{reader.last_bad}', expected {reader.expected}; see to --baud and --protocol"
     elif found:
         came = f"{len(found)} lines in {_MEASURE_S:g} s, expected {_FEWEST} at least; let it write more often"
     elif reader.received:

@@ -157,7 +157,7 @@ class Sampler:
         if self._reader.bad == bad_then:
             return f"no whole line comes from {glove}; {expected}, and the end of a line; see to baud:"
         return (
-            f"no good line comes from {glove}; the last bad one is {self._reader.last_bad!r}, {expected}; see to baud:"
+            f"no good line comes from {glove}; the last bad one is '{self._reader.last_bad}', {expected}; see to baud:"
         )
 
     def close(self) -> None:

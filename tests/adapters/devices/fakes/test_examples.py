@@ -9,12 +9,13 @@ import pytest
 from adapters.devices import fakes
 from adapters.devices.fakes.gamepad.pad import PadStep
 from adapters.devices.fakes.gello.leader import LeaderStep, arms_of, servos_of
+from adapters.devices.fakes.glove.hand import GloveStep, sides_of
 from adapters.devices.fakes.keyboard.typist import TypistStep
 from adapters.devices.fakes.script import Step, load
 from adapters.devices.fakes.spacemouse.mouse import MouseStep
 
 KINDS: dict[str, type[Step]] = {
-    "spacemouse": MouseStep, "gello": LeaderStep, "gamepad": PadStep, "keyboard": TypistStep,
+    "spacemouse": MouseStep, "gello": LeaderStep, "glove": GloveStep, "gamepad": PadStep, "keyboard": TypistStep,
 }  # fmt: skip
 FOLDER = Path(fakes.__path__[0])
 
@@ -36,3 +37,9 @@ def test_the_example_of_an_so101_has_five_joints_a_gripper_and_servos_of_feetech
     script = load(file, "gello", LeaderStep)
     assert servos_of(script, file) == "feetech"
     assert {len(step.left) for step in script.steps if step.left is not None} == {6}
+
+
+@pytest.mark.parametrize(("name", "sides"), [("example", ["left", "right"]), ("left", ["left"]), ("right", ["right"])])
+def test_the_examples_of_gloves_close_and_open_a_hand(name: str, sides: list[str]) -> None:
+    file = FOLDER / "glove" / f"{name}.json"
+    assert sides_of(load(file, "glove", GloveStep), file) == sides
