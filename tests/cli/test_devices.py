@@ -18,9 +18,11 @@ import pytest
 
 from adapters.devices.fakes.gello.port import FakePort
 from adapters.devices.fakes.gello.servos import SERVOS, Chain, wrapped
+from adapters.devices.fakes.glove.port import FakePort as GlovePort
 from adapters.devices.gello.bus import RAD_PER_TICK, Servos
 from adapters.devices.gello.calibration import QUARTER, load
 from adapters.devices.gello.device import Gello
+from adapters.devices.glove import calibration as gloves
 from adapters.devices.pico.headset import DEFAULT_PORT
 from station import registry
 from station.bus.address import BusAddress
@@ -29,7 +31,7 @@ from tests.cli.running import Home, Running, one_line
 from tests.main_job.station_runs import ROOT
 from tests.waiting import DEADLINE_S, wait_until
 
-DEVICES = ["gamepad", "gello", "keyboard", "natnet", "pico", "spacemouse"]
+DEVICES = ["gamepad", "gello", "glove", "keyboard", "natnet", "pico", "spacemouse"]
 CAMERAS = ["files", "mujoco", "realsense", "uvc", "zmq"]
 PROBLEM = "lab arm at /dev/lab: permission denied; join the group lab"
 LAB = f"""
@@ -332,12 +334,32 @@ def test_a_calibration_that_is_given_up_leaves_the_one_before(home: Home, leader
     assert kept.read_text() == "the one before"
 
 
+def test_a_glove_is_calibrated_at_a_terminal(home: Home, tmp_path: Path) -> None:
+    shown = [b"10 900 10 900 10\r\n"]
+    port = GlovePort(tmp_path, "GL7", lambda: shown[0])
+    kept = tmp_path / "kept"
+    try:
+        where = ("--side", "left", "--port", str(port.path), "--calibrations", str(kept))
+        with AtTerminal(home, "devices", "calibrate", "glove", *where) as terminal:
+            place = terminal.wait_for("Hold the hand flat, fingers spread and open, thumb out; then Enter")
+            terminal.type(b"\n")
+            terminal.wait_for("Make a fist, the thumb over the fingers, and hold it; then Enter", place)
+            shown[0] = b"800 100 800 100 800\r\n"
+            terminal.type(b"\n")
+            assert terminal.finish() == 0, terminal.screen
+    finally:
+        port.close()
+    assert f"glove GL7 is calibrated for the left hand: {kept / 'GL7-left.yaml'}" in terminal.screen
+    made = gloves.load(kept, "GL7", "left")
+    assert [(sensor.open, sensor.closed) for sensor in made.sensors][:2] == [(10.0, 800.0), (900.0, 100.0)]
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "told"),
     [
         (["lst"], 2, "unknown `station devices` command 'lst' (did you mean 'list'?)"),
         (["fake"], 2, "Missing argument 'DEVICE'"),
-        (["fake", "pco"], 2, "unknown device 'pco' (did you mean 'pico'?); known: gamepad, gello, keyboard, natnet,"),
+        (["fake", "pco"], 2, "unknown device 'pco' (did you mean 'pico'?); known: gamepad, gello, glove, keyboard, natnet,"),
         (["fake", "gello", "--port", "60061"], 2, "devices fake gello: takes no --port"),
         (["fake", "pico", "--port", "70000"], 2, "70000 is not in the range 0<=x<=65535"),
         (["fake", "pico", "--play", "none.json"], 2, "none.json: cannot be read: No such file or directory"),
@@ -350,7 +372,10 @@ def test_a_calibration_that_is_given_up_leaves_the_one_before(home: Home, leader
         (["buttons", "pco"], 2, "unknown device 'pco'"),
         (["buttons", "--map", "mine.yaml"], 2, "devices buttons --map: name the device"),
         (["buttons", "pico", "--map", "none.yaml"], 2, "none.yaml: no such file"),
-        (["calibrate", "keyboard"], 2, "unknown `station devices calibrate` command 'keyboard'; known: gello, natnet,"),
+        (["calibrate", "keyboard"], 2, "unknown `station devices calibrate` command 'keyboard'; known: gello, glove, natnet,"),
+        (["calibrate", "glove"], 2, "Missing option '--side'"),
+        (["calibrate", "glove", "--side", "left", "--sensors", "pinky"], 2, "--sensors: 'pinky' is no sensor; expected"),
+        (["calibrate", "glove", "--side", "left", "--port", "/dev/none"], 2, "no terminal to ask in"),
         (["calibrate", "gello", "--joints", "a"], 2, "Missing option '--arm'"),
         (["calibrate", "gello", "--servos", "feetec"], 2, "'feetec' is not one of 'dynamixel', 'feetech'"),
         (["calibrate", "gello", "--arm", "left", "--joints", "a,,b"], 2, "--joints: expected different names"),

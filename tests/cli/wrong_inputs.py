@@ -24,7 +24,8 @@ BARE = {"COLUMNS": "60", "PYTHONIOENCODING": "latin-1", "LC_ALL": "C", "DISPLAY"
 
 RUNS_ON = frozenset([
     "demo", "up", "serve", "bus start", "rehearse", "view", "status", "logs", "devices fake", "devices voices",
-    "kassow controller", "devices calibrate gello", "devices calibrate natnet", "devices calibrate pico",
+    "kassow controller", "devices calibrate gello", "devices calibrate glove", "devices calibrate natnet",
+    "devices calibrate pico",
 ])  # fmt: skip
 """Verbs that do their work, for long, with many an odd value."""
 

@@ -149,8 +149,8 @@ def _unmoved(used: Sequence[tuple[int, str]], flat: _Held, fist: _Held) -> list[
         least = max(floor, _NOISE * float(max(flat.noise[number], fist.noise[number])))
         if travel[number] < least or travel[number] == 0.0:
             told.append(
-                f"{name}: number {number + 1} of the line has moved by {travel[number]:g} only, expected {least:.4g} at "
-                "least; see to its magnet or lever and to its wire, and hold still while it is measured"
+                f"{name}: number {number + 1} of the line has moved by {travel[number]:g} only, expected {least:.4g} "
+                "at least; see to its magnet or lever and to its wire, and hold still while it is measured"
             )
     return told
 
