@@ -97,23 +97,20 @@ def test_faults_come_when_the_script_says_and_to_the_hand_that_it_says(play: Cal
         {"at_s": 0, "left": FLAT, "right": FLAT}, {"at_s": 1, "garbage": 1}, {"at_s": 1, "cut": 1, "side": "left"},
         {"at_s": 2, "silent": True, "side": "right"}, {"at_s": 3, "silent": False},
     ]  # fmt: skip
-    fake = play(*steps)
+    fake, clock = play(*steps), HandClock()
     for glove in fake.gloves:
         glove.port.close()  # nobody else takes its bytes
-        glove._play._clock = HandClock()
+        glove._play._clock = clock
     fake.begin()
     left, right = fake.gloves
     whole = left.line(0.0), right.line(0.0)
     assert (left.next_bytes(), right.next_bytes()) == whole
-    for glove in fake.gloves:
-        glove._play._clock.pass_(1.0)
+    clock.pass_(1.0)
     assert [left.next_bytes() for _ in range(3)] == [GARBAGE, whole[0][: len(whole[0]) // 2], whole[0]]
     assert [right.next_bytes() for _ in range(2)] == [GARBAGE, whole[1]]
-    for glove in fake.gloves:
-        glove._play._clock.pass_(1.0)
+    clock.pass_(1.0)
     assert (left.next_bytes(), right.next_bytes()) == (whole[0], b"")
-    for glove in fake.gloves:
-        glove._play._clock.pass_(1.0)
+    clock.pass_(1.0)
     assert (left.next_bytes(), right.next_bytes()) == whole
 
 
@@ -126,7 +123,7 @@ def test_the_real_pyserial_reads_it_until_it_is_torn_out(tmp_path: Path) -> None
     try:
         found: list[OperatorSample] = []
         wait_until(lambda: found.append(reading) if (reading := device.read()) else found)
-        assert found[0].joints.tolist() == pytest.approx([0.25] * 15, abs=0.001)
+        assert found[0].joints == pytest.approx([0.25] * 15, abs=0.001)
         assert device.facts()["joints"] == list(PRESETS[15])
         with pytest.raises(DeviceError, match="in use by another process"):
             GlovePort(str(fake.gloves[0].port.path), 115_200)

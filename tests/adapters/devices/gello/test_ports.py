@@ -13,12 +13,12 @@ def test_the_serial_number_of_a_port_is_found_by_either_name(tmp_path: Path) -> 
     tty, by_id = tmp_path / "ttyUSB0", tmp_path / "by-id"
     tty.touch()
     by_id.mkdir()
-    assert ports.serial_of(str(tty), by_id) == "ttyUSB0"
+    assert serial_of(str(tty), by_id) == "ttyUSB0"
     name = by_id / "usb-FTDI_USB__-__Serial_Converter_FT8ISUJY-if00-port0"
     name.symlink_to(tty)
-    assert ports.serial_of(str(name), by_id) == "FT8ISUJY"
+    assert serial_of(str(name), by_id) == "FT8ISUJY"
     assert ports.plugged_in(by_id) == [f"adapter FT8ISUJY at {name}"]
-    assert ports.serial_of(str(tty), by_id) == "FT8ISUJY"
+    assert serial_of(str(tty), by_id) == "FT8ISUJY"
 
 
 def test_adapters_are_looked_for_by_whose_servos_are_behind_them(tmp_path: Path) -> None:
