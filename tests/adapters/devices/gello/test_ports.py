@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from adapters.devices.gello import ports
+from adapters.devices.serial_port import serial_of
 
 
 def test_the_serial_number_of_a_port_is_found_by_either_name(tmp_path: Path) -> None:
