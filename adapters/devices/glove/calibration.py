@@ -88,7 +88,7 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         shown = np.array([line[sensor.number] for sensor in self.sensors])
         opened = np.array([sensor.open for sensor in self.sensors])
         closed = np.array([sensor.closed for sensor in self.sensors])
-        return np.asarray(np.clip((shown - opened) / (closed - opened), 0.0, 1.0))
+        return np.asarray(np.clip((shown - opened) / (closed - opened), 0.0, 1.0) + 0.0)  # no -0
 
 
 def default_folder() -> Path:
