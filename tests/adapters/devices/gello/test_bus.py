@@ -13,7 +13,6 @@ import pytest
 
 from adapters.devices.fakes.gello.port import FakePort
 from adapters.devices.fakes.gello.servos import Chain, Servo
-from adapters.devices.gello import bus as buses
 from adapters.devices.gello.bus import DynamixelBus, MotorBus, PortGone
 from adapters.devices.serial_port import why_not_open
 from station.operator.device import DeviceError
