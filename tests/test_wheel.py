@@ -172,6 +172,7 @@ def test_every_runbook_can_be_planned_in_an_empty_folder(python: Path, home: Hom
     planned, asking = (re.findall(f"^{word} (.*)$", done.stdout, re.MULTILINE) for word in ("planned", "asks"))
     assert sorted([*planned, *asking]) == sorted(path.name for path in (ROOT / "runbooks").glob("*.yaml"))
     assert sorted(asking) == [
+        "g1-cockpit-sim.yaml",
         "g1-falcon-sim.yaml",
         "g1-homie-sim.yaml",
         "go1-sim-gamepad.yaml",

@@ -19,7 +19,6 @@ from adapters.policies.g1_whole import OnAllJoints
 from adapters.policies.homie import HomiePolicy
 from adapters.robots.legged.unitree import G1, G1_DEX3
 from station import registry
-from station.command_formats import command_format
 from station.errors import ConfigError
 from station.protocols import Floats, Floats32, JointTargets, Policy, RobotState
 
@@ -62,7 +61,7 @@ class G1ArmsPolicy(OnAllJoints):
         self._limbs = [
             robot.joint_names.index(element.name.removesuffix("_pos")) for limb in ours for element in limb.elements
         ]
-        self._count = len(command_format(given.command, "inside").default)
+        self._count = len(FORMATS[velocities].default) + sum(len(limb.default) for limb in limbs if limb not in ours)
         span = [(getattr(given, f"command_{end}"), [getattr(limb, end) for limb in ours]) for end in ("lower", "upper")]
         lower, upper = (None if theirs is None else np.concatenate([theirs, *ends]) for theirs, ends in span)
         self._spec = replace(

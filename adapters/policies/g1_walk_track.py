@@ -7,6 +7,7 @@ key, a gate and a freshness of its own, whoever drives.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,6 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from adapters.commands import twist2, velocity
+from adapters.commands.g1_parts import ARMS
 from adapters.commands.g1_walk_track import FORMAT, TRACK, WALK
 from adapters.policies.g1_whole import OnAllJoints
 from adapters.policies.tracker.policy import TrackerPolicy
@@ -36,41 +38,50 @@ _LOWER = slice(0, len(LEGS) + len(WAIST))
 _STANDS = twist2.FORMAT.default[-len(G1_29) :]
 """Where joints are held that a policy does not drive [rad]."""
 
+_BEHIND_VELOCITIES = {name: each.default[3:] for name, each in velocity.FORMATS.items()} | {
+    f"g1-arms-{name}": np.concatenate([each.default[3:], _STANDS[-len(ARMS) :]])
+    for name, each in velocity.FORMATS.items()
+}
+
 
 class _OfPart(OnAllJoints):
     """A policy inside that gets its part of the command."""
 
     NAME: ClassVar[str]
-    FOLLOWS: ClassVar[str]
-    """Registered name of the commands that the one inside follows."""
+    REST: ClassVar[Mapping[str, Floats]]
+    """What the one inside may follow, by registered name, and what is asked of it behind its part of the command."""
     PART: ClassVar[slice]
     PART_NAME: ClassVar[str]
 
     def __init__(self, inside: str, checkpoint: Path, options: dict[str, Any] | None) -> None:
         made: Policy = registry.find("policy", inside)(checkpoint, **(options or {}))
-        if made.spec.command != self.FOLLOWS:
-            raise ConfigError(
-                f"{self.NAME}: policy {inside!r} follows {made.spec.command!r} commands; expected {self.FOLLOWS!r}"
-            )
+        follows = made.spec.command
+        if follows not in self.REST:
+            expected = " or ".join(map(repr, self.REST))
+            raise ConfigError(f"{self.NAME}: policy {inside!r} follows {follows!r} commands; expected {expected}")
+        self._rest = self.REST[follows]
         super().__init__(made, _STANDS, f"{self.NAME}: policy {inside!r}")
         self._why_not = made.why_not_take_over if isinstance(made, TakesOver) else None
         self._spec = replace(self._spec, name=self.NAME, command=FORMAT.name, part=self.PART_NAME)
 
     def observe(self, state: RobotState, command: Floats) -> Floats32:
         """Return the observation of the policy inside, of its part of the command."""
-        return super().observe(state, command[self.PART])
+        return super().observe(state, self._own(command))
 
     def targets(self, action: Floats32, command: Floats) -> JointTargets:
         """Return the targets of the policy inside, for its part of the command."""
-        return super().targets(action, command[self.PART])
+        return super().targets(action, self._own(command))
 
     def why_not_take_over(self, state: RobotState, command: Floats) -> str:
         """Return why the policy inside cannot drive from here on, or ""."""
-        return self._why_not(state, command[self.PART]) if self._why_not is not None else ""
+        return self._why_not(state, self._own(command)) if self._why_not is not None else ""
+
+    def _own(self, command: Floats) -> Floats:
+        return np.concatenate([command[self.PART], self._rest])
 
 
 class WalksPolicy(_OfPart):
-    """A policy that follows velocities.
+    """A policy that follows velocities; where it takes a height, a torso or arms as well, these are as in a stand.
 
     Args:
         checkpoint: Of the policy inside.
@@ -83,7 +94,7 @@ class WalksPolicy(_OfPart):
         BadFile: as the policy inside says.
     """
 
-    NAME, FOLLOWS = "g1-walks", velocity.FORMAT.name
+    NAME, REST = "g1-walks", _BEHIND_VELOCITIES
     PART, PART_NAME = WALK, "walk"
     CHECKPOINT = G1WalkPolicy.CHECKPOINT
 
@@ -92,7 +103,7 @@ class WalksPolicy(_OfPart):
         given, ends = self._spec, (FORMAT.lower.copy(), FORMAT.upper.copy())
         for whole, own in zip(ends, (given.command_lower, given.command_upper), strict=True):
             if own is not None:
-                whole[WALK] = own
+                whole[WALK] = own[WALK]
         self._spec = replace(given, command_lower=ends[0], command_upper=ends[1])
 
     def why_not_take_over(self, state: RobotState, command: Floats) -> str:
@@ -120,7 +131,7 @@ class TracksPolicy(_OfPart):
         BadFile: as the policy inside says.
     """
 
-    NAME, FOLLOWS = "g1-tracks", twist2.FORMAT.name
+    NAME, REST = "g1-tracks", {twist2.FORMAT.name: np.zeros(0)}
     PART, PART_NAME = TRACK, "track"
     CHECKPOINT = TrackerPolicy.CHECKPOINT
 

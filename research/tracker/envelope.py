@@ -115,7 +115,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="the file: tracker.envelope.yaml")
     out = parser.parse_args().out
-    command, period_s = commands_of(CONFIG)
+    of = commands_of(CONFIG)
     played = [*play(list(clips.find()[0].durations_s), CONFIG), *side_by_side.run(walked, list(walks().items()))]
     found = {each.rehearsal.motion: (is_survived(each), each.commands) for each in played}
     found |= {
@@ -123,7 +123,8 @@ def main() -> None:
     }
     sys.stdout.writelines(f"left out: {name}\n" for name, (is_taken, _) in found.items() if not is_taken)
     taken = {name: commands for name, (is_taken, commands) in found.items() if is_taken}
-    write(measured(list(taken.values()), command, period_s), out, list(taken), by="python -m research.tracker.envelope")
+    envelope = measured(list(taken.values()), of.command, of.period_s)
+    write(envelope, out, list(taken), by="python -m research.tracker.envelope")
 
 
 if __name__ == "__main__":

@@ -18,14 +18,17 @@ from station.cli import candidates
 from station.cli.options import json_option
 from station.cli.tables import Column, print_table
 from station.config import build, merged, overrides
+from station.contract import names_of
 from station.errors import UnknownName, UsageError
 from station.suite.cases import Group
 
 if TYPE_CHECKING:
     from station.control.rig import RigConfig
+    from station.protocols import Floats
     from station.rehearse import Rehearsal
     from station.suite.outcome import Outcome
     from station.suite.run import Evaluation
+    from station.suite.survived import Measured
 
 _TOLD = 8  # cases of a group that failed and are told
 
@@ -48,6 +51,8 @@ _TOLD = 8  # cases of a group that failed and are told
               help="What is done with bad frames inside a motion; not with --suite.")  # fmt: skip
 @click.option("--envelope", "envelope_file", type=click.Path(dir_okay=False, path_type=Path), default=None,
               metavar="FILE", help="Write what the policy survives of MOTIONS: its envelope.")  # fmt: skip
+@click.option("--episode", "episodes", multiple=True, metavar="EPISODE", shell_complete=candidates.episodes,
+              help="--envelope: a recorded episode of the policy, which counts as well; may repeat.")  # fmt: skip
 @click.option("--jobs", default=0, help="Processes side by side.  [default: one per core]")
 @click.option("--quick", is_flag=True, help="--suite: fewer instants, and one minute in place of ten.")
 @click.option(
@@ -65,7 +70,7 @@ _TOLD = 8  # cases of a group that failed and are told
 def command(
     motions: Sequence[str], robot: str, policy: str, checkpoint: str, robot_model: str | None,
     physics_dt_s: float | None, sets: tuple[str, ...], holes: str, jobs: int, as_json: bool, suite: bool,
-    envelope_file: Path | None, against: str, against_checkpoint: str, **of_suite: Any,
+    envelope_file: Path | None, episodes: tuple[str, ...], against: str, against_checkpoint: str, **of_suite: Any,
 ) -> None:  # fmt: skip
     """Run MOTIONS (files, or patterns such as 'twist2:motions/*.pkl' or 'builtin:*') in a closed loop and print how
     each went. Exit code 1 when the robot fell in any of them.
@@ -83,7 +88,9 @@ def command(
         raise UsageError("--envelope goes with MOTIONS, and without --suite and --json")
     if envelope_file is not None and not envelope_file.absolute().parent.is_dir():
         raise UsageError(f"--envelope {envelope_file}: no folder {envelope_file.parent}")
-    _refuse_what_does_not_go_together(motions, suite, {"against": against, **of_suite})
+    if episodes and envelope_file is None:
+        raise UsageError("--episode goes with --envelope")
+    _refuse_what_does_not_go_together([*motions, *episodes], suite, {"against": against, **of_suite})
     kind = robot_kind(robot)
     policy = policy or kind.policy
     for name in filter(None, (policy, against, of_suite["hand_over"])):
@@ -99,7 +106,7 @@ def command(
     config = build(RigConfig, merged(told, asked), where="--set")
     kind.typed(config.robot_options)  # before any motion is read
     if envelope_file is not None:
-        _envelope(config, named, envelope_file, holes=holes, jobs=jobs)
+        _envelope(config, named, episodes, envelope_file, holes=holes, jobs=jobs)
     if not suite:
         _motions(config, named, holes=holes, jobs=jobs, as_json=as_json)
     other = msgspec.structs.replace(config, policy=against, checkpoint=against_checkpoint, policy_options={})
@@ -114,22 +121,65 @@ def _refuse_what_does_not_go_together(motions: Sequence[str], suite: bool, of_su
         raise UsageError("name a motion to rehearse, for example builtin:wave; or evaluate a policy with --suite")
 
 
-def _envelope(config: RigConfig, named: Sequence[str], file: Path, *, holes: str, jobs: int) -> NoReturn:
-    """Write the envelope of the motions that are survived; exit code 1 when one was not."""
+def _envelope(
+    config: RigConfig, named: Sequence[str], episodes: Sequence[str], file: Path, *, holes: str, jobs: int
+) -> NoReturn:
+    """Write the envelope of episodes, and of the motions that are survived; exit code 1 when one was not."""
     from station.suite import survived
 
-    command, period_s = survived.commands_of(config)
+    of = survived.commands_of(config)
+    recorded = {name: each for reference in episodes for name, each in [_recorded(reference, of)]}
     tell = _teller(len(named))
     played = survived.play(named, config, holes=holes, jobs=jobs, on_done=lambda each: tell(each.rehearsal))
     taken = [each for each in played if survived.is_survived(each)]
-    envelope = survived.measured([each.commands for each in taken], command, period_s)
-    _print([each.rehearsal for each in played])
+    streams = [each.commands for each in taken] + [stream for each in recorded.values() for stream in each]
+    envelope = survived.measured(streams, of.command, of.period_s)
+    if played:
+        _print([each.rehearsal for each in played])
     left_out = [each.rehearsal.motion for each in played if not survived.is_survived(each)]
     if left_out:
         click.echo(f"left out, not survived or not followed: {', '.join(left_out)}")
-    survived.write(envelope, file, [each.rehearsal.motion for each in taken])
-    click.echo(f"saved {file}: {len(envelope.elements)} elements of the command, from {len(taken)} motions")
+    survived.write(envelope, file, [each.rehearsal.motion for each in taken] + [f"episode {name}" for name in recorded])
+    counted = [(len(taken), "motion"), *([(len(recorded), "episode")] if recorded else [])]
+    streams_of = " and ".join(f"{count} {what}{'s' * (count != 1)}" for count, what in counted)
+    click.echo(f"saved {file}: {len(envelope.elements)} elements of the command, from {streams_of}")
     raise SystemExit(1 if left_out else 0)
+
+
+def _recorded(reference: str, of: Measured) -> tuple[str, list[Floats]]:
+    """Return the id of an episode, and the commands that its policy got, shape (steps, m) each, without holes.
+
+    Raises:
+        EpisodeError: there is none, or it is damaged.
+        UsageError: another policy drove, it had other commands, the robot fell, or it has none.
+    """
+    import numpy as np
+
+    from station.api.episode import open_episode
+
+    opened = open_episode(reference)
+    drove = opened.manifest.policy
+    if drove.sha256 != of.sha256:
+        raise UsageError(
+            f"--episode {reference}: policy {drove.name!r} of sha256 {drove.sha256[:12] or '(none)'} drove; expected "
+            f"the one that is measured, {of.sha256[:12]}: what another survives says nothing of it"
+        )
+    if falls := opened.check().falls:
+        raise UsageError(f"--episode {reference}: the robot fell ({falls}); what was asked of it was not survived")
+    steps = opened.steps(of.command.robot)
+    if steps.command.names != (expected := names_of(of.command.elements)):
+        raise UsageError(
+            f"--episode {reference}: commands of {len(steps.command.names)} elements were recorded; expected the "
+            f"{len(expected)} of {of.command.name!r}"
+        )
+    values = steps.command.values
+    is_whole = np.asarray(np.isfinite(values).all(axis=1))
+    follows_on = (np.diff(steps.number) == 1) & is_whole[1:] & is_whole[:-1]
+    pieces = np.split(values, np.flatnonzero(~follows_on) + 1)
+    found = [piece for piece in pieces if len(piece) > 1]
+    if not found:
+        raise UsageError(f"--episode {reference}: no commands that a policy got were recorded")
+    return opened.id, found
 
 
 def _motions(config: RigConfig, named: Sequence[str], *, holes: str, jobs: int, as_json: bool) -> NoReturn:

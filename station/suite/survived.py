@@ -56,8 +56,16 @@ class Survived(NamedTuple):
     commands: Floats
 
 
-def commands_of(config: RigConfig) -> tuple[CommandFormat, float]:
-    """Return what an envelope is measured of: the format of a policy's commands, and the time between two [s].
+class Measured(NamedTuple):
+    """What an envelope is measured of: the format of a policy's commands, the time between two [s], its network."""
+
+    command: CommandFormat
+    period_s: float
+    sha256: str
+
+
+def commands_of(config: RigConfig) -> Measured:
+    """Return what an envelope of a policy is measured of.
 
     Raises:
         StationError: the robot or the policy cannot be loaded, or they do not fit.
@@ -70,7 +78,7 @@ def commands_of(config: RigConfig) -> tuple[CommandFormat, float]:
             f"policy {config.policy!r} follows velocities: motions do not show which of them it survives; "
             "--suite --only envelope tries it"
         )
-    return rig.command_format, rig.period_s
+    return Measured(rig.command_format, rig.period_s, rig.policy.spec.sha256)
 
 
 def play(motions: Sequence[str], config: RigConfig, *, holes: str = "refuse", jobs: int = 0,

@@ -1,6 +1,6 @@
-"""A G1 whose legs follow a policy and whose arms are commanded apart, and commanders of each on good days and bad ones.
+"""A G1 whose legs follow a policy and whose arms, and hands, are commanded apart, by commanders with bad days.
 
-Pedals and both arms are fresh, silent, late, wrong, or of another writer, at random and each by itself. Beside the
+Pedals, arms and hands are fresh, silent, late, wrong, or of another writer, at random and each by itself. Beside the
 robot each part's own command path, alone, is given the same: what it lets through is what the robot's part did, bit for
 bit.
 """
@@ -12,6 +12,7 @@ from random import Random
 
 import numpy as np
 
+from adapters.commands.hand import HandCommand
 from station.bus import codec
 from station.control.arming import Arming
 from station.control.command_path import CommandPath
@@ -65,13 +66,16 @@ class Commander:
             if self.part.holds_position:  # a height, and a torso
                 wish[3:] = random.uniform(0.5, 0.75), *(random.uniform(-0.4, 0.4) for _ in wish[4:])
             return wish
+        if isinstance(self.part, HandCommand):
+            bent = np.array([random.random() for _ in self.part.fingers])
+            return self.part.opened + bent * (self.part.closed - self.part.opened)
         side = -1.0 if "right" in self.part.robot else 1.0
         offset = self._swing * SWING * np.array([random.uniform(-1, 1) for _ in SWING])
         return ARM * [1, side, 1, 1, 1, 1, 1] + offset
 
 
 def walked(
-    legs: str, checkpoint: str, swing: float, seconds: float, seed: int = 1
+    legs: str, checkpoint: str, swing: float, seconds: float, seed: int = 1, *, hands: bool = False
 ) -> Iterator[tuple[list[str], Floats | None]]:
     """Run a robot and yield, of each step, the states of the parts, and the place of the base [m].
 
@@ -80,12 +84,15 @@ def walked(
         swing: How far arms are moved, in `SWING`.
         seconds: Simulated time [s].
         seed: Of what becomes of the commands.
+        hands: Whether it has hands that are commanded as well.
 
     Raises:
         AssertionError: it fell, or a part did something else than its own command path alone.
     """
-    policy = {"policy": legs} if legs in ("falcon", "asap") else {"policy": "g1-arms", "policy_options": {"legs": legs}}
-    rig = build(RigConfig(robot="g1-mujoco", robot_options={"physics_dt_s": 0.002}, checkpoint=checkpoint, **policy))
+    around = {"policy": "g1-arms", "policy_options": {"legs": legs, "hands": hands}}
+    policy = {"policy": legs} if legs in ("falcon", "asap") and not hands else around
+    robot = "g1-dex3-mujoco" if hands else "g1-mujoco"
+    rig = build(RigConfig(robot=robot, robot_options={"physics_dt_s": 0.002}, checkpoint=checkpoint, **policy))
     control = rig.control()
     parts = parts_of(rig.command_format)
     alone = [CommandPath(part, GateConfig(), Arming(is_armed=True)) for part in parts]

@@ -14,6 +14,7 @@ from station.control.rig import PolicyChoice, Rig, RigConfig, build
 from station.motion.playback import Playback
 from station.parts import parts_of
 from station.protocols import Motion
+from tests.control.parted_walk import ASAP, FALCON
 from tests.figures import Figures
 from tests.main_job.test_proof_velocity import CHECKPOINTS, slippery
 from tests.main_job.velocity_runs import HOLOSOMA
@@ -44,6 +45,8 @@ WALK_OR_TRACK = {
     "legs": PolicyChoice(
         policy="g1-walks", checkpoint="zoo:policies/rlgym_g1_motion.pt", policy_options={"walk": "rlgym-g1"}
     ),
+    "asap": PolicyChoice(policy="g1-walks", checkpoint=ASAP, policy_options={"walk": "asap"}),
+    "falcon": PolicyChoice(policy="g1-walks", checkpoint=FALCON, policy_options={"walk": "falcon"}),
     "track": PolicyChoice(policy="g1-tracks"),
     "twist2": PolicyChoice(
         policy="g1-tracks", checkpoint="twist2:ckpts/twist2_1017_20k.onnx", policy_options={"track": "twist2"}
@@ -90,7 +93,7 @@ def test_a_robot_that_walks_does_not_fall_when_it_is_handed_to_one_that_tracks_a
     asked, jumps = 0, {False: 0.0, True: 0.0}
     while asked < SWITCHES:
         asked += _walk_about(rig, random, jumps, motion=f"builtin:{random.choice(WALKS)}")
-    proof.figure("hand-overs of a G1 among four policies that walk and two that track", asked)
+    proof.figure("hand-overs of a G1 among six policies that walk and two that track", asked)
     proof.figure(
         "greatest step of a target as one that walks or tracks takes over, of what its joint can move", jumps[True]
     )

@@ -199,6 +199,7 @@ PAGES = {
             " --set left_leader.fake=builtin:gello/g1.json --set right_leader.fake=builtin:gello/g1-right.json"
             f" {_DRIVEN_FOR} gamepad.fake=builtin:gamepad/example.json"
         ),
+        "station up g1-cockpit-sim": Typed(elsewhere="tests/main_job/test_parts.py"),
         "station up g1-homie-sim --record": Typed(elsewhere="needs a file that cannot be had here"),
     }, _holosoma),
     "docs/your-robot.md": Page({

@@ -16,6 +16,7 @@ from adapters.policies.holosoma import HolosomaPolicy
 from adapters.policies.tracker.policy import TrackerPolicy
 from adapters.robots.g1.joints import G1_29
 from station import assets as files
+from station import registry
 from station.bus import keys
 from station.control.control import ControlStep, StepRecord
 from station.control.parted_path import samples_of
@@ -28,9 +29,11 @@ from tests.adapters.policies.inputs import inputs
 from tests.adapters.policies.restored import expect_goes_on
 from tests.adapters.policies.test_holosoma import FACTS
 from tests.adapters.policies.velocity_inputs import onnx_file
+from tests.control.parted_walk import ASAP, FALCON
 
 TRACKER = files.resolve("builtin:tracker.onnx")
 RLGYM = "zoo:policies/rlgym_g1_motion.pt"
+STANDING = twist2.FORMAT.default
 DT = 0.02
 
 
@@ -80,10 +83,43 @@ def test_each_part_has_a_key_of_its_own_and_the_velocities_the_range_of_who_walk
 
 
 @pytest.mark.parametrize(
+    ("walk", "size", "behind"),
+    [
+        ("homie", 456, [0.74]),
+        pytest.param("asap", 0, [0.74, *STANDING[-14:]], marks=pytest.mark.assets),
+        pytest.param("falcon", 0, [0.74, 0, 0, 0, *STANDING[-14:]], marks=pytest.mark.assets),
+    ],
+)
+def test_one_that_takes_a_height_a_torso_or_arms_walks_as_high_and_with_arms_as_in_a_stand(
+    tmp_path: Path, request: pytest.FixtureRequest, walk: str, size: int, behind: list[float]
+) -> None:
+    file = (
+        onnx_file(tmp_path / "homie.onnx", size, 12)
+        if size
+        else request.getfixturevalue("assets") / {"asap": ASAP, "falcon": FALCON}[walk].replace(":", "/")
+    )
+    whole, inside = WalksPolicy(file, walk=walk), registry.find("policy", walk)(file)
+    names = inside.spec.joint_names
+    known = [G1_29.index(name) for name in names]
+    for state, command in both(5):
+        own = np.array([*command[:3], *behind])
+        seen = replace(state, q=state.q[known], dq=state.dq[known])
+        observation = whole.observe(state, command)
+        np.testing.assert_array_equal(observation, inside.observe(seen, own))
+        made, theirs = whole.targets(whole.act(observation), command), inside.targets(inside.act(observation), own)
+        np.testing.assert_array_equal(made.q[known], theirs.q)
+    lower = whole.spec.command_lower
+    assert lower is not None
+    np.testing.assert_array_equal(lower[:3], inside.spec.command_lower[:3])
+    np.testing.assert_array_equal(lower[3:], twist2.FORMAT.lower)
+
+
+@pytest.mark.parametrize(
     ("make", "told"),
     [
         (lambda path: WalksPolicy(TRACKER, walk="tracker"), "g1-walks: policy 'tracker' follows 'twist2' commands; "
-                                                           "expected 'velocity'"),
+         "expected 'velocity' or 'velocity-height' or 'velocity-posture' or 'g1-arms-velocity' or "
+         "'g1-arms-velocity-height' or 'g1-arms-velocity-posture'"),
         (lambda path: TracksPolicy(path, track="holosoma"), "g1-tracks: policy 'holosoma' follows 'velocity' commands; "
                                                            "expected 'twist2'"),
         (lambda path: WalksPolicy(onnx_file(path.with_name("go1.onnx"), 48, 12), walk="playground-go1"),
