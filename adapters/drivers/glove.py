@@ -14,14 +14,13 @@ import msgspec
 import numpy as np
 
 from adapters.commands.hand import HandCommand
+from adapters.devices.glove.sensors import PRESETS, why_not
 from station import registry
 from station.errors import ConfigError
 from station.operator.deadman import Snapshot
 from station.operator.driver import DriverInput
 from station.operator.sample import OperatorSample
 from station.protocols import Floats
-
-FINGERS = ("thumb", "index", "middle", "ring", "little")
 
 GENTLE_RAD_S = 1.5
 """Speed of a joint from engaging until it has met its finger."""
@@ -35,25 +34,19 @@ class GloveOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     Attributes:
         command: Registered format of the hand's command: ``g1-left-hand``.
-        sensors: What each sensor of the glove is, in the glove's order: a finger or a part of one, ``index_0`` for the
-            knuckle of the index finger, ``index_1`` for the next joint; ``thumb_rotation``. `station devices calibrate
-            glove` names them.
+        sensors: What each sensor of the glove is, in the glove's order (`adapters.devices.glove.sensors`), as `station
+            devices calibrate glove` named them; none for the usual names of 5 or 15.
         speed_rad_s: Greatest speed of a joint [rad/s].
     """
 
     command: str
-    sensors: tuple[str, ...] = FINGERS
+    sensors: tuple[str, ...] = ()
     speed_rad_s: float = 8.0
 
     def __post_init__(self) -> None:
         registry.expect("command", self.command)
-        odd = [name for name in self.sensors if name.partition("_")[0] not in FINGERS]
-        if odd:
-            raise ValueError(
-                f"sensors: {', '.join(odd[:4])} belongs to no finger; expected {', '.join(FINGERS)}, or …_0"
-            )
-        if not self.sensors or len(set(self.sensors)) < len(self.sensors):
-            raise ValueError(f"sensors is {list(self.sensors)}; expected each sensor once, and at least one")
+        if self.sensors and (why := why_not(self.sensors)):
+            raise ValueError(f"sensors: {why}")
         if not 0.1 <= self.speed_rad_s <= 20.0:
             raise ValueError(f"speed_rad_s is {self.speed_rad_s:g}; expected 0.1 to 20")
 
@@ -75,7 +68,8 @@ class GloveDriver:
         if not isinstance(found, HandCommand):
             raise ConfigError(f"command {options.command!r} is not that of a hand, and a glove drives nothing else")
         self._options, self.command_format = options, found
-        self._weights = weights(found, options.sensors)
+        known = [options.sensors] if options.sensors else PRESETS.values()
+        self._weights = {names: weights(found, names) for names in known}
         self._fastest = np.minimum(found.rate, options.speed_rad_s)
         self._held: Snapshot[Any, Any] | None = None
         self._met = np.zeros(len(found.default), dtype=bool)
@@ -88,27 +82,28 @@ class GloveDriver:
 
     def inspect(self, sample: OperatorSample) -> DriverInput:
         """A number of each sensor is needed."""
-        names, closed = self._options.sensors, sample.joints
+        closed = sample.joints
         if closed is None:
             return DriverInput(None, "the glove sends no sensors")
-        if len(closed) != len(names) or not np.isfinite(closed).all():
+        if self._names(closed) is None or not np.isfinite(closed).all():
+            expected = " or ".join(str(len(names)) for names in self._weights)
             return DriverInput(
                 None,
-                f"the glove sends {len(closed)} sensors, expected {len(names)} numbers: {', '.join(names)}; set "
-                "sensors: to what it has",
+                f"the glove sends {len(closed)} sensors, expected {expected} numbers; say with sensors: what each is",
             )
         return DriverInput(np.clip(closed, 0.0, 1.0))
 
     def jump(self, before: Floats, now: Floats) -> str:
         """Return which sensor jumped, or ""."""
+        names = self._names(now)
+        if names is None or len(before) != len(now):
+            return f"the glove sends {len(now)} sensors and no more {len(before)}"
         change = np.abs(now - before)
         worst = int(change.argmax())
         if change[worst] <= _JUMP:
             return ""
-        return (
-            f"{self._options.sensors[worst]} of the glove jumped by {change[worst]:.2f} of its whole way between two "
-            f"samples (limit {_JUMP:g})"
-        )
+        way = f"{change[worst]:.2f} of its whole way"
+        return f"{names[worst]} of the glove jumped by {way} between two samples (limit {_JUMP:g})"
 
     def next_mode(self) -> str:
         """There is but one."""
@@ -134,11 +129,17 @@ class GloveDriver:
         return {"driver": self.name, **msgspec.to_builtins(self._options)}
 
     def _follow(self, closed: Floats, dt_s: float) -> None:
-        hand = self.command_format
-        missing = hand.opened + (hand.closed - hand.opened) * (self._weights @ closed) - self._q
+        hand, names = self.command_format, self._names(closed)
+        if names is None:
+            return
+        missing = hand.opened + (hand.closed - hand.opened) * (self._weights[names] @ closed) - self._q
         self._met |= np.abs(missing) < _MET_RAD
         change = np.where(self._met, self._fastest, np.minimum(GENTLE_RAD_S, self._fastest)) * dt_s
         self._q = self._q + np.clip(missing, -change, change)
+
+    def _names(self, closed: Floats) -> tuple[str, ...] | None:
+        """Return what the sensors are called, as many as there are numbers."""
+        return next((names for names in self._weights if len(names) == len(closed)), None)
 
 
 def weights(hand: HandCommand, sensors: Sequence[str]) -> Floats:

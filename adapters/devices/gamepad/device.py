@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import importlib
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
-from adapters.devices.gamepad import names, sdl
+from adapters.devices.gamepad import names, pedals, sdl
 from station.operator.device import DeviceError
 from station.operator.sample import OperatorSample
 
@@ -23,22 +25,30 @@ class Gamepad:
         name, index: Which one, where several are plugged in: a part of its name, SDL's number.
         dead_band: Part of full deflection within which a stick or trigger counts as at rest.
         mapping: An SDL mapping for a pad that SDL does not know.
+        controls: What numbered controls stand for (`adapters.devices.gamepad.pedals`), of pedals, or of any pad,
+            whatever SDL knows of it.
 
     Raises:
-        DeviceError: no such pad, several, no permission, or no library.
+        DeviceError: no such pad, several, no permission, no such control, or no library.
     """
 
-    def __init__(self, *, name: str = "", index: int | None = None, dead_band: float = 0.05, mapping: str = "") -> None:
+    def __init__(
+        self, *, name: str = "", index: int | None = None, dead_band: float = 0.05, mapping: str = "",
+        controls: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:  # fmt: skip
         self._pygame = sdl.start(mapping)
         self._dead_band = dead_band
+        self._named = pedals.parsed(controls)
         self._pad = sdl.choose(self._pygame, name=name, index=index)
+        self._is_mapped = self._pad.is_mapped and not self._named
         try:
             self._opened = self._open()
         except self._pygame.error as error:
             raise DeviceError(f"gamepad {self._pad}: cannot be opened: {error}") from None
         self._lost = ""
         self._tapped: set[str] = set()
-        self._state = dict.fromkeys(names.CONTROLS, 0.0) if self._pad.is_mapped else self._unmapped()
+        self._rest = dict.fromkeys(names.CONTROLS, 0.0) if self._is_mapped else self._unmapped()
+        self._state = dict(self._rest)
         self._pygame.event.clear(pump=False)  # what was pressed before is nobody's command
 
     def read(self) -> OperatorSample | None:
@@ -57,7 +67,11 @@ class Gamepad:
         for control in self._tapped:
             shown[control] = 1.0
         self._tapped.clear()
-        if self._pad.is_mapped:
+        if self._named:
+            shown = dict.fromkeys(names.CONTROLS, 0.0) | {
+                name: pedals.value(name, terms, shown) for name, terms in self._named.items()
+            }
+        if self._is_mapped or self._named:
             self._apply_dead_band(shown)
         return OperatorSample(controls=shown)
 
@@ -72,8 +86,8 @@ class Gamepad:
             "device": "gamepad",
             "model": self._pad.name,
             "guid": self._pad.guid,
-            "is_mapped": self._pad.is_mapped,
-            "controls": list(self._state),
+            "is_mapped": self._is_mapped,
+            "controls": list(names.CONTROLS if self._named else self._state),
             "dead_band": self._dead_band,
             "library": f"pygame {self._pygame.version.ver}, SDL {version}",
         }
@@ -93,11 +107,11 @@ class Gamepad:
 
     def _lose(self, why: str) -> None:
         self._lost = f"gamepad {self._pad.name!r}: {why}"
-        self._state = dict.fromkeys(self._state, 0.0)
+        self._state = dict(self._rest)
         self._tapped.clear()
 
     def _open(self) -> Any:
-        if not self._pad.is_mapped:
+        if not self._is_mapped:
             opened = self._pygame.joystick.Joystick(self._pad.index)
             self._id = opened.get_instance_id()
             return opened
@@ -109,7 +123,15 @@ class Gamepad:
         joystick = self._opened
         hats = [f"hat_{number}_{axis}" for number in range(joystick.get_numhats()) for axis in "xy"]
         axes = [f"axis_{number}" for number in range(joystick.get_numaxes())]
-        return dict.fromkeys([*axes, *hats, *(f"button_{number}" for number in range(joystick.get_numbuttons()))], 0.0)
+        buttons = [f"button_{number}" for number in range(joystick.get_numbuttons())]
+        found, rests = dict.fromkeys([*axes, *hats, *buttons], 0.0), pedals.rests(self._named)
+        if missing := [control for control in rests if control not in found]:
+            self._opened.quit()
+            raise DeviceError(
+                f"gamepad {self._pad}: controls: no {', '.join(missing)}; it has {len(axes)} axes, {len(buttons)} "
+                f"buttons and {len(hats) // 2} hats, counted from 0"
+            )
+        return found | rests
 
     def _on_event(self, event: Any) -> None:
         pygame = self._pygame
@@ -117,7 +139,7 @@ class Gamepad:
             self._lose("gone; plug it in again, or wake it")
         elif self._lost:
             return
-        elif self._pad.is_mapped:
+        elif self._is_mapped:
             self._on_mapped_event(event)
         else:
             self._on_numbered_event(event)

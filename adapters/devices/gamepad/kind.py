@@ -9,8 +9,11 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import msgspec
+
 from adapters.devices import pair
 from adapters.devices.gamepad.names import CONTROLS
+from adapters.devices.gamepad.pedals import parsed
 from station.clock import Clock
 from station.operator.device import Device, DeviceError
 from station.operator.device_kind import DeviceConfig, DeviceKind, Source
@@ -24,12 +27,15 @@ class GamepadConfig(DeviceConfig, frozen=True, kw_only=True, forbid_unknown_fiel
         index: Or SDL's number of it.
         dead_band: Part of full deflection within which a stick or trigger counts as at rest.
         mapping: An SDL mapping for a pad that SDL does not know.
+        controls: What the numbered controls of pedals stand for, by the name of a gamepad's control: `left_stick_y:
+            axis_1@-1 - axis_0@-1` for two pedals that rest at -1, `left_bumper: button_0`.
     """
 
     pad: str = ""
     index: int | None = None
     dead_band: float = 0.05
     mapping: str = ""
+    controls: dict[str, str] = msgspec.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -37,6 +43,9 @@ class GamepadConfig(DeviceConfig, frozen=True, kw_only=True, forbid_unknown_fiel
             raise ValueError(f"dead_band is {self.dead_band:g}; expected 0 to 0.5 of full deflection")
         if self.mapping and self.mapping.count(",") < 2:
             raise ValueError("mapping is no SDL mapping; expected one such as 03000000…,My pad,a:b0,b:b1,leftx:a0")
+        if self.controls and self.mapping:
+            raise ValueError("controls and mapping both say which control is which; expected one of them")
+        parsed(self.controls)
 
 
 @contextlib.contextmanager
@@ -44,7 +53,8 @@ def _source(config: GamepadConfig, _clock: Clock, start_s: float) -> Iterator[So
     def opened(name: str = config.pad) -> Device:
         from adapters.devices.gamepad.device import Gamepad
 
-        return Gamepad(name=name, index=config.index, dead_band=config.dead_band, mapping=config.mapping)
+        return Gamepad(name=name, index=config.index, dead_band=config.dead_band, mapping=config.mapping,
+                       controls=config.controls)  # fmt: skip
 
     if config.fake is None:
         yield Source(open=opened)

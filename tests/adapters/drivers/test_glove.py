@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from adapters.commands.g1_parts import LEFT_HAND, RIGHT_HAND
-from adapters.drivers.glove import FINGERS, GENTLE_RAD_S, GloveDriver, GloveOptions, weights
+from adapters.devices.glove.sensors import FINGERS
+from adapters.drivers.glove import GENTLE_RAD_S, GloveDriver, GloveOptions, weights
 from station.errors import ConfigError
 from station.operator.deadman import Snapshot
 from station.operator.sample import OperatorSample
@@ -56,7 +57,7 @@ def test_one_finger_bends_and_the_others_stay() -> None:
 
 
 def test_a_glove_with_a_sensor_for_each_joint_bends_each_by_its_own() -> None:
-    driver, snapshot = engaged(closed=np.zeros(15), sensors=EACH)
+    driver, snapshot = engaged(closed=np.zeros(15))
     closed = np.zeros(15)
     closed[EACH.index("middle_1")] = 1.0
     asked = after(driver, snapshot, closed, 2.0)
@@ -105,11 +106,8 @@ def test_it_goes_on_from_where_the_hand_is() -> None:
     ("closed", "why_not"),
     [
         (None, "the glove sends no sensors"),
-        (
-            np.zeros(15),
-            "the glove sends 15 sensors, expected 5 numbers: thumb, index, middle, ring, little; set sensors",
-        ),
-        (np.full(5, np.nan), "the glove sends 5 sensors, expected 5 numbers"),
+        (np.zeros(16), "the glove sends 16 sensors, expected 5 or 15 numbers; say with sensors: what each is"),
+        (np.full(5, np.nan), "the glove sends 5 sensors, expected 5 or 15 numbers"),
     ],
 )
 def test_a_glove_that_sends_something_else_is_told(closed: Floats | None, why_not: str) -> None:
@@ -125,6 +123,7 @@ def test_a_sensor_that_jumps_is_named() -> None:
         driver.jump(OPEN, now) == "index of the glove jumped by 0.80 of its whole way between two samples (limit 0.7)"
     )
     assert driver.jump(now, now) == ""
+    assert driver.jump(OPEN, np.zeros(15)) == "the glove sends 15 sensors and no more 5"
 
 
 @pytest.mark.parametrize(
@@ -144,9 +143,8 @@ def test_what_cannot_be_driven_is_refused_in_a_line(options: dict[str, object], 
     ("options", "words"),
     [
         ({"command": "g1-left-hend"}, "did you mean 'g1-left-hand'"),
-        ({"sensors": ("thumb", "toe")}, "toe belongs to no finger"),
-        ({"sensors": ("thumb", "thumb")}, "each sensor once"),
-        ({"sensors": ()}, "at least one"),
+        ({"sensors": ("thumb", "toe")}, "sensors: 'toe' is no sensor; expected one of thumb, index"),
+        ({"sensors": ("thumb", "thumb")}, "sensors: sensor thumb comes twice"),
         ({"speed_rad_s": 0.0}, "speed_rad_s is 0; expected 0.1 to 20"),
     ],
 )

@@ -16,6 +16,7 @@ from adapters.devices.fakes.gamepad.pad import FakePad, PadStep
 from adapters.devices.fakes.script import Script
 from adapters.devices.gamepad import names, sdl
 from adapters.devices.gamepad.device import Gamepad
+from adapters.devices.gamepad.kind import GamepadConfig
 from station.errors import BadFile
 from station.operator.device import Device, DeviceError
 from tests.adapters.devices.by_hand import HandClock
@@ -246,6 +247,78 @@ def test_a_pad_that_sdl_does_not_know_has_numbered_controls(plug: Plug, opened: 
     assert shown(device) == {}
     clock.pass_(0.1)
     assert shown(device) == {"axis_0": 1.0, "button_1": 1.0}
+
+
+PEDALS = {
+    "left_stick_y": "axis_1@-1 - axis_0@-1", "right_stick_x": "-axis_2", "right_trigger": "axis_4@1",
+    "left_bumper": "button_0 + button_3",
+}  # fmt: skip
+REST = {"left_stick_x": -1.0, "left_stick_y": 1.0, "left_trigger": 1.0}
+"""Of the fake pad's axes 0, 1 and 4: SDL's y is the other way about."""
+
+
+@pytest.mark.parametrize("is_known", [False, True])
+def test_pedals_walk_as_sticks_do_and_one_that_was_never_touched_is_at_rest(
+    plug: Plug, opened: Open, clock: HandClock, is_known: bool
+) -> None:
+    plug(
+        PadStep(at_s=0.1, set=REST | {"left_stick_y": -1.0}),
+        PadStep(at_s=0.2, set=REST | {"left_stick_x": 0.0}),
+        PadStep(at_s=0.3, set=REST | {"right_stick_x": 1.0, "right_primary": 1.0}),
+        PadStep(at_s=0.4, set=REST | {"right_stick_x": 0.0, "right_primary": 0.0, "left_trigger": 0.5}),
+        is_known=is_known,
+    )
+    device = opened(controls=PEDALS, dead_band=0.0)
+    assert shown(device) == {}, "before SDL has said anything of its axes"
+    for expected in (
+        {"left_stick_y": 1.0},
+        {"left_stick_y": -0.5},
+        {"right_stick_x": -1.0, "left_bumper": 1.0},
+        {"right_trigger": 0.5},
+    ):
+        clock.pass_(0.1)
+        found = shown(device)
+        assert {name: round(value, 2) for name, value in found.items()} == expected
+    assert device.facts()["controls"] == list(names.CONTROLS)
+
+
+def test_pedals_that_are_torn_out_are_at_rest(plug: Plug, opened: Open) -> None:
+    pad = plug(PadStep(at_s=0.0, set=REST | {"left_stick_y": -1.0}), is_known=False)
+    device = opened(controls=PEDALS, dead_band=0.0)
+    assert shown(device) == {"left_stick_y": 1.0}
+    pad.unplug()
+    wait_until(lambda: shown(device) == {})
+    with pytest.raises(DeviceError, match="gone; plug it in again"):
+        device.read()
+
+
+def test_a_pedal_that_is_not_there_is_named(plug: Plug) -> None:
+    plug(is_known=False)
+    with pytest.raises(DeviceError, match=r"controls: no axis_9, hat_0_x; it has 6 axes, 15 buttons and 0 hats"):
+        Gamepad(controls={"left_stick_y": "axis_9", "dpad_up": "hat_0_x"})
+
+
+@pytest.mark.parametrize(
+    ("controls", "said"),
+    [
+        ({"left_stik_y": "axis_1"}, "no control 'left_stik_y' (did you mean 'left_stick_y'?)"),
+        ({"left_stick_y": "axis1"}, "left_stick_y is 'axis1'; expected terms such as axis_1"),
+        ({"left_stick_y": "axis_1 axis_2"}, "expected terms such as axis_1"),
+        ({"left_stick_y": "axis_1 -"}, "expected terms such as axis_1"),
+        ({"left_stick_y": ""}, "expected terms such as axis_1"),
+        ({"left_stick_y": "axis_1@-1", "left_stick_x": "axis_1"}, "left_stick_x: axis_1 rests elsewhere"),
+    ],
+)
+def test_controls_that_cannot_be_are_refused_in_a_line(controls: dict[str, str], said: str) -> None:
+    with pytest.raises(ValueError, match=r"^controls: ") as caught:
+        GamepadConfig(controls=controls)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_controls_and_a_mapping_do_not_go_together() -> None:
+    with pytest.raises(ValueError, match="controls and mapping both say"):
+        GamepadConfig(controls={"left_stick_y": "axis_1"}, mapping="0300,Pad,a:b0,b:b1")
 
 
 def test_no_pad_is_one_line() -> None:
