@@ -72,7 +72,7 @@ def test_a_bad_motion_file(bus_home: Home, tmp_path: Path, name: str) -> None:
     [
         (["upp"], "unknown `station` command 'upp' (did you mean 'up'?)"),
         (["record", "strt"], "unknown `station record` command 'strt' (did you mean 'start'?)"),
-        (["up"], "which runbook? Name one of commands-only, g1-and-two-arms-sim, g1-demo, "),
+        (["up"], "which runbook? Name one of commands-only, g1-and-two-arms-sim, g1-cockpit-sim, g1-demo, "),
         (["up", ""], "which runbook? Name one of commands-only"),
         (["up", "walk"], "unknown runbook 'walk'; expected one of commands-only"),
         (["completion"], "Choose from: bash, zsh, fish. See `station completion --help`."),
