@@ -54,7 +54,7 @@ def hand(side: str, robot: str) -> HandCommand:
     """Return the command of a Dex3-1 hand of a robot; the right one's joints turn the other way."""
     names = HAND[side]
     short = [name.removeprefix(f"{side}_hand_") for name in names]
-    closed = np.array([_CLOSED_RAD[name] for name in short]) * (1.0 if side == "left" else -1.0)
+    closed = np.array([_CLOSED_RAD[name] for name in short]) * (1.0 if side == "left" else -1.0) + 0.0  # no minus zero
     opened = np.zeros(len(names))
     for array in (opened, closed):
         array.flags.writeable = False

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
+from adapters.commands.g1_parts import hand
 from adapters.robots.g1 import twist_keys
 from station.operator.sample import Side
 from station.protocols import Floats
@@ -18,12 +17,8 @@ OPENS_BOTH = "right_bumper"
 
 _TOUCHED = 0.1  # a trigger that is less deflected rests
 
-CLOSED: dict[Side, Floats] = {
-    "left": np.array([0.0, 1.0, 1.74, -1.57, -1.74, -1.57, -1.74]),
-    "right": np.array([0.0, -1.0, -1.74, 1.57, 1.74, 1.57, 1.74]),
-}
-"""Joints of a closed hand in the order of `adapters.robots.g1.dex3.MOTORS` [rad]; an open one is all zeros. Source:
-amazon-far/TWIST2, parameters of the hand poses."""
+CLOSED: dict[Side, Floats] = {"left": hand("left", "").closed, "right": hand("right", "").closed}
+"""Joints of a closed hand in the order of its motors [rad]; an open one is all zeros."""
 
 
 class Fingers:
