@@ -154,10 +154,13 @@ def _formats() -> tuple[CommandFormat, ...]:
 
 @cache
 def _formats_for_any() -> tuple[ForAnyRobot, ...]:
-    """Formats that any robot may take; found once, since the protocol check walks its attributes at every call."""
+    """Formats with a key that any robot may take; found once, since the protocol check walks its attributes.
+
+    A command of parts has no key: its parts have, and they are formats themselves.
+    """
     from station.protocols import ForAnyRobot  # it loads NumPy
 
-    return tuple(found for found in _formats() if isinstance(found, ForAnyRobot))
+    return tuple(found for found in _formats() if isinstance(found, ForAnyRobot) and found.for_robot("any").key)
 
 
 def _command(found: CommandFormat) -> CommandFormat:
