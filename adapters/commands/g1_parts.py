@@ -13,7 +13,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from adapters.commands.hand import HandCommand
+from adapters.commands.hand import HandCommand, Side
 from adapters.commands.velocity import FORMATS
 from adapters.robots.g1 import joints as g1
 from station.arms import JointCommand
@@ -25,7 +25,8 @@ FASTEST_RAD_S = 2.0
 
 _BEYOND_RAD = 0.2  # outside its range a target is still clamped so far; farther away it is another arm's, or a fault
 
-ARM = {side: tuple(name for name in g1.G1_29[15:] if name.startswith(side)) for side in ("left", "right")}
+_SIDES: tuple[Side, ...] = ("left", "right")
+ARM = {side: tuple(name for name in g1.G1_29[15:] if name.startswith(side)) for side in _SIDES}
 """The 7 joints of each arm, from the shoulder to the wrist."""
 
 ARMS = ARM["left"] + ARM["right"]
@@ -41,7 +42,7 @@ _CLOSED_RAD = {"thumb_0": 0.0, "thumb_1": 1.0, "thumb_2": 1.74, "middle_0": -1.5
 _BENT_BY = {"thumb_0": "thumb_rotation", "thumb_1": "thumb_0", "thumb_2": "thumb_1"}
 
 
-def arm(side: str, robot: str) -> JointCommand:
+def arm(side: Side, robot: str) -> JointCommand:
     """Return the command of an arm of a robot."""
     names = ARM[side]
     return JointCommand.within(
@@ -50,7 +51,7 @@ def arm(side: str, robot: str) -> JointCommand:
     )  # fmt: skip
 
 
-def hand(side: str, robot: str) -> HandCommand:
+def hand(side: Side, robot: str) -> HandCommand:
     """Return the command of a Dex3-1 hand of a robot; the right one's joints turn the other way."""
     names = HAND[side]
     short = [name.removeprefix(f"{side}_hand_") for name in names]
@@ -64,7 +65,7 @@ def hand(side: str, robot: str) -> HandCommand:
     )  # fmt: skip
     return HandCommand(
         **{field.name: getattr(bare, field.name) for field in fields(bare)},
-        fingers=tuple(_BENT_BY.get(name, name) for name in short), opened=opened, closed=closed,
+        side=side, fingers=tuple(_BENT_BY.get(name, name) for name in short), opened=opened, closed=closed,
     )  # fmt: skip
 
 

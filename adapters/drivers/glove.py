@@ -1,4 +1,4 @@
-"""The driver `glove`: the fingers of a robot's hand bend as those in a glove do.
+"""The driver `glove`: the fingers of a robot's hand bend as those in a glove do, or as those that a headset sees.
 
 A glove tells of each sensor how far it is closed, a hand's command tells of each joint what bends it and where it is
 open and closed (`adapters.commands.hand.HandCommand`): so any glove drives any hand. A joint goes to its finger gently
@@ -15,6 +15,7 @@ import numpy as np
 
 from adapters.commands.hand import HandCommand
 from adapters.devices.glove.sensors import PRESETS, why_not
+from adapters.retarget import finger_bends
 from station import registry
 from station.errors import ConfigError
 from station.operator.deadman import Snapshot
@@ -82,9 +83,9 @@ class GloveDriver:
 
     def inspect(self, sample: OperatorSample) -> DriverInput:
         """A number of each sensor is needed."""
-        closed = sample.joints
+        closed = self._closed(sample)
         if closed is None:
-            return DriverInput(None, "the glove sends no sensors")
+            return DriverInput(None, f"neither a glove's sensors nor a tracked {self.command_format.side} hand comes")
         if self._names(closed) is None or not np.isfinite(closed).all():
             expected = " or ".join(str(len(names)) for names in self._weights)
             return DriverInput(
@@ -136,6 +137,13 @@ class GloveDriver:
         self._met |= np.abs(missing) < _MET_RAD
         change = np.where(self._met, self._fastest, np.minimum(GENTLE_RAD_S, self._fastest)) * dt_s
         self._q = self._q + np.clip(missing, -change, change)
+
+    def _closed(self, sample: OperatorSample) -> Floats | None:
+        """Return what a glove sends, else how far the fingers of a tracked hand are closed."""
+        if sample.joints is not None:
+            return sample.joints
+        hand = sample.hands.get(self.command_format.side)
+        return None if hand is None else finger_bends.closed(hand)
 
     def _names(self, closed: Floats) -> tuple[str, ...] | None:
         """Return what the sensors are called, as many as there are numbers."""

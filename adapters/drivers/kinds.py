@@ -119,7 +119,7 @@ WALK = DriverKind(
 )
 GLOVE = DriverKind(
     name="glove",
-    summary="the fingers of a robot's hand bend as those in a glove do",
+    summary="the fingers of a robot's hand bend as those in a glove do, or as those that a headset sees",
     options=GloveOptions,
     make=lambda options, operator: GloveDriver(options),
 )

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 
 from adapters.commands.g1_parts import LEFT_HAND, RIGHT_HAND
 from adapters.devices.glove.sensors import FINGERS
 from adapters.drivers.glove import GENTLE_RAD_S, GloveDriver, GloveOptions, weights
+from adapters.retarget.finger_bends import FIST_RAD
 from station.errors import ConfigError
 from station.operator.deadman import Snapshot
 from station.operator.sample import OperatorSample
 from station.protocols import Floats
+from tests.adapters.retarget.test_finger_bends import hand as tracked
 
 from .operators import TICK_S
 
@@ -105,7 +109,7 @@ def test_it_goes_on_from_where_the_hand_is() -> None:
 @pytest.mark.parametrize(
     ("closed", "why_not"),
     [
-        (None, "the glove sends no sensors"),
+        (None, "neither a glove's sensors nor a tracked left hand comes"),
         (np.zeros(16), "the glove sends 16 sensors, expected 5 or 15 numbers; say with sensors: what each is"),
         (np.full(5, np.nan), "the glove sends 5 sensors, expected 5 or 15 numbers"),
     ],
@@ -114,6 +118,20 @@ def test_a_glove_that_sends_something_else_is_told(closed: Floats | None, why_no
     found = GloveDriver(GloveOptions(command="g1-left-hand")).inspect(OperatorSample(joints=closed))
     assert found.input is None
     assert found.why_not.startswith(why_not)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_tracked_hand_bends_the_hand_of_its_side_as_a_glove_of_15_does(side: Literal["left", "right"]) -> None:
+    fist, other = tracked(FIST_RAD), tracked(np.zeros((5, 3)))
+    driver = GloveDriver(GloveOptions(command=f"g1-{side}-hand"))
+    sample = OperatorSample(hands={"left": fist, "right": other} if side == "left" else {"left": other, "right": fist})
+    snapshot = Snapshot(driver.inspect(sample).input, driver.target)
+    for _ in range(round(2.0 / TICK_S)):
+        asked = driver.step(sample, snapshot, TICK_S)
+    np.testing.assert_allclose(asked, driver.command_format.closed, atol=1e-9)
+    only_other = OperatorSample(hands={"right" if side == "left" else "left": fist})
+    assert driver.inspect(only_other).why_not.endswith(f"nor a tracked {side} hand comes")
+    np.testing.assert_array_equal(driver.step(only_other, snapshot, TICK_S), asked, err_msg="it stays")
 
 
 def test_a_sensor_that_jumps_is_named() -> None:
