@@ -1,4 +1,4 @@
-"""The person who is asked while a device is calibrated."""
+"""Talks to the person who calibrates a device."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Console(Protocol):
 
 
 class Terminal:
-    """A person who sits at a terminal."""
+    """Talks to a person at a terminal."""
 
     def show(self, line: str) -> None:
         """Show a line."""

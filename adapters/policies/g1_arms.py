@@ -57,13 +57,14 @@ class G1ArmsPolicy(OnAllJoints):
         robot = G1_DEX3 if hands else G1
         super().__init__(inside, np.zeros(len(robot.joints)), f"legs: policy {legs!r}", robot)
         limbs = [make(side, "") for make in ((arm, hand) if hands else (arm,)) for side in ARM]
-        ours = limbs if velocities == given.command else limbs[len(ARM) :]
+        taken = 0 if velocities == given.command else len(ARM)
+        theirs, ours = limbs[:taken], limbs[taken:]
         self._limbs = [
             robot.joint_names.index(element.name.removesuffix("_pos")) for limb in ours for element in limb.elements
         ]
-        self._count = len(FORMATS[velocities].default) + sum(len(limb.default) for limb in limbs if limb not in ours)
+        self._count = len(FORMATS[velocities].default) + sum(len(limb.default) for limb in theirs)
         span = [(getattr(given, f"command_{end}"), [getattr(limb, end) for limb in ours]) for end in ("lower", "upper")]
-        lower, upper = (None if theirs is None else np.concatenate([theirs, *ends]) for theirs, ends in span)
+        lower, upper = (None if inner is None else np.concatenate([inner, *ends]) for inner, ends in span)
         self._spec = replace(
             self._spec, name="g1-arms", command=f"g1-{'hands' if hands else 'arms'}-{velocities}",
             command_lower=lower, command_upper=upper,

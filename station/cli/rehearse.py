@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from station.rehearse import Rehearsal
     from station.suite.outcome import Outcome
     from station.suite.run import Evaluation
-    from station.suite.survived import Measured
+    from station.suite.survived import PolicyCommands
 
 _TOLD = 8  # cases of a group that failed and are told
 
@@ -146,7 +146,7 @@ def _envelope(
     raise SystemExit(1 if left_out else 0)
 
 
-def _recorded(reference: str, of: Measured) -> tuple[str, list[Floats]]:
+def _recorded(reference: str, of: PolicyCommands) -> tuple[str, list[Floats]]:
     """Return the id of an episode, and the commands that its policy got, shape (steps, m) each, without holes.
 
     Raises:

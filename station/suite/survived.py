@@ -56,15 +56,15 @@ class Survived(NamedTuple):
     commands: Floats
 
 
-class Measured(NamedTuple):
-    """What an envelope is measured of: the format of a policy's commands, the time between two [s], its network."""
+class PolicyCommands(NamedTuple):
+    """The commands of a policy: their format, the time between two [s], and the sha256 of its network."""
 
     command: CommandFormat
     period_s: float
     sha256: str
 
 
-def commands_of(config: RigConfig) -> Measured:
+def commands_of(config: RigConfig) -> PolicyCommands:
     """Return what an envelope of a policy is measured of.
 
     Raises:
@@ -78,7 +78,7 @@ def commands_of(config: RigConfig) -> Measured:
             f"policy {config.policy!r} follows velocities: motions do not show which of them it survives; "
             "--suite --only envelope tries it"
         )
-    return Measured(rig.command_format, rig.period_s, rig.policy.spec.sha256)
+    return PolicyCommands(rig.command_format, rig.period_s, rig.policy.spec.sha256)
 
 
 def play(motions: Sequence[str], config: RigConfig, *, holes: str = "refuse", jobs: int = 0,

@@ -6,6 +6,8 @@
 
 A term is a control by number, as SDL numbers them, with its sign. ``@-1`` or ``@1`` is where a pedal rests that has its
 zero at one end of its way: it counts from 0 at rest to 1 at the other end. Several terms are added up.
+
+Never tried on real pedals. Look first at where SDL says that they rest.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from adapters.devices.serial_port import why_gone, why_not_open
+from adapters.devices.serial_port import PortGone, why_gone, why_not_open
 from station.clock import SYSTEM, Clock
 from station.operator.device import DeviceError
 from station.protocols import Floats
@@ -22,10 +22,6 @@ Servos = Literal["dynamixel", "feetech"]
 RAD_PER_TICK = math.pi / 2048.0
 
 _NAP_S = 0.002
-
-
-class PortGone(DeviceError):
-    """The serial port was torn out."""
 
 
 class NoSuchRate(DeviceError):

@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import threading
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from adapters.devices.gello import calibration as calibrations
 from adapters.devices.gello import ports
-from adapters.devices.gello.bus import BUSES, MotorBus, NoSuchRate, PortGone, Servos, model_name
+from adapters.devices.gello.bus import BUSES, MotorBus, NoSuchRate, Servos, model_name
 from adapters.devices.gello.calibration import Calibration
-from adapters.devices.serial_port import BY_ID, serial_of
+from adapters.devices.serial_port import BY_ID, PortReader, Reading, serial_of
 from station.clock import SYSTEM, Clock
 from station.operator.device import DeviceError
 from station.operator.sample import OperatorSample
 from station.protocols import Floats
 
 log = logging.getLogger(__name__)
-
-_STOP_S = 5.0
 
 
 class Gello:
@@ -189,20 +186,8 @@ def _why_no_answer(bus: MotorBus, first: int) -> str:
     return f"{bus.port}: no servo answers at any baud rate; see to the leader's power and its first cable"
 
 
-class Sample(NamedTuple):
-    """One reading of all servos of a leader.
-
-    Attributes:
-        capture_ns: When it was read, on this machine's monotonic clock [ns].
-        values: Joints [rad] and gripper (0..1), shape (n,).
-    """
-
-    capture_ns: int
-    values: Floats
-
-
-class Sampler:
-    """The thread.
+class Sampler(PortReader):
+    """The thread that reads a leader; its values are joints [rad] and the gripper, 0 to 1.
 
     Torn packets are read again. A servo that is silent for longer than `patience_s` is a fault with its name, and the
     end of the thread: what the joints were is never given in place of what they are.
@@ -214,32 +199,19 @@ class Sampler:
         patience_s: For how long a reading may fail [s].
 
     Attributes:
-        newest: The newest reading; None before the first.
-        fault: Why there will be no further one; "" while there will.
         failures: Readings that failed so far.
     """
 
     def __init__(self, bus: MotorBus, calibration: Calibration, *, rate_hz: float, patience_s: float) -> None:
-        self.newest: Sample | None = None
-        self.fault = ""
+        super().__init__(bus.clock)
         self.failures = 0
-        self._bus, self._calibration, self._clock = bus, calibration, bus.clock
+        self._bus, self._calibration = bus, calibration
         self._period_s, self._patience_s = 1.0 / rate_hz, patience_s
         self._turns: Floats | None = None
-        self._stop = threading.Event()
-        self._thread = self._clock.start(self._run, f"gello-{calibration.serial}")
+        self.start(f"gello-{calibration.serial}")
 
-    def close(self) -> None:
-        """End the thread and release the bus; a second call does nothing."""
-        self._stop.set()
-        self._clock.join(self._thread, _STOP_S)
+    def _release(self) -> None:
         self._bus.close()
-
-    def _run(self) -> None:
-        try:
-            self._read_until_stopped()
-        except PortGone as error:
-            self.fault = str(error)
 
     def _read_until_stopped(self) -> None:
         good_s = due_s = self._clock.monotonic_s()
@@ -262,7 +234,7 @@ class Sampler:
         if self._turns is None:
             self._turns = self._calibration.turns(servos)
         capture_ns = (began_ns + self._clock.monotonic_ns()) // 2
-        self.newest = Sample(capture_ns, self._calibration.values(servos, self._turns))
+        self.newest = Reading(capture_ns, self._calibration.values(servos, self._turns))
         return True
 
     def _diagnosis(self) -> str:

@@ -49,7 +49,7 @@ def choose(wanted: tuple[str, ...], count: int, folder: Path = BY_ID, servos: Se
 
 
 def plugged_in(folder: Path = BY_ID) -> list[str]:
-    """Return each adapter that may have a leader behind it, as a person is told."""
+    """Return a line for each adapter that may belong to a leader: its serial number and its port."""
     found = sorted(path for _, pattern in _ADAPTERS.values() for path in folder.glob(pattern))
     return [f"adapter {serial_of(str(path), folder)} at {path}" for path in found]
 

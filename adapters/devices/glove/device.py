@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import threading
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 from adapters.devices.glove import calibration as calibrations
 from adapters.devices.glove import ports
 from adapters.devices.glove.calibration import Calibration, Side
 from adapters.devices.glove.lines import LineReader, Protocol
-from adapters.devices.glove.ports import BAUD, GlovePort, PortGone
-from adapters.devices.serial_port import BY_ID, serial_of
+from adapters.devices.glove.ports import BAUD, GlovePort
+from adapters.devices.serial_port import BY_ID, PortReader, Reading, serial_of
 from station.clock import SYSTEM, Clock
 from station.operator.device import DeviceError
 from station.operator.sample import OperatorSample
-from station.protocols import Floats
 
 BOOT_S = 3.0
 """For the first line: an Arduino starts anew when its port is opened, and its loader waits for up to 2 s."""
-
-_STOP_S = 5.0
 
 
 class Glove:
@@ -107,20 +103,8 @@ class Glove:
         self._sampler.close()
 
 
-class Sample(NamedTuple):
-    """One line.
-
-    Attributes:
-        capture_ns: When it was complete, on this machine's monotonic clock [ns].
-        values: How far each sensor is closed, 0 open to 1 closed, shape (n,).
-    """
-
-    capture_ns: int
-    values: Floats
-
-
-class Sampler:
-    """The thread that reads the port.
+class Sampler(PortReader):
+    """The thread that reads the port; its values say how far each sensor is closed, 0 to 1.
 
     Bad lines are dropped and counted. None that is good for longer than `patience_s` (`BOOT_S` for the first one) is a
     fault that says what came instead, and the end of the thread: how the hand was held is never given in place of how
@@ -131,21 +115,15 @@ class Sampler:
         calibration: Of the glove.
         patience_s: For how long no good line may come [s].
         clock: Of the process.
-
-    Attributes:
-        newest: The newest sample; None before the first.
-        fault: Why there will be no further one; "" while there will.
     """
 
     def __init__(self, port: GlovePort, calibration: Calibration, *, patience_s: float, clock: Clock) -> None:
-        self.newest: Sample | None = None
-        self.fault = ""
-        self._port, self._calibration, self._clock = port, calibration, clock
+        super().__init__(clock)
+        self._port, self._calibration = port, calibration
         self._reader = LineReader(calibration.protocol, calibration.numbers)
         self._patience_s = patience_s
         self._since = (0, 0)  # bytes and bad lines when the last good line came
-        self._stop = threading.Event()
-        self._thread = clock.start(self._run, f"glove-{calibration.serial}")
+        self.start(f"glove-{calibration.serial}")
 
     def why_silent(self) -> str:
         """Return what has come since the last good line, and what was expected."""
@@ -160,17 +138,8 @@ class Sampler:
             f"no good line comes from {glove}; the last bad one is '{self._reader.last_bad}', {expected}; see to baud:"
         )
 
-    def close(self) -> None:
-        """End the thread and release the port; a second call does nothing."""
-        self._stop.set()
-        self._clock.join(self._thread, _STOP_S)
+    def _release(self) -> None:
         self._port.close()
-
-    def _run(self) -> None:
-        try:
-            self._read_until_stopped()
-        except PortGone as error:
-            self.fault = str(error)
 
     def _read_until_stopped(self) -> None:
         good_s, patience_s = self._clock.monotonic_s(), max(self._patience_s, BOOT_S)
@@ -179,7 +148,7 @@ class Sampler:
             lines = self._reader.feed(self._port.read())
             now_ns = self._clock.monotonic_ns()
             if lines:
-                self.newest = Sample(now_ns, self._calibration.values(lines[-1]))
+                self.newest = Reading(now_ns, self._calibration.values(lines[-1]))
                 self._since = (self._reader.received, self._reader.bad)
                 good_s, patience_s = now_ns * 1e-9, self._patience_s
             elif now_ns * 1e-9 - good_s > patience_s:

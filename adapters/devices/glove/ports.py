@@ -9,7 +9,7 @@ from typing import Any
 
 from adapters.devices.glove import calibration as calibrations
 from adapters.devices.glove.calibration import Side
-from adapters.devices.serial_port import BY_ID, serial_of, why_gone, why_not_open
+from adapters.devices.serial_port import BY_ID, PortGone, serial_of, why_gone, why_not_open
 from station.operator.device import DeviceError
 
 BAUD = 115_200
@@ -21,12 +21,8 @@ _WAIT_S = 0.02
 _CHUNK = 4096
 
 
-class PortGone(DeviceError):
-    """The serial port was torn out."""
-
-
 class GlovePort:
-    """An open serial port from which a glove's bytes come. Nobody else can open it meanwhile.
+    """An open serial port of a glove, which no other process can open meanwhile.
 
     Not for several threads at once.
 
@@ -129,7 +125,7 @@ def only_adapter(folder: Path = BY_ID) -> str:
 
 
 def plugged_in(folder: Path = BY_ID) -> list[str]:
-    """Return each adapter that may have a glove behind it, as a person is told."""
+    """Return a line for each adapter that may belong to a glove: its serial number and its port."""
     kept, told = calibrations.default_folder(), []
     for port in adapters(folder):
         sides = [side for side in _SIDES if _is_calibrated(port, side, kept, folder)]

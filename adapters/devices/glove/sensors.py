@@ -17,7 +17,7 @@ PRESETS: dict[int, tuple[str, ...]] = {
     5: FINGERS,
     15: tuple(f"{finger}_{joint}" for finger in FINGERS for joint in range(3)),
 }
-"""Names by how many numbers a line has, where nobody says otherwise."""
+"""The usual names of sensors, by how many numbers a line has."""
 
 _NAME = re.compile(rf"({'|'.join(FINGERS)})(_[012])?|thumb_rotation")
 

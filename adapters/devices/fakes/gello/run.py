@@ -11,7 +11,7 @@ from adapters.devices.fakes.gello import FakeGello
 
 
 def run(file: Path) -> None:
-    """Print what a server is told to find the leaders of a script, and play it until Ctrl-C.
+    """Print the settings with which a server finds the leaders of a script, and play it until Ctrl-C.
 
     Raises:
         BadFile: the script cannot be read.

@@ -45,7 +45,7 @@ class FakePort(PtyPort):
             self._send(self._next_bytes())
 
     def _send(self, data: bytes) -> None:
-        """Write, or lose it where nobody reads, as a serial port does."""
+        """Write bytes; where nobody reads they are lost, as on a serial port."""
         with self._lock, contextlib.suppress(OSError):
             if data and self._master >= 0 and select.select([], [self._master], [], 0.0)[1]:
                 os.write(self._master, data)

@@ -11,7 +11,7 @@ from adapters.devices.fakes.glove import FakeGloves
 
 
 def run(file: Path) -> None:
-    """Print what a server is told to find each glove of a script, and play it until Ctrl-C.
+    """Print the settings with which a server finds each glove of a script, and play it until Ctrl-C.
 
     Raises:
         BadFile: the script cannot be read.

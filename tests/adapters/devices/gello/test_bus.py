@@ -13,10 +13,10 @@ import pytest
 
 from adapters.devices.fakes.gello.port import FakePort
 from adapters.devices.fakes.gello.servos import Chain, Servo
-from adapters.devices.gello.bus import DynamixelBus, MotorBus, PortGone
-from adapters.devices.serial_port import why_not_open
+from adapters.devices.gello.bus import DynamixelBus, MotorBus
+from adapters.devices.serial_port import PortGone, why_not_open
 from station.operator.device import DeviceError
-from tests.adapters.devices.gello.serial_line import LinePort, lines_in_memory
+from tests.adapters.devices.gello.serial_line import LinePort
 from tests.virtual.clock import VirtualClock
 from tests.waiting import wait_until
 
@@ -30,33 +30,12 @@ def servos() -> list[Servo]:
 
 
 @pytest.fixture
-def clock() -> Iterator[VirtualClock]:
-    with VirtualClock() as made:
-        yield made
-
-
-@pytest.fixture
-def line(clock: VirtualClock) -> Iterator[Callable[..., LinePort]]:
-    """Makes lines in memory; nothing else can be opened meanwhile."""
-    with lines_in_memory(clock) as made:
-        yield made
-
-
-@pytest.fixture
 def bus(line: Callable[..., LinePort], servos: list[Servo], tmp_path: Path) -> Iterator[MotorBus]:
     port = line(tmp_path, "FT1", Chain(servos))
     opened = DynamixelBus(str(port.path), 57600, port.clock)
     yield opened
     opened.close()
     port.close()
-
-
-@pytest.fixture
-def port(servos: list[Servo], tmp_path: Path, processes: object) -> Iterator[FakePort]:
-    """A pseudo terminal: its servos answer from a thread, in real time."""
-    fake = FakePort(tmp_path, "FT1", Chain(servos))
-    yield fake
-    fake.close()
 
 
 @pytest.fixture

@@ -16,9 +16,10 @@ from adapters.devices.fakes.gello.feetech import Wire, packet
 from adapters.devices.fakes.gello.port import FakePort
 from adapters.devices.fakes.gello.protocol import Packet
 from adapters.devices.fakes.gello.servos import Chain, FeetechServo, Servo, wrapped
-from adapters.devices.gello.bus import RAD_PER_TICK, DynamixelBus, FeetechBus, MotorBus, PortGone
+from adapters.devices.gello.bus import RAD_PER_TICK, DynamixelBus, FeetechBus, MotorBus
+from adapters.devices.serial_port import PortGone
 from station.operator.device import DeviceError
-from tests.adapters.devices.gello.serial_line import LinePort, lines_in_memory
+from tests.adapters.devices.gello.serial_line import LinePort
 from tests.virtual.clock import VirtualClock
 from tests.waiting import wait_until
 
@@ -38,32 +39,12 @@ def servos(shown: dict[int, int]) -> list[Servo]:
 
 
 @pytest.fixture
-def clock() -> Iterator[VirtualClock]:
-    with VirtualClock() as made:
-        yield made
-
-
-@pytest.fixture
-def line(clock: VirtualClock) -> Iterator[Callable[..., LinePort]]:
-    with lines_in_memory(clock) as made:
-        yield made
-
-
-@pytest.fixture
 def bus(line: Callable[..., LinePort], servos: list[Servo], tmp_path: Path) -> Iterator[MotorBus]:
     port = line(tmp_path, "5A1", Chain(servos))
     opened = FeetechBus(str(port.path), 1_000_000, port.clock)
     yield opened
     opened.close()
     port.close()
-
-
-@pytest.fixture
-def port(servos: list[Servo], tmp_path: Path, processes: object) -> Iterator[FakePort]:
-    """A pseudo terminal: its servos answer from a thread, in real time."""
-    fake = FakePort(tmp_path, "5A1", Chain(servos))
-    yield fake
-    fake.close()
 
 
 @pytest.fixture
@@ -190,7 +171,7 @@ def test_a_port_that_is_torn_out_is_gone_for_every_call(real_bus: MotorBus, port
     positions(real_bus)
     port.unplug()
     for _ in range(2):
-        with pytest.raises(PortGone, match=r"5A1-if00: gone \(.*plug the leader in again"):
+        with pytest.raises(PortGone, match=r"FT1-if00: gone \(.*plug the leader in again"):
             real_bus.positions([1])
     with pytest.raises(PortGone):
         real_bus.ping([1])
