@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 WIDTH_PX, DPI = 1600, 100
+_NAME_PX, _FIGURE_PX = 6.8, 6.0  # of a character in a title, on average
 
 INK, SOFT, FAINT, PAPER = "#1f2933", "#6b7785", "#e4e8ed", "#ffffff"
 ASKED, MEASURED, SECOND = "#f59e42", "#1c4e80", "#8fb3d6"
@@ -61,10 +62,17 @@ def headline(run: Run, errors: Mapping[str, float] | None = None) -> str:
 
 
 def title(axes: Axes, name: str, figure: str = "", *, figure_colour: str = SOFT) -> None:
-    """Write the name of a panel above its left end, and a number above its right end."""
+    """Write the name of a panel above its left end, and a figure above its right end.
+
+    Where a panel is too narrow for both, the figure stands within it, at the top right.
+    """
     axes.set_title(name, loc="left", fontsize=8.5, pad=3, color=INK)
-    if figure:
+    if not figure:
+        return
+    if _NAME_PX * len(name) + _FIGURE_PX * len(figure) < axes.get_position().width * WIDTH_PX:
         axes.set_title(figure, loc="right", fontsize=7.5, pad=3, color=figure_colour)
+    else:
+        axes.text(1.0, 1.0, figure, ha="right", va="top", fontsize=7.5, color=figure_colour, transform=axes.transAxes)
 
 
 def mark(axes: Axes, run: Run) -> None:

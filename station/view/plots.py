@@ -275,9 +275,9 @@ def _values(axes: Axes) -> Floats:
 
 def _draw_errors(axes: Axes, run: Run, errors: Mapping[str, float]) -> None:
     """Draw a bar per joint, left above right."""
-    style.title(axes, "mean |error| [rad]", figure="left above right")
     place = axes.get_position()
     axes.set_position((place.x0 + _NAMES_IN / 16, place.y0, place.width - _NAMES_IN / 16, place.height))
+    style.title(axes, "mean |error| [rad]", figure="left above right")
     every = (joint for limb in run.groups.values() for joint in limb)
     names = list(dict.fromkeys(joint.removeprefix("left_").removeprefix("right_") for joint in every))
     for row, name in enumerate(names):

@@ -6,9 +6,13 @@ import sys
 from pathlib import Path
 from subprocess import run as run_process
 
+import matplotlib
 import msgspec
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from adapters.commands.velocity import VelocityCommand
 from adapters.robots.g1 import twist_keys
@@ -142,3 +146,18 @@ def test_an_arm_has_a_panel_for_each_joint_below_the_other(builder: EpisodeBuild
         begins = 130 + row * (picture.shape[0] - 170) // 7
         assert share(picture[begins : begins + 130], style.MEASURED) > 0.0005
     assert share(picture, style.ASKED) > 0.002
+
+
+@pytest.mark.parametrize(("name", "figure"), [("mean |error| [rad]", "left above right"), ("hip pitch", "0.031")])
+@pytest.mark.parametrize("width", [0.09, 0.12, 0.16, 0.3])
+def test_the_title_of_a_panel_and_its_figure_do_not_overlap(name: str, figure: str, width: float) -> None:
+    with matplotlib.rc_context(style.RC):
+        page = Figure(figsize=(style.WIDTH_PX / style.DPI, 4), dpi=style.DPI)
+        canvas = FigureCanvasAgg(page)
+        axes = page.add_axes((0.1, 0.2, width, 0.5))
+        style.title(axes, name, figure)
+        canvas.draw()
+        drawn = [text for text in axes.findobj(Text) if text.get_text() in (name, figure)]
+        assert len(drawn) == 2
+        boxes = [text.get_window_extent(canvas.get_renderer()) for text in drawn]
+    assert not boxes[0].overlaps(boxes[1])
