@@ -239,7 +239,10 @@ def _command_format(options: ArmOptions) -> tuple[CommandFormat, dict[str, Any]]
             not element.name.endswith("_pos") for element in command_format.elements
         ):
             raise ConfigError(f"command {options.command!r} has other elements than positions of an arm's joints")
-        if options.robot and isinstance(command_format, JointCommand):
+        if options.robot:
+            if not isinstance(command_format, JointCommand):
+                why = f"command {options.command!r} is for {command_format.robot} alone"
+                raise ConfigError(f"robot is {options.robot!r}; {why}")
             command_format = replace(command_format, robot=options.robot)
         slowest, facts = (
             float(command_format.rate.min()),

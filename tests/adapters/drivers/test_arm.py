@@ -459,3 +459,29 @@ def test_a_command_that_nobody_registered_is_named_with_the_nearest(six: ArmDriv
     with pytest.raises(ValueError, match="unknown command 'sixx'"):
         ArmOptions(command="sixx")
     assert six.facts()["limits"]["rate"] == [1.0] * 6
+
+
+def test_a_part_of_another_robot_takes_the_same_command_under_its_own_keys() -> None:
+    own, other = (
+        ArmDriver("arm-joints", ArmOptions(command="g1-left-arm", robot=robot, speed_rad_s=1.5), "joints")
+        for robot in ("", "g1_dex3_left_arm")
+    )
+    assert own.command_format.key == "action_joints_g1_29_left_arm"
+    assert other.command_format.key == "action_joints_g1_dex3_left_arm"
+    np.testing.assert_array_equal(own.command_format.upper, other.command_format.upper)
+    with pytest.raises(ValueError, match="robot is 'x'; expected none without a command"):
+        ArmOptions(robot="x")
+
+
+def test_a_command_that_is_for_one_robot_alone_is_driven_under_no_other_keys(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Bound:
+        """A format of somebody else's, which is no `JointCommand`."""
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(made, name)
+
+    made = six_joints.COMMAND
+    monkeypatch.setattr(six_joints, "COMMAND", Bound())
+    six_joints.register(monkeypatch)
+    with pytest.raises(ConfigError, match=f"robot is 'x'; command 'six' is for {made.robot} alone"):
+        ArmDriver("arm-joints", ArmOptions(command="six", robot="x"), "joints")
