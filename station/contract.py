@@ -8,7 +8,7 @@ import msgspec
 
 Role = Literal["command", "state", "policy", "sensor", "network", "event", "control"]
 VectorCodec = Literal["json-vector", "f32", "f64"]
-Codec = Literal[VectorCodec, "json", "jpeg", "png", "text", "integer"]
+Codec = Literal[VectorCodec, "f64-rows", "json", "jpeg", "png", "text", "integer"]
 
 
 class Element(msgspec.Struct, frozen=True):
@@ -45,7 +45,7 @@ class Contract(msgspec.Struct, frozen=True, kw_only=True):
         key: The key.
         family: Whose key it is: ``station``, or the name of the command format or the programs that speak it.
         role: What the value is to a station.
-        codec: How the bytes are read.
+        codec: How the bytes are read; ``f64-rows`` is any number of vectors one after the other, each of all elements.
         elements: Names and units of a vector's numbers in order; empty for other values.
         rate_hz: Nominal rate of writes [Hz]; None when it is written on events only.
         step_m: What a step of a depth picture is [m]; None for what is none.

@@ -123,6 +123,43 @@ class Robot(Protocol):
 
 
 @runtime_checkable
+class SelfChecking(Protocol):
+    """A robot that knows when it must not be driven: a real one. Asked in every control period."""
+
+    def why_not_arm(self) -> str:
+        """Return why it must not be armed now, or ""."""
+        ...
+
+    def why_not_drive(self) -> str:
+        """Return why its joints have to be damped now, or ""; it is disarmed then, and armed again by a person."""
+        ...
+
+    def why_stand(self) -> str:
+        """Return why it has to leave its command and stand, to be disarmed once it does, or ""."""
+        ...
+
+    def pop_actions(self) -> list[str]:
+        """Return what a person asked for at the robot itself since the last call: arm, policy (the next), disarm."""
+        ...
+
+    def release(self) -> None:
+        """Have a controller of the robot's own let go of its motors; returns at once. The robot goes limp."""
+        ...
+
+    def releasing(self) -> tuple[bool, str]:
+        """Return whether a release is under way, and why the last one came to nothing, or ""."""
+        ...
+
+    def values(self) -> Mapping[str, bytes]:
+        """Return what it measured since the last call beside its state, by the name of its stream."""
+        ...
+
+    def health(self) -> dict[str, Any]:
+        """Return what a heartbeat tells of it."""
+        ...
+
+
+@runtime_checkable
 class SimulatedRobot(Robot, Protocol):
     """What a simulated robot may offer beside: enough to be tried out. Not every robot has it."""
 

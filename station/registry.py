@@ -18,6 +18,7 @@ from station.errors import StationError, UnknownName
 Kind = Literal[
     "server",
     "robot",
+    "twin",
     "family",
     "policy",
     "motion",
@@ -39,6 +40,7 @@ INSTALL = "pip install -e . in a checkout, pip install --upgrade teleop-station 
 _GROUPS: dict[str, str] = {
     "server": "station.servers",
     "robot": "station.robots",
+    "twin": "station.twins",
     "family": "station.families",
     "policy": "station.policies",
     "motion": "station.motions",

@@ -93,6 +93,7 @@ def _of_robots() -> dict[str, tuple[str, ...]]:
             keys.ESTOP_PRESSED,
             keys.CONTROLLER,
             keys.POLICY,
+            keys.TWIN,
             keys.EVENT,
             keys.MOTION_CONTROL,
         ),

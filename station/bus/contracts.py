@@ -254,6 +254,7 @@ def _station() -> list[Contract]:
             "clear a controller's faults, or choose its profile or throttle; answered in the robot's command_gate",
         ),
         make(keys.POLICY, "control", "json", "which policy shall drive a robot; answered in its command_gate"),
+        make(keys.TWIN, "control", "json", "faults of a robot twin; answered in the heartbeat of its server"),
         make(keys.EVENT, "event", "json", "one event: name, severity, source, numbers"),
         make(
             keys.MOTION_CONTROL, "control", "json", "start, pause, resume, seek, loop or leave, for the motion server"

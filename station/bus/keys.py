@@ -182,6 +182,7 @@ ESTOP_PRESSED = "station:estop:pressed"  # whatever is written here stops: who m
 ARM = "station:arm"
 CONTROLLER = "station:controller"
 POLICY = "station:policy"
+TWIN = "station:twin"
 EVENT = "station:event"
 MOTION_CONTROL = "station:motion"
 RECORD = "station:record"

@@ -53,6 +53,7 @@ VERBS = {
     "rehearse": "Run motions through policy and simulation, offline.",
     "view": "Show a running station or an episode; draw its pictures.",
     "kassow": "Look after an arm's controller: clear faults, simulate one, show its traps.",
+    "robot-twin": "Stand in for a real robot at the other end of its cable; switch its faults.",
     "bus": "Start a bus, or look at one.",
     "keys": "Say what each key of the bus holds.",
     "describe": "Show a robot's joints, limits and keys, or what a key holds now.",
@@ -65,8 +66,8 @@ VERBS = {
 
 
 def module_of(verb: str) -> str:
-    """Return the module of a verb: ``station.cli.<verb>``, with an underscore behind a word that Python has taken."""
-    return f"station.cli.{verb}{'_' if keyword.iskeyword(verb) else ''}"
+    """Return the module of a verb: ``station.cli.<verb>``; an underscore for each hyphen, and behind Python's words."""
+    return f"station.cli.{verb.replace('-', '_')}{'_' if keyword.iskeyword(verb) else ''}"
 
 
 class _LazyVerbs(Verbs):

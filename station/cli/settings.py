@@ -89,6 +89,11 @@ def show(kind: ServerKind, sets: Sequence[str] = (), *, as_json: bool = False) -
     if as_json:
         click.echo(msgspec.json.encode(found, enc_hook=str))
         return
+    print_settings(found)
+
+
+def print_settings(found: Sequence[Setting]) -> None:
+    """Print settings for people: name and default, and what each means."""
     shown = click.get_current_context().make_formatter()
     shown.width = min(max(shown.width, _NARROWEST), _WIDEST)
     for setting in found:

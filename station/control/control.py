@@ -23,7 +23,17 @@ from station.control.parted_path import PartedPath
 from station.control.policy_switch import PolicySwitch, needs_root_velocity
 from station.errors import ConfigError
 from station.parts import PartedCommand, rests_on_joints
-from station.protocols import CommandFormat, Fall, Floats, Floats32, JointTargets, Policy, Robot, RobotState
+from station.protocols import (
+    CommandFormat,
+    Fall,
+    Floats,
+    Floats32,
+    JointTargets,
+    Policy,
+    Robot,
+    RobotState,
+    SelfChecking,
+)
 
 _UPRIGHT_AGAIN_S = 1.0  # a fallen robot bounces; a fall is over when it has stood this long
 
@@ -85,6 +95,7 @@ class ControlStep:
     Attributes:
         commanded: Validator, gate and arming; of each part, where parts are commanded apart.
         policies: The policies that hand over to each other; None where there is one alone.
+        checks: The robot, where it checks itself; else None.
 
     Raises:
         ConfigError: the policy's joints are not the robot's, or it follows another format, or an envelope is of one.
@@ -122,6 +133,8 @@ class ControlStep:
         self._asked: list[Floats] | None = None  # of those, positions of the last step; None: the joints are limp
         self._has_jumped = False  # whether the robot was put elsewhere after its state was read
         self._is_lost = False  # whether a joint that has to stay does not say where it is
+        self.checks = robot if isinstance(robot, SelfChecking) else None
+        self._unwell = ""
 
     def sense(self) -> RobotState:
         """Return the state that the next `step` acts on."""
@@ -138,7 +151,10 @@ class ControlStep:
         """
         self._tick += 1
         self._see_to_rest(state)
-        decision = self.commanded.decide(sample, now_s)
+        why_stand = self._check_robot(now_s)
+        decision = self.commanded.decide(sample, now_s, why_blocked=why_stand)
+        if why_stand and decision.state == "waiting":
+            self._give_up(why_stand)
         observation = self.policy.observe(state, decision.vector)
         observed_ns = self._clock.monotonic_ns()
         action = self.policy.act(observation)
@@ -205,7 +221,8 @@ class ControlStep:
 
     def health(self) -> dict[str, Any]:
         """Return what a server's heartbeat tells of this robot."""
-        return {"falls": self._falls}
+        own = self.checks.health() if self.checks is not None else {}
+        return {"falls": self._falls} | own
 
     def _see_to_rest(self, state: RobotState) -> None:
         """Tell the gate where a robot, or a part, that holds its position rests.
@@ -226,6 +243,32 @@ class ControlStep:
             for path in self.commanded.paths:
                 path.gate.insist_on_silence("the robot was disarmed")
 
+    def _check_robot(self, now_s: float) -> str:
+        """Ask a robot that checks itself; return why it has to stand, or "". Do what was asked for at the robot."""
+        if self.checks is None:
+            return ""
+        for action in self.checks.pop_actions():
+            if action == "arm":
+                self.arm(now_s, "at the robot")
+            elif action == "disarm":
+                self.disarm("at the robot")
+            elif action == "policy" and self.policies is not None:
+                self.policies.switch_to_next("at the robot")
+        if why_not := self.checks.why_not_drive():
+            self._give_up(why_not)
+            return ""
+        why_stand = self.checks.why_stand() if self.arming.state != "disarmed" else ""
+        if why_stand and not self._unwell:
+            self._note("robot-has-to-stand", "warning", reason=why_stand)
+        self._unwell = why_stand
+        return why_stand
+
+    def _give_up(self, reason: str) -> None:
+        """Disarm a robot that must not be driven on, and tell why."""
+        if self.arming.state != "disarmed":
+            self._note("robot-gave-up", "error", reason=reason)
+            self.disarm(reason)
+
     def _why_not_arm(self, now_s: float) -> str:
         if self.arming.state != "disarmed" and self.commanded.state != "stopped":
             return ""
@@ -233,6 +276,8 @@ class ControlStep:
             return refusal
         if self._action_is_bad:
             return "the policy's output is not finite"
+        if self.checks is not None and (why_not := self.checks.why_not_arm()):
+            return why_not
         return "the robot has fallen; put it on its feet" if self._is_down else ""
 
     def _start_over(self) -> None:

@@ -26,6 +26,7 @@ from station.control.phase_lock import PhaseLock
 from station.errors import BusError, Refused
 from station.life import estop
 from station.life.arm_request import ArmAnswer, ArmRequest
+from station.life.controller_request import ControllerAnswer
 from station.life.loop import Rate
 from station.life.policy_request import PolicyAnswer
 from station.life.request import OVERTAKEN, Asked, DoneRequests, NewRequests, parse
@@ -319,6 +320,7 @@ def result_values(
     commanded: CommandPath,
     answer: ArmAnswer | None = None,
     switch: PolicyAnswer | None = None,
+    controller: ControllerAnswer | None = None,
 ) -> dict[str, bytes]:
     """Return what a step of a policy publishes after its targets were sent, by key.
 
@@ -328,6 +330,7 @@ def result_values(
         commanded: Its command's way.
         answer: To the last request to arm.
         switch: To the last request for another policy.
+        controller: To the last request to the robot's own controller.
     """
     decision, sent = record.decision, record.sent
     gate = commanded.status(decision)
@@ -337,6 +340,8 @@ def result_values(
         gate |= {"policy": record.policy, "next_policy": record.next_policy}
     if switch is not None:
         gate["switch"] = msgspec.structs.asdict(switch)
+    if controller is not None:
+        gate["controller"] = msgspec.structs.asdict(controller)
     return {
         **_values_of_parts(record, commanded),
         keys.policy_obs(suffix): codec.f32(record.observation),

@@ -106,6 +106,12 @@ class PolicySwitch:
         self.next, self._step, self._who, self.refusal = name, 0, who, ""
         self._policies[name].reset()
 
+    def switch_to_next(self, who: str = "") -> None:
+        """Begin to hand over to the policy that comes after the one that drives, unless a switch is under way."""
+        if not self.is_switching and len(self._policies) > 1:
+            names = self.names
+            self.switch(names[(names.index(self.driving) + 1) % len(names)], who)
+
     def taken(self) -> list[StepEvent]:
         """Return what happened since the last call, in order."""
         taken, self._events = self._events, []

@@ -22,6 +22,7 @@ from station.control.low_level import LowLevelLoop, result_values
 from station.control.policy_switch import BLEND_S, BlendS, PolicySwitch
 from station.control.rig import PolicyChoice, Rig, RigConfig, build
 from station.errors import ConfigError, Refused, StationError
+from station.life.controller_request import ControllerAnswer, ControllerRequest
 from station.life.loop import Rate, real_time
 from station.life.policy_request import PolicyAnswer, PolicyRequest
 from station.life.request import OVERTAKEN, Asked, DoneRequests, parse
@@ -149,16 +150,17 @@ def serve(config: PolicyServerConfig, life: Life) -> int:
         reset_after_s = _RESET_AFTER_S if config.on_fall == "reset" else None
         control = rig.control(gate=config.gate, is_armed=config.is_armed, reset_after_s=reset_after_s,
                               clock=life.clock)  # fmt: skip
+        releases = ReleaseRequests(control, suffix)
         requests = PolicyRequests(control, suffix, lambda: life.configured(facts(config, life.name, rig)))
         with LowLevelLoop(
             life,
             control,
             state_values=rig.state_values,
             result_values=lambda record, answer: result_values(
-                suffix, record, control.commanded, answer, requests.poll()
+                suffix, record, control.commanded, answer, requests.poll(), releases.poll()
             ),
             period_s=rig.period_s,
-            requests={keys.POLICY: requests.on_request},
+            requests={keys.POLICY: requests.on_request, keys.CONTROLLER: releases.on_request},
         ) as loop:
             life.configured(facts(config, life.name, rig))
             if not life.ready():
@@ -236,6 +238,61 @@ class PolicyRequests:
 
     def _reply(self, request: PolicyRequest, refused: str) -> None:
         self._answer = PolicyAnswer(id=request.id, policy=request.policy, refused=refused)
+        self._done.put(request.id, self._answer)
+
+
+class ReleaseRequests:
+    """Has a controller of the robot's own let go of the motors when that is asked for.
+
+    Args:
+        control: The step of the robot.
+        robot: Suffix of its keys; requests to other robots are none of ours.
+    """
+
+    def __init__(self, control: ControlStep, robot: str) -> None:
+        self._control, self._robot = control, robot
+        self._under_way: ControllerRequest | None = None
+        self._answer: ControllerAnswer | None = None
+        self._done = DoneRequests[ControllerAnswer]()
+
+    def on_request(self, asked: Asked) -> None:
+        """Do what came on the key of requests."""
+        note = self._control.commanded.add_event
+        try:
+            request = parse(asked.data, ControllerRequest, "a request to a controller")
+        except Refused as error:
+            note("request-refused", "warning", reason=str(error))
+            return
+        if request.robot != self._robot or (self._under_way is not None and request.id == self._under_way.id != ""):
+            return
+        if (known := self._done.get(request.id)) is not None:  # its asker has not seen the answer yet
+            self._answer = known
+            return
+        checks = self._control.checks
+        refused = OVERTAKEN if self._done.begin(asked.first_ns(request.late_s)) else ""
+        if request.action != "release" or checks is None:
+            refused = "this robot has no controller of its own that could do that"
+        elif self._control.arming.state != "disarmed":
+            refused = "it is armed; disarm it first"
+        if refused or checks is None:
+            note("controller-refused", "warning", reason=refused, who=request.who)
+            self._reply(request, refused)
+            return
+        note("controller-release", "warning", who=request.who)
+        checks.release()
+        self._under_way = request
+
+    def poll(self) -> ControllerAnswer | None:
+        """Answer what is done by now; return the newest answer."""
+        if self._under_way is not None and self._control.checks is not None:
+            is_releasing, refused = self._control.checks.releasing()
+            if not is_releasing:
+                request, self._under_way = self._under_way, None
+                self._reply(request, refused)
+        return self._answer
+
+    def _reply(self, request: ControllerRequest, refused: str) -> None:
+        self._answer = ControllerAnswer(id=request.id, action=request.action, refused=refused)
         self._done.put(request.id, self._answer)
 
 

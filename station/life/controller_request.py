@@ -1,4 +1,4 @@
-"""Asking an arm's controller for something: JSON on ``station:controller``, answered in the arm's ``command_gate``."""
+"""Asking a robot's own controller for something: JSON on ``station:controller``, answered in its ``command_gate``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from station.bus.client import Bus
 from station.life import arm_request, request
 from station.life.request import LateS
 
-Action = Literal["clear", "profile", "throttle"]
+Action = Literal["clear", "profile", "throttle", "release"]
 
 WITHIN_S = 8.0
 """Longest wait for an answer [s]: clearing gives up after five."""
@@ -22,9 +22,10 @@ class ControllerRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     """What is asked for.
 
     Attributes:
-        action: ``clear`` faults; choose a named ``profile``; send targets on every n-th tick only (``throttle``).
+        action: Of an arm: ``clear`` faults; choose a named ``profile``; send targets on every n-th tick only
+            (``throttle``). Of a robot with a controller of its own: have that ``release`` the motors.
         id: Found again in the answer.
-        robot: Suffix of the arm's keys.
+        robot: Suffix of the robot's keys.
         profile: Name, for ``profile``.
         throttle: Ticks, for ``throttle``.
         who: For the recording.
@@ -58,13 +59,13 @@ def ask(
     """Ask and wait until it is done.
 
     Args:
-        bus: The bus that the arm's server runs on.
-        robot: Suffix of the arm's keys.
+        bus: The bus that the robot's server runs on.
+        robot: Suffix of the robot's keys.
         action, profile, throttle: As in `ControllerRequest`.
         within_s: Longest wait [s].
 
     Raises:
-        NotReady: no server drives that arm, the bus did not take the request, or no answer came.
+        NotReady: no server drives that robot, the bus did not take the request, or no answer came.
         Refused: the controller's session said no; with its reason.
     """
     wanted = ControllerRequest(

@@ -16,6 +16,7 @@ from station.bus.client import Bus
 from station.bus.protection import REMEDY, inspect
 from station.episode.storage.bin import bin_folder
 from station.errors import NotReady
+from station.life.server import read_health
 from station.supervision.disk_need import SIGNALS_MB_PER_MINUTE, DiskNeed
 
 _BYTES_PER_GB = 1e9
@@ -193,6 +194,29 @@ class KeyRateCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         return f"{self.key} at {rate_hz:.0f} Hz"
 
 
+class RobotReadyCheck(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A robot that checks itself finds nothing against being armed, within so long [s]; nothing is moved."""
+
+    server: str
+    within_s: float = 10.0
+
+    def run(self, bus: Bus, _data: Path, stop: threading.Event) -> str:
+        """Read its server's heartbeat until nothing is against it."""
+        deadline = bus.clock.monotonic_s() + self.within_s
+        while True:
+            health = next((one for one in read_health(bus) if one.name == self.server), None)
+            if health is None:
+                raise NotReady(f"no server {self.server!r} runs on {bus.address}")
+            why_not = health.detail.get("why_not_arm")
+            if why_not is None:
+                raise NotReady(f"{self.server}: its robot does not check itself; this check is for real robots")
+            if not why_not:
+                return f"{self.server} finds nothing against arming"
+            if stop.is_set() or bus.clock.monotonic_s() > deadline:
+                raise NotReady(f"{self.server}: {why_not}")
+            bus.clock.wait(stop, _LOOK_S)
+
+
 KINDS: dict[str, type[msgspec.Struct]] = {
     "bus": BusCheck,
     "assets": AssetsCheck,
@@ -201,6 +225,7 @@ KINDS: dict[str, type[msgspec.Struct]] = {
     "ping": PingCheck,
     "interface": InterfaceCheck,
     "key-rate": KeyRateCheck,
+    "robot-ready": RobotReadyCheck,
 }
 """Types of checks by the name that a runbook uses."""
 

@@ -17,7 +17,7 @@ import msgspec
 from station import config, packages, registry
 from station.bus.client import Bus
 from station.errors import ConfigError, StationError, UsageError, did_you_mean
-from station.life import arm_request, policy_request
+from station.life import arm_request, controller_request, policy_request, twin_request
 from station.life.server import ServerKind
 from station.supervision.checks import KINDS, Check
 
@@ -25,7 +25,7 @@ IfItDies = Literal["ask", "end", "restart"]
 
 _ONLY_TELL = ("recorder", "sensor")  # roles that move nothing by themselves
 _SERVER_NAME = re.compile(r"[A-Za-z0-9_-]+")
-_STEP_KINDS = ("check", "confirm", "start", "note", "arm", "disarm", "policy")
+_STEP_KINDS = ("check", "confirm", "start", "note", "arm", "disarm", "policy", "release", "twin")
 
 
 class CheckStep(msgspec.Struct, frozen=True, kw_only=True):
@@ -78,6 +78,50 @@ class TakingOver(msgspec.Struct, frozen=True, kw_only=True):
 
     def __str__(self) -> str:
         return f"policy {self.policy}" + f" robot={self.robot}" * bool(self.robot)
+
+
+class Releasing(msgspec.Struct, frozen=True, kw_only=True):
+    """What a step asks for: a controller of the robot's own to let go of its motors. The robot goes limp."""
+
+    server: str
+    within_s: float = 15.0
+
+    def run(self, bus: Bus, _data: Path, _stop: threading.Event) -> str:
+        """Ask for it and wait until it is done.
+
+        Raises:
+            NotReady: no answer in time.
+            Refused: it does not let go, with the reason.
+        """
+        robot = arm_request.robot_of(bus, self.server)
+        controller_request.ask(bus, robot, "release", within_s=self.within_s)
+        return f"{robot}: its own controller has let go of the motors"
+
+    def __str__(self) -> str:
+        return f"release {self.server}"
+
+
+class TwinChange(msgspec.Struct, frozen=True, kw_only=True):
+    """What a step asks of a robot twin, given by its registered name: other faults, and time for it to get there."""
+
+    twin: str
+    faults: dict[str, Any]
+    then_wait_s: float = 0.0
+    within_s: float = twin_request.WITHIN_S
+
+    def run(self, bus: Bus, _data: Path, stop: threading.Event) -> str:
+        """Ask for it and wait until it is done.
+
+        Raises:
+            NotReady: no such twin runs, or no answer in time.
+            Refused: it has no such fault.
+        """
+        twin_request.ask(bus, self.twin, self.faults, within_s=self.within_s)
+        bus.clock.wait(stop, self.then_wait_s)
+        return f"the twin {self.twin} has {', '.join(f'{name}={value}' for name, value in self.faults.items())}"
+
+    def __str__(self) -> str:
+        return f"twin {self.twin} {' '.join(f'{name}={value}' for name, value in self.faults.items())}".rstrip()
 
 
 class AskStep(CheckStep, frozen=True, kw_only=True):
@@ -265,14 +309,10 @@ def _step(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], wher
         return _start(raw, changes, where)
     if kind == "check":
         return _check(raw, where)
-    if kind in ("arm", "disarm"):
-        return _asked(raw, kind, (kind,), Arming, {"action": kind, "server": raw[kind] or ""}, where)
-    if kind == "policy":
-        given = {key: raw[key] for key in ("policy", "robot") if key in raw}
-        return _asked(raw, kind, ("policy", "robot"), TakingOver, given, where)
-    if kind == "confirm":
-        return config.build(ConfirmStep, raw, where=where)
-    return config.build(NoteStep, raw, where=where)
+    if kind in ("confirm", "note"):
+        of_words: type[ConfirmStep | NoteStep] = ConfirmStep if kind == "confirm" else NoteStep
+        return config.build(of_words, raw, where=where)
+    return _asked(raw, kind, where)
 
 
 def _start(raw: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]], where: str) -> StartStep:
@@ -315,15 +355,28 @@ def _check(raw: Mapping[str, Any], where: str) -> CheckStep:
     return CheckStep(check=name, what=what)
 
 
-def _asked(
-    raw: Mapping[str, Any], kind: str, of_kind: tuple[str, ...], what: Any, values: dict[str, Any], where: str
-) -> AskStep:
-    known = (*of_kind, "within")
+_ASKED: dict[str, tuple[Any, tuple[str, ...]]] = {
+    "arm": (Arming, ("server",)),
+    "disarm": (Arming, ("server",)),
+    "policy": (TakingOver, ("policy", "robot")),
+    "release": (Releasing, ("server",)),
+    "twin": (TwinChange, ("twin", "faults", "then_wait")),
+}
+"""What is asked of a robot or its twin, by the step's name: its type, and its fields; the first is the step's own."""
+
+
+def _asked(raw: Mapping[str, Any], kind: str, where: str) -> AskStep:
+    what, (own, *others) = _ASKED[kind]
+    known = (kind, *others, "within")
     for key in raw:
         if key not in known:
             raise ConfigError(f"{where}: unknown key {key!r}{did_you_mean(key, known)}; known: {', '.join(known)}")
-    if "within" in raw:
-        values["within_s"] = config.seconds(raw["within"], where=f"{where}: within")
+    values = {own: raw[kind] if own == kind else raw[kind] or "", **{key: raw[key] for key in others if key in raw}}
+    if what is Arming:
+        values["action"] = kind
+    for key in ("within", "then_wait"):
+        if key in raw:
+            values[f"{key}_s"] = config.seconds(values.pop(key, raw[key]), where=f"{where}: {key}")
     return AskStep(check=kind, what=config.build(what, values, where=f"{where} ({kind})"))
 
 
@@ -342,7 +395,7 @@ def _expect_started_before_asked(steps: Sequence[Step], where: str) -> None:
                 f"starts has this policy in its settings (`policy`, `policies`); "
                 f"by then: {', '.join(policies) or 'none'}"
             )
-        name = what.server if isinstance(what, Arming) else ""
+        name = what.server if isinstance(what, Arming | Releasing) else ""
         if name and name not in started:
             raise ConfigError(
                 f"{where} step {number}: {step}{did_you_mean(name, started)}: no step before it starts that server; "

@@ -32,6 +32,7 @@ from adapters.motions.clip import Clip
 from adapters.retarget.human import of_height, standing
 from adapters.robots import arm_limits
 from adapters.robots.g1 import twist_keys
+from adapters.robots.g1.dds import words
 from station import depth
 from station.api.live import Record, Station
 from station.bus import codec, contracts, keys, stamp
@@ -58,7 +59,16 @@ from station.episode.storage.manifest import Manifest, Timing, dump_manifest
 from station.episode.storage.request import parse_answer, parse_request, request_id
 from station.episode.writing import servers_seen, summary
 from station.errors import ConfigError, NotReady, Refused, UnknownName, UsageError
-from station.life import arm_request, controller_request, estop, events, policy_request, stop_button, stop_file
+from station.life import (
+    arm_request,
+    controller_request,
+    estop,
+    events,
+    policy_request,
+    stop_button,
+    stop_file,
+    twin_request,
+)
 from station.life.request import parse
 from station.life.server import Health, decode_health
 from station.life.stop_file import StopFile
@@ -555,6 +565,13 @@ def _stops_and_requests() -> list[Parser]:
                (_LIFE + "policy_request",)),
         Parser("policies of a robot", partial(_policies_of, keys.server_config("g1")), (dumped(CONFIG),),
                (_LIFE + "policy_request",), (NotReady,)),
+        Parser("twin request", partial(parse, kind=twin_request.TwinRequest, what="one"),
+               (b'{"faults": {"gantry": "slack"}, "is_well": true, "id": "1", "server": "a", "late_s": 1}',),
+               (_LIFE + "request", "servers.robot_twin"), (Refused,)),
+        Parser("twin answer", partial(twin_request._answer, asked="1"), (health(), dumped({"detail": {"changed": {}}})),
+               (_LIFE + "twin_request",)),
+        Parser("motion switcher", lambda data: words.name_of(data.decode(errors="replace")),
+               (b'{"form": "0", "name": "ai"}',), ("adapters.robots.g1.dds.words",)),
         Parser("stop, obeyed", stop_button._gate, (dumped(GATE),), (_LIFE + "stop_button",)),
         Parser("motion request", _motion_control, (b'{"action": "seek", "time_s": 1.5, "on": true}', b"1"),
                ("station.motion.playback_requests",)),

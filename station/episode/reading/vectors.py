@@ -25,7 +25,7 @@ def numbers(topic: str, messages: Sequence[Message]) -> tuple[Vectors, int]:
     """Return the numbers of messages of one topic, and how many values did not fit.
 
     A value fits when it decodes and is as long as the contract says, or, where the contract names no elements, as the
-    first one that decodes.
+    first one that decodes. A value of many rows gives as many.
 
     Raises:
         EpisodeError: the topic was recorded without a contract, or with one that holds no numbers.
@@ -34,6 +34,8 @@ def numbers(topic: str, messages: Sequence[Message]) -> tuple[Vectors, int]:
     contract = next((message.channel.contract for message in writes if message.channel.contract), None)
     if not writes:
         return Vectors(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 0))), 0
+    if contract is not None and contract.codec == "f64-rows":
+        return _rows(contract, writes)
     if contract is None or contract.codec not in _TYPES:
         holds = "no contract" if contract is None else f"values of kind {contract.codec}"
         raise EpisodeError(f"{topic}: {holds}, so no numbers; read its messages instead")
@@ -45,6 +47,18 @@ def numbers(topic: str, messages: Sequence[Message]) -> tuple[Vectors, int]:
     log_ns = np.fromiter((message.log_ns for message in kept), np.int64, len(kept))
     publish_ns = np.fromiter((message.publish_ns for message in kept), np.int64, len(kept))
     return Vectors(log_ns, publish_ns, values), len(writes) - len(kept)
+
+
+def _rows(contract: Contract, writes: Sequence[Message]) -> tuple[Vectors, int]:
+    """Return the rows of all messages, one below the other, each at the times of its message."""
+    width = len(contract.elements)
+    fit = [message for message in writes if width and len(message.data) % (8 * width) == 0]
+    tables = [np.frombuffer(message.data, "<f8").reshape(-1, width) for message in fit]
+    counts = [len(table) for table in tables]
+    values = np.concatenate(tables) if tables else np.empty((0, width))
+    times = (np.array([getattr(message, name) for message in fit], np.int64) for name in ("log_ns", "publish_ns"))
+    log_ns, publish_ns = (np.repeat(each, counts) for each in times)
+    return Vectors(log_ns, publish_ns, values), len(writes) - len(fit)
 
 
 def fitting(contract: Contract, values: Iterable[bytes | None]) -> list[Row | None]:

@@ -105,8 +105,9 @@ def checksum(message: bytes) -> int:
 
 
 def is_intact(message: bytes) -> bool:
-    """Whether the checksum of a LowCmd or a LowState, header included, is right."""
-    return checksum(message) == int.from_bytes(message[-4:], "little")
+    """Whether bytes are as long as a LowCmd or a LowState, header included, and their checksum is right."""
+    is_whole = len(message) in (CMD.itemsize, STATE.itemsize)
+    return is_whole and checksum(message) == int.from_bytes(message[-4:], "little")
 
 
 def crc32_of_words(data: bytes) -> int:

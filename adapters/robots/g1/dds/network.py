@@ -7,11 +7,10 @@ and the bytes are what is recorded.
 
 from __future__ import annotations
 
-import re
+import logging
 from dataclasses import dataclass
 from typing import Any, Self
 
-import msgspec
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsParticipant, BuiltinTopicDcpsPublication
 from cyclonedds.core import DDSException, InstanceState, Qos, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import Domain, DomainParticipant
@@ -22,14 +21,10 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
+from adapters.robots.g1.dds.options import LOOPBACK, NetworkOptions
 from station.errors import ConfigError, StationError
 
-LOOPBACK = "lo"
-ROBOT_DOMAIN = 0
-"""A robot's; simulations use another."""
-
 _MOST_DISCOVERED = 4096
-_INTERFACE = re.compile(r"[A-Za-z0-9_.:@-]{1,15}")  # Linux has 15 letters at most
 
 # What Unitree's SDK asks for, read from the wire; a reader asks for no more, since what the robot offers is not known.
 _WRITES = Qos(
@@ -38,24 +33,6 @@ _WRITES = Qos(
     Policy.History.KeepLast(1),
     Policy.DataRepresentation(use_cdrv0_representation=True),
 )
-
-
-class NetworkOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where a robot is.
-
-    Attributes:
-        interface: Network interface that its cable is plugged into: ``eno1``; ``lo`` for a robot twin on this machine.
-        domain: DDS domain: 0 for a robot.
-    """
-
-    interface: str = LOOPBACK
-    domain: int = ROBOT_DOMAIN
-
-    def __post_init__(self) -> None:
-        if _INTERFACE.fullmatch(self.interface) is None:
-            raise ValueError(f"interface {self.interface!r}: expected the name of a network interface, as in `ip link`")
-        if not 0 <= self.domain <= 230:
-            raise ValueError(f"domain is {self.domain}; expected 0 to 230")
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +54,11 @@ class Writer:
         return f"{where} on {self.host or 'an unknown host'}"
 
 
+log = logging.getLogger(__name__)
+
+_RAW: dict[type[IdlStruct], type[IdlStruct]] = {}
+
+
 class RawMessage:
     """A message as it came.
 
@@ -92,12 +74,15 @@ class RawMessage:
 
 
 def raw(kind: type[IdlStruct]) -> type[IdlStruct]:
-    """Return a type of the same name and hash, whose messages are bytes: `RawMessage` when read."""
+    """Return a type of the same name and hash, always the same one, whose messages are bytes."""
+    if kind in _RAW:
+        return _RAW[kind]
     annotations = {name: kind.__annotations__[name] for name in kind.__annotations__}
     made: Any = make_idl_struct(kind.__name__, kind.__idl_typename__, annotations)
     made.serialize = lambda self, **_: self.data
     made.deserialize = classmethod(lambda cls, data, **_: RawMessage(data))
     made.deserialize_key = classmethod(lambda cls, data, **_: None)
+    _RAW[kind] = made
     return made  # type: ignore[no-any-return]
 
 
@@ -144,14 +129,14 @@ class Network:
         """Leave the network; a second call does nothing."""
         self._participant.__del__()  # now, with all that is its own; else when the last reader is forgotten
 
-    def reader(self, topic: str, kind: type[IdlStruct], depth: int = 1) -> Reader:
+    def reader(self, topic: str, kind: type[IdlStruct], depth: int) -> Reader:
         """Return a reader that keeps the newest messages, so many as `depth`."""
         wants = Qos(
             Policy.Reliability.BestEffort,
             Policy.History.KeepLast(depth),
             Policy.TypeConsistency.DisallowTypeCoercion(),
         )
-        return Reader(DataReader(self._participant, self._topic(topic, kind), wants), depth)
+        return Reader(DataReader(self._participant, self._topic(topic, raw(kind)), wants), kind, depth)
 
     def writer(self, topic: str, kind: type[IdlStruct]) -> RawWriter:
         """Return a writer; messages are bytes where the type is `raw`, else of the type."""
@@ -181,17 +166,33 @@ class Reader:
     """Takes what came since it was last asked.
 
     Args:
-        reader: Of one topic.
+        reader: Of one topic, of a type that is `raw`.
+        kind: The type itself.
         depth: Messages that it keeps; of more that come between two calls the oldest are lost.
+
+    Attributes:
+        malformed: Messages that were no objects of the type.
     """
 
-    def __init__(self, reader: DataReader[Any], depth: int) -> None:
-        self._reader, self._depth = reader, depth
+    def __init__(self, reader: DataReader[Any], kind: type[IdlStruct], depth: int) -> None:
+        self._reader, self._kind, self._depth = reader, kind, depth
+        self.malformed = 0
         self._waits: WaitSet | None = None
 
-    def take(self) -> list[Any]:
-        """Return the messages since the last call, oldest first; of a type that is `raw`, `RawMessage`."""
-        return [message for message in self._reader.take(self._depth) if message.sample_info.valid_data]
+    def take(self) -> list[bytes]:
+        """Return the messages since the last call as they came, header included, oldest first."""
+        return [message.data for message in self._reader.take(self._depth) if isinstance(message, RawMessage)]
+
+    def take_objects(self) -> list[Any]:
+        """Return the messages since the last call as objects of the type, oldest first; what is none is counted."""
+        found = []
+        for data in self.take():
+            try:
+                found.append(self._kind.deserialize(data))
+            except Exception as error:  # noqa: BLE001 - whatever a library makes of a stranger's bytes
+                self.malformed += 1
+                log.warning("a message that is no %s: %s", self._kind.__name__, type(error).__name__)
+        return found
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for a message; return whether there is one. Other threads of the process go on."""

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from adapters.robots.g1.dds import messages, types
-from adapters.robots.g1.dds.network import Network, NetworkOptions, raw
+from adapters.robots.g1.dds.network import Network, raw
+from adapters.robots.g1.dds.options import NetworkOptions
 from tests.dds_domains import domain
 
 NEEDED = "needs far-unitree-sdk, which has no wheel for this Python"
@@ -42,7 +43,7 @@ def _outcome(child: subprocess.Popen) -> dict[str, float]:
 def command_its_robot(seconds: float) -> tuple[dict[str, float], int, int]:
     """Drive the other program's robot; return what it says, how many states came, and how many were damaged."""
     with running("robot", seconds) as child, Network(NetworkOptions()) as network:
-        reader = network.reader("rt/lowstate", raw(types.LowState), depth=512)
+        reader = network.reader("rt/lowstate", types.LowState, depth=512)
         writer = network.writer("rt/lowcmd", raw(types.LowCmd))
         command, came, damaged, sent = messages.new_command(), 0, 0, 0
         messages.set_modes(command, np.ones(29, np.uint8))
@@ -50,8 +51,8 @@ def command_its_robot(seconds: float) -> tuple[dict[str, float], int, int]:
         while child.poll() is None:
             if said := reader.take():
                 came += len(said)
-                damaged += sum(not messages.is_intact(each.data) for each in said)
-                newest = messages.states([said[-1].data])[0]
+                damaged += sum(not messages.is_intact(each) for each in said)
+                newest = messages.states([said[-1]])[0]
                 command["mode_machine"] = newest["mode_machine"]
                 sent += 1
                 command["motors"]["q"][0, 0] = sent
@@ -63,7 +64,7 @@ def command_its_robot(seconds: float) -> tuple[dict[str, float], int, int]:
 def be_its_robot(seconds: float) -> tuple[dict[str, float], int, int]:
     """Be the robot of the other program; return what it says, how many commands came, and how many were damaged."""
     with running("client", seconds) as child, Network(NetworkOptions()) as network:
-        reader = network.reader("rt/lowcmd", raw(types.LowCmd), depth=512)
+        reader = network.reader("rt/lowcmd", types.LowCmd, depth=512)
         writer = network.writer("rt/lowstate", raw(types.LowState))
         state, came, damaged = messages.new_state(), 0, 0
         state["mode_machine"] = 5
@@ -73,6 +74,6 @@ def be_its_robot(seconds: float) -> tuple[dict[str, float], int, int]:
             writer.write(messages.signed(state))
             said = reader.take()
             came += len(said)
-            damaged += sum(not messages.is_intact(each.data) for each in said)
+            damaged += sum(not messages.is_intact(each) for each in said)
             time.sleep(0.002)
         return _outcome(child), came, damaged

@@ -15,7 +15,8 @@ import pytest
 pytest.importorskip("cyclonedds", reason="needs the extra 'g1'")
 
 from adapters.robots.g1.dds import messages, types
-from adapters.robots.g1.dds.network import Network, NetworkOptions, raw
+from adapters.robots.g1.dds.network import Network, raw
+from adapters.robots.g1.dds.options import NetworkOptions
 from station.errors import ConfigError
 from tests.adapters.robots.g1.dds import far
 from tests.dds_domains import domain
@@ -182,8 +183,8 @@ def test_who_writes_a_topic_is_known_by_host_and_process(processes):
         own = network.writer("rt/lowcmd", raw(types.LowCmd))
         own.write(messages.signed(messages.new_command()))
         script = (
-            "from adapters.robots.g1.dds import network, types; "
-            f"n = network.Network(network.NetworkOptions(domain={number})); "
+            "from adapters.robots.g1.dds import network, options, types; "
+            f"n = network.Network(options.NetworkOptions(domain={number})); "
             "w = n.writer('rt/lowcmd', network.raw(types.LowCmd)); input(); n.close()"
         )
         with subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE) as child:

@@ -1,0 +1,49 @@
+"""A policy that holds the default pose of another one, with its gains: how a real robot is put on its feet before that
+one takes over."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from station import registry
+from station.protocols import Floats, Floats32, JointTargets, Policy, PolicySpec, RobotState
+
+
+class DefaultPosePolicy:
+    """Implements `station.protocols.Policy`; it has no network, its action is the pose [rad].
+
+    Args:
+        checkpoint: File of the other policy.
+        of: Registered name of the other policy.
+    """
+
+    CHECKPOINT = "builtin:tracker.onnx"
+
+    def __init__(self, checkpoint: Path, *, of: str = "tracker") -> None:
+        other: Policy = registry.find("policy", of)(checkpoint)
+        pose = other.spec.default_q
+        self._pose = pose.astype(np.float32)
+        self.spec: PolicySpec = replace(
+            other.spec, name="default-pose", runtime="numpy", observation_size=len(pose), action_size=len(pose)
+        )
+
+    def reset(self) -> None:
+        """It has no history."""
+
+    def observe(self, state: RobotState, command: Floats) -> Floats32:
+        """Return the joint positions, shape (n,) [rad]."""
+        return state.q.astype(np.float32)
+
+    def act(self, observation: Floats32) -> Floats32:
+        """Return the pose, shape (n,) [rad]."""
+        return self._pose
+
+    def targets(self, action: Floats32, command: Floats) -> JointTargets:
+        """Return the pose as targets."""
+        return JointTargets(action.astype(np.float64), self.spec.kp, self.spec.kd)
+
+    def restore(self, observation: Floats32) -> None:
+        """It has no history."""

@@ -1,0 +1,160 @@
+"""Whether a G1 may be armed, may be driven on, or has to stand: rules over the states that it sends. Pure."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.robots.g1.joints import G1_29
+from station.protocols import FALL_TILT_RAD, Floats
+from station.rotations import tilt
+
+JOINTS = len(G1_29)
+
+# Each number is what others run: `terminations.hpp` of unitree_sdk2, SONIC, GR00T.
+SILENT_S = 0.1
+"""A robot that sent no new state for longer is damped [s]: five control periods."""
+
+_RATE_HZ, _OVER_S = 490.0, 2.0
+_TILT_RAD, _GYRO_RAD_S, _SPEED_RAD_S = np.radians(10.0), 0.2, 0.3
+_COOL_C, _WINDING_C, _CASING_C = 60.0, 120.0, 85.0
+_SOC_TO_ARM, _SOC_TO_STAND = 30.0, 10.0
+_REMOTE_S, _BATTERY_S = 1.0, 5.0
+
+
+class Condition:
+    """What the states of the last seconds say.
+
+    Args:
+        where: In words, where the states were to come from: ``eno1, domain 0``.
+
+    Attributes:
+        damaged: States whose checksum was wrong.
+        lost_ticks: Milliseconds of the robot's own time that no state told of, beyond the two between two states.
+    """
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self.damaged = self.lost_ticks = 0
+        self._damaged_at: deque[float] = deque(maxlen=64)
+        self._came: deque[tuple[float, int, int]] = deque()  # when, how many new ticks, by how much the tick grew
+        self._newest: NDArray[Any] | None = None
+        self._tick = -1
+        self._counted_s = -np.inf  # when a state with a new tick came
+        self._heard_s = -np.inf  # when any state came
+        self._soc: float | None = None
+        self._soc_s = -np.inf
+        self._remote_s = -np.inf
+
+    def on_states(self, records: NDArray[Any], damaged: int, now_s: float) -> None:
+        """Take the states that came since the last call, oldest first, shape (k,), and how many were damaged."""
+        self.damaged += damaged
+        self._damaged_at.extend([now_s] * min(damaged, 64))
+        if len(records):
+            self._heard_s, self._newest = now_s, records[-1]
+            ticks = np.concatenate([[self._tick], records["tick"].astype(np.int64)])
+            steps = np.diff(ticks)
+            new = steps > 0 if self._tick >= 0 else np.ones(len(steps), bool)
+            if self._tick >= 0:
+                self.lost_ticks += int(np.maximum(steps[new] - 2, 0).sum())
+            grown = int(ticks[-1] - ticks[0]) if self._tick >= 0 else 0
+            if new.any():
+                self._counted_s = now_s
+                self._came.append((now_s, int(new.sum()), max(grown, 0)))
+            self._tick = int(ticks[-1])
+            if records["remote"].any():
+                self._remote_s = now_s
+        while self._came and now_s - self._came[0][0] > _OVER_S:
+            self._came.popleft()
+
+    def on_battery(self, soc: float, now_s: float) -> None:
+        """Take the charge of the battery [%]."""
+        self._soc, self._soc_s = soc, now_s
+
+    def why_not_drive(self, now_s: float) -> str:
+        """Return why the joints have to be damped now, or ""."""
+        silent_s = now_s - self._counted_s
+        if silent_s > SILENT_S:
+            if now_s - self._heard_s <= SILENT_S:
+                return f"its clock stands still: states come, and their tick has not counted for {silent_s:.2f} s"
+            return f"no state of the robot for {silent_s:.2f} s on {self._where}"
+        lean = self._lean()
+        return f"the pelvis leans {np.degrees(lean):.0f} degrees" if lean > FALL_TILT_RAD else ""
+
+    def why_stand(self) -> str:
+        """Return why the robot has to stop what it does and stand, or ""."""
+        if self._newest is None:
+            return ""
+        motors = self._motors()
+        for column, limit_c, what in ((1, _WINDING_C, "winding"), (0, _CASING_C, "casing")):
+            hottest = int(np.argmax(motors["temperature"][:, column]))
+            if motors["temperature"][hottest, column] >= limit_c:
+                celsius = motors["temperature"][hottest, column]
+                return f"the {what} of {G1_29[hottest]} is at {celsius} °C, the limit is {limit_c:.0f}"
+        if error := self._error():
+            return error
+        if self._soc is not None and self._soc < _SOC_TO_STAND:
+            return f"the battery is at {self._soc:.0f} %"
+        return ""
+
+    def why_not_arm(self, now_s: float) -> str:
+        """Return what the states say against arming, or ""."""
+        return self.why_not_drive(now_s) or self._why_irregular(now_s) or self._why_moving() or self._why_weak(now_s)
+
+    def _why_irregular(self, now_s: float) -> str:
+        span_s = now_s - self._came[0][0] if self._came else 0.0
+        count, grown = sum(row[1] for row in list(self._came)[1:]), sum(row[2] for row in list(self._came)[1:])
+        if span_s < 0.9 * _OVER_S:
+            return f"its states have come for {span_s:.1f} s; expected {_OVER_S:g} s of them"
+        if count / span_s < _RATE_HZ:
+            return f"its states come at {count / span_s:.0f} Hz; expected 500: is the cable good, is this machine busy?"
+        if not 0.9 < grown / (span_s * 1000.0) < 1.1:
+            return f"its clock counts {grown / span_s:.0f} ms in a second"
+        if self._damaged_at and now_s - self._damaged_at[-1] < _OVER_S:
+            return "states came with wrong checksums"
+        return ""
+
+    def _why_moving(self) -> str:
+        assert self._newest is not None
+        if (lean := self._lean()) > _TILT_RAD:
+            return f"the pelvis leans {np.degrees(lean):.0f} degrees; expected less than {np.degrees(_TILT_RAD):.0f}"
+        turning = float(np.abs(self._newest["gyro"]).max())
+        if turning > _GYRO_RAD_S:
+            return f"it turns at {turning:.2f} rad/s; hold it still"
+        speeds = np.abs(self._motors()["dq"])
+        fastest = int(np.argmax(speeds))
+        return f"{G1_29[fastest]} moves at {speeds[fastest]:.2f} rad/s" if speeds[fastest] > _SPEED_RAD_S else ""
+
+    def _why_weak(self, now_s: float) -> str:
+        if why_stand := self.why_stand():
+            return why_stand
+        hottest = int(np.argmax(self._motors()["temperature"][:, 1]))
+        if (celsius := self._motors()["temperature"][hottest, 1]) >= _COOL_C:
+            return f"{G1_29[hottest]} is at {celsius} °C; let it cool below {_COOL_C:.0f}"
+        if self._soc is None or now_s - self._soc_s > _BATTERY_S:
+            return "the battery has said nothing for 5 s"
+        if self._soc < _SOC_TO_ARM:
+            return f"the battery is at {self._soc:.0f} %; expected {_SOC_TO_ARM:.0f}"
+        if now_s - self._remote_s > _REMOTE_S:
+            return "the remote is off; switch it on: it is what stops the robot when all else fails"
+        return ""
+
+    def _error(self) -> str:
+        for name, bits in zip(G1_29, self._motors()["error"].tolist(), strict=True):
+            if bits:
+                return f"motor {name} reports the error 0x{bits:x}"
+        return ""
+
+    def _motors(self) -> NDArray[Any]:
+        assert self._newest is not None
+        found: NDArray[Any] = self._newest["motors"][:JOINTS]
+        return found
+
+    def _lean(self) -> float:
+        if self._newest is None:
+            return 0.0
+        quat: Floats = self._newest["quat_wxyz"].astype(np.float64)
+        return float(tilt(quat / max(float(np.linalg.norm(quat)), 1e-9)))

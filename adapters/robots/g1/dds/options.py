@@ -1,0 +1,59 @@
+"""Where a robot is on its network. Imports nothing heavy."""
+
+from __future__ import annotations
+
+import re
+from typing import Literal
+
+import msgspec
+
+from adapters.robots.g1.dds.buttons import BUTTONS
+
+LOOPBACK = "lo"
+ROBOT_DOMAIN = 0
+"""A robot's; simulations use another."""
+
+_INTERFACE = re.compile(r"[A-Za-z0-9_.:@-]{1,15}")  # Linux has 15 letters at most
+
+
+class NetworkOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where a robot is.
+
+    Attributes:
+        interface: Network interface that its cable is plugged into: ``eno1``; ``lo`` for a robot twin on this machine.
+        domain: DDS domain: 0 for a robot.
+    """
+
+    interface: str = LOOPBACK
+    domain: int = ROBOT_DOMAIN
+
+    def __post_init__(self) -> None:
+        if _INTERFACE.fullmatch(self.interface) is None:
+            raise ValueError(f"interface {self.interface!r}: expected the name of a network interface, as in `ip link`")
+        if not 0 <= self.domain <= 230:
+            raise ValueError(f"domain is {self.domain}; expected 0 to 230")
+
+
+Action = Literal["arm", "policy", "disarm"]
+
+
+class G1DdsOptions(NetworkOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings of a real G1, beside where it is on the network.
+
+    Attributes:
+        mode_machine: What the robot says it is when it is of the kind that the policy was made for: 5 for 29 joints, 6
+            for a locked waist.
+        first_state_within_s: Longest wait for its first state [s].
+        remote: What buttons of the remote ask for: ``arm``, ``policy`` (the next one), ``disarm``. Select, and L2 with
+            B, stop the robot whatever is set here.
+    """
+
+    mode_machine: Literal[5, 6] = 5
+    first_state_within_s: float = 5.0
+    remote: dict[str, Action] = {}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for button in self.remote:
+            if button not in BUTTONS:
+                raise ValueError(f"remote: {button!r} is none of {', '.join(BUTTONS)}")

@@ -1,0 +1,273 @@
+"""A real Unitree G1 with 29 joints, over its own network: what it sends, and what it is sent.
+
+Nothing is sent before the first arming. From then on there is a command in every period: the policy's targets, or
+damping.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from adapters.robots.g1.dds import messages, rows, topics, types
+from adapters.robots.g1.dds.condition import JOINTS, Condition
+from adapters.robots.g1.dds.network import Network, raw
+from adapters.robots.g1.dds.options import G1DdsOptions
+from adapters.robots.g1.dds.remote import Remote
+from adapters.robots.g1.dds.switcher import Switcher
+from adapters.robots.g1.joints import G1_29
+from adapters.robots.legged.unitree import G1
+from station.bus import codec
+from station.clock import SYSTEM, Clock
+from station.errors import NotReady, StationError
+from station.protocols import FALL_TILT_RAD, Fall, Floats, JointTargets, RobotState
+from station.rotations import tilt
+
+DAMPING_KD = 8.0
+"""Of every joint of a robot that is damped [N m s/rad]: what others that drive a G1 use."""
+
+FIRST_STEPS = 10
+"""Commands after arming that ask for the measured pose, without stiffness."""
+
+ENTRY_S = 2.5
+"""How long targets are blended from the measured pose after arming [s]."""
+
+GENTLE_S, GENTLE_RAD_S = 5.0, 0.9
+"""For how long after arming no target moves faster than that: below 0.02 rad in a control period."""
+
+_DEPTH = 512  # a second of states
+_WRITERS_EVERY = 10  # periods; to look through what was discovered takes 0.1 ms
+_CLOSING_S = 0.3
+
+
+class G1Dds:
+    """Implements `station.protocols.Robot` and `SelfChecking`. Not thread safe.
+
+    Args:
+        options: Where the robot is, and what is expected of it.
+        control_dt_s: Control period [s].
+        clock: Of the process.
+
+    Raises:
+        ConfigError: there is no such network interface.
+        NotReady: the robot sent no state.
+    """
+
+    joint_names = G1_29
+
+    def __init__(self, options: G1DdsOptions, control_dt_s: float, clock: Clock = SYSTEM) -> None:
+        self._options, self._dt_s, self._clock = options, control_dt_s, clock
+        where = f"{options.interface}, domain {options.domain}"
+        self._condition, self._remote = Condition(where), Remote()
+        self._lower = np.array([joint.lower for joint in G1.joints])
+        self._upper = np.array([joint.upper for joint in G1.joints])
+        self._network = Network(options)
+        self._states = self._network.reader(topics.LOW_STATE, types.LowState, _DEPTH)
+        self._batteries = self._network.reader(topics.BATTERY, types.BmsState, depth=8)
+        self._commands = self._network.writer(topics.LOW_CMD, raw(types.LowCmd))
+        self._switcher = Switcher(self._network, clock)
+        self._command = messages.new_command()
+        messages.set_modes(self._command, np.ones(JOINTS, np.uint8))
+        self._state: RobotState | None = None
+        self._newest: NDArray[Any] | None = None
+        self._samples: list[NDArray[np.float64]] = []
+        self._battery = b""
+        self._has_sent = False
+        self._steps = -1  # since it was armed; -1 while it is damped
+        self._entry_q: Floats = np.zeros(JOINTS)
+        self._sent_q: Floats = np.zeros(JOINTS)
+        self._reads = 0
+        self._other_writer = ""
+        try:
+            self._await_first_state(where)
+        except StationError:
+            self._network.close()
+            raise
+
+    def read(self) -> RobotState:
+        """Return the newest measurement; what came before it since the last call goes to `values`."""
+        self._take()
+        self._switcher.poll()
+        self._reads += 1
+        if self._reads % _WRITERS_EVERY == 1:
+            others = self._network.writers_of(topics.LOW_CMD)
+            self._other_writer = str(others[0]) if others else ""
+        assert self._state is not None
+        return self._state
+
+    def _take(self) -> None:
+        now_s = self._clock.monotonic_s()
+        came = self._states.take()
+        records = messages.states([message for message in came if messages.is_intact(message)])
+        self._condition.on_states(records, len(came) - len(records), now_s)
+        if len(records):
+            self._newest = records[-1]
+            self._remote.update(records["remote"])
+            self._samples.append(rows.of(records))
+            self._state = _state(self._newest, self._clock.monotonic_ns())
+        for battery in self._batteries.take_objects():
+            self._condition.on_battery(float(battery.soc), now_s)
+            self._battery = codec.f64(rows.battery(battery))
+
+    def write(self, targets: JointTargets) -> JointTargets:
+        """Send targets, and return what was sent: within the joints' ranges, and gently after arming."""
+        if self._steps < 0:
+            self._steps, self._entry_q = 0, self._measured_q()
+            self._sent_q = self._entry_q
+        if self._steps < FIRST_STEPS:
+            q, kp = self._measured_q(), np.zeros(JOINTS)
+            self._entry_q = q
+        else:
+            q, kp = self._gentle(targets.q), targets.kp
+        q = np.clip(q, self._lower, self._upper)
+        self._steps += 1
+        self._sent_q = q
+        self._send(q, kp, targets.kd)
+        return JointTargets(q, kp, targets.kd)
+
+    def damp(self) -> None:
+        """Send damping alone; a robot that was never armed is sent nothing."""
+        self._steps = -1
+        if self._has_sent:
+            self._send(self._measured_q(), np.zeros(JOINTS), np.full(JOINTS, DAMPING_KD))
+
+    def fallen(self) -> Fall | None:
+        """Return that it leans too far; what touches the ground it does not know."""
+        assert self._state is not None
+        lean = float(tilt(self._state.quat_wxyz))
+        return Fall(lean, ()) if lean > FALL_TILT_RAD else None
+
+    def why_not_arm(self) -> str:
+        """Return why it must not be armed, or ""."""
+        now_s = self._clock.monotonic_s()
+        assert self._newest is not None
+        if why_not := self.why_not_drive():
+            return why_not
+        if self._switcher.controller is None or now_s - self._switcher.answered_s > 2.0:
+            return "the motion switcher does not answer, so who has the motors is not known"
+        machine = int(self._newest["mode_machine"])
+        if machine != self._options.mode_machine:
+            known = {5: "29 joints", 6: "29 joints, locked waist", 4: "23 joints", 2: "29 joints, old gears"}
+            return (
+                f"the robot says that it is of mode_machine {machine} ({known.get(machine, 'unknown')}); expected "
+                f"{self._options.mode_machine}; set mode_machine once the policy is known to be for that robot"
+            )
+        return self._condition.why_not_arm(now_s)
+
+    def why_not_drive(self) -> str:
+        """Return why its joints have to be damped now, or ""."""
+        now_s = self._clock.monotonic_s()
+        if stop := self._remote.stop:
+            return f"{stop} on the remote"
+        if self._switcher.controller:
+            return f"the robot's own controller {self._switcher.controller!r} has the motors; release it first"
+        if self._other_writer:
+            return f"another program writes {topics.LOW_CMD}: {self._other_writer}"
+        return self._condition.why_not_drive(now_s)
+
+    def why_stand(self) -> str:
+        """Return why it has to stop what it does and stand, to be damped a moment later, or ""."""
+        return self._condition.why_stand()
+
+    def pop_actions(self) -> list[str]:
+        """Return what was asked for on the remote since the last call, as its buttons are set to ask for it."""
+        asked = self._options.remote
+        return [asked[button] for button in self._remote.pop_pressed() if button in asked]
+
+    def release(self) -> None:
+        """Have the robot's own controller let go of the motors: limp at once. `releasing` says when that is over."""
+        self._switcher.release()
+
+    def releasing(self) -> tuple[bool, str]:
+        """Return whether a release is under way, and why the last one came to nothing, or ""."""
+        return self._switcher.is_releasing, self._switcher.refused
+
+    def values(self) -> Mapping[str, bytes]:
+        """Return what was measured since the last call, by the name of its stream."""
+        found = {"samples": codec.f64(np.concatenate(self._samples).ravel())} if self._samples else {}
+        self._samples = []
+        if self._battery:
+            found["battery"], self._battery = self._battery, b""
+        return found
+
+    def health(self) -> dict[str, Any]:
+        """Return what a heartbeat tells of it."""
+        return {
+            "states_damaged": self._condition.damaged,
+            "state_ms_lost": self._condition.lost_ticks,
+            "own_controller": self._switcher.controller,
+            "why_not_arm": self.why_not_arm(),
+        }
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a manifest says of this robot."""
+        assert self._newest is not None
+        return {
+            "backend": "dds",
+            "interface": self._options.interface,
+            "domain": self._options.domain,
+            "mode_machine": int(self._newest["mode_machine"]),
+            "firmware": self._newest["version"].tolist(),
+            "guard": "none",
+        }
+
+    def close(self) -> None:
+        """Leave it damped."""
+        if self._has_sent:
+            until_s = self._clock.monotonic_s() + _CLOSING_S
+            while self._clock.monotonic_s() < until_s:
+                with contextlib.suppress(StationError):
+                    self.damp()
+                self._clock.sleep(self._dt_s)
+        self._network.close()
+
+    def _await_first_state(self, where: str) -> None:
+        until_s = self._clock.monotonic_s() + self._options.first_state_within_s
+        while self._state is None:
+            if self._states.wait(0.1):
+                self._take()
+            if self._state is None and self._clock.monotonic_s() > until_s:
+                raise NotReady(
+                    f"no state of a G1 within {self._options.first_state_within_s:g} s on {where}: is it switched on, "
+                    "is its cable in this interface, does this machine have an address in 192.168.123.0/24? "
+                    f"({self._condition.damaged} damaged ones came)"
+                )
+
+    def _measured_q(self) -> Floats:
+        assert self._state is not None
+        return self._state.q
+
+    def _gentle(self, q: Floats) -> Floats:
+        """Return targets that leave the pose in which the robot was armed slowly."""
+        since_s = (self._steps - FIRST_STEPS) * self._dt_s
+        if since_s >= GENTLE_S:
+            return q
+        share = min(1.0, since_s / ENTRY_S)
+        share = share * share * (3.0 - 2.0 * share)
+        most = GENTLE_RAD_S * self._dt_s
+        return self._sent_q + np.clip(self._entry_q + share * (q - self._entry_q) - self._sent_q, -most, most)
+
+    def _send(self, q: Floats, kp: Floats, kd: Floats) -> None:
+        assert self._newest is not None
+        command = self._command
+        command["mode_machine"] = self._newest["mode_machine"]
+        motors = command["motors"][0, :JOINTS]
+        motors["q"], motors["kp"], motors["kd"] = q, kp, kd
+        self._commands.write(messages.signed(command))
+        self._has_sent = True
+
+
+def _state(record: NDArray[Any], mono_ns: int) -> RobotState:
+    motors = record["motors"][:JOINTS]
+    quat = record["quat_wxyz"].astype(np.float64)
+    return RobotState(
+        mono_ns=mono_ns,
+        q=motors["q"].astype(np.float64),
+        dq=motors["dq"].astype(np.float64),
+        quat_wxyz=quat / max(float(np.linalg.norm(quat)), 1e-9),
+        gyro=record["gyro"].astype(np.float64),
+    )

@@ -1,0 +1,25 @@
+"""Settings of a G1's robot twin. Imports nothing heavy."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from adapters.robots.g1.dds.options import NetworkOptions
+from adapters.robots.legged.unitree import G1
+
+
+class G1TwinOptions(NetworkOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings of the twin, beside where it is on the network.
+
+    Attributes:
+        model: MJCF of the robot, a path or ``collection:path``.
+        mode_machine: What kind of G1 it says that it is: 5 with 29 joints, 6 with 29 of which the waist's roll and
+            pitch are locked.
+        is_released: Whether its own controller has let go of the motors already; as it boots, it has not.
+        seed: Of offsets, noise and losses.
+    """
+
+    model: str = G1.mjcf
+    mode_machine: Literal[5, 6] = 5
+    is_released: bool = False
+    seed: int = 0
