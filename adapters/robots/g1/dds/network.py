@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsParticipant, BuiltinTopicDcpsPublication
-from cyclonedds.core import DDSException, InstanceState, Qos, ReadCondition, SampleState, ViewState, WaitSet
+from cyclonedds.core import DDSException, InstanceState, Qos, ReadCondition, SampleState, ViewState
 from cyclonedds.domain import Domain, DomainParticipant
 from cyclonedds.idl import IdlStruct, make_idl_struct
 from cyclonedds.pub import DataWriter
@@ -177,7 +177,6 @@ class Reader:
     def __init__(self, reader: DataReader[Any], kind: type[IdlStruct], depth: int) -> None:
         self._reader, self._kind, self._depth = reader, kind, depth
         self.malformed = 0
-        self._waits: WaitSet | None = None
 
     def take(self) -> list[bytes]:
         """Return the messages since the last call as they came, header included, oldest first."""
@@ -193,13 +192,6 @@ class Reader:
                 self.malformed += 1
                 log.warning("a message that is no %s: %s", self._kind.__name__, type(error).__name__)
         return found
-
-    def wait(self, timeout_s: float) -> bool:
-        """Wait for a message; return whether there is one. Other threads of the process go on."""
-        if self._waits is None:
-            self._waits = WaitSet(self._reader.participant)
-            self._waits.attach(ReadCondition(self._reader, ViewState.Any | InstanceState.Any | SampleState.NotRead))
-        return bool(self._waits.wait(duration(seconds=timeout_s)))
 
 
 class RawWriter:

@@ -39,6 +39,10 @@ ENTRY_S = 2.5
 GENTLE_S, GENTLE_RAD_S = 5.0, 0.9
 """For how long after arming no target moves faster than that: below 0.02 rad in a control period."""
 
+# Half as much again as the stiffest that anybody drives a G1 with: xr_teleoperate's legs 300, RLLAB's arms 40, kd 10.
+_MOST_KP = np.array([450.0] * 15 + [150.0] * 14)
+_MOST_KD = np.array([15.0] * JOINTS)
+
 _DEPTH = 512  # a second of states
 _WRITERS_EVERY = 10  # periods; to look through what was discovered takes 0.1 ms
 _CLOSING_S = 0.3
@@ -82,6 +86,7 @@ class G1Dds:
         self._sent_q: Floats = np.zeros(JOINTS)
         self._reads = 0
         self._other_writer = ""
+        self._bad_targets = ""
         try:
             self._await_first_state(where)
         except StationError:
@@ -115,6 +120,11 @@ class G1Dds:
 
     def write(self, targets: JointTargets) -> JointTargets:
         """Send targets, and return what was sent: within the joints' ranges, and gently after arming."""
+        if self._bad_targets or (why_not := _why_not_send(targets)):
+            self._bad_targets = self._bad_targets or why_not
+            self._send_damping()
+            zeros: Floats = np.zeros(JOINTS)
+            return JointTargets(self._measured_q(), zeros, np.full(JOINTS, DAMPING_KD))
         if self._steps < 0:
             self._steps, self._entry_q = 0, self._measured_q()
             self._sent_q = self._entry_q
@@ -131,6 +141,10 @@ class G1Dds:
 
     def damp(self) -> None:
         """Send damping alone; a robot that was never armed is sent nothing."""
+        self._bad_targets = ""  # it is disarmed: that was told
+        self._send_damping()
+
+    def _send_damping(self) -> None:
         self._steps = -1
         if self._has_sent:
             self._send(self._measured_q(), np.zeros(JOINTS), np.full(JOINTS, DAMPING_KD))
@@ -165,6 +179,8 @@ class G1Dds:
             return f"{stop} on the remote"
         if self._switcher.controller:
             return f"the robot's own controller {self._switcher.controller!r} has the motors; release it first"
+        if self._bad_targets:
+            return self._bad_targets
         if self._other_writer:
             return f"another program writes {topics.LOW_CMD}: {self._other_writer}"
         return self._condition.why_not_drive(now_s)
@@ -228,8 +244,8 @@ class G1Dds:
     def _await_first_state(self, where: str) -> None:
         until_s = self._clock.monotonic_s() + self._options.first_state_within_s
         while self._state is None:
-            if self._states.wait(0.1):
-                self._take()
+            self._take()
+            self._clock.sleep(self._dt_s)
             if self._state is None and self._clock.monotonic_s() > until_s:
                 raise NotReady(
                     f"no state of a G1 within {self._options.first_state_within_s:g} s on {where}: is it switched on, "
@@ -259,6 +275,17 @@ class G1Dds:
         motors["q"], motors["kp"], motors["kd"] = q, kp, kd
         self._commands.write(messages.signed(command))
         self._has_sent = True
+
+
+def _why_not_send(targets: JointTargets) -> str:
+    """Return what no policy may ask of the motors, whatever is wrong with it, or ""."""
+    for what, values, most in (("stiffness", targets.kp, _MOST_KP), ("damping", targets.kd, _MOST_KD)):
+        if not ((values >= 0.0) & (values <= most)).all():  # so that what is no number is none of these
+            worst = int(np.argmax(~((values >= 0.0) & (values <= most))))
+            return f"the policy asked for a {what} of {values[worst]:g} of {G1_29[worst]}; at most {most[worst]:g}"
+    if not np.isfinite(targets.q).all():
+        return "the policy asked for a position that is no number"
+    return ""
 
 
 def _state(record: NDArray[Any], mono_ns: int) -> RobotState:

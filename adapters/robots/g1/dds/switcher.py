@@ -81,7 +81,7 @@ class Switcher:
         self.refused, self._releasing_until_s = refused, -math.inf
 
     def _ask(self, api: int) -> None:
-        asked = self._clock.monotonic_ns()
+        asked = max(self._clock.monotonic_ns(), max(self._asked, default=0) + 1)
         self._asked = {key: value for key, value in self._asked.items() if asked - key < 10_000_000_000}
         self._asked[asked] = api
         header = types.RequestHeader(

@@ -28,11 +28,13 @@ _HUNG_M = 0.12  # feet above the ground
 _ROPE_N_PER_M, _ROPE_N_S_PER_M = 8000.0, 800.0  # as stiff as a strap: it gives 4 cm under the robot's weight
 _STEADIES_N_S_PER_M = 60.0  # somebody has a hand on the robot that hangs: it swings no more after seconds
 _ROPE_MOVES_M_S = 0.1  # as fast as a hand winch
-_SLACK_M = 0.15  # what the robot may sink before the rope catches it
+_ROPE_FROM_STANDING_M = {"hung": -_HUNG_M, "down": -0.02, "slack": 0.15}
 
 # A motor warms by the square of its torque and cools towards the room: 20 minutes of half its torque bring it to 60 °C.
 _ROOM_C, _COOLS_S, _WARMS_C = 25.0, 600.0, 140.0
 _CASING_SHARE = 0.6
+
+_GEARS_N_M_S = 0.5  # what a motor without current resists by: a limb that hangs swings once or twice
 
 
 @dataclass(slots=True)
@@ -130,8 +132,9 @@ class TwinBody:
     def step(self, count: int) -> None:
         """Advance by a number of steps of `STEP_S`, under the command that is held."""
         held, model, data = self.held, self._model, self._data
+        is_limp = (held.kp == 0.0) & (held.kd == 0.0)
         model.actuator_biasprm[self._at.u, 1] = -held.kp
-        model.actuator_biasprm[self._at.u, 2] = -held.kd
+        model.actuator_biasprm[self._at.u, 2] = -np.where(is_limp, _GEARS_N_M_S, held.kd)
         data.ctrl[self._at.u] = held.kp * held.q + held.kd * held.dq + held.tau
         for _ in range(count):
             self._pull(STEP_S)
@@ -173,7 +176,7 @@ class TwinBody:
         force[:] = 0.0
         if self._faults.gantry == "off":
             return
-        wanted_m = self._standing_rope_m + (_SLACK_M if self._faults.gantry == "slack" else -_HUNG_M)
+        wanted_m = self._standing_rope_m + _ROPE_FROM_STANDING_M[self._faults.gantry]
         self._rope_m += float(np.clip(wanted_m - self._rope_m, -_ROPE_MOVES_M_S * dt_s, _ROPE_MOVES_M_S * dt_s))
         along = self._anchor - self._data.xpos[self._torso]
         distance = float(np.linalg.norm(along))

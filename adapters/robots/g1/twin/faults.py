@@ -16,7 +16,8 @@ class G1Faults(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """The state of the switches; without any the robot is well, hangs on its gantry and obeys its own controller.
 
     Attributes:
-        gantry: ``hung``, feet above the ground; ``slack``, feet down and the rope slack until it falls; ``off``.
+        gantry: ``hung``, feet above the ground; ``down``, on its feet, and the rope carries part of it; ``slack``, the
+            rope catches it when it falls; ``off``.
         controller: What the robot's own controller does until it is released: ``holds``, commands are ignored;
             ``fights``, it writes damping between them.
         without_commands: What the firmware does when they cease, which nobody knows: ``hold`` the last for ever,
@@ -44,7 +45,7 @@ class G1Faults(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         push_m_s: Velocity that the pelvis is given at once, x and y in the world [m/s]; each change pushes once.
     """
 
-    gantry: Literal["hung", "slack", "off"] = "hung"
+    gantry: Literal["hung", "down", "slack", "off"] = "hung"
     controller: Literal["holds", "fights"] = "holds"
     without_commands: Literal["hold", "damp", "limp"] = "hold"
     without_commands_after_s: float = 2.0
