@@ -32,7 +32,9 @@ LONGEST_SLEEP_S = 0.1
 """Of a unit test: a thread may be given a moment, time is not waited for [s]."""
 
 ROOT = Path(__file__).parents[1]
-BUILT_FROM = ("bridges/kord", "tests/bridges/kord", "pyproject.toml", "tests/test_wheel.py")
+BUILT_FROM = (
+    "bridges/kord", "bridges/g1_guard", "tests/bridges", "adapters/robots/g1", "pyproject.toml", "tests/test_wheel.py"
+)  # fmt: skip
 
 _PROCESS_EVENTS = ("subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn")
 _ASKED_BY_LIBRARIES = ("fc-list",)  # matplotlib, once in a run
