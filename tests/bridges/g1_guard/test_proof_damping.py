@@ -83,6 +83,27 @@ def test_r10_a_station_that_dies_is_damped_within_110_ms(proof: Figures, compile
     assert max(took_s) <= PROMISED_S
 
 
+def _rates_hz(bench: Bench) -> tuple[float, float]:
+    """Return how often a second the guard sends to the motors and to the station, by its own clock."""
+    with Waits.watched() as waits:
+        bench.arm()
+        before = bench.status()
+        bench.command(2.0)
+        after = bench.status()
+    seconds = (after.guard_ns - before.guard_ns) / 1e9
+    sent = after.sent - before.sent
+    if sent < 0.99 * 500 * seconds:
+        raise TooLate("LowCmds", seconds - sent / 500, waits.seconds())
+    return sent / seconds, (after.seq - before.seq) / seconds
+
+
+def test_it_sends_500_times_a_second_and_tells_50_times(proof: Figures, compiler, fast):
+    sent_hz, told_hz = in_time(lambda: _rates_hz(fast))
+    proof.figure("LowCmds of the guard of a G1", sent_hz, "Hz", limit="500 Hz")
+    assert sent_hz <= 501
+    assert 48 <= told_hz <= 52
+
+
 def _stop_by_remote(bench: Bench) -> float:
     with Waits.watched() as waits:
         bench.arm()

@@ -83,8 +83,9 @@ def test_a_challenge_is_the_guards_and_is_good_once(rules):
     token = rules.token
     rules.run(500)
     assert rules.status.state is State.DAMPING
-    said = rules.ask(Kind.CONFIRM, token)
-    assert (said.kind, said.reason) == (Answer.ARM_REFUSED, Reason.CHALLENGE)
+    for used in (token, 0):
+        said = rules.ask(Kind.CONFIRM, used)
+        assert (said.kind, said.reason) == (Answer.ARM_REFUSED, Reason.CHALLENGE)
     rules.run(100, rules.command)
     assert rules.status.state is State.DAMPING
     assert rules.arm().kind is Answer.ARMED
@@ -348,7 +349,7 @@ def test_damage_of_a_stranger_ends_nothing(rules, what):
     rules.driven()
     for _ in range(9):
         rules.datagram(damage(rules.command()), STRANGER)
-        rules.run(20, rules.command)
+    rules.run(20, rules.command)
     assert (rules.status.refused[refusal], rules.status.state) == (9, State.ARMED)
 
 
@@ -376,6 +377,14 @@ def test_a_command_that_answers_no_recent_state_reaches_no_motor(rules, age_ms, 
     rules.driven()
     rules.datagram(rules.command(q=-Q, state_tick=int(rules.robot["tick"][0]) - age_ms))
     assert rules.status.refused[Refusal.STALE] == is_stale
+
+
+def test_a_session_counts_its_commands_anew(rules):
+    rules.driven()
+    rules.run(500)
+    rules.arm()
+    rules.datagram(rules.command(seq=1))
+    assert (rules.status.command_seq, rules.status.refused[Refusal.SEQ]) == (1, 0)
 
 
 def test_a_command_of_an_earlier_session_reaches_no_motor(rules):

@@ -177,6 +177,8 @@ class GuardStatus:
         kind: What it answers.
         state, reason: What it does, and why it came to damping; in ARM_REFUSED why it does not arm.
         why_not: What is in the way of arming now.
+        seq: Of this answer.
+        guard_ns: Monotonic clock of the guard when it said this [ns].
         mode_machine, state_tick: Of the newest LowState; the tick in [ms].
         state_age_s: How long ago a LowState came [s]; infinite if never.
         command_age_s: How long ago a command was accepted [s]; infinite if never in this session.
@@ -196,6 +198,8 @@ class GuardStatus:
     state: State
     reason: Reason
     why_not: Reason
+    seq: int
+    guard_ns: int
     mode_machine: int
     state_tick: int
     state_age_s: float
@@ -231,8 +235,8 @@ def status(datagram: bytes, now_ns: int = 0) -> GuardStatus | None:
     except ValueError:
         return None
     numbers = (
-        "mode_machine", "state_tick", "command_seq", "sent", "failed_sends", "accepted", "states", "bad_states",
-        "freezes", "damped", "clamped", "nonce", "challenge",
+        "seq", "guard_ns", "mode_machine", "state_tick", "command_seq", "sent", "failed_sends", "accepted", "states",
+        "bad_states", "freezes", "damped", "clamped", "nonce", "challenge",
     )  # fmt: skip
     return GuardStatus(
         kind=kind, state=state, reason=reason, why_not=why_not, state_age_s=_age_s(said["state_age_us"]),
