@@ -86,15 +86,15 @@ static uint64_t draw(void) {
 
 // ---- options ----
 
-static int number(const char *name, const char *text, unsigned most, unsigned *out) {
+static int number(const char *name, const char *text, unsigned least, unsigned most, unsigned *out) {
     char *end;
     errno = 0;
     const unsigned long value = strtoul(text, &end, 10);
-    if (*text >= '0' && *text <= '9' && *end == '\0' && errno == 0 && value <= most) {
+    if (*text >= '0' && *text <= '9' && *end == '\0' && errno == 0 && value >= least && value <= most) {
         *out = (unsigned)value;
         return 0;
     }
-    fprintf(stderr, NAME "--%s '%s': expected a number from 0 to %u\n", name, text, most);
+    fprintf(stderr, NAME "--%s '%s': expected a number from %u to %u\n", name, text, least, most);
     return USAGE_CODE;
 }
 
@@ -110,9 +110,9 @@ static int read_options(int count, char **words, struct options *out) {
     while (code == 0 && (letter = getopt_long(count, words, ":", known, NULL)) != -1) {
         switch (letter) {
             case 'i': out->interface = optarg; break;
-            case 'd': code = number("domain", optarg, 230, &out->domain); break;
+            case 'd': code = number("domain", optarg, 0, 230, &out->domain); break;
             case 'b': out->bind = optarg; break;
-            case 'p': code = number("port", optarg, 65535, &out->port); break;
+            case 'p': code = number("port", optarg, 1, 65535, &out->port); break;
             case 'f': out->armed_flag = optarg; break;
             case 'h': fputs(HELP, stdout); exit(0);
             default:

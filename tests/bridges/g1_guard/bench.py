@@ -185,13 +185,13 @@ class Bench:
         self.client.poll()
 
     def arm(self) -> None:
-        """Arm, and command for 0.2 s."""
+        """Arm, and command for 0.1 s."""
         deadline = time.monotonic() + 60
         while time.monotonic() < deadline:
             self.client.arm()
             while not (self.client.poll() and self.client.is_armed) and not self.client.why_not_armed:
                 time.sleep(0.001)
-            self.command(0.2)
+            self.command(0.1)
             if self.client.is_armed and self.status().state is State.ARMED:
                 return
         raise AssertionError(f"was not armed: {self.client.why_not_armed!r}, {self.client.status}")

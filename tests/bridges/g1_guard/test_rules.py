@@ -629,10 +629,10 @@ def rearm(rules: Rules) -> None:
     assert rules.arm().kind is Answer.ARMED
 
 
-def test_of_50_000_mutants_none_reaches_a_motor(library):
+def test_of_30_000_mutants_none_reaches_a_motor(library):
     chance = random.Random(5)
     rules = Rules(library).driven()
-    for count in range(50_000):
+    for count in range(30_000):
         mutant = _mutant(chance, rules.command(q=-Q))
         if mutant[-4:] == zlib.crc32(mutant[:-4]).to_bytes(4, "little"):
             continue  # two changes undid each other
@@ -643,8 +643,8 @@ def test_of_50_000_mutants_none_reaches_a_motor(library):
         if count % 10 == 0 and rules.status.state is not State.ARMED:
             rearm(rules)
             rules.run(12, rules.command)
-    assert rules.status.damped > 1000
-    assert sum(rules.status.refused.values()) > 49_000
+    assert rules.status.damped > 500
+    assert sum(rules.status.refused.values()) > 29_000
 
 
 def test_whatever_numbers_a_station_sends_what_is_sent_is_within_limits(library):

@@ -261,6 +261,15 @@ def _foreign(said: Any) -> str:
 class GuardClient:
     """Who commands a G1 through its guard. A context manager.
 
+    ::
+
+        with GuardClient("192.168.123.164") as guard:
+            guard.arm()
+            for tick in ticks:  # 50 Hz
+                status = guard.poll()  # goes on with the handshake; None before the first answer
+                if guard.is_armed:
+                    guard.send(state_tick, q, kp, kd)  # from then on always, else it comes to damping
+
     Args:
         host, port: Of the guard.
         clock: Monotonic; stamps datagrams.
