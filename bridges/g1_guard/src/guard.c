@@ -336,7 +336,7 @@ bool guard_step(struct guard *guard, int64_t now_ns, struct motor_command *out) 
     if (late_us > guard->max_late_us) guard->max_late_us = (uint32_t)late_us;
     decide(guard, now_ns);
     guard->step_ns = now_ns;
-    if (guard->state == STATE_WAITING || !guard->has_robot) return false;  // without mode_machine the robot hears nothing
+    if (guard->state == STATE_WAITING || !guard->has_robot) return false;  // whose mode_machine is not known
     if (guard->state == STATE_ARMED) follow(guard);
     if (guard->state == STATE_RAMPING || guard->state == STATE_DAMPING) ramp(guard, now_ns);
     fill(guard, out);

@@ -1,5 +1,5 @@
-// g1-guard: the only writer of rt/lowcmd on a G1. A station commands it over UDP; when the station dies, freezes or is cut
-// off, the robot comes to damping. `guard.c` has the rules, this file the clock, the socket, the signals and the options.
+// g1-guard: the only writer of rt/lowcmd on a G1. A station commands it over UDP; when the station dies, freezes or is
+// cut off, the robot comes to damping. `guard.c` has the rules; here are clock, socket, signals and options.
 #include <arpa/inet.h>
 #include <errno.h>
 #include <fcntl.h>

@@ -86,7 +86,8 @@ static bool watch_discovery(void) {
 
 bool robot_open(const char *interface, unsigned domain) {
     char config[1024];
-    if (if_nametoindex(interface) == 0) return fail(interface, "there is none of this name", -DDS_RETCODE_BAD_PARAMETER);
+    if (if_nametoindex(interface) == 0)
+        return fail(interface, "there is none of this name", -DDS_RETCODE_BAD_PARAMETER);
     describe(config, sizeof config, interface);
     dds_set_log_sink(drop_log, NULL);  // one line of ours says it
     const dds_entity_t opened = dds_create_domain(domain, config);

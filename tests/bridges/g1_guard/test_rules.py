@@ -526,7 +526,9 @@ def test_a_state_without_an_attitude_is_none(rules, quat):
 
 
 @pytest.mark.parametrize(("still_ms", "state"), [(90, State.ARMED), (110, State.RAMPING)])
-def test_a_guard_that_stood_still_for_100_ms_comes_to_damping(rules, still_ms, state):
+def test_a_guard_that_stood_still_for_100_ms_comes_to_damping(library, still_ms, state):
+    rules = Rules(library, begun_ms=0)
+    rules.run(1000)
     rules.driven()
     rules.skip(still_ms)
     rules.run(10, rules.command)

@@ -65,7 +65,7 @@ class Rules:
     Args:
         library: The compiled rules.
         was_armed: The guard before this one ended while armed.
-        begun_ms: How long the guard runs already, without a robot.
+        begun_ms: How long ago the guard began; meanwhile it made no step.
 
     Attributes:
         now_ms: The time.
@@ -86,7 +86,7 @@ class Rules:
         self.sent: list[Sent] = []
         self.seq = self.token = 0
         self._call("guard_init", ctypes.c_bool(was_armed), self._random)
-        self.run(begun_ms, is_robot_there=False)
+        self.now_ms += begun_ms
 
     def _call(self, name: str, *arguments: Any) -> Any:
         return getattr(self._library, name)(self._guard, ctypes.c_int64(self.now_ms * 1_000_000), *arguments)
@@ -126,15 +126,12 @@ class Rules:
             self.sent.append(Sent(self.now_ms, out[0]))
         return is_sent
 
-    def run(
-        self, milliseconds: int, command: Callable[[], bytes] | None = None, *, is_robot_there: bool = True
-    ) -> list[Sent]:
+    def run(self, milliseconds: int, command: Callable[[], bytes] | None = None) -> list[Sent]:
         """Let time go by; return the LowCmds that were sent meanwhile."""
         before = len(self.sent)
         for passed in range(0, milliseconds, 2):
             self.now_ms += 2
-            if is_robot_there:
-                self.state()
+            self.state()
             if command is not None and passed % 20 == 0:
                 self.datagram(command())
             self.step()

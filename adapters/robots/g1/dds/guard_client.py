@@ -312,7 +312,8 @@ class GuardClient:
         return math.inf if self._heard_ns is None else (self._clock.monotonic_ns() - self._heard_ns) / 1e9
 
     def arm(self) -> None:
-        """Ask the guard to arm; `poll` goes on with the handshake. `why_not_armed` tells when it refuses."""
+        """Ask the guard to arm; `poll` goes on with the handshake. `why_not_armed` tells when it refuses, `silence_s`
+        when no guard is there."""
         self._nonce, self._challenge, self._token = secrets.randbits(64) or 1, 0, 0
         self.why_not_armed = Reason.NONE
         self._request(Kind.ARM, self._nonce)
